@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.described_camera import describe_camera
+from charact.fitting.described_camera import describe_camera
 from charact.fusion.alignment import align_bands, common_field, crop_band
 from charact.fusion.bands import Band
 from charact.fusion.fuse import fuse_all

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.row import Row, best_seconds
 
 if TYPE_CHECKING:
-    from charact.mtf.edge.fit.model_selection import EvidenceWeightedModels
+    from charact.estimators.mtf.edge.fit.model_selection import EvidenceWeightedModels
     from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -31,9 +31,9 @@ EDGES = 20
 
 def rows() -> Iterator[Row]:
     """The three promises, each beside its plain way."""
+    from charact.estimators.mtf.dispatch import measure_all
+    from charact.estimators.mtf.edge.parametric import edge_parametric
     from charact.method import Context
-    from charact.mtf.dispatch import measure_all
-    from charact.mtf.edge.parametric import edge_parametric
     from labdata.frames import FrameStack
 
     edge = plain_edge(np.random.default_rng(1))
@@ -74,10 +74,10 @@ def most_probable_form(stack: "FrameStack") -> "EvidenceWeightedModels":
     """Find an edge and the form that it asks for, which is the point estimate of
     `edge-parametric`.
     """
+    from charact.estimators.mtf.edge.parametric import fit_edge_models
+    from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
+    from charact.estimators.mtf.known_transfer import known_transfer
     from charact.method import Context
-    from charact.mtf.edge.parametric import fit_edge_models
-    from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
-    from charact.mtf.known_transfer import known_transfer
 
     context = Context(quick=True)
     edge = prepare_edge(stack, None, context, quickly=True, fields_apart=True)

@@ -22,8 +22,8 @@ def rows() -> Iterator[Row]:
     """A series of 100 pairs of 12 bits and a pair of darks: statistics alone, with spectra, and the
     whole verb.
     """
-    from charact import noise
-    from charact.noise.gain.series import read_levels
+    from charact.estimators import noise
+    from charact.estimators.noise.gain.series import read_levels
     from charact.session_measurement import method_context
     from labdata.session import open_session
 

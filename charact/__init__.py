@@ -61,8 +61,6 @@ def __getattr__(name: str) -> Any:
 
     if name not in __all__:
         raise AttributeError(f"module 'charact' has no attribute {name!r}")
-    if name in ("bloom", "fit", "mtf", "noise", "report"):  # packages that can be called
-        return import_module(f"charact.{name}")
     return getattr(import_module("labdata.errors" if name == "BadInput" else "charact.api"), name)
 
 

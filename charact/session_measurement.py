@@ -130,7 +130,7 @@ def measure(
             "a session must have a stack of kind dark, flat, edge, bars or point to be measured, "
             f"got only kind 'scene': say in {session.folder / MANIFEST} what the frames show"
         )
-    from charact.infrared import is_linear
+    from charact.estimators.infrared import is_linear
 
     context, result = method_context(session, quick=quick, seed=seed, spread=spread), Result()
     complaints: list[BadInput] = []
@@ -159,7 +159,7 @@ def measure_noise(
     session
         Session with at least one dark or flat stack.
     method, within_percent
-        As for `charact.noise.measure`; flats of a black body have one method.
+        As for `charact.estimators.noise.measure`; flats of a black body have one method.
     context
         Settings of the methods.
 
@@ -168,7 +168,7 @@ def measure_noise(
     BadInput
         If the session has neither darks nor flats, or the method is unknown.
     """
-    from charact import infrared, noise
+    from charact.estimators import infrared, noise
     from charact.method import choose
 
     choose("flats", method, within_percent=within_percent)
@@ -190,7 +190,7 @@ def _with_step(result: Result, session: Session) -> Result:
     """Return the result with the finding of a coarse digitiser at the quantities that contain dark
     noise or level.
     """
-    from charact.noise.rounding import step_finding
+    from charact.estimators.noise.rounding import step_finding
 
     found = step_finding(session)
     if found is None:
@@ -219,14 +219,15 @@ BLOOM = (("halo_diameter", "px"), ("bloom_diameter", "px"))
 def measure_bloom(
     session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context
 ) -> Result:
-    """Measure halo and blooming of point sources; arguments as for `charact.bloom.measure`.
+    """Measure halo and blooming of point sources; arguments as for
+    `charact.estimators.bloom.measure`.
 
     Raises
     ------
     BadInput
         If the session has no point source, or its images are too small for one.
     """
-    from charact import bloom
+    from charact.estimators import bloom
 
     _require_size(session.of_kind("point") or session.of_kind("edge"))
     return attempt(
@@ -239,7 +240,7 @@ def measure_bloom(
 
 def _of_light(session: Session) -> Session:
     """Return a session without its flats of a black body."""
-    from charact.infrared import blackbody_flats
+    from charact.estimators.infrared import blackbody_flats
 
     heated = {entry.label for entry in blackbody_flats(session)}
     return replace(
@@ -281,12 +282,12 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
     """Add the joint MTF of all targets, its consistency, uniformity and budget, and the MRTD of an
     infrared camera.
     """
-    from charact.infrared import add_mrtd, blackbody_flats
-    from charact.mtf.bars.group_curve import session_curves
-    from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
-    from charact.mtf.session.joint import fit_joint_mtf
-    from charact.mtf.session.mtf_budget import add_mtf_budget
-    from charact.tube import add_resolution
+    from charact.estimators.infrared import add_mrtd, blackbody_flats
+    from charact.estimators.mtf.bars.group_curve import session_curves
+    from charact.estimators.mtf.session.consistency import mtf_consistency, mtf_uniformity
+    from charact.estimators.mtf.session.joint import fit_joint_mtf
+    from charact.estimators.mtf.session.mtf_budget import add_mtf_budget
+    from charact.estimators.tube import add_resolution
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}
@@ -362,7 +363,7 @@ def method_context(
 
 def _tasks(session: Session, within_percent: float) -> list[Analysis]:
     """Every analysis that the session has stacks for; the halo precedes the MTF, which uses it."""
-    from charact import mtf
+    from charact.estimators import mtf
 
     def of(
         analysis: Callable[..., Result], stacks: Session = session
@@ -398,8 +399,8 @@ def _tasks(session: Session, within_percent: float) -> list[Analysis]:
 
 
 def _target(session: Session, entry: StackEntry, within_percent: float, context: Context) -> Result:
-    from charact import mtf
-    from charact.infrared.scan_directions import scan_directions
+    from charact.estimators import mtf
+    from charact.estimators.infrared.scan_directions import scan_directions
 
     target, stack = entry.target, entry.read()
     if entry.kind == "edge" and stack.black_level_dn is None:
@@ -427,7 +428,7 @@ def _best_point(session: Session, within_percent: float, context: Context) -> Re
     The narrowest interval would select a halo that is too small by chance, with an MTF that is too
     high.
     """
-    from charact.mtf.point.source import source_signal
+    from charact.estimators.mtf.point.source import source_signal
 
     found: list[tuple[tuple[int, int], Result]] = []
     # Read again when measured: a long series does not fit into memory.

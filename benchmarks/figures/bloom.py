@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import bloom
-from charact.bloom.bloom_map import NEAR_PX, bloom_map, evidence_of, spread_from
-from charact.bloom.lit_edge_halo import measure_lit_edge
+from charact.estimators import bloom
+from charact.estimators.bloom.bloom_map import NEAR_PX, bloom_map, evidence_of, spread_from
+from charact.estimators.bloom.lit_edge_halo import measure_lit_edge
 from charact.method import Context
-from charact.report.bloom_images import add_extent_data
-from charact.report.figure_registry import FIGURES
-from charact.report.style import white_style
+from charact.reporting.bloom_images import add_extent_data
+from charact.reporting.figure_registry import FIGURES
+from charact.reporting.style import white_style
 from charact.study.bloom.scene import bloom_session
 from charact.study.bloom.source import GLARE_SIDE_PX, BloomScene, radial_light
 from charact.study.bloom.truth import truth

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import charact
-import charact.mtf
+import charact.estimators.mtf
 from charact.method import Context, choose
 from charact.study.bars.strips import StripScene
 from charact.study.edge.scene import TrueBlur

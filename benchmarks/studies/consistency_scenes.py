@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import mtf
+from charact.estimators import mtf
 from charact.method import Context
 from charact.session_measurement import with_stack_label
 from charact.study.bars.strips import StripScene

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.studies.consistency_scenes import KINDS, SessionScene, SimulatedScene
-from charact.mtf.session.joint import fit_joint_mtf
+from charact.estimators.mtf.session.joint import fit_joint_mtf
 from labdata.measurement import Result
 
 TABLE = Path(__file__).with_name("tables") / "agreement.json"

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
-from charact.noise.events.event_measurements import measure_events
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack

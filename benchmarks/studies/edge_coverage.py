@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-import charact.mtf  # registers the methods
+import charact.estimators.mtf  # registers the methods
 from charact.method import Context
 from charact.method.registry import methods_of_kind
 from charact.study.edge.scene import EdgeScene, TrueBlur

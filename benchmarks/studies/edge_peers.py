@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-import charact.mtf  # registers the methods
+import charact.estimators.mtf  # registers the methods
 from benchmarks.studies.cramer_rao import least_relative_sd
 from charact.method import Context
 from charact.method.registry import methods_of_kind

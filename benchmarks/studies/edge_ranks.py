@@ -18,16 +18,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.mtf.blur_models.one_dimensional import (
+    EXPONENT_PRIOR,
+    HALF_FREQUENCY_PRIOR,
+    BlurModel,
+)
+from charact.estimators.mtf.curve import FINE, crossing_frequency
+from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter, form_of
+from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
+from charact.estimators.mtf.edge.pixels.profile import EVEN_PER_PX
+from charact.estimators.mtf.known_transfer import known_transfer
+from charact.inference import importance_sample, sample
+from charact.inference.sampling import WANTED
 from charact.method import Context
 from charact.method.registry import single_blas_thread
-from charact.mtf.blur_models.one_dimensional import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, BlurModel
-from charact.mtf.curve import FINE, crossing_frequency
-from charact.mtf.edge.fit.model_fit import EdgeFitter, form_of
-from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
-from charact.mtf.edge.pixels.profile import EVEN_PER_PX
-from charact.mtf.known_transfer import known_transfer
-from charact.posterior import importance_sample, sample
-from charact.posterior.sampling import WANTED
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.harness import Progress
 from charact.study.speed_accuracy import write_json

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import charact.noise  # noqa: F401  # registers the methods
+import charact.estimators.noise  # noqa: F401  # registers the methods
 from benchmarks.studies import scenario_map
 from benchmarks.studies.scenario_map import (
     Breaking,

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.noise.sweep.settings import KNOBS, Sweep, SweepSetting
+from charact.estimators.noise.sweep.sweep import measure_sweep
 from charact.method import Context
-from charact.noise.sweep.settings import KNOBS, Sweep, SweepSetting
-from charact.noise.sweep.sweep import measure_sweep
 from labdata.measurement import Result
 
 Array = NDArray[np.float64]

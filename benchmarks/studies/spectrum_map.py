@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-import charact.mtf  # noqa: F401  # registers the methods
+import charact.estimators.mtf  # noqa: F401  # registers the methods
 from benchmarks.studies import scenario_map
 from benchmarks.studies.scenario_map import (
     Breaking,

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len
 
+from charact.estimators.mtf import measure, measure_all
 from charact.method import Context
-from charact.mtf import measure, measure_all
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement
 

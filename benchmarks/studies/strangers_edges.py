@@ -17,8 +17,8 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.mtf import measure
 from charact.method import Context
-from charact.mtf import measure
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import bloom
+from charact.estimators import bloom
 from charact.method import Context
 from charact.study.flats.flat_cases import InMemoryStack
 from charact.study.harness import judge_measurement

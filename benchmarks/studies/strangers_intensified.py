@@ -259,7 +259,7 @@ def _entry(label: str, kind: Any, frames: FrameStack, told: Conditions) -> Stack
 
 def main(first: int = 0, count: int = SESSIONS) -> None:
     """Print one line a session, then how often the numbers are `ok`, hold and fail silently."""
-    from charact import noise
+    from charact.estimators import noise
     from charact.session_measurement import method_context
 
     told: dict[str, list[tuple[str, bool, bool]]] = defaultdict(list)

@@ -216,7 +216,7 @@ class Tally:
 
 def tallies_of(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], Tally]:
     """Measure sessions and count by kind and quantity."""
-    from charact import noise
+    from charact.estimators import noise
     from charact.session_measurement import method_context
     from labdata.measurement import Result
     from labdata.session import open_session

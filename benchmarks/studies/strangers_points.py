@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.mtf import measure_all
 from charact.method import Context
-from charact.mtf import measure_all
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from charact.report.number_format import plus_minus
-from charact.report.summary import summary
+from charact.reporting.number_format import plus_minus
+from charact.reporting.summary import summary
 from labdata.errors import BadInput
 from labdata.measurement import Measurement, Result
 from labdata.quantity import QUANTITIES
@@ -99,7 +99,7 @@ class Analysis(Result):
 
     def _repr_html_(self) -> str:
         """Return the table and the MTF figure of the report, for a notebook."""
-        from charact.report import fragment
+        from charact.reporting.session_page import fragment
 
         return fragment(self)
 
@@ -122,8 +122,8 @@ class Analysis(Result):
         BadInput
             If the result has no curve, or the ending of the file is unknown.
         """
-        from charact.report.curves import plot_files
-        from charact.report.style import save_figure
+        from charact.reporting.curves import plot_files
+        from charact.reporting.style import save_figure
 
         if not self.curves:
             raise BadInput("a plot needs a curve, got a result without one: see its measurements")

@@ -86,7 +86,7 @@ def mtf(
     >>> print(f"{mtf(frame, method='edge-slanted').mtf50.value:.2f}")
     0.18
     """
-    from charact.mtf import measure, measure_all
+    from charact.estimators.mtf import measure, measure_all
 
     read = frames_of(frames, plane=plane, axis=axis, black_dn=black_dn)
     described = sensor_of(sensor)
@@ -180,8 +180,8 @@ def bloom(
     label
         Name of the stack that an image is.
     """
-    from charact.bloom import measure
-    from charact.bloom.single_frame import measure_frame
+    from charact.estimators.bloom import measure
+    from charact.estimators.bloom.single_frame import measure_frame
 
     if isinstance(source, Session) or _is_session(source):
         return _analyse(
@@ -316,7 +316,7 @@ def in_file_coordinates(result: Result, frames: FrameStack) -> Result:
     """Return the result with regions in coordinates of the file and with the notes of the
     importer.
     """
-    from charact.mtf.dispatch import REGION_NAME
+    from charact.estimators.mtf.dispatch import REGION_NAME
 
     def shift(region: Region) -> Region:
         return region[0] + frames.origin[0], region[1] + frames.origin[1], region[2], region[3]

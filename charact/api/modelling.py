@@ -48,7 +48,7 @@ def fit(
     Sensor or SolidStateCamera
         Identified parameters with joint posterior draws, the others at their priors.
     """
-    from charact.fit import fit_sensor
+    from charact.fitting import fit_sensor
 
     given = session_of(source)
     return fit_sensor(
@@ -119,7 +119,7 @@ def report(
     BadInput
         If there is no `out` for a session in memory, or no program that writes a PDF.
     """
-    from charact.report import write
+    from charact.reporting.session_page import write
     from charact.validation import load
     from labdata import result_io
 

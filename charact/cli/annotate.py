@@ -126,7 +126,7 @@ def unusable_edges(stack: FrameStack, result: Result) -> Unusable:
     """Return the edges of a frame that could not be measured, but for those in a measured
     region.
     """
-    from charact.mtf.target_detection.edges import find_unusable_edges
+    from charact.estimators.mtf.target_detection.edges import find_unusable_edges
 
     measured = [
         _in_stack(m.region, stack) for m in result.measurements if m.value is not None and m.region

@@ -61,7 +61,7 @@ def compare(
             whole = {"charact": __version__, "input": [str(a), str(b)], **comparison_json(found)}
             print(json.dumps(whole, allow_nan=False))
             return
-        from charact.report.comparison import comparison_text
+        from charact.reporting.comparison import comparison_text
 
         names = str(a), str(b)
         print(
@@ -96,7 +96,7 @@ def check(
             whole = {"charact": __version__, "input": str(session), **check_json(checked)}
             print(json.dumps(whole, allow_nan=False))
         else:
-            from charact.report.comparison import check_text
+            from charact.reporting.comparison import check_text
 
             print(check_text(checked, session=str(session), width=_columns()))
         sys.stdout.flush()

@@ -18,7 +18,7 @@ from labdata.plan import Plan
 from labdata.session import Session, open_session
 
 if TYPE_CHECKING:
-    from charact.report.truth import Truth, TruthComparison
+    from charact.reporting.truth import Truth, TruthComparison
 
 # Probability that a correct session has a z-score beyond the limit.
 CHANCE = 1e-3
@@ -55,7 +55,8 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events
     with _step("simulate and validate", events):
         validation = validate_and_save(session, session / FITTED, seed=seed, events=events)
     with _step("report", events):
-        from charact.report import compare_with_truth, write
+        from charact.reporting.session_page import write
+        from charact.reporting.truth import compare_with_truth
 
         # The truth of the bench is read only after all measurements.
         measured = open_session(session)

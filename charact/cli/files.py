@@ -231,7 +231,7 @@ def convert(
 
 
 def _write_results(folder: Path, out: Path, to: str) -> None:
-    from charact.report import emva_sheet, exports
+    from charact.reporting import emva_sheet, exports
     from labdata import result_io
     from labdata.file_io import write_atomically
     from labdata.session import open_session

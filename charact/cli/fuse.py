@@ -481,7 +481,7 @@ def _read(
     """Read all sources; descriptions are of the first and of the second one, voltage and black
     level of the first.
     """
-    from charact.fit.described_camera import describe_camera
+    from charact.fitting.described_camera import describe_camera
     from charact.fusion.sources import read_source
     from labdata.sensors import load_camera, load_sensor
 
@@ -575,7 +575,7 @@ def _write_page(
     import numpy as np
 
     from charact.fusion.scores import score as score_of
-    from charact.report.fusion_page import fusion_page
+    from charact.reporting.fusion_page import fusion_page
     from labdata.file_io import write_atomically
 
     scores, truths = {}, {}

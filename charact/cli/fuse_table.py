@@ -37,7 +37,7 @@ def table(
         if out.suffix != ".npz":
             raise BadInput(f"OUT must be an .npz, got {out.name!r}")
         require_free(out, force=force, kept=lambda: None if out.is_file() else "a folder")
-        from charact.fit.described_camera import describe_camera
+        from charact.fitting.described_camera import describe_camera
         from charact.fusion.alignment import align_bands, common_field, crop_band
         from charact.fusion.colour_table import make_colour_table
         from charact.fusion.sources import band_of, read_source

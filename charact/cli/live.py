@@ -306,7 +306,7 @@ def _watch_files(
     """Measure the targets of each new file of a folder."""
     from charact.api import mtf
     from charact.live.quick_look import watch_files
-    from charact.report.summary import rows_of_file
+    from charact.reporting.summary import rows_of_file
     from labdata.result_io import to_json
 
     for path in watch_files(folder, once=once, patience_s=patience_s):

@@ -14,7 +14,7 @@ from labdata.errors import BadInput
 
 if TYPE_CHECKING:
     from charact.api import Analysis
-    from charact.report.frequency_unit import FrequencyUnit
+    from charact.reporting.frequency_unit import FrequencyUnit
     from labdata.frames import FrameStack
     from labdata.sensor import Sensor
     from labdata.session import Session
@@ -124,8 +124,8 @@ def flats(
     Example: charact mtf flats my-session --quick
     """
     with exit_on_bad_input(str(file), as_json=as_json, events=events):
-        from charact import mtf
-        from charact.report.frequency_unit import FrequencyUnit
+        from charact.estimators.mtf import measure_flats
+        from charact.reporting.frequency_unit import FrequencyUnit
         from charact.session_measurement import method_context
 
         session = _flats_of(file, _sensor(sensor), plane, axis)
@@ -133,9 +133,7 @@ def flats(
         frequency = FrequencyUnit.of(session.sensor, rows=rows, unit=units, **lengths)
         with progress_bar(events=events) as progress:
             context = method_context(session, quick=quick, seed=seed, progress=progress)
-            result = mtf.measure_flats(
-                session, method=method, within_percent=within, context=context
-            )
+            result = measure_flats(session, method=method, within_percent=within, context=context)
         print_result(
             result,
             given=str(file),
@@ -193,7 +191,7 @@ def _measure(
     """
     with exit_on_bad_input(str(files[0]), as_json=as_json, events=events):
         if plot is not None:  # before an analysis that takes minutes
-            from charact.report.style import require_figure_file
+            from charact.reporting.style import require_figure_file
 
             require_figure_file(plot)
         if annotate is not None:
@@ -262,7 +260,7 @@ def _measure_file(
 ) -> "tuple[Analysis, FrameStack, FrequencyUnit]":
     """Measure a region of a stack or, without one, all detected targets of a kind."""
     from charact.api import frames_of, mtf
-    from charact.report.frequency_unit import FrequencyUnit
+    from charact.reporting.frequency_unit import FrequencyUnit
     from labdata.session import MANIFEST
 
     if (file / MANIFEST).is_file():
@@ -329,7 +327,7 @@ def _measure_each(
                 json.dumps(to_json(result, given=str(file), version=__version__), allow_nan=False)
             )
         else:
-            from charact.report.summary import rows_of_file
+            from charact.reporting.summary import rows_of_file
 
             print(*rows_of_file(str(file), result, frequency), sep="\n", flush=True)
         if all(m.value is None for m in result.measurements):
@@ -350,12 +348,12 @@ def _write_table_and_plot(
     from labdata.file_io import write_atomically
 
     if csv is not None:
-        from charact.report.exports import table_of_files
+        from charact.reporting.exports import table_of_files
 
         write_atomically(csv, table_of_files(results).encode())
     if plot is not None and results:
-        from charact.report.curves import plot_files
-        from charact.report.style import save_figure
+        from charact.reporting.curves import plot_files
+        from charact.reporting.style import save_figure
 
         save_figure(plot_files(results), plot)
 

@@ -121,7 +121,7 @@ def print_result(
 
 def _text(result: "Result", title: str, frequency: Frequency, everything: bool) -> str:
     """Return a result as text: a summary that fits the terminal, or every line."""
-    from charact.report.summary import LINES, summary
+    from charact.reporting.summary import LINES, summary
 
     width = min(100, shutil.get_terminal_size((100, 40)).columns)
     # One line per region suits the targets of one image; session quantities have no region.

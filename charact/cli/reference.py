@@ -109,7 +109,7 @@ def chart(
     """
     with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
         from charact.method.registry import CHARTED, chart_table
-        from charact.report.method_chart import chart_lines, write_chart
+        from charact.reporting.method_chart import chart_lines, write_chart
 
         rows = chart_table(quantity)
         if update and not measure:
@@ -153,7 +153,7 @@ def stability(
     """
     with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
         from charact.method.registry import chart_table
-        from charact.report.method_chart import failure_lines
+        from charact.reporting.method_chart import failure_lines
 
         rows = chart_table(quantity)
         if not measure:

@@ -19,7 +19,7 @@ from labdata.camera_description import Draws
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
-    from charact.fit.prior import VisibleCamera
+    from charact.fitting.prior import VisibleCamera
     from charact.method import Context
     from charact.validation import Validation
     from labdata.measurement import Result
@@ -132,7 +132,7 @@ def bloom(
         return
     drawn = None
     if map_to is not None:
-        from charact.report.bloom_images import write_bloom_map
+        from charact.reporting.bloom_images import write_bloom_map
 
         drawn = partial(write_bloom_map, label=map_of, path=map_to)
     _analyse("bloom", session, drawn=drawn, **settings)
@@ -264,7 +264,7 @@ def measure(
     Example: charact measure day1 --quick
     """
     with exit_on_bad_input(str(session), as_json=as_json, events=events):
-        from charact.report.frequency_unit import FrequencyUnit
+        from charact.reporting.frequency_unit import FrequencyUnit
         from labdata import result_io
         from labdata.lazy_stack import open_lazy_stack
 
@@ -390,7 +390,7 @@ def fit_and_save(
     folder: Path, result: "Result", out: Path, *, seed: int, events: bool
 ) -> "VisibleCamera":
     """Fit the sensor of a session and save it as a TOML file."""
-    from charact.fit import fit_sensor
+    from charact.fitting import fit_sensor
     from labdata.sensors import save_sensor
 
     with progress_bar(events=events) as progress:
@@ -527,7 +527,7 @@ def report(
     Example: charact report day1 --pdf
     """
     with exit_on_bad_input(str(session), events=events):
-        from charact.report import write
+        from charact.reporting.session_page import write
         from charact.validation import load
 
         for path in () if out is None else (out, *((out.with_suffix(".pdf"),) if pdf else ())):

@@ -146,7 +146,7 @@ def _result(found: "Temperatures", seconds: float, seed: int) -> "Result":
 
 def _last_row(result: "Result") -> list[str]:
     """Return lines on surfaces at the scene's time, the warmest first, with 95 % intervals."""
-    from charact.report.summary import LINES
+    from charact.reporting.summary import LINES
 
     most = LINES - 10
     ordered = sorted(result.measurements, key=lambda one: -(one.value or 0.0))

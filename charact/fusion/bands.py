@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.bloom_map import BloomMap
+from charact.estimators.bloom.bloom_map import BloomMap
 from charact.fusion.noise_law import NoiseLaw, estimate_noise
 from charact.fusion.pyramid import NoiseGains, fill_holes, level_count, noise_gains, reduce_image
 from charact.fusion.thresholds import FUSION

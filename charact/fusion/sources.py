@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.bloom_map import BloomMap, bloom_map, spread_from
-from charact.bloom.posterior_psf import PosteriorPsf
+from charact.estimators.bloom.bloom_map import BloomMap, bloom_map, spread_from
+from charact.estimators.bloom.posterior_psf import PosteriorPsf
 from charact.fusion.bands import Band
 from charact.fusion.geometry import CameraGeometry
 from charact.fusion.noise_law import NoiseLaw, measure_noise
@@ -127,7 +127,7 @@ def read_source(
 
     `sensor`, `imager`: description of the camera, instead of the session's; `mcp_v`: MCP voltage,
     V, instead of the session's; `describe`: noise law and point spread function of a description at
-    a voltage, such as `charact.fit.described_camera.describe_camera`; None: descriptions state
+    a voltage, such as `charact.fitting.described_camera.describe_camera`; None: descriptions state
     neither.
     """
     path, _, label = given.partition("#")

@@ -11,8 +11,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.mtf.mean_frame import Region
 from charact.method import Context
-from charact.mtf.mean_frame import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Interval
 
@@ -75,7 +75,7 @@ def read_focus(frames: NDArray, region: Region | None, context: Context) -> Focu
 
     `region`: ROW, COL, HEIGHT, WIDTH of the edge; None: the most prominent edge of the frame.
     """
-    from charact.mtf import measure
+    from charact.estimators.mtf import measure
 
     # Takes 0.04 s on a window of `WINDOW_PX`; the fits take ten times as long.
     result = measure(

@@ -6,10 +6,10 @@ from collections import deque
 from dataclasses import replace
 from typing import Self
 
+from charact.estimators.mtf.mean_frame import Region
 from charact.live.focus import BestFocus, FocusReader
 from charact.live.frame_source import FrameSource, SourceFrame
 from charact.live.live_view import LiveView, measure_frame, render_preview
-from charact.mtf.mean_frame import Region
 from drivers.errors import BenchError
 from labdata.capture import Frame
 from labdata.errors import BadInput

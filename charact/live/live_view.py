@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.mtf.mean_frame import Region
 from charact.live.focus import BestFocus, Focus
 from charact.live.frame_source import SourceFrame
-from charact.mtf.mean_frame import Region
 from labdata.errors import BadInput
 from labdata.frames import FrameStack, read_only
 

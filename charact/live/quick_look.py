@@ -76,7 +76,7 @@ def _measure_stack(alone: Session, entry: StackEntry, seed: int) -> Result:
         return Result()
     if entry.kind not in ("dark", "flat"):
         return measure(alone, quick=True, seed=seed)
-    from charact import noise
+    from charact.estimators import noise
 
     return noise.measure(alone, context=method_context(alone, quick=True, seed=seed))
 

@@ -17,7 +17,7 @@ class Description(NamedTuple):
 DESCRIPTIONS: dict[str, dict[str, Description]] = {
     "edge": {
         "edge-forward": Description(
-            "charact.mtf.edge.parametric",
+            "charact.estimators.mtf.edge.parametric",
             ("mtf50", "mtf10", "mtf", "edge_angle"),
             "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard "
             "deviation of the pixel noise, 30 rows and more; noise may depend on the signal and "
@@ -27,7 +27,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "noise; at low contrast it does no harm.",
         ),
         "edge-free": Description(
-            "charact.mtf.edge.free",
+            "charact.estimators.mtf.edge.free",
             ("mtf50", "mtf10", "mtf", "edge_angle"),
             "Straight edges tilted 1 to 45 degrees in any direction, step over 5 standard "
             "deviations of the pixel noise, 60 rows and more, a line spread of any smooth shape "
@@ -36,7 +36,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "method that knows the form.",
         ),
         "edge-gradient": Description(
-            "charact.mtf.edge.conventional",
+            "charact.estimators.mtf.edge.conventional",
             ("mtf50", "mtf10", "mtf", "edge_angle"),
             "Straight edges tilted 3 to 15 degrees, 60 rows and more, step over 20 standard "
             "deviations of the noise, even light. Normalises to the light inside the region; "
@@ -44,7 +44,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "to 2.2: up to 16 %).",
         ),
         "edge-parametric": Description(
-            "charact.mtf.edge.parametric",
+            "charact.estimators.mtf.edge.parametric",
             ("mtf50", "mtf10", "mtf", "edge_angle"),
             "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard "
             "deviation of the pixel noise, 30 rows and more, blurred as lenses and tubes blur: "
@@ -54,7 +54,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "it.",
         ),
         "edge-slanted": Description(
-            "charact.mtf.edge.conventional",
+            "charact.estimators.mtf.edge.conventional",
             ("mtf50", "mtf10", "mtf", "edge_angle"),
             "Straight edges tilted 3 to 15 degrees, 60 rows and more, step over 20 standard "
             "deviations of the noise, even light. Normalises to the light inside the window; "
@@ -64,7 +64,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
     },
     "bars": {
         "bars-coltman": Description(
-            "charact.mtf.bars.contrast",
+            "charact.estimators.mtf.bars.contrast",
             ("mtf",),
             "For comparison, always suspect: first term of Coltman's series, (pi/4)(max - "
             "min)/step of the inner bars. Up to a fifth low below a third of the cut-off by "
@@ -73,14 +73,14 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "for untilted bars above half the sampling limit.",
         ),
         "bars-contrast": Description(
-            "charact.mtf.bars.contrast",
+            "charact.estimators.mtf.bars.contrast",
             ("mtf",),
             "For comparison with visual readings, always suspect: up to a fifth low below a third "
             "of the cut-off by harmonics, low near it by the outer bars; normalised to the light "
             "of the bars, not to all light.",
         ),
         "bars-forward": Description(
-            "charact.mtf.bars.forward",
+            "charact.estimators.mtf.bars.forward",
             ("mtf",),
             "Two to sixty bars as wide as their gaps, brighter or darker than a uniform "
             "background, in any direction, completely inside the region with their blur, or "
@@ -96,7 +96,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
     },
     "point": {
         "point-forward": Description(
-            "charact.mtf.point.forward",
+            "charact.estimators.mtf.point.forward",
             ("mtf50", "mtf10"),
             "Single point sources of an intensifier or of an ordinary camera, light over 6 "
             "standard uncertainties; neighbours at least 5 px away; MTF50 below 0.42 cycles per "
@@ -109,7 +109,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "the root of g).",
         ),
         "point-parametric": Description(
-            "charact.mtf.point.parametric",
+            "charact.estimators.mtf.point.parametric",
             ("mtf50", "mtf10", "mtf"),
             "Single point sources or pinholes of known, bounded or zero size, light over 6 "
             "standard uncertainties, one frame or more, blur of lenses and tubes: Gaussian, "
@@ -123,7 +123,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "gamma of g changes MTF50 by about the root of g, and more with a halo.",
         ),
         "point-spread": Description(
-            "charact.mtf.point.spot_transform",
+            "charact.estimators.mtf.point.spot_transform",
             ("mtf50", "mtf10"),
             "Single unsaturated point sources with little light beyond 8 px, at least 3 frames, "
             "linear response: a gamma between 0.6 and 2.2 is not detected, nor are halos below "
@@ -133,7 +133,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
     },
     "post-gain": {
         "noise-spectrum": Description(
-            "charact.mtf.noise_spectrum.flats",
+            "charact.estimators.mtf.noise_spectrum.flats",
             ("post_gain_mtf50", "post_gain_mtf", "white_noise_fraction"),
             "Darks and flats of two levels and more, 4 frames each, some 100 x 100 px, of a "
             "camera that blurs after its gain to f2 = 0.08 to 0.4 cy/px; light scattered after "
@@ -141,21 +141,21 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "A curved response shows where levels of more than a photoelectron a pixel differ.",
         ),
         "noise-spectrum-free": Description(
-            "charact.mtf.noise_spectrum.flats",
+            "charact.estimators.mtf.noise_spectrum.flats",
             ("post_gain_mtf50", "post_gain_mtf", "white_noise_fraction"),
             "As noise-spectrum, for blur of any smooth falling form; intervals are wider.",
         ),
     },
     "flats": {
         "covariance-sum": Description(
-            "charact.noise.covariance_sum",
+            "charact.estimators.noise.covariance_sum",
             ("covariance_gain", "blur_factor", "read_noise", "photoelectron_gain"),
             "Flats and darks of at least two frames, intensified or not; images of some hundred "
             "pixels a side and more. For white noise the gains are slopes over all levels; a "
             "nonlinearity of up to 2 % is not flagged.",
         ),
         "variance": Description(
-            "charact.noise.variance",
+            "charact.estimators.noise.variance",
             (
                 "system_gain",
                 "read_noise",
@@ -171,7 +171,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
     },
     "bloom": {
         "series-forward": Description(
-            "charact.bloom.series_forward",
+            "charact.estimators.bloom.series_forward",
             ("halo_diameter", "halo_fraction", "bloom_diameter", "streak_length"),
             (
                 "A round source with a halo edge above the noise in at least one stack, at any "
@@ -181,7 +181,7 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
     },
     "lit-edge": {
         "lit-edge": Description(
-            "charact.bloom.lit_edge_halo",
+            "charact.estimators.bloom.lit_edge_halo",
             ("halo_diameter", "halo_fraction"),
             "A straight edge of a bright area, four times as long as the halo radius, next to a "
             "dark area; preferably with one unclipped stack.",

@@ -2,7 +2,6 @@
 from.
 """
 
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
@@ -23,14 +22,12 @@ from labdata.errors import BadInput
 class Study:
     """Where the cases of a quantity and a kind of target come from.
 
-    `kind`, `package`: kind of the methods, and the package that registers them; `axes`: the axes
-    along which the methods break; `chart_cases`, `stability_cases`: functions of (seed, count) and
+    `kind`: kind of the methods; `axes`: the axes along which the methods break; `chart_cases`, `stability_cases`: functions of (seed, count) and
     of (seed, repeats, axes) that return cases; `chart_count`, `quick_count`, `repeats`: how many
     cases a chart holds, how many a first look, and how many draws a position of the stability map.
     """
 
     kind: str
-    package: str
     axes: tuple[str, ...]
     chart_cases: Callable[[int, int], tuple[Case, ...]]
     stability_cases: Callable[..., tuple[Case, ...]]
@@ -39,12 +36,9 @@ class Study:
     repeats: int
 
 
-def _study(
-    kind: str, package: str, cases: ModuleType, chart_count: int, quick_count: int, repeats: int
-) -> Study:
+def _study(kind: str, cases: ModuleType, chart_count: int, quick_count: int, repeats: int) -> Study:
     return Study(
         kind=kind,
-        package=f"charact.{package}",
         axes=tuple(cases.AXES),
         chart_cases=cases.chart_cases,
         stability_cases=cases.stability_cases,
@@ -54,17 +48,17 @@ def _study(
     )
 
 
-POINT = _study("point", "mtf", point_cases, 200, 4, 2)
+POINT = _study("point", point_cases, 200, 4, 2)
 # A table holds a quantity's methods of every kind: `auto` compares those of one kind with each
 # other.
 STUDIES: dict[str, tuple[Study, ...]] = {
-    "mtf50": (_study("edge", "mtf", edge_cases, 100, 6, 2), POINT),
-    "mtf": (_study("bars", "mtf", bar_cases, 100, 6, 2),),
-    "covariance_gain": (_study("flats", "noise", flat_cases, 24, 2, 1),),
-    "system_gain": (_study("flats", "noise", white_flats, 8, 2, 1),),
-    "post_gain_mtf50": (_study("post-gain", "mtf", noise_spectrum_cases, 40, 4, 2),),
-    "fusion_error": (_study("fusion", "fusion", fusion_cases, 40, 4, 2),),
-    "halo_diameter": (_study("bloom", "bloom", bloom_cases, 40, 3, 2),),
+    "mtf50": (_study("edge", edge_cases, 100, 6, 2), POINT),
+    "mtf": (_study("bars", bar_cases, 100, 6, 2),),
+    "covariance_gain": (_study("flats", flat_cases, 24, 2, 1),),
+    "system_gain": (_study("flats", white_flats, 8, 2, 1),),
+    "post_gain_mtf50": (_study("post-gain", noise_spectrum_cases, 40, 4, 2),),
+    "fusion_error": (_study("fusion", fusion_cases, 40, 4, 2),),
+    "halo_diameter": (_study("bloom", bloom_cases, 40, 3, 2),),
 }
 
 
@@ -82,8 +76,6 @@ def methods_of(quantity: str) -> tuple[Method, ...]:
     kind.
     """
     studies = studies_of(quantity)
-    for study in studies:
-        importlib.import_module(study.package)
     return tuple(
         method
         for study in studies

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.findings import (
+from charact.estimators.noise.findings import (
     AVERAGED,
     COARSE,
     CURVED,

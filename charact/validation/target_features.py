@@ -31,7 +31,7 @@ def mtf_features(frames: NDArray, context: Context) -> Mapping[str, float]:
     """Return the MTF of an edge in bands about `FREQUENCY_CY_PER_PX`, none where the method
     refuses.
     """
-    from charact import mtf
+    from charact.estimators import mtf
 
     found = mtf.measure("edge", FrameStack(data=frames), method="edge-slanted", context=context)
     line = next(iter(found.curves.values()), None)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from scipy.special import erf
 
-from charact import mtf
+from charact.estimators import mtf
 from charact.method import Context
 from labdata.frames import FrameStack
 

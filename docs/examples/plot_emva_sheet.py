@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import charact
-from charact.report.front_page import sheet
+from charact.reporting.front_page import sheet
 
 rng = np.random.default_rng(5)
 response = rng.normal(1.0, 0.01, (128, 128))

@@ -13,7 +13,7 @@ from dataclasses import replace
 from matplotlib import pyplot as plt
 
 import charact
-from charact.report.front_page import sheet
+from charact.reporting.front_page import sheet
 from labdata.sensors import load_camera
 
 whole = load_camera("gen3-digital-iccd")

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact import noise
+from charact.estimators import noise
 from charact.session_measurement import method_context
 from labdata.session import open_session
-from tests.charact.noise.scenes import Pulses, flat_series, gaussian
+from tests.charact.estimators.noise.scenes import Pulses, flat_series, gaussian
 
 ROOT = Path(__file__).resolve().parents[2]
 CASE = ROOT.parent / "shared" / "cases" / "p1-gaussian-blur-white-floor"

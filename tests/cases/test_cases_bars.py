@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from charact.estimators.mtf import measure, measure_all
 from charact.method import Context
-from charact.mtf import measure, measure_all
 from labdata.frames import FrameStack
 from labdata.importers import read_frames
 from labdata.measurement import Measurement

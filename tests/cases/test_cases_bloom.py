@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact import bloom
+from charact.estimators import bloom
 from charact.method import Context
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions

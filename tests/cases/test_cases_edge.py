@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from charact.estimators.mtf import measure
+from charact.estimators.mtf.quantisation_checks import clipping_flags
 from charact.method import Context
-from charact.mtf import measure
-from charact.mtf.quantisation_checks import clipping_flags
 from labdata.frames import FrameStack
 from labdata.importers import read_frames
 

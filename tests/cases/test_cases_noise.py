@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact import noise
+from charact.estimators import noise
 from charact.session_measurement import method_context
 from labdata.session import open_session
 from labdata.solid_state import excess_noise_factor
-from tests.charact.noise.scenes import one
+from tests.charact.estimators.noise.scenes import one
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import erf, j1
 
-from charact import mtf
+from charact.estimators import mtf
 from charact.method import Context
 from labdata.frames import FrameStack
 from labdata.importers import read_frames

@@ -112,7 +112,7 @@ def test_of_sound_points_the_one_with_most_light_is_told_though_another_seems_su
         )
         return Result(measurements=(one,))
 
-    monkeypatch.setattr("charact.mtf.measure", measured)
+    monkeypatch.setattr("charact.estimators.mtf.measure", measured)
     stacks = tuple(
         InMemoryStack(
             label=label, kind="point", frames="", folder=Path(), held=FrameStack(data=held)
@@ -206,7 +206,7 @@ def test_a_numerical_failure_of_one_method_is_a_refusal_and_the_others_go_on(
         raise failure
 
     edge_and_dark(tmp_path, 700, seed)
-    monkeypatch.setattr("charact.mtf.measure", fail)
+    monkeypatch.setattr("charact.estimators.mtf.measure", fail)
     result = measure(tmp_path, quick=True)
     (refused,) = (m for m in result.find("mtf50") if m.stack == "edge")
     assert refused.status == "refused" and "failed numerically" in (refused.reason or "")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from charact import bloom
+from charact.estimators import bloom
 from charact.method import Context
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions

@@ -5,8 +5,8 @@ no formula.
 from dataclasses import replace
 from pathlib import Path
 
+from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
-from charact.noise.events.event_measurements import measure_events
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.camera_description import Parameter
 from labdata.conditions import Conditions

@@ -5,8 +5,8 @@ nobody chose.
 import numpy as np
 import pytest
 
-from charact.fit import predicted_quantities
-from charact.fit.predicted_quantities import Values
+from charact.fitting import predicted_quantities
+from charact.fitting.predicted_quantities import Values
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor

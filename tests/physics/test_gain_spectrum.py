@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from benchmarks.studies.gain_map import cell_of
+from charact.estimators.noise.gain.fit import fit_spectrum
+from charact.estimators.noise.gain.model import PixelReadoutModel, blur_models
+from charact.estimators.noise.gain.pooled_noise import ImageLag, PooledNoise
+from charact.estimators.noise.gain.single_setting import blur_exponent
+from charact.estimators.noise.stack.spectrum import bins_of
 from charact.method import Context
-from charact.noise.gain.fit import fit_spectrum
-from charact.noise.gain.model import PixelReadoutModel, blur_models
-from charact.noise.gain.pooled_noise import ImageLag, PooledNoise
-from charact.noise.gain.single_setting import blur_exponent
-from charact.noise.stack.spectrum import bins_of
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Slot

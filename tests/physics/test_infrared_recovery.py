@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.report.frequency_unit import FrequencyUnit
+from charact.reporting.frequency_unit import FrequencyUnit
 from charact.session_measurement import measure, measure_noise, method_context
 from labdata import result_io
 from labdata.errors import BadInput
@@ -19,7 +19,7 @@ from labdata.target import Target
 from simulate.infrared.camera import InfraredCamera
 from simulate.infrared.targets import half_moon
 from tests.charact.cli.runner import done_well
-from tests.charact.infrared.cameras import entry
+from tests.charact.estimators.infrared.cameras import entry
 
 LEVELS = (17.0, 20.0, 22.0, 25.0, 28.0)
 FRAMES, SIDE = 16, 96

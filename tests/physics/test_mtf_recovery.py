@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from charact import mtf
+from charact.estimators import mtf
 from charact.method import Context
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from charact import noise
+from charact.estimators import noise
 from charact.method import Context
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from charact.estimators.mtf.point.forward import point_forward
+from charact.estimators.mtf.point.parametric import point_parametric
 from charact.method import Context
-from charact.mtf.point.forward import point_forward
-from charact.mtf.point.parametric import point_parametric
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from labdata.target import Target

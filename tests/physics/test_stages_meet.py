@@ -5,8 +5,8 @@ nobody chose.
 import numpy as np
 import pytest
 
-from charact.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
-from charact.mtf.session.stage_transfers import STAGES, Direction, StageModel
+from charact.estimators.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
+from charact.estimators.mtf.session.stage_transfers import STAGES, Direction, StageModel
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
 from simulate.iiccd import true_quantities

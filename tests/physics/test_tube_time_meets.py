@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.fit import tube_dark_observations, tube_ions, tube_time_observations
-from charact.fit.predicted_quantities import Values
-from charact.fit.prior import prior_of, values_of_description
-from charact.fit.stack_levels import levels_of
+from charact.fitting import tube_dark_observations, tube_ions, tube_time_observations
+from charact.fitting.predicted_quantities import Values
+from charact.fitting.prior import prior_of, values_of_description
+from charact.fitting.stack_levels import levels_of
 from labdata.conditions import Conditions
 from labdata.measurement import Result, measurement_from_sd
 from labdata.sensor import Sensor

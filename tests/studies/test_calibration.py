@@ -5,7 +5,7 @@ or off.
 import numpy as np
 
 from benchmarks.studies.edge_ranks import Calibration, calibrate
-from charact.posterior import sample
+from charact.inference import sample
 
 DATA = 5
 

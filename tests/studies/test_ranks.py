@@ -18,7 +18,7 @@ from benchmarks.studies.edge_ranks import (
     summarise_ranks,
     truth,
 )
-from charact.mtf.edge.fit.model_fit import EdgeFitter
+from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter
 
 TRIALS = 30
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from charact.bloom.bloom_map import bloom_map
-from charact.bloom.posterior_psf import PosteriorPsf
+from charact.estimators.bloom.bloom_map import bloom_map
+from charact.estimators.bloom.posterior_psf import PosteriorPsf
 from charact.fusion.bands import Band
 from charact.fusion.noise_law import NoiseLaw
 from charact.fusion.truth_scores import FusionTruth

@@ -11,7 +11,7 @@ import pytest
 from scipy.special import erf
 
 from charact.cli.annotate import COLOURS, place_captions, render_annotations, unusable_edges
-from charact.report.frequency_unit import FrequencyUnit
+from charact.reporting.frequency_unit import FrequencyUnit
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from labdata.errors import BadInput
 from labdata.frames import FrameStack

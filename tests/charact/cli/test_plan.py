@@ -7,7 +7,7 @@ import json
 import pytest
 
 from charact.cli.benches import builtin_plan_names, load_plan
-from charact.report import page
+from charact.reporting.session_page import page
 from labdata.measurement import Result as Measured
 from labdata.session import open_session
 from labdata.tube_dose import FOLDER_VARIABLE, Dose, ledger_of

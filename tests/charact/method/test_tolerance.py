@@ -5,7 +5,7 @@ own interval.
 import numpy as np
 import pytest
 
-from charact import mtf
+from charact.estimators import mtf
 from charact.method import Context, registry
 from charact.method.registry import beyond_note, meets
 from charact.study.bars.scene import BarScene

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import charact.bloom  # noqa: F401  # registers the methods
+import charact.estimators.bloom  # noqa: F401  # registers the methods
 from charact.method import Context, choose
 from charact.method.registry import chart_table, methods_of_kind
 from charact.study.bloom.cases import BloomSeries, halo_overload, series_in_scope

@@ -14,8 +14,8 @@ import pytest
 
 from charact.cli.sessions import _findings_in as findings_in
 from charact.cli.sessions import _lines as lines_of
-from charact.fit import fit_sensor
-from charact.report.validation import sentence_of
+from charact.fitting import fit_sensor
+from charact.reporting.validation import sentence_of
 from charact.session_measurement import measure
 from charact.validation import side_by_side as command
 from charact.validation.controls import FAULTS, PARAMETERS
@@ -28,7 +28,7 @@ from labdata.flags import FLAGS
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 from labdata.session import LoadedStackEntry, Session
-from tests.charact.fit.specimens import draw_specimen, session_of
+from tests.charact.fitting.specimens import draw_specimen, session_of
 from tests.charact.validation import defects
 from tests.charact.validation.defects import Digitiser, Frames
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from charact.report.truth import TruthComparison
+from charact.reporting.truth import TruthComparison
 from charact.session_measurement import measure
 from drivers.acquisition.acquire import LOG
 from labdata.event_log import read_events

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from charact.report.truth import TruthComparison, compare_with_truth
+from charact.reporting.truth import TruthComparison, compare_with_truth
 from labdata.conditions import Conditions
 from labdata.measurement import Result
 from labdata.sensor import Sensor

@@ -1,0 +1,1 @@
+"""Estimators of MTF, noise, blooming, infrared quantities and tube resolution."""

@@ -1,0 +1,70 @@
+"""Halo and blooming of overexposed point sources and illuminated edges."""
+
+from dataclasses import replace
+
+from charact.estimators.bloom.defects import with_sound_pixels
+from charact.estimators.bloom.extent_measurements import add_findings
+from charact.method import Context, choose
+from labdata.errors import BadInput
+from labdata.measurement import Result
+from labdata.session import Session
+
+__all__ = ["measure"]
+
+# Method for edges, see `charact.estimators.bloom.lit_edge_halo`.
+EXTENDED = "lit-edge"
+
+
+def measure(
+    session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context
+) -> Result:
+    """Measure halo diameter, bloom diameter and streak length from the point sources of a session,
+    else from its edges.
+
+    Parameters
+    ----------
+    session
+        Session with at least one stack of kind "point", or, for the halo alone, of kind "edge".
+    method
+        "auto" or the name of a registered method of kind "bloom"; "lit-edge" for edges.
+    within_percent
+        Tolerance that the automatic choice must meet, percent.
+    context
+        Settings common to all methods.
+
+    Raises
+    ------
+    BadInput
+        If the session has no point source, or the method is unknown.
+    """
+    if method == EXTENDED or (
+        method == "auto" and session.of_kind("edge") and not session.of_kind("point")
+    ):
+        return _with_findings(choose(EXTENDED).function(session, context=context))
+    session, bad = with_sound_pixels(session)
+    chosen = choose("bloom", method, within_percent=within_percent)
+    if not session.of_kind("point"):
+        raise BadInput(
+            "blooming needs stacks of kind point, got only "
+            f"{sorted({s.kind for s in session.stacks})}"
+        )
+    notes = (
+        (f"{bad} stuck, hot or hit pixels are excluded or replaced by their neighbours' mean",)
+        if bad
+        else ()
+    )
+    return _with_findings(chosen.function(session, context=context), notes)
+
+
+def _with_findings(result: Result, notes: tuple[str, ...] = ()) -> Result:
+    """Add the effect and the remedy of each flag to a result."""
+    forms = result.evidence.get("bloom-forms", {}).get("table", [])
+    effects = (
+        {"model-misfit": f"rings deviate by {forms[0]['off_percent']:.2g} % of their signal"}
+        if forms
+        else {}
+    )
+    out = (
+        add_findings(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements
+    )
+    return replace(result, measurements=tuple(out))

@@ -1,0 +1,417 @@
+"""Column artefacts: streaks of overflowing wells, smear, and the noise of the mean frame around
+them.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact import robust
+from charact.estimators.bloom.point_stack import PointStack
+from charact.method import Context
+from labdata.measurement import Measurement, make_refusal, measurement_from_sd
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Minimum row distance for the comparison; the profile is too steep closer to the source.
+FIRST_ROW_PX = 5.0
+# Rows averaged for the detection of a streak.
+BLOCK_ROWS = 4
+# Noise of a frame without noise of its own, DN: quantisation.
+ROUNDED_DN = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnArtefacts:
+    """Signal above and below a source in excess of that at the same distance left and right.
+
+    `first_col`: first column of the arrays; `row_offset`: distance of each row from the source,
+    column pitches, shape (row,); `round_dn`: mean at the same distance left and right, above its
+    minimum, shape (row, col), DN; `excess_dn`, `sd_dn`: excess over it, and the noise of one pixel,
+    shape (row, col), DN; `block_factor`: variance of the mean of some successive rows over that of
+    as many independent pixels, dimensionless.
+    """
+
+    first_col: int
+    row_offset: Array
+    round_dn: Array
+    excess_dn: Array
+    sd_dn: Array
+    block_factor: float
+
+
+def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
+    """Return the pixels of a mean frame that column blooming or smear has brightened, shape (row,
+    col).
+
+    For each column near the source the rows with a visible streak, all of them under smear; a
+    radial profile excludes these pixels. The core, which outshines the column signal, is not
+    included.
+    """
+    from scipy import ndimage
+
+    mask = np.zeros(spot.image.shape, bool)
+    found = compare_columns(spot, context)
+    (above, up), (below, down) = (_reach(found, side) for side in (-1, 1))
+    # Smear is equal above and below; if one side is outside the frame, the other must be more
+    # significant.
+    both = np.isfinite(up).all() and np.isfinite(down).all()
+    smeared = (np.minimum(up, down) if both else np.fmax(up, down)) > (3.0 if both else 6.0)
+    far = np.abs(found.row_offset)[:, None]
+    reach = np.stack([np.where(smeared, far.max() + 1.0, one) for one in (above, below)])
+    seen = _around(reach.max(axis=0) > 0, round(spot.col) - found.first_col)
+    if not seen.any():
+        return mask
+    wide = ndimage.maximum_filter1d(np.where(seen, reach, 0), 3, axis=-1, mode="constant")
+    inside = far <= wide[np.where(found.row_offset < 0, 0, 1)]
+    beyond = inside & (far >= FIRST_ROW_PX)
+    level = np.where(beyond, found.excess_dn, 0.0).sum(axis=0) / np.maximum(beyond.sum(axis=0), 1)
+    # Column signal below 1/30 of the source's is harmless.
+    inside &= found.round_dn < 30.0 * ndimage.maximum_filter1d(level, 3, mode="constant")
+    mask[:, found.first_col : found.first_col + inside.shape[1]] = inside
+    return mask
+
+
+def compare_columns(
+    spot: PointStack, context: Context, *, half_width_px: int | None = None
+) -> ColumnArtefacts:
+    """Compare the columns near the source with pixels at the same distance left and right.
+
+    `half_width_px`: columns on either side of the source; None: those that may overflow or smear.
+    """
+    rows, cols = spot.image.shape
+    dy = (np.arange(rows) - spot.row) * context.pitch_ratio
+    dx = np.arange(cols) - spot.col
+    half = _half_width(spot) if half_width_px is None else half_width_px
+    first, last = max(0, round(spot.col) - half), min(cols, round(spot.col) + half + 1)
+    radius = np.hypot(dx[None, :], dy[:, None])
+    mean, sd = _horizontal_profile(spot.image, dx, dy, radius)
+    near = radius[:, first:last]
+    grid = np.arange(len(mean), dtype=float)
+    light, noise = np.interp(near, grid, mean), np.interp(near, grid, sd)
+    floor = float(mean.min())
+    far = np.abs(dx) > max(2.0 * _half_width(spot), 0.3 * cols)
+    # Cameras may deviate from rotational symmetry by 5 % of the source's signal.
+    return ColumnArtefacts(
+        first_col=first,
+        row_offset=dy,
+        round_dn=light - floor,
+        excess_dn=spot.image[:, first:last] - light,
+        sd_dn=np.hypot(noise, 0.05 * (light - floor)),
+        block_factor=_block_factor(spot.image[:, far]),
+    )
+
+
+def _half_width(spot: PointStack) -> int:
+    """Columns on either side that may overflow or smear: those bright in the source's rows, with a
+    margin.
+    """
+    row, col = round(spot.row), round(spot.col)
+    near = spot.image[max(0, row - 1) : row + 2].mean(axis=0)
+    bright = near - spot.dark_dn > 0.5 * min(
+        near.max() - spot.dark_dn, 0.5 * (spot.full_scale_dn - spot.dark_dn)
+    )
+    run = np.flatnonzero(_around(bright, col))
+    reach = int(np.abs(run - col).max()) if len(run) else 0
+    # Video filter or smear carry the signal into at least 5 columns, 3 beyond the bright ones.
+    return max(5, reach + 3)
+
+
+def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tuple[Array, Array]:
+    """Mean and scatter of pixels by distance left and right of the source; the fainter side where
+    they differ.
+
+    Only pixels closer in rows than in columns count, outside the columns of the source.
+    """
+    lateral = np.abs(dx)[None, :] > np.abs(dy)[:, None]
+    reach = int(radius.max()) + 2
+    mean, sd, count = np.zeros((3, 2, reach))
+    for side, sign in enumerate((-1, 1)):
+        take = lateral & (np.sign(dx) == sign)[None, :]
+        ring, value = np.rint(radius[take]).astype(int), image[take]
+        count[side] = np.bincount(ring, minlength=reach)
+        mean[side] = np.bincount(ring, value, minlength=reach) / np.maximum(count[side], 1)
+        square = np.bincount(ring, (value - mean[side][ring]) ** 2, minlength=reach)
+        sd[side] = np.sqrt(square / np.maximum(count[side] - 1, 1))
+    full = count >= 4
+    error = np.sqrt((sd**2 / np.maximum(count, 1)).sum(axis=0))
+    differ = np.abs(mean[0] - mean[1]) > 6.0 * np.maximum(error, 1e-9)
+    both = np.where(
+        differ, mean.min(axis=0), (mean * count).sum(axis=0) / np.maximum(count.sum(axis=0), 1)
+    )
+    light = np.where(full.all(axis=0), both, np.where(full[0], mean[0], mean[1]))
+    scatter = np.where(full.all(axis=0), sd.max(axis=0), np.where(full[0], sd[0], sd[1]))
+    grid, known = np.arange(reach), np.flatnonzero(full.any(axis=0))
+    least = max(0.5 * float(np.median(scatter[known])) if len(known) else 0.5, ROUNDED_DN)
+    return np.interp(grid, known, light[known]), np.maximum(
+        np.interp(grid, known, scatter[known]), least
+    )
+
+
+def _block_factor(image: Array) -> float:
+    """Variance of the mean of neighbouring rows over that of independent rows."""
+    rows = image.shape[0] // BLOCK_ROWS * BLOCK_ROWS
+    if rows < 4 * BLOCK_ROWS or image.shape[1] < 4:
+        return 2.0
+    # Columns are compared within a row, since common variations, such as a gradient, are not noise.
+    even = image[:rows] - np.median(image[:rows], axis=1, keepdims=True)
+    blocks = even.reshape(-1, BLOCK_ROWS, image.shape[1]).mean(axis=1)
+    single, block = (float(np.median(np.abs(one - np.median(one)))) for one in (even, blocks))
+    return float(np.clip(BLOCK_ROWS * block**2 / single**2, 1.0, BLOCK_ROWS)) if single > 0 else 2.0
+
+
+def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
+    """Distance over which each column stays brighter than its surroundings on one side, px, and its
+    significance.
+
+    The significance is that of the mean over the outer half of its rows; NaN with too few rows.
+    """
+    rows = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
+    count = len(rows) // BLOCK_ROWS
+    out = np.zeros(found.excess_dn.shape[1])
+    if count < 4:
+        return out, np.full(out.shape, np.nan)
+    rows = rows[: count * BLOCK_ROWS]
+    blocks = rows.reshape(count, BLOCK_ROWS)
+    excess, variance = found.excess_dn[blocks].mean(axis=1), (found.sd_dn[blocks] ** 2).mean(axis=1)
+    error = np.sqrt(variance * found.block_factor / BLOCK_ROWS)
+    # A streak fills all its rows; a single pulse among dark pixels does not.
+    filled = np.partition(found.excess_dn[blocks], 1, axis=1)[:, 1] > 1.5 * np.sqrt(variance)
+    ends = np.abs(found.row_offset)[blocks].max(axis=1)
+    for place in range(out.size):
+        bright = np.flatnonzero((excess[:, place] > 5.0 * error[:, place]) & filled[:, place])
+        out[place] = ends[bright[-1]] + BLOCK_ROWS if len(bright) else 0.0
+    outer = slice(count // 2, None)
+    noise = np.sqrt(
+        np.maximum((error[outer] ** 2).mean(axis=0), excess[outer].var(axis=0))
+        / (count - count // 2)
+    )
+    return out, excess[outer].mean(axis=0) / noise
+
+
+def _around(bright: Mask, place: int) -> Mask:
+    """The run of true values through a position, which may be off by one."""
+    from scipy import ndimage
+
+    labels = np.asarray(ndimage.label(bright)[0])  # pyright: ignore[reportIndexIssue]
+    near = [one for one in (place, place - 1, place + 1) if 0 <= one < len(bright) and bright[one]]
+    return labels == labels[near[0]] if near else np.zeros(bright.shape, bool)
+
+
+# Side of the patches whose means have the same noise with or without blur after the gain, px.
+PATCH_PX = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanFrameNoise:
+    """Noise of a mean frame.
+
+    `floor_variance`: variance of a pixel of the background, DN^2; `per_light`: variance of a pixel
+    over its signal, DN; 0 where the background is too faint to measure it; `neighbours`: variance
+    of the sum of many adjacent pixels over that of as many independent ones, dimensionless;
+    `background_dn`: background above dark, DN.
+    """
+
+    floor_variance: float
+    per_light: float
+    neighbours: float
+    background_dn: float
+
+    def pixel_variance(self, light_dn: float) -> float:
+        """Variance of a pixel at a signal above dark, DN^2."""
+        return self.floor_variance + self.per_light * max(light_dn - self.background_dn, 0.0)
+
+    def sum_variance(self, light_dn: float) -> float:
+        """Variance of the total signal of a spot, DN^2."""
+        return self.neighbours * self.per_light * max(light_dn, 0.0)
+
+
+def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
+    """Estimate the noise of a mean frame far from a source.
+
+    `image`: mean frame, shape (row, col), DN; `col`: column of the source, px; `dark_dn`: black
+    level, DN. The scatter of patches includes temporal noise and fixed pattern, since both affect a
+    single mean frame.
+    """
+    rows, cols = (n // PATCH_PX * PATCH_PX for n in image.shape)
+    tiles = image[:rows, :cols].reshape(rows // PATCH_PX, PATCH_PX, cols // PATCH_PX, PATCH_PX)
+    patches = tiles.mean(axis=(1, 3))
+    along = np.abs(PATCH_PX * (np.arange(patches.shape[1]) + 0.5) - col)
+    # The 60 % of columns closest to the source contain its halo and its column.
+    far = np.flatnonzero(along >= np.quantile(along, 0.6))
+    # Differences of adjacent patches exclude gradients, medians exclude other sources.
+    pairs = far[:-1][np.diff(far) == 1]
+    apart = np.abs(patches[:, pairs + 1] - patches[:, pairs])
+    patch = 0.5 * (1.4826 * float(np.median(apart))) ** 2 if apart.size else 0.0
+    single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far])) + patch
+    floor = max(single, 0.1 * (1.0 / 12.0))
+    background = float(np.median(patches[:, far])) - dark_dn
+    # Below 0.5 DN the noise is not photon noise.
+    measurable = background > 0.5
+    return MeanFrameNoise(
+        floor_variance=floor,
+        per_light=floor / background if measurable else 0.0,
+        neighbours=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)),
+        background_dn=max(background, 0.0),
+    )
+
+
+LEAST_ROWS = 3
+# A uniform column above this fraction of full scale is a streak of full wells, not smear.
+FULL_SHARE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Streak:
+    """Streak of one source.
+
+    `length_px`, `length_sd_px`: rows of the source's column at or above half of full scale, core
+    included, and their standard error; 0 without any; `overflows`: whether wells overflow: the
+    column is far brighter than the same distance left and right of the source; `level_dn`,
+    `level_sd_dn`: signal above dark of full wells, DN; NaN without overflow; `clipped`: whether
+    that signal is at full scale, a lower limit of the full well; `meets_border`, `uneven`: whether
+    the streak ends at the frame's border; whether it is longer on one side, unlike overflow.
+    """
+
+    length_px: float
+    length_sd_px: float
+    overflows: bool
+    level_dn: float
+    level_sd_dn: float
+    clipped: bool
+    meets_border: bool
+    uneven: bool
+
+
+def streak_of(spot: PointStack, context: Context) -> Streak:
+    """Measure the column of a source.
+
+    Charge beyond the full well spreads up and down until every well holds its part: the column is
+    full to sharp ends, with partly filled last pixels. Rows count by the probability that their
+    mean is above the threshold. In interlaced frames the two fields overflow separately, so that
+    every second row counts near the ends.
+    """
+    found = compare_columns(spot, context)
+    grain = grain_of(spot.image, spot.col, spot.dark_dn)
+    length, sd = _rows_above(spot, grain, round(spot.col))
+    other = round(spot.col) + (1 if spot.col > round(spot.col) else -1)
+    # Near the middle between two columns either may be the source's.
+    if 0.5 - abs(spot.col - round(spot.col)) < 0.15 and 0 <= other < spot.image.shape[1]:
+        sd = float(np.hypot(sd, 0.5 * abs(length - _rows_above(spot, grain, other)[0])))
+    above, below = (_full_rows(spot, found, side) for side in (-1, 1))
+    full = np.concatenate([above, below])
+    rows = spot.image.shape[0]
+    meets = bool(len(full)) and bool(full.min() == 0 or full.max() == rows - 1)
+    level = spot.image[full, round(spot.col)] - spot.dark_dn if len(full) else np.full(1, np.nan)
+    value = float(np.median(level))
+    spread = robust.robust_sd(level)
+    error = 1.25 * max(spread, 1.0 / np.sqrt(12.0 * spot.frames)) / np.sqrt(len(level))
+    ends = [
+        float(np.abs(found.row_offset[side]).max()) if len(side) else 0.0 for side in (above, below)
+    ]
+    return Streak(
+        length_px=length,
+        length_sd_px=sd,
+        overflows=len(full) >= LEAST_ROWS,
+        level_dn=value,
+        level_sd_dn=error,
+        clipped=len(full) > 0
+        and value > spot.full_scale_dn - spot.dark_dn - max(1.0, 4.0 * spread),
+        meets_border=meets,
+        uneven=not meets and abs(ends[0] - ends[1]) > 4.0 + 0.2 * max(ends),
+    )
+
+
+def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[float, float]:
+    """Number of rows of a column with a mean at or above half of full scale, and its standard
+    error.
+    """
+    from scipy.special import ndtr
+
+    half = 0.5 * (spot.full_scale_dn - spot.dark_dn)
+    share = ndtr((spot.image[:, col] - spot.dark_dn - half) / np.sqrt(grain.pixel_variance(half)))
+    rows = float(share.sum())
+    counted = float((share * (1.0 - share)).sum()) * grain.neighbours
+    # The column's total signal determines the streak's length and its scatter.
+    spilled = float(grain.sum_variance(half * rows)) / (2.0 * half) ** 2 if rows > 12 else 0.0
+    frames = spot.frame_streak_px
+    seen = float(frames.var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
+    return rows, float(
+        np.sqrt(max(counted, spilled, seen) + (2.0 / np.sqrt(12.0) / np.sqrt(2.0)) ** 2)
+    )
+
+
+def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[np.int64]:
+    """Rows above (-1) or below (1) the source with full wells; partly filled ends excluded."""
+    outward = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
+    place = int(np.clip(round(spot.col) - found.first_col, 0, found.sd_dn.shape[1] - 1))
+    excess, light = found.excess_dn[outward, place], found.round_dn[outward, place]
+    if len(outward) < LEAST_ROWS + 1:
+        return outward[:0]
+    top = float(np.sort(excess)[-2])
+    if top < 0.2 * (spot.full_scale_dn - spot.dark_dn):
+        return outward[:0]
+    # Smear is uniform along the column: the last rows are no streak, unless they are bright enough
+    # for full wells.
+    even = float(np.median(excess[-max(4, len(excess) // 8) :]))
+    if even > 0.5 * top and even < FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
+        return outward[:0]
+    floor = even if even <= 0.5 * top else 0.0
+    bright = (excess - floor > 0.8 * (top - floor)) & (light < 0.15 * top)
+    return outward[bright]
+
+
+def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> list[Measurement]:
+    """Return length and signal of one stack's streak.
+
+    The length is defined with or without overflow, as a chord of the bloom. The level is refused
+    without overflow.
+    """
+    half, common = spot.half_dn, {"stack": spot.label, **fields}
+    if reason := spot.why_undetected:
+        names = (("streak_length", "px"), ("streak_level", "DN"))
+        return [make_refusal(name, unit, reason, **common) for name, unit in names]
+    streak = streak_of(spot, context)
+    flags = ("window-too-small",) if streak.meets_border or spot.touches_border else ()
+    flags += ("several-targets",) if streak.uneven else ()
+    if streak.length_px < 0.5:
+        reason = f"the source stays below half of full scale, {half:.4g} DN"
+        length = make_refusal("streak_length", "px", reason, refusal="not-applicable", **common)
+    else:
+        sd = streak.length_sd_px
+        if not spot.dark_known:
+            # Additional rows if the black level is 0 instead of the frame's median.
+            column = spot.image[:, int(np.clip(round(spot.col), 0, spot.image.shape[1] - 1))]
+            lower = float((column >= 0.5 * spot.full_scale_dn).sum()) - spot.streak_px
+            sd = float(np.hypot(sd, lower / 1.96))
+        length = measurement_from_sd(
+            "streak_length", "px", streak.length_px, sd, flags=flags, **common
+        )
+    reason = ""
+    if not streak.overflows:
+        reason = (
+            "no wells overflow: the column is no brighter than the same distance left and right"
+        )
+    elif streak.clipped and streak.meets_border:
+        reason = (
+            "the column is at full scale up to the frame's border: a streak and smear look "
+            "alike there"
+        )
+    elif streak.clipped:
+        flags += ("clipped",)
+        common["notes"] = (
+            *common.get("notes", ()),
+            "lower limit of the full well: the streak is at full scale",
+        )
+    if reason:
+        kind = "failed" if streak.overflows else "not-applicable"
+        return [length, make_refusal("streak_level", "DN", reason, refusal=kind, **common)]
+    return [
+        length,
+        measurement_from_sd(
+            "streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common
+        ),
+    ]

@@ -1,0 +1,373 @@
+"""Measurements of every stack: bloom diameters, axis ratio, saturated area, streak; flags with
+their findings.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from charact.estimators.bloom.column_artefacts import streak_measurements
+from charact.estimators.bloom.extent import Extent
+from charact.estimators.bloom.point_stack import DETECTED, PointStack
+from charact.estimators.bloom.series_consistency import check_consistency
+from charact.estimators.bloom.smear import smear_measurement
+from charact.estimators.bloom.source_view import SECTORS
+from charact.method import Context
+from labdata.flags import Finding
+from labdata.measurement import (
+    Interval,
+    Measurement,
+    Provenance,
+    Refusal,
+    Result,
+    make_measurement,
+    make_refusal,
+    measurement_from_draws,
+)
+from labdata.sensor import Sensor
+from labdata.session import Session
+
+
+def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, Interval] | None:
+    """Return minor over major axis of a region with its 68 and 95 % intervals; None where it is too
+    small.
+
+    A contour gives the axes without pixels: those of an ellipse whose squared radius has the second
+    harmonic 1 + e cos 2(phi - phi_0) have the ratio (1 - e/2)/(1 + e/2). Noise biases e upwards, so
+    its mean square is subtracted. Regions with a streak or another source have the axes of the
+    ellipse of equal second moments.
+    """
+    if extent.region.sum() < 12:
+        return None
+    if extent.contour is not None and not extent.pulled:
+        sd = float(np.hypot(1.3 * extent.contour.oval_sd, 0.004))
+        oval = float(np.sqrt(max(float(np.hypot(*extent.contour.oval)) ** 2 - sd**2, 0.0)))
+        ends = np.maximum(oval + sd * np.array([0.0, 0.994, -0.994, 1.96, -1.96]), 0.0)
+        value, low68, high68, low95, high95 = ((1.0 - 0.5 * ends) / (1.0 + 0.5 * ends)).tolist()
+        return value, (low68, high68), (low95, high95)
+    from skimage import measure
+
+    found = measure.regionprops(extent.region.astype(np.uint8), spacing=(row_pitch, 1.0))[0]
+    major = float(found.axis_major_length)
+    value = float(found.axis_minor_length) / major if major > 0 else 1.0
+    # Uncertainty of one row of pixels at either end.
+    sd = (0.5 + value * 0.5) / max(major, 1.0)
+    low, high = ((value - k * sd, min(value + k * sd, 1.0)) for k in (0.994, 1.96))
+    return value, low, high
+
+
+NO_DARKS = (
+    "the black level is unknown, between 0 DN and the frame's median: a dark stack narrows "
+    "the interval"
+)
+LEVELS = {
+    "bloom_diameter": "half of full scale",
+    "bloom_diameter_background": "twice the background above dark",
+    "bloom_diameter_clip": "full scale",
+}
+
+
+def bloom_measurements(
+    spots: tuple[PointStack, ...], *, square: bool, sensor: Sensor | None = None, **fields: Any
+) -> list[Measurement]:
+    """Return the extents of every stack, refused where the source stays below the threshold.
+
+    `spots`: stacks; `square`: whether pixels are assumed square since the pitches are unknown;
+    `sensor`: sensor description, if known: areas are also given at the photocathode and in the
+    field of view.
+    """
+    notes = ("the row pitch is unknown: pixels are assumed square",) if square else ()
+    notes += () if all(spot.dark_known for spot in spots) else (NO_DARKS,)
+    # Where blooms have merged, only fainter stacks show that there are two sources.
+    sources = tuple(place for spot in spots for place in spot.others)
+    out: list[Measurement] = []
+    for spot in (replace(spot, others=sources) for spot in spots):
+        common = {"stack": spot.label, "notes": notes, **fields}
+        found = {
+            "bloom_diameter": spot.half,
+            "bloom_diameter_background": spot.background,
+            "bloom_diameter_clip": spot.clip,
+        }
+        out += [_diameter(name, spot, extent, **common) for name, extent in found.items()]
+        out += [_ellipticity(spot, **common), *_areas_at_full_scale(spot, sensor, **common)]
+        out += streak_measurements(spot, Context(sensor=sensor), **common)
+    return out
+
+
+def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
+    """Return the quality flags of a bloom extent."""
+    flags = quantisation_flags(spot)
+    flags += ("window-too-small",) if extent.touches_border else ()
+    wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(
+        3.0, 0.3 * extent.diameter_px
+    )
+    flags += ("low-signal",) if wide or not (extent.has_contour or extent.pulled) else ()
+    rows, cols = extent.region.shape
+    within = [(round(one.row), round(one.col)) for one in spot.others]
+    inside = [extent.region[row, col] for row, col in within if row < rows and col < cols]
+    flags += ("several-targets",) if any(inside) else ()
+    # A background below the dark level indicates different conditions.
+    below = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)
+    return flags + (("unlike-conditions",) if below else ())
+
+
+def quantisation_flags(spot: PointStack) -> tuple[str, ...]:
+    """Flag stacks whose few grey values shift threshold crossings and hide faint signal."""
+    return ("quantised",) if spot.full_scale_dn - spot.dark_dn < 20 else ()
+
+
+def _reason(spot: PointStack, name: str) -> str:
+    """Refusal reason of a stack without a region at a threshold."""
+    if reason := spot.why_undetected:
+        return reason
+    level = {"bloom_diameter": spot.half_dn, "bloom_diameter_clip": spot.full_scale_dn}.get(name)
+    if level is not None:
+        return f"the source stays below {LEVELS[name]}, {level:.4g} DN"
+    if not spot.dark_known:
+        return "the dark level and the background above it are unknown: a dark frame is needed"
+    if not spot.light.even:
+        return "the signal still falls at the border of the frame: the background is not visible"
+    if not spot.light.is_illuminated:
+        return f"no measurable background: {spot.light.level_dn:.2g} DN above dark"
+    return f"the source stays below {LEVELS[name]}, {spot.dark_dn + 2 * spot.light.level_dn:.4g} DN"
+
+
+def _refusal(spot: PointStack, name: str) -> Refusal:
+    """Return the kind of refusal: a detected source that stays below a level has no extent at that
+    level.
+    """
+    if spot.why_undetected:
+        return "failed"
+    if name in ("bloom_diameter", "bloom_diameter_clip"):
+        return "not-applicable"
+    if not spot.dark_known:
+        return "missing"
+    return "not-applicable" if spot.light.even else "failed"
+
+
+def _below_level(
+    quantity: str, unit: str, spot: PointStack, name: str, **common: Any
+) -> Measurement:
+    """Refuse a quantity of the region at a level that the source does not reach."""
+    return make_refusal(quantity, unit, _reason(spot, name), refusal=_refusal(spot, name), **common)
+
+
+def _diameter(name: str, spot: PointStack, extent: Extent | None, **common: Any) -> Measurement:
+    if extent is None:
+        return _below_level(name, "px", spot, name, **common)
+    if extent.region.all():
+        return make_refusal(
+            name, "px", f"the complete frame is at or above {LEVELS[name]}", **common
+        )
+    return _measurement_around(
+        name, "px", extent.diameter_px, extent.draws, flags=flags_of(spot, extent), **common
+    )
+
+
+def _measurement_around(
+    name: str, unit: str, value: float, draws: Any, **common: Any
+) -> Measurement:
+    """Measurement with the quantiles of its draws; the intervals include the value."""
+    drawn = measurement_from_draws(name, unit, draws, **common)
+    ends = (drawn.interval68 or (value, value), drawn.interval95 or (value, value))
+    return make_measurement(
+        name, unit, value, *((min(low, value), max(high, value)) for low, high in ends), **common
+    )
+
+
+def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
+    if spot.half is None:
+        return _below_level("bloom_ellipticity", "1", spot, "bloom_diameter", **common)
+    if not spot.half.has_contour and not spot.half.pulled:
+        return make_refusal(
+            "bloom_ellipticity", "1", "the noise prevents a contour of the region", **common
+        )
+    found = ellipticity(spot.half, row_pitch=spot.row_pitch)
+    if found is None:
+        return make_refusal(
+            "bloom_ellipticity",
+            "1",
+            "the region has fewer than 12 pixels",
+            refusal="not-applicable",
+            **common,
+        )
+    return make_measurement(
+        "bloom_ellipticity", "1", *found, flags=flags_of(spot, spot.half), **common
+    )
+
+
+def _areas_at_full_scale(
+    spot: PointStack, sensor: Sensor | None, **common: Any
+) -> list[Measurement]:
+    """Area at full scale in pixels and, if known, at the photocathode and in the field of view."""
+    units = {"px": 1.0}
+    if sensor is not None:
+        side_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
+        pixel_mm2 = side_mm**2 * spot.row_pitch
+        units |= {
+            "mm2": pixel_mm2,
+            "mrad2": pixel_mm2 / (1e-3 * float(sensor.optics.focal_length_mm)) ** 2,
+        }
+    if spot.clip is None:
+        return [_below_level("saturated_area", "px", spot, "bloom_diameter_clip", **common)]
+    value, draws = (
+        spot.clip.area / spot.row_pitch,
+        np.pi / 4.0 * spot.clip.draws**2 / spot.row_pitch,
+    )
+    if spot.clip.pulled:
+        # Streaks fill whole pixels, which are counted.
+        value, draws = (
+            float(spot.clip.region.sum()),
+            draws - np.median(draws) + spot.clip.region.sum(),
+        )
+    # Standard deviation of the number of pixels inside a randomly placed circle, over the root of
+    # its radius.
+    whole = (
+        0.84 * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
+    )
+    flags = flags_of(spot, spot.clip)
+    return [
+        _measurement_around(
+            "saturated_area",
+            unit,
+            value * one,
+            np.maximum(draws + whole, 0.0) * one,
+            flags=flags,
+            **common,
+        )
+        for unit, one in units.items()
+    ]
+
+
+def provenance(context, **settings: Any) -> Provenance:
+    """Return version, seed and settings."""
+    from charact import __version__
+
+    known = {"pitch_ratio": context.pitch_ratio, "quick": context.quick}
+    return Provenance(version=__version__, seed=context.seed, settings=known | settings)
+
+
+def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
+    """Overload of each source: its signal over the signal that reaches full scale; None where
+    unknown.
+    """
+    clear = [
+        spot
+        for spot in spots
+        if spot.exposure_lux_ns
+        and spot.significance > DETECTED
+        and spot.image.max() < 0.8 * spot.full_scale_dn
+    ]
+    if not clear:
+        return [None] * len(spots)
+    spot = max(clear, key=lambda one: one.exposure_lux_ns or 0.0)
+    peak = float(
+        spot.image[
+            round(spot.row) - 3 : round(spot.row) + 4, round(spot.col) - 3 : round(spot.col) + 4
+        ].max()
+    )
+    per_light = (
+        (peak - spot.dark_dn) / (spot.full_scale_dn - spot.dark_dn) / (spot.exposure_lux_ns or 1.0)
+    )
+    return [
+        None if one.exposure_lux_ns is None else one.exposure_lux_ns * per_light for one in spots
+    ]
+
+
+def series_evidence(
+    spots: tuple[PointStack, ...], halos: dict[str, float] | None = None
+) -> dict[str, Any]:
+    """Bloom diameter, streak and halo diameter by overload, for the report."""
+    overload = overload_of_stacks(spots)
+    known = all(value is not None for value in overload)
+    return {
+        "figure": "bloom-series",
+        "label": [spot.label for spot in spots],
+        "overload": overload if known else list(range(1, len(spots) + 1)),
+        "overload_known": known,
+        "illuminance_lux": [spot.conditions.illuminance_lux for spot in spots],
+        "gate_ns": [spot.conditions.gate_ns for spot in spots],
+        "bloom_diameter_px": [spot.bloom_px for spot in spots],
+        "streak_length_px": [spot.streak_px for spot in spots],
+        "halo_diameter_px": [(halos or {}).get(spot.label) for spot in spots],
+        **{
+            name: [getattr(spot, name) for spot in spots]
+            for name in ("significance", "dark_dn", "full_scale_dn")
+        },
+    }
+
+
+def add_common_measurements(
+    session: Session,
+    spots: tuple[PointStack, ...],
+    of_series: list[Measurement],
+    evidence: dict[str, Any],
+    *,
+    context: Context,
+    **fields: Any,
+) -> Result:
+    """Add extents, streaks, background depressions and consistency flags to the measurements of a
+    series.
+
+    `of_series`, `evidence`: measurements of the method, common or with their stack's label, and
+    figure data.
+    """
+    steady = check_consistency(session, spots, context, **fields)
+    smear, of_smear = smear_measurement(spots, context, **fields)
+    extents = bloom_measurements(
+        spots, square=context.sensor is None, sensor=context.sensor, **fields
+    )
+    flagged = [
+        one
+        if one.status == "refused"
+        else one.with_(flags=steady.flags.get(one.stack or "", steady.halo_flags))
+        for one in (*of_series, smear, *extents)
+    ]
+    own = evidence.get("halo-constancy")
+    halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
+    drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
+    return Result(measurements=(*flagged, *steady.measurements), evidence=drawn)
+
+
+# Remedy of each flag of this package.
+REMEDIES = {
+    "model-misfit": "a frame with a single round source, and a stack between those that differ",
+    "prior-bound": "a stack with an unclipped core",
+    "window-too-small": "a larger frame, or the source closer to its centre",
+    "several-targets": "one source in the frame, or --roi around one of them",
+    "quantised": "a higher camera gain or more bits, so that noise exceeds 1 DN",
+    "low-signal": "more frames, or more light",
+    "unlike-conditions": "darks and point stacks taken at the same gain, gate and exposure",
+    "agc": "automatic gain and brightness control switched off",
+    "drift": "a stationary source and a stable lamp, or fewer frames per stack",
+    "lag": "a pause after switch-off, and stacks of a constant source",
+    "dark-mismatch": "dark frames taken with the point stacks, at the same gain, gate and exposure",
+    "clipped": "a stack whose streak stays below full scale",
+    "extrapolated": "a second stack with smear",
+    "nonlinear": "stated illuminance proportional to the lamp's",
+    "gradient": "a mask without leaks, or a frame of the mask with its pinhole closed",
+    "not-converged": "another --seed, or more frames",
+}
+
+
+def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = None) -> Measurement:
+    """Add effect and remedy of each flag to a measurement; a refused one is returned unchanged.
+
+    `effects`: effect size by flag, where measured; otherwise the interval gives the scale.
+    """
+    value = measurement.value
+    if measurement.status == "refused" or value is None:
+        return measurement
+    low, high = measurement.interval95 or (value, value)
+    unit = "" if measurement.unit == "1" else f" {measurement.unit}"
+    half = (
+        f"{measurement.quantity} may be wrong by more than its half interval of "
+        f"{0.5 * (high - low):.3g}{unit}"
+    )
+    found = [
+        Finding(flag=flag, effect=(effects or {}).get(flag, half), remedy=REMEDIES[flag])
+        for flag in measurement.flags
+    ]
+    return measurement.with_(findings=found)

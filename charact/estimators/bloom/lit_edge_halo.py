@@ -1,0 +1,439 @@
+"""Halo at an illuminated edge, fitted to the strips of all stacks."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.bloom import transfer
+from charact.estimators.bloom.extent_measurements import provenance
+from charact.estimators.bloom.lit_edge_profile import LitEdgeLine, Strips, edge_line, strips_of
+from charact.estimators.bloom.series.halo_models import (
+    LEAST_DIAMETER_PX,
+    WINGS,
+    ModelParameter,
+    tube_priors,
+)
+from charact.estimators.bloom.thresholds import Unmeasurable
+from charact.inference import importance_sample, laplace
+from charact.method import Context, register
+from labdata.errors import BadInput
+from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
+from labdata.session import Session, StackEntry
+
+Array = NDArray[np.float64]
+
+METHOD = "lit-edge"
+QUANTITIES = (("halo_diameter", "px"), ("halo_fraction", "1"))
+# Parameters of the core besides the Gaussian's, by core.
+CORES = {"gaussian": (), "tube": tube_priors(None), "moffat": WINGS["moffat"]}
+LEAST_STRIPS = 24
+
+
+def nodes() -> tuple[Array, Array]:
+    """Frequencies, cy/px, and weights of the profile integrals, valid to 160 px from the edge."""
+    return transfer.quadrature(0.75, 280)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeHaloLikelihood:
+    """Likelihood of the whitened strips of all stacks of one edge.
+
+    `strips`: strips of every stack; `line`: the edge, of an area of finite or infinite width;
+    `core`: a name of `CORES`; `halo`: whether there is one.
+    """
+
+    strips: tuple[Strips, ...]
+    line: LitEdgeLine
+    core: str = "gaussian"
+    halo: bool = True
+
+    @cached_property
+    def parameters(self) -> tuple[ModelParameter, ...]:
+        """Parameters in the order of a point's coordinates."""
+        offset = (-10.0, 1.0) if all(one.cut for one in self.strips) else (-1.5, 1.5)
+        # Elastic shares slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo
+        # without rim.
+        bounds = {
+            ("halo_diameter", "px"): (
+                LEAST_DIAMETER_PX,
+                max(2.0 * self.line.dark_px, LEAST_DIAMETER_PX + 4.0),
+            ),
+            ("elastic_share", "1"): (-0.15, 1.15),
+            ("halo_fraction", "1"): (0.0, 0.6),
+            ("edge_offset", "px"): offset,
+            ("core_spread", "px2"): (0.05, 25.0),
+        }
+        common = (
+            ModelParameter(name=name, unit=unit, low=a, high=b)
+            for (name, unit), (a, b) in bounds.items()
+        )
+        return (*common, *CORES[self.core])
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        return np.array([[one.low, one.high] for one in self.parameters])
+
+    @cached_property
+    def _of_strips(self) -> tuple[tuple[Array, Array, Array], ...]:
+        """Whitening matrix of each stack's used strips, and sine and cosine of the frequencies at
+        all of them.
+        """
+        out = []
+        for one in self.strips:
+            above = one.mean_dn[one.used] - np.median(one.mean_dn[one.used][-8:])
+            # A model of straight edges has a relative error of 0.4 % of the signal above
+            # background.
+            covariance = one.covariance() + np.diag((0.004 * above) ** 2)
+            turn = 2.0 * np.pi * np.outer(nodes()[0], one.distance_px)
+            out.append((np.linalg.inv(np.linalg.cholesky(covariance)), np.sin(turn), np.cos(turn)))
+        return tuple(out)
+
+    def log_probability(self, points: Array) -> Array:
+        """Log-posterior with the optimum signal and background of every stack, shape (point,)."""
+        inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
+        safe = np.where(inside[:, None], points, self.bounds.mean(axis=1))
+        return np.where(inside, -0.5 * (self.residuals(safe) ** 2).sum(axis=1), -np.inf)
+
+    def residuals(self, points: Array) -> Array:
+        """Normalised residuals, those of the prior first, shape (point, number)."""
+        mean, sd = (
+            np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd")
+        )
+        out = [(points - mean) / sd]
+        for number, strips in enumerate(self.strips):
+            left, amplitudes = self.fit_level(number, points)
+            # A clipped side below full scale.
+            short = np.maximum(strips.least_light_dn - amplitudes[:, :1], 0.0)
+            out += [left, short / max(0.03 * strips.least_light_dn, 1e-9)]
+        return np.concatenate(out, axis=1)
+
+    def fit_level(self, number: int, points: Array) -> tuple[Array, Array]:
+        """Whitened residuals of one stack, shape (point, strip), and its signal and background,
+        (point, 2).
+        """
+        strips, white = self.strips[number], self._of_strips[number][0]
+        light = self.shape(number, points)[:, strips.used] @ white.T
+        data, flat = white @ strips.mean_dn[strips.used], white.sum(axis=1)
+        aa, ab, bb = (light**2).sum(axis=1), light @ flat, float(flat @ flat)
+        ad, bd = light @ data, float(flat @ data)
+        determinant = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb)
+        level, ground = (bb * ad - ab * bd) / determinant, (aa * bd - ab * ad) / determinant
+        return data - level[:, None] * light - ground[:, None] * flat, np.stack(
+            [level, ground], axis=1
+        )
+
+    def shape(self, number: int, points: Array) -> Array:
+        """Profile across an edge of unit signal, shape (point, strip)."""
+        diameter, elastic, fraction, offset, spread, *core = points.T
+        frequency = nodes()[0]
+        blur = transfer.gaussian(frequency, spread)
+        if self.core == "tube":
+            blur = blur * transfer.tube(frequency, *core)
+        elif self.core == "moffat":
+            blur = transfer.mix(blur, core[0], transfer.moffat(frequency, *core[1:]))
+        blur = blur * np.sinc(frequency)
+        if self.halo:
+            profile = np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
+            blur = blur * transfer.mix(1.0, fraction, transfer.disc(frequency, diameter, profile))
+        near = self._step(number, blur, offset)
+        if not np.isfinite(self.line.width_px):
+            return near
+        return near - self._step(number, blur, -self.line.width_px - offset)
+
+    def _step(self, number: int, blur: Array, at: Array) -> Array:
+        """Step response at given offsets: 1/2 - integral of T sin(2 pi f (x - x0)) / pi f."""
+        _, sine, cosine = self._of_strips[number]
+        frequency, weight = nodes()
+        turn, density = 2.0 * np.pi * frequency * at[:, None], blur * weight / (np.pi * frequency)
+        return 0.5 - (density * np.cos(turn)) @ sine + (density * np.sin(turn)) @ cosine
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeHaloOptimum:
+    """Best fit of a model: point, (parameter,), covariance, (parameter, parameter), and
+    log-probability.
+    """
+
+    problem: EdgeHaloLikelihood
+    point: Array
+    covariance: Array
+    log_probability: float
+
+    @property
+    def bic(self) -> float:
+        """-2 log P + k ln N."""
+        free = len(self.point) - (0 if self.problem.halo else 3)
+        number = sum(one.used.sum() for one in self.problem.strips)
+        return free * float(np.log(number)) - 2.0 * self.log_probability
+
+    def posterior(self, context: Context) -> Posterior:
+        """Posterior draws of the parameters."""
+        names, units = zip(*((one.name, one.unit) for one in self.problem.parameters), strict=True)
+        return (laplace if context.quick else importance_sample)(
+            self.problem.log_probability,
+            names=names,
+            units=units,
+            start=self.point,
+            covariance=self.covariance,
+            seed=context.seed,
+            bounds=self.problem.bounds,
+        )
+
+
+def optimise_edge_halo(
+    problem: EdgeHaloLikelihood, *, diameter_px: float | None = None
+) -> EdgeHaloOptimum:
+    """Return the best fit from several start diameters, since the disc edge causes many local
+    optima.
+
+    `diameter_px` fixes the diameter.
+    """
+    low, high = problem.bounds[0]
+    diameters = (
+        np.linspace(low + 2, high - 2, 24) if problem.halo else np.array([0.5 * (low + high)])
+    )
+    if diameter_px is not None:
+        diameters = np.array([diameter_px])
+    offset, core = 0.5 * problem.bounds[3].sum(), [one.first for one in CORES[problem.core]]
+    points = np.array(
+        [[d, w, 0.1, offset, s, *core] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)]
+    )
+    order = np.argsort(problem.log_probability(points))[::-1]
+    free = np.ones(points.shape[1], bool)
+    free[0] = problem.halo and diameter_px is None
+    free[1:3] = problem.halo
+    return max(
+        (_optimise_from(problem, points[one], free) for one in order[:2]),
+        key=lambda peak: peak.log_probability,
+    )
+
+
+def _optimise_from(
+    problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.bool_]
+) -> EdgeHaloOptimum:
+    """Optimise the free parameters by least squares; covariance from the Jacobian."""
+    from scipy.optimize import least_squares
+
+    def all_parameters(points: Array) -> Array:
+        out = np.broadcast_to(start, (len(points), len(start))).copy()
+        out[:, free] = points
+        return out
+
+    low, high = problem.bounds[free].T
+    step = 1e-4 * (high - low)
+
+    def slopes(point: Array) -> Array:
+        # Inside the bounds on either side.
+        sign = np.where(point + step > high, -1.0, 1.0)
+        left = problem.residuals(
+            all_parameters(np.concatenate([point[None], point + np.diag(sign * step)]))
+        )
+        return ((left[1:] - left[0]) / (sign * step)[:, None]).T
+
+    first = np.clip(start[free], low + step, high - step)
+    found = least_squares(
+        lambda point: problem.residuals(all_parameters(point[None]))[0],
+        first,
+        jac=slopes,  # pyright: ignore[reportArgumentType]
+        bounds=(low, high),
+        x_scale=high - low,
+        max_nfev=40,
+    )
+    point = all_parameters(found.x[None])[0]
+    covariance = np.zeros((len(start), len(start)))
+    covariance[np.ix_(free, free)] = np.linalg.pinv(
+        found.jac.T @ found.jac + np.diag(((high - low) / 2.0) ** -2.0)
+    )
+    value = float(problem.log_probability(point[None])[0])
+    return EdgeHaloOptimum(
+        problem=problem, point=point, covariance=covariance, log_probability=value
+    )
+
+
+@register("lit-edge", METHOD)
+def measure_lit_edge(session: Session, *, context: Context) -> Result:
+    """Measure diameter and fraction of the halo from the edges of a session.
+
+    Parameters
+    ----------
+    session
+        Session with stacks of kind "edge", all of one target at several illuminances; preferably
+        with darks.
+    context
+        Seed and settings.
+
+    Notes
+    -----
+    An unclipped stack locates the edge and gives the signal of the illuminated side; brighter ones
+    show the halo. With clipped stacks alone the edge position is free in the fit, the diameter less
+    certain, and the halo fraction unknown.
+    """
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    evidence: dict[str, dict[str, Any]] = {}
+    try:
+        measurements = _measure(session, context, fields, evidence)
+    except Unmeasurable as refusal:
+        measurements = [
+            make_refusal(quantity, unit, str(refusal), **fields) for quantity, unit in QUANTITIES
+        ]
+    return Result(measurements=tuple(measurements), evidence=evidence)
+
+
+def _measure(
+    session: Session, context: Context, fields: dict[str, Any], evidence: dict[str, Any]
+) -> list[Measurement]:
+    line, strips = _levels(session, context)
+    if min(int(one.used.sum()) for one in strips) < LEAST_STRIPS:
+        raise Unmeasurable(f"fewer than {LEAST_STRIPS} px next to the edge are unclipped")
+    fits = {
+        halo: [
+            optimise_edge_halo(EdgeHaloLikelihood(strips=strips, line=line, core=core, halo=halo))
+            for core in CORES
+        ]
+        for halo in (True, False)
+    }
+    best, without = (min(found, key=lambda one: one.bic) for found in fits.values())
+    evidence["lit-edge"] = {**_evidence(best), "bic_gain_of_halo": without.bic - best.bic}
+    if without.bic - best.bic < 20.0:
+        raise Unmeasurable(
+            "the profile next to the edge is that of a core alone: no halo is visible"
+        )
+    _check_edge_of_halo(best)
+    context.progress("posterior of the halo next to an edge", 0.7)
+    posterior = best.posterior(context)
+    diameter, fraction = _average_models(best, fits[True], posterior, context)
+    if diameter.std() > 0.1 * float(np.median(diameter)):
+        raise Unmeasurable(
+            "the halo diameter is uncertain by more than 10 %: a fainter, unclipped stack would "
+            "locate the edge"
+        )
+    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(best)
+    # Maximum halo radius over the distance to the border.
+    flags += ("window-too-small",) if float(np.median(diameter)) > 2 * 0.85 * line.dark_px else ()
+    notes = (
+        ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
+    )
+    notes += (
+        () if session.of_kind("dark") else ("the black level is estimated from the darkest pixels",)
+    )
+    common = {"flags": flags, "notes": notes, "posterior": posterior, **fields}
+    out = [measurement_from_draws("halo_diameter", "px", diameter, **common)]
+    if all(one.cut for one in strips):
+        reason = "every stack is clipped: the signal of the bright side is unknown"
+        return [*out, make_refusal("halo_fraction", "1", reason, **fields)]
+    return [*out, measurement_from_draws("halo_fraction", "1", fraction, **common)]
+
+
+def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Strips, ...]]:
+    """The edge, located in the best stack, and the strips of every stack."""
+    entries = session.of_kind("edge")
+    if not entries:
+        raise BadInput("the halo of an edge needs stacks of kind edge")
+    order = sorted(entries, key=lambda entry: entry.conditions.illuminance_lux or 0.0)
+    first = order[-1].target.region
+    frames = [_frame(entry, session, context) for entry in order if entry.target.region == first]
+    kept = [
+        one for one in frames if np.percentile(one[0], 99.0) - one[2] > 0.03 * (one[3] - one[2])
+    ]
+    if not kept:
+        raise Unmeasurable("no stack exceeds its dark frames by 3 % of full scale")
+    # The brightest unclipped stack locates the edge best, else the faintest one.
+    whole = [one for one in kept if np.percentile(one[0], 99.0) < one[2] + 0.75 * (one[3] - one[2])]
+    image, _, dark, full = whole[-1] if whole else kept[0]
+    level = (
+        0.5 * float(sum(np.percentile(image, (2.0, 98.0)))) if whole else dark + 0.5 * (full - dark)
+    )
+    line = edge_line(image, level, context.pitch_ratio)
+    return line, tuple(
+        strips_of(
+            image, line, label=label, dark_dn=dark, full_dn=full, pitch_ratio=context.pitch_ratio
+        )
+        for image, label, dark, full in kept
+    )
+
+
+def _frame(
+    entry: StackEntry, session: Session, context: Context
+) -> tuple[Array, str, float, float]:
+    """Mean frame, label, dark level and full scale of a stack."""
+    stack = entry.read()
+    full = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    dark, image = session.dark_like(entry.conditions), stack.data.mean(axis=0, dtype=np.float64)
+    level = stack.black_level_dn if dark is None else dark.read().mean_dn
+    level = float(np.percentile(image, 2.0)) if level is None else level
+    return image, entry.label, level, float(stack.data.max() if full is None else full)
+
+
+def _check_edge_of_halo(best: EdgeHaloOptimum) -> None:
+    """Refuse a halo without an edge in the profile, or one too large for the frame or the edge."""
+    diameter, line = best.point[0], best.problem.line
+    for factor in (0.75, 1.3):
+        off = float(np.clip(factor * diameter, *best.problem.bounds[0]))
+        if off in best.problem.bounds[0]:
+            continue
+        if (
+            best.log_probability - optimise_edge_halo(best.problem, diameter_px=off).log_probability
+            < 6.0
+        ):
+            raise Unmeasurable(
+                "the profile next to the edge falls off smoothly, without the end of a halo"
+            )
+    if diameter > 2 * line.dark_px:
+        raise Unmeasurable(
+            f"the halo extends to the border of the frame, {line.dark_px:.0f} px from the edge"
+        )
+    if 0.5 * diameter > line.ends_px:
+        raise Unmeasurable(
+            f"the edge is too short: its ends are {line.ends_px:.0f} px from the measured part, "
+            "the halo is wider"
+        )
+
+
+def _average_models(
+    best: EdgeHaloOptimum, fits: list[EdgeHaloOptimum], own: Posterior, context: Context
+) -> tuple[Array, Array]:
+    """Draws of the halo's diameter and fraction, averaged over cores by weight, shape (draw,)."""
+    rivals = [one for one in fits if one.bic < best.bic + 10.0]
+    weight = np.exp([-0.5 * (one.bic - best.bic) for one in rivals])
+    count = np.rint(len(own.draws) * weight / weight.sum()).astype(int)
+    parts = [
+        (own if one is best else one.posterior(context)).draws[:number]
+        for number, one in zip(count, rivals, strict=True)
+    ]
+    draws = np.concatenate([part[:, [0, 2]] for part in parts])
+    return draws[:, 0], draws[:, 1]
+
+
+def _misfit(best: EdgeHaloOptimum) -> tuple[str, ...]:
+    from scipy.special import chdtrc
+
+    problem, point = best.problem, best.point[None]
+    total = sum(
+        float((problem.fit_level(one, point)[0] ** 2).sum()) for one in range(len(problem.strips))
+    )
+    freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(best.point)
+    return ("model-misfit",) if chdtrc(max(freedom, 1), total) < 1e-4 else ()
+
+
+def _evidence(best: EdgeHaloOptimum) -> dict[str, Any]:
+    """Strips of every stack with the model."""
+    point, strips, model = best.point[None], best.problem.strips, []
+    for number in range(len(strips)):
+        light, ground = best.problem.fit_level(number, point)[1][0]
+        model.append((light * best.problem.shape(number, point)[0] + ground).tolist())
+    of_strips = {
+        name: [getattr(one, name).tolist() for one in strips]
+        for name in ("distance_px", "mean_dn", "sd_dn", "used")
+    }
+    return {
+        "figure": "lit-edge",
+        "label": [one.label for one in strips],
+        **of_strips,
+        "model_dn": model,
+        "edge_px": float(best.point[3]),
+        "halo_diameter_px": float(best.point[0]),
+    }

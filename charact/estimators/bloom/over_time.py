@@ -1,0 +1,298 @@
+"""Frame-by-frame analysis of a point stack: background, source position and signal, noise, drift
+and switch-off.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact import robust
+from charact.estimators.bloom.point_stack import PointStack
+from labdata.frames import FrameStack
+from labdata.measurement import Measurement, make_refusal, measurement_from_draws
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Side of the tiles whose means form the background, px.
+TILE_PX = 6
+# Fraction of full scale above which a pixel may be clipped.
+CUT_SHARE = 0.95
+SECTORS = 12
+# Minimum motion of a source, px, and relative change of light or background, through a stack.
+LEAST_TRAVEL_PX, LEAST_CHANGE = 0.3, 0.05
+# Fractions of the signal at which recovery is measured, by quantity.
+SHARES = {"recovery_time_10": 0.1, "recovery_time_1": 0.01}
+# Frames before and after a switch-off.
+LEAST_ON, LEAST_OUT = 2, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameSeries:
+    """Frame-by-frame statistics of one stack.
+
+    `spot`: position and thresholds of the source; `time_s`: time of each frame, shape (frame,), s,
+    empty if unknown; `background_dn`, `background_sd_dn`, `background_by_frame_dn`: mean far from
+    the source above dark, its standard error, and that of each frame; `centre_px`: row and column
+    of the centre of the bright region of each frame, shape (frame, 2), NaN without a source;
+    `light_by_frame`, `light_noise`: signal of the unsaturated pixels over the mean, and its pixel
+    noise, NaN without a source; `noise`: signal above dark, temporal variance and its standard
+    error, shape (3, level).
+    """
+
+    spot: PointStack
+    time_s: Array
+    background_dn: float
+    background_sd_dn: float
+    background_by_frame_dn: Array
+    centre_px: Array
+    light_by_frame: Array
+    light_noise: float
+    noise: Array
+
+
+def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> FrameSeries:
+    """Analyse one stack frame by frame."""
+    data = np.asarray(stack.data)
+    mean = data.mean(axis=0, dtype=np.float64)
+    rows, cols = np.indices(mean.shape, sparse=True)
+    down, along = (rows - spot.row) * row_pitch, cols - spot.col
+    radius = np.hypot(down, along)
+    tiles = _far_tiles(mean, radius, np.broadcast_to(np.abs(along), mean.shape))
+    by_frame = _tiles(data)[:, tiles].mean(axis=1) - spot.dark_dn
+    level = _tiles(mean)[tiles] - spot.dark_dn
+    scatter = float(by_frame.std(ddof=1)) / np.sqrt(len(by_frame)) if len(by_frame) > 1 else 0.0
+    variance = data.var(axis=0, ddof=1, dtype=np.float64) if len(data) > 1 else np.zeros(mean.shape)
+    light, noise = _light(data, mean, radius, by_frame, tiles, spot)
+    return FrameSeries(
+        spot=spot,
+        time_s=np.asarray(stack.time_s, np.float64),
+        background_dn=float(level.mean()),
+        background_sd_dn=float(np.hypot(level.std(ddof=1) / np.sqrt(level.size), scatter)),
+        background_by_frame_dn=by_frame,
+        centre_px=_centres(data, mean, float(np.sqrt(np.median(_tiles(variance)[tiles]))), spot),
+        light_by_frame=light,
+        light_noise=noise,
+        noise=_noise(data, mean, variance, radius, np.arctan2(down, along), tiles, spot),
+    )
+
+
+def _tiles(image: NDArray) -> Array:
+    """Means of square tiles, shape (.., row, col)."""
+    rows, cols = (n // TILE_PX * TILE_PX for n in image.shape[-2:])
+    shape = (*image.shape[:-2], rows // TILE_PX, TILE_PX, cols // TILE_PX, TILE_PX)
+    return image[..., :rows, :cols].reshape(shape).mean(axis=(-3, -1), dtype=np.float64)
+
+
+def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
+    """Tiles far from the source and its columns that contain only background."""
+    far, level = _tiles(radius), _tiles(mean)
+    off_column = _tiles(along) > 16
+    take = off_column & (far >= np.quantile(far[off_column] if off_column.any() else far, 0.6))
+    take = take if take.any() else far >= np.median(far)
+    spread = robust.robust_sd(level[take])
+    return take & (np.abs(level - np.median(level[take])) <= 4.0 * max(spread, 1e-3))
+
+
+def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> Array:
+    """Centre of the pixels brighter than half the peak, or than half of full scale, in each
+    frame.
+    """
+    row, col = round(spot.row), round(spot.col)
+    span = spot.full_scale_dn - spot.dark_dn
+    near = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
+    floor = float(np.median(mean))
+    threshold = max(
+        min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + 5.0 * noise_dn
+    )
+    # A moving source may be far from the mean contour.
+    half = int(np.ceil(0.5 * spot.bloom_px)) + 24
+    found = _middles(data, threshold, 0.2 * span, row - half, col - half, 2 * half + 1)
+    # A source that no frame shows near its position is switched off or elsewhere.
+    return (
+        found
+        if np.isfinite(found).all()
+        else _middles(data, threshold, 0.2 * span, 0, 0, max(mean.shape))
+    )
+
+
+def _middles(data: NDArray, threshold: float, most: float, row: int, col: int, side: int) -> Array:
+    """Centre of the signal above a threshold inside a window of each frame; NaN where there is
+    none.
+    """
+    first, left = max(0, row), max(0, col)
+    weight = np.clip(
+        data[:, first : row + side, left : col + side].astype(np.float64) - threshold, 0.0, most
+    )
+    total = weight.sum(axis=(1, 2))
+    total = np.where(total > 0, total, np.nan)
+    rows = (weight.sum(axis=2) @ (first + np.arange(weight.shape[1]))) / total
+    cols = (weight.sum(axis=1) @ (left + np.arange(weight.shape[2]))) / total
+    return np.stack([rows, cols], axis=1)
+
+
+def _light(
+    data: NDArray, mean: Array, radius: Array, background: Array, tiles: Mask, spot: PointStack
+) -> tuple[Array, float]:
+    """Signal of the source's unclipped, bright pixels by frame, relative to the mean frame, and its
+    noise.
+    """
+    over = mean - (float(background.mean()) + spot.dark_dn)
+    cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
+    near = radius < max(12.0, spot.bloom_px)
+    quiet = robust.robust_sd(over[~near]) if (~near).any() else 1.0
+    lit = near & ~cut & (over > max(5.0 * quiet, 1.0))
+    if lit.sum() < 4:
+        return np.full(len(data), np.nan), float("nan")
+    weight = over[lit] / (over[lit] ** 2).sum()
+    light = (data[:, lit] - (background + spot.dark_dn)[:, None]) @ weight
+    # The temporal noise of tiles includes correlation between pixels.
+    tile = float(_tiles(data)[:, tiles].var(axis=0, ddof=1).mean()) if len(data) > 1 else quiet**2
+    return light, TILE_PX * float(np.sqrt(tile * (weight**2).sum()))
+
+
+def _noise(
+    data: NDArray,
+    mean: Array,
+    variance: Array,
+    radius: Array,
+    angle: Array,
+    tiles: Mask,
+    spot: PointStack,
+) -> Array:
+    """Signal, temporal variance and its standard error of the background and of groups of rings,
+    shape (3, level).
+    """
+    ring = radius.astype(int)
+    count = np.maximum(np.bincount(ring.ravel()), 1)
+    # Rings are selected by their mean, since selection by the pixel's own value would be biased.
+    by_ring = np.bincount(ring.ravel(), mean.ravel()) / count - spot.dark_dn
+    small = _tiles(variance)[tiles]
+    floor = float(_tiles(mean)[tiles].mean()) - spot.dark_dn
+    found = [(floor, float(small.mean()), float(small.std(ddof=1)) / np.sqrt(small.size))]
+    cut = data.max(axis=0) >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)
+    # Where some pixels are clipped, the unclipped ones are a biased sample.
+    cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
+    # Blur spreads variance less far than signal, so that variance is too small near a steep edge.
+    cut |= (np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - floor))[ring]
+    above, sector = (
+        (by_ring - floor)[ring],
+        ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS,
+    )
+    for low, high in pairwise((3.0, 6.0, 12.0, 24.0, 48.0)):
+        take = (above >= low) & (above < high) & (radius > 8.0) & ~cut
+        held = np.bincount(sector[take], minlength=SECTORS)
+        full = held >= 6
+        if full.sum() < SECTORS // 2:
+            continue
+        by_sector = np.bincount(sector[take], variance[take], minlength=SECTORS)[full] / held[full]
+        error = float(by_sector.std(ddof=1)) / np.sqrt(full.sum())
+        found.append((float(mean[take].mean()) - spot.dark_dn, float(variance[take].mean()), error))
+    return np.array(found).T
+
+
+def drift_of(watched: FrameSeries) -> tuple[float, float]:
+    """Motion of the source through a stack, px, and relative drift of its signal or the background;
+    0 where none.
+    """
+    row, col = watched.centre_px.T
+    background = watched.background_by_frame_dn
+    level = max(abs(float(background.mean())), 1.0)
+    dim = _trend(background, LEAST_CHANGE * level) / level
+    travel = float(np.hypot(_trend(row, LEAST_TRAVEL_PX), _trend(col, LEAST_TRAVEL_PX)))
+    return travel, max(dim, _trend(watched.light_by_frame, LEAST_CHANGE))
+
+
+def _trend(values: Array, least: float) -> float:
+    """Change of a straight-line fit over successive values; 0 if not significant or below the
+    limit.
+    """
+    from scipy.special import stdtr
+
+    count = len(values)
+    if count < 3 or not np.isfinite(values).all():
+        return 0.0
+    place, off = np.arange(count) - 0.5 * (count - 1), values - values.mean()
+    slope = float(place @ off) / float(place @ place)
+    # Student's t of the slope; `scipy.stats` would take longer to import than all fits.
+    error = np.sqrt(float(np.sum((off - slope * place) ** 2)) / (count - 2) / float(place @ place))
+    chance, run = (
+        2.0 * float(stdtr(count - 2, -abs(slope) / max(error, 1e-300))),
+        abs(slope) * (count - 1),
+    )
+    return run if chance < 1e-4 and run > least else 0.0
+
+
+def frames_before_switch_off(watched: FrameSeries) -> int | None:
+    """Return the number of frames before the source is switched off; None where it is not."""
+    light = watched.light_by_frame
+    if len(light) < LEAST_ON + LEAST_OUT or not np.isfinite(light).all() or light.max() <= 0:
+        return None
+    on = light > 0.6 * light.max()
+    count = int(np.argmin(on)) if not on.all() else len(on)
+    if (
+        count < LEAST_ON
+        or count > len(on) - LEAST_OUT
+        or on[count:].any()
+        or light[-1] > 0.5 * light[:count].mean()
+    ):
+        return None
+    # Frames at the start of the decay are excluded.
+    early = light[: max(LEAST_ON, count // 2)]
+    least = early.mean() - 4.0 * max(float(early.std(ddof=1)), 0.005 * float(early.mean()))
+    while count > LEAST_ON and light[count - 1] < least:
+        count -= 1
+    return count
+
+
+def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> list[Measurement]:
+    """Return the times until 10 % and 1 % of the source signal remain, for each stack with a
+    switch-off.
+
+    Switch-off happens between two frames, which the interval includes. Between frames the decay is
+    exponential. Pixels saturated by the source are excluded.
+    """
+    found = [
+        (one, count) for one in watched if (count := frames_before_switch_off(one)) is not None
+    ]
+    if not found:
+        reason = (
+            "no stack shows a switch-off: the source must be on in at least two frames and "
+            "off in all later ones"
+        )
+        return [make_refusal(name, "s", reason, refusal="missing", **fields) for name in SHARES]
+    return [_recovery(one, count, name, seed, **fields) for one, count in found for name in SHARES]
+
+
+def _recovery(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any) -> Measurement:
+    """Time from switch-off to a fraction of the signal."""
+    common = {"stack": watched.spot.label, **fields}
+    share, lit, times = SHARES[name], float(watched.light_by_frame[:count].mean()), watched.time_s
+    noise, left = watched.light_noise / lit, watched.light_by_frame[count:] / lit
+    reason = ""
+    if len(times) == 0:
+        reason = "the times of the frames are unknown"
+    elif noise > 0.35 * share:
+        reason = (
+            f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % is below it"
+        )
+    elif left[-1] > share - 2.0 * noise:
+        reason = f"at the end of the stack {100 * max(left[-1], 0.0):.2g} % of the light is left"
+    if reason:
+        return make_refusal(name, "s", reason, **common)
+    rng, draws = np.random.default_rng(seed), []
+    for _ in range(2000):
+        out = float(rng.uniform(times[count - 1], times[count]))
+        light = np.concatenate([[1.0], left + noise * rng.standard_normal(len(left))])
+        last = int(np.argmax(light < share))
+        if last == 0:
+            continue
+        begin = out if last == 1 else times[count + last - 2]
+        high, low = np.log(light[last - 1]), np.log(max(light[last], 0.1 * share))
+        draws.append(
+            begin + (high - np.log(share)) / (high - low) * (times[count + last - 1] - begin) - out
+        )
+    return measurement_from_draws(name, "s", np.array(draws), **common)

@@ -1,0 +1,428 @@
+"""Position, detection and bloom extents of the point source in a stack."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact import robust
+from charact.estimators.bloom.extent import Extent, contour_at, extent_at
+from charact.estimators.bloom.source_view import Background, SourceView, background_of, view_of
+from charact.method import Context
+from labdata.conditions import Conditions
+from labdata.frames import FrameStack
+from labdata.session import Session, StackEntry
+
+Array = NDArray[np.float64]
+
+# Width of the smoothing that detects a source, px; the local surroundings are three times as wide.
+SMOOTHING_PX = 1.5
+# Subsampling for medians.
+THIN = 2
+# Positions closer than this are the same, px.
+NEAR_PX = 1.5
+# Minimum distance of another source, px.
+APART_PX = 6
+DIRECTIONS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourcePosition:
+    """Position of a point source in a frame, px.
+
+    `row`, `col`: centre, px; `significance`: height above the surroundings in standard deviations;
+    `cut`: whether its peak is at full scale, so that its identity is uncertain; `settled`: whether
+    it is the centre of a contour over all sectors.
+    """
+
+    row: float
+    col: float
+    significance: float
+    cut: bool = False
+    settled: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contrast:
+    """Smoothed mean frame, its difference from the local surroundings, and the spread of that
+    difference, DN.
+    """
+
+    smooth: Array
+    difference: Array
+    spread: float
+
+
+def contrast_of(image: Array) -> Contrast:
+    """Compute the contrast in which small sources stand out."""
+    from scipy import ndimage
+
+    smooth = np.asarray(ndimage.gaussian_filter(image, SMOOTHING_PX))
+    difference = smooth - np.asarray(ndimage.gaussian_filter(image, 3.0 * SMOOTHING_PX))
+    some = difference[::THIN, ::THIN]
+    spread = robust.robust_sd(some)
+    # Quantisation may leave a background without noise.
+    return Contrast(smooth=smooth, difference=difference, spread=max(spread, 0.05))
+
+
+def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourcePosition:
+    """Return the position with the highest contrast, moved to the centre of its connected bright
+    region.
+    """
+    from scipy import ndimage
+
+    found = contrast_of(image)
+    window = np.zeros(image.shape, bool)
+    if region is None:
+        window[:] = True
+    else:
+        row, col, height, width = region
+        window[row : row + height, col : col + width] = True
+    top = np.unravel_index(int(np.argmax(np.where(window, found.difference, -np.inf))), image.shape)
+    significance = float(found.difference[top] / found.spread)
+    floor = float(np.median(image[::THIN, ::THIN]))
+    above = found.smooth > floor + 0.5 * (found.smooth[top] - floor)
+    labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
+    rows, cols = (
+        np.nonzero(labels == labels[top])
+        if labels[top]
+        else (np.array([top[0]]), np.array([top[1]]))
+    )
+    # Medians: a streak has few pixels compared with the spot, and is symmetric about it.
+    return SourcePosition(
+        row=float(np.median(rows)), col=float(np.median(cols)), significance=significance
+    )
+
+
+def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool] | None:
+    """Return the centre of the contour at half height, and whether no sector is excluded; None
+    without a contour.
+
+    Sectors distorted by a streak or another source are excluded; clipped pixels lie inside the
+    contour.
+    """
+    profile = view.profile[1]
+    floor = float(np.median(profile))
+    level = floor + 0.5 * (min(float(profile[:2].max()), view.top) - floor)
+    found = contour_at(view, level) if level > 0 else None
+    if found is None:
+        return None
+    contour, whole = found
+    down, along = contour.shift()
+    # Maximum distance of a contour's centre from the detected position, px.
+    if np.hypot(down, along) > 10.0:
+        return None
+    return row + down / view.polar.row_pitch, col + along, whole
+
+
+def is_bright_at(image: Array, own: SourcePosition, other: SourcePosition) -> bool:
+    """Whether another position is within a pixel or two, or as bright as the source detected
+    here.
+    """
+    if np.hypot(own.row - other.row, own.col - other.col) < NEAR_PX or own.significance < 16.0:
+        return True
+    places = ((round(place.row), round(place.col)) for place in (own, other))
+    here, there = (
+        image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean() for row, col in places
+    )
+    floor = float(np.median(image[::THIN, ::THIN]))
+    return bool(there - floor > 0.7 * (here - floor))
+
+
+def others(
+    image: Array, place: SourcePosition, span_dn: float, row_pitch: float
+) -> tuple[SourcePosition, ...]:
+    """Return further sources in a frame, brightest first; they fall off in every direction, unlike
+    streaks.
+
+    `image`: mean frame, shape (row, col), DN; `place`: the known source; `span_dn`: full scale
+    above dark, DN; `row_pitch`: row pitch over column pitch.
+    """
+    from skimage.feature import peak_local_max
+
+    found = contrast_of(image)
+    least = max(0.04 * span_dn, 16.0 * found.spread)
+    peaks = peak_local_max(
+        found.difference, min_distance=APART_PX, threshold_abs=least, exclude_border=False
+    )
+    own = np.hypot((peaks[:, 0] - place.row) * row_pitch, peaks[:, 1] - place.col)
+    held = [
+        SourcePosition(
+            row=float(row),
+            col=float(col),
+            significance=float(found.difference[row, col] / found.spread),
+        )
+        for (row, col), apart in zip(peaks, own, strict=True)
+        if apart > APART_PX
+        and _falls_off(
+            found.smooth, int(row), int(col), float(found.difference[row, col]), row_pitch
+        )
+    ]
+    return tuple(sorted(held, key=lambda one: -one.significance))
+
+
+def _falls_off(smooth: Array, row: int, col: int, height: float, row_pitch: float) -> bool:
+    """Whether the signal around a peak is lower in every direction."""
+    angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    reach = 4.0 + SMOOTHING_PX
+    rows = np.rint(row + reach * np.sin(angle) / row_pitch).astype(int)
+    cols = np.rint(col + reach * np.cos(angle)).astype(int)
+    inside = (rows >= 0) & (rows < smooth.shape[0]) & (cols >= 0) & (cols < smooth.shape[1])
+    return bool(np.all(smooth[row, col] - smooth[rows[inside], cols[inside]] > 0.4 * height))
+
+
+# Standard errors by which the smoothed source must exceed its surroundings.
+DETECTED = 8.0
+# Fraction of full scale above which noise is clipped.
+LINEAR_SHARE = 0.75
+# Grey values are rounded: full scale is shown from half a step below.
+HALF_STEP_DN = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointStack:
+    """One stack of a point source.
+
+    `label`, `conditions`: as in the session; `image`: mean of its frames, shape (row, col), DN;
+    `frames`: number of frames; `dark_dn`, `full_scale_dn`: black level and full scale;
+    `dark_known`: whether the black level was measured or recorded; `row`, `col`: centre, px;
+    `significance`: height of the smoothed source above its surroundings in standard deviations;
+    `frame_streak_px`: streak length of single frames, shape (frame,), px; `row_pitch`: row pitch
+    over column pitch; `half`, `background`, `clip`: region at or above half of full scale, twice
+    the background above dark, and full scale; None where the source stays below the threshold or
+    the background is not measurable; `light`: the background; `others`: further sources in the
+    frame.
+    """
+
+    label: str
+    conditions: Conditions
+    image: Array
+    frames: int
+    dark_dn: float
+    full_scale_dn: float
+    dark_known: bool
+    row: float
+    col: float
+    significance: float
+    frame_streak_px: Array
+    row_pitch: float = 1.0
+    half: Extent | None = None
+    background: Extent | None = None
+    clip: Extent | None = None
+    light: Background = field(
+        default_factory=lambda: Background(level_dn=0.0, sd_dn=0.0, even=False)
+    )
+    others: tuple[SourcePosition, ...] = ()
+
+    @property
+    def why_undetected(self) -> str:
+        """Refusal reason without a detected source; empty with one."""
+        if self.significance >= DETECTED:
+            return ""
+        return (
+            f"no point source: the brightest spot has {self.significance:.1f} standard "
+            f"deviations, at least 8 needed"
+        )
+
+    @property
+    def half_dn(self) -> float:
+        """Half of full scale above dark, DN."""
+        return self.dark_dn + 0.5 * (self.full_scale_dn - self.dark_dn)
+
+    @property
+    def bloom_px(self) -> float:
+        """Bloom diameter at half of full scale, column pitches; 0 where the source stays below
+        it.
+        """
+        return 0.0 if self.half is None else self.half.diameter_px
+
+    @property
+    def streak_px(self) -> float:
+        """Rows of the source's column at or above half of full scale."""
+        col = int(np.clip(round(self.col), 0, self.image.shape[1] - 1))
+        return float((self.image[:, col] >= self.half_dn).sum())
+
+    @property
+    def exposure_lux_ns(self) -> float | None:
+        """Illuminance times gate, lx ns (times 1 without a gate); None if the illuminance is
+        unknown.
+        """
+        lux = self.conditions.illuminance_lux
+        return None if lux is None else lux * (self.conditions.gate_ns or 1.0)
+
+    @property
+    def touches_border(self) -> bool:
+        """Whether the bloom extends to the border of the frame."""
+        return self.half is not None and self.half.touches_border
+
+
+def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack, ...]:
+    """Read all point stacks one at a time, in two passes: locate the sources, then measure them."""
+    levels = {dark.label: dark.read().mean_dn for dark in session.of_kind("dark")}
+    entries = sorted(
+        session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0
+    )
+    darks = [
+        None if (d := session.dark_like(entry.conditions)) is None else levels[d.label]
+        for entry in entries
+    ]
+    places = []
+    for entry, dark in zip(entries, darks, strict=True):
+        stack = entry.read()
+        level = black_level_of(stack, dark)[0]
+        places.append(
+            place_of(stack, entry.target.region, level, full_scale_of(stack, context), context)
+        )
+    spots: list[PointStack] = []
+    behind: list[tuple[Conditions, Background]] = []
+    for done, (entry, dark, place) in enumerate(zip(entries, darks, places, strict=True)):
+        context.progress(f"blooming of {entry.label}", done / len(entries))
+        same = [
+            other
+            for other, one in zip(places, entries, strict=True)
+            if one.target.region == entry.target.region
+        ]
+        stack = entry.read()
+        place = common_position(place, same, stack.data.mean(axis=0, dtype=np.float64))
+        spots.append(spot_of(entry, stack, dark, place, context, behind))
+        behind.append((entry.conditions, spots[-1].light))
+    return tuple(spots)
+
+
+def place_of(
+    stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context
+) -> SourcePosition:
+    """Locate the source of a stack, at the centre of its contour where it has one."""
+    found = brightest(stack.data.mean(axis=0, dtype=np.float64), region)
+    if found.significance < DETECTED:
+        return found
+    row, col = found.row, found.col
+    view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
+    # Fraction of full scale above which a peak counts as clipped.
+    cut = float(view.signal[view.polar.radius < 1.5].max(initial=0.0)) > 0.9 * view.top
+    settled = False
+    for _ in range(5):
+        better = middle(view, row, col)
+        # The contour of a cropped bloom may be centred outside the frame.
+        if better is None or any(
+            not -0.5 <= at < n - 0.5 for at, n in zip(better, view.signal.shape, strict=False)
+        ):
+            break
+        moved = float(np.hypot(better[0] - row, better[1] - col))
+        row, col, settled = better
+        if moved < 0.4:
+            break
+        view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
+    return SourcePosition(
+        row=row, col=col, significance=found.significance, cut=cut, settled=settled
+    )
+
+
+def common_position(
+    own: SourcePosition, places: list[SourcePosition], image: Array
+) -> SourcePosition:
+    """Return the position common to the stacks, unless this stack's source is elsewhere.
+
+    The clearest stack locates the source best: it is neither faint nor saturated. Where two spots
+    have merged, the common position still lies inside; where the source has moved, it does not.
+    Positions are ordered by illuminance: two sources at full scale look alike, and the faintest
+    stack identifies the brighter one.
+    """
+    clear = [place for place in places if place.significance > 2 * DETECTED]
+    whole = [place for place in clear if not place.cut]
+    anchor = max(whole or clear[:1] or places, key=lambda place: place.significance)
+    same = [one for one in places if np.hypot(one.row - anchor.row, one.col - anchor.col) < NEAR_PX]
+    best = max(same, key=lambda place: (place.settled, place.significance))
+    if best.significance <= 2 * DETECTED or not is_bright_at(image, own, best):
+        return own
+    return SourcePosition(row=best.row, col=best.col, significance=own.significance)
+
+
+def full_scale_of(stack: FrameStack, context: Context) -> float:
+    """Return full scale: as configured, as recorded, else the largest value in the stack, DN."""
+    stated = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    return stated if stated is not None else float(stack.data.max())
+
+
+def black_level_of(stack: FrameStack, dark: float | None) -> tuple[float, bool]:
+    """Return the black level, DN, and whether it is known: measured, recorded, else the median of
+    the mean frame.
+    """
+    known = dark if dark is not None else stack.black_level_dn
+    return (
+        (float(np.median(stack.data.mean(axis=0, dtype=np.float64))), False)
+        if known is None
+        else (known, True)
+    )
+
+
+def spot_of(
+    entry: StackEntry,
+    stack: FrameStack,
+    dark: float | None,
+    place: SourcePosition,
+    context: Context,
+    behind: list[tuple[Conditions, Background]],
+) -> PointStack:
+    """Measure position, extents and background of one stack.
+
+    `entry`, `stack`: the stack and its frames. `dark`: black level from dark frames, DN. `place`:
+    position of the source. `behind`: conditions and backgrounds of the previous stacks, the
+    faintest first. The background of the faintest stack with the same conditions is used, since a
+    bright source illuminates the whole frame.
+    """
+    full, (level, known) = full_scale_of(stack, context), black_level_of(stack, dark)
+    view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)
+    own = background_of(view)
+    alike = [
+        light
+        for conditions, light in behind
+        if has_same_settings(conditions, entry.conditions) and light.even
+    ]
+    light = alike[0] if alike else own
+    half = level + 0.5 * (full - level)
+    found: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
+    if place.significance >= DETECTED:
+        found["half"] = extent_at(view, half, seed=context.seed)
+        if not known and found["half"] is not None:
+            # An unknown black level lies between 0 and the median of the frame.
+            lowest = extent_at(view, 0.5 * full, seed=context.seed)
+            draws = (
+                found["half"].draws
+                if lowest is None
+                else np.concatenate([found["half"].draws, lowest.draws])
+            )
+            found["half"] = replace(found["half"], draws=draws)
+        found["clip"] = extent_at(view, full - HALF_STEP_DN, seed=context.seed)
+        if light.is_illuminated and light.even:
+            found["background"] = extent_at(
+                view, level + 2.0 * light.level_dn, level_sd=2.0 * light.sd_dn, seed=context.seed
+            )
+    image = view.signal + level
+    col = int(np.clip(round(place.col), 0, image.shape[1] - 1))
+    clear = place.significance >= DETECTED
+    return PointStack(
+        label=entry.label,
+        conditions=entry.conditions,
+        image=image,
+        frames=len(stack),
+        dark_dn=level,
+        full_scale_dn=full,
+        dark_known=known,
+        row=place.row,
+        col=place.col,
+        significance=place.significance,
+        frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
+        row_pitch=context.pitch_ratio,
+        half=found["half"],
+        background=found["background"],
+        clip=found["clip"],
+        light=light,
+        others=others(image, place, full - level, context.pitch_ratio) if clear else (),
+    )
+
+
+def has_same_settings(one: Conditions, other: Conditions) -> bool:
+    """Whether two stacks were taken at the same gain, gate and exposure."""
+    names = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "gain_control", "em_gain")
+    return all(getattr(one, name) == getattr(other, name) for name in names)

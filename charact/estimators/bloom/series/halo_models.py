@@ -1,0 +1,210 @@
+"""Blur models of a point series: core, halo and the parameters with their priors."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.bloom import transfer
+from charact.estimators.bloom.transfer import frequencies
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+Core = Literal["gaussian", "tube", "moffat", "matern"]
+# Cores tried: of any camera, and of cameras with a tube.
+CORES: tuple[Core, ...] = ("gaussian", "matern", "moffat")
+CORES_OF_TUBES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
+Halo = Literal["none", "disc", "gaussian"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelParameter:
+    """Parameter with its prior: flat between bounds, or normal where a standard deviation is
+    given.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    mean: float = 0.0
+    sd: float = float("inf")
+    start: float = float("nan")
+
+    @property
+    def first(self) -> float:
+        """Start value of an optimisation."""
+        return self.start if np.isfinite(self.start) else self.mean
+
+
+CORE_SD = ModelParameter(name="core_sd", unit="px", low=0.35, high=8.0, start=1.2)
+WING_SHARE = ModelParameter(name="wing_share", unit="1", low=0.0, high=0.7, start=0.05)
+WINGS = {
+    "moffat": (
+        WING_SHARE,
+        ModelParameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0),
+        ModelParameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0),
+    ),
+    "matern": (
+        WING_SHARE,
+        ModelParameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0),
+        ModelParameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5),
+    ),
+}
+LEAST_DIAMETER_PX = 12.0
+# Fractions of a disc's light by density, with weak priors. Bounds slightly beyond 0..1, since a
+# bound at 0 would bias the diameter.
+PROFILE = tuple(
+    ModelParameter(name=name, unit="1", low=low, high=1.2, mean=mean, sd=0.4)
+    for name, low, mean in zip(
+        transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True
+    )
+)
+HALO_FRACTION = ModelParameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HaloModel:
+    """Blur model of a point source.
+
+    `core`, `halo`: families of core and halo; `reach_px`: radius of the outermost ring, which
+    limits the halo diameter; `pitch_ratio`: row pitch over column pitch, for the pixel's aperture;
+    `sensor`: sensor description, whose tube gives the core's priors; None if unknown.
+    """
+
+    core: Core
+    halo: Halo
+    reach_px: float
+    pitch_ratio: float = 1.0
+    sensor: Sensor | None = None
+
+    @cached_property
+    def parameters(self) -> tuple[ModelParameter, ...]:
+        """Parameters in the order of a point's coordinates."""
+        return self._core_parameters() + self._halo_parameters()
+
+    def _core_parameters(self) -> tuple[ModelParameter, ...]:
+        if self.core == "tube":
+            return (*tube_priors(self.sensor), CORE_SD)
+        return CORE_SD, *WINGS.get(self.core, ())
+
+    def _halo_parameters(self) -> tuple[ModelParameter, ...]:
+        if self.halo == "none":
+            return ()
+        if self.halo == "gaussian":
+            return ModelParameter(
+                name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0
+            ), HALO_FRACTION
+        widest = ModelParameter(
+            name="halo_diameter",
+            unit="px",
+            low=LEAST_DIAMETER_PX,
+            high=1.7 * self.reach_px,
+            start=0.8 * self.reach_px,
+        )
+        return widest, *PROFILE, HALO_FRACTION
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(one.name for one in self.parameters)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters."""
+        return tuple(one.unit for one in self.parameters)
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        return np.array([[one.low, one.high] for one in self.parameters])
+
+    @property
+    def first(self) -> Array:
+        """Start point of an optimisation, shape (parameter,)."""
+        return np.array([one.first for one in self.parameters])
+
+    def log_prior(self, points: Array) -> Array:
+        """Return the log-prior up to a constant, -inf outside the bounds, shape (point,)."""
+        inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
+        mean, sd = (
+            np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd")
+        )
+        return np.where(inside, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
+
+    def at(self, points: Array) -> dict[str, Array]:
+        """Map parameter names to the columns of points."""
+        return dict(zip(self.names, points.T, strict=True))
+
+    def transform(self, points: Array) -> Array:
+        """Transfer function of the complete model, shape (draw, frequency)."""
+        return self.core_transform(points) * self.halo_factor(points)
+
+    def core_transform(self, points: Array) -> Array:
+        """Transfer function of core, wing and pixel, shape (draw, frequency)."""
+        return self.add_wing(self.blur_transform(points), points) * pixel_of(self.pitch_ratio)
+
+    def add_wing(self, blur: Array, points: Array) -> Array:
+        """Add the core's wing to a blur, shape (draw, frequency)."""
+        if self.core not in WINGS:
+            return blur
+        of = self.at(points)
+        if self.core == "matern":
+            wing = transfer.matern(frequencies(), of["wing_sd"], of["wing_peak"])
+        else:
+            wing = transfer.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
+        return transfer.mix(blur, of["wing_share"], wing)
+
+    def halo_factor(self, points: Array) -> Array:
+        """Factor of the halo on the core's transfer function, shape (draw, frequency), or 1."""
+        halo = self.halo_transform(points)
+        if halo is None:
+            return np.ones((1, 1))
+        return transfer.mix(1.0, self.at(points)["halo_fraction"], halo)
+
+    def blur_transform(self, points: Array) -> Array:
+        """Transfer function of the core without wing and pixel, shape (draw, frequency)."""
+        of = self.at(points)
+        blur = transfer.gaussian(frequencies(), of["core_sd"] ** 2)
+        if self.core == "tube":
+            blur = blur * transfer.tube(frequencies(), of["core_frequency"], of["core_exponent"])
+        return blur
+
+    def halo_transform(self, points: Array) -> Array | None:
+        """Transfer function of the halo alone, shape (draw, frequency); None without a halo."""
+        of = self.at(points)
+        if self.halo == "disc":
+            return transfer.disc(frequencies(), of["halo_diameter"], profile_of(of))
+        return (
+            transfer.gaussian(frequencies(), of["halo_sd"] ** 2)
+            if self.halo == "gaussian"
+            else None
+        )
+
+
+def profile_of(of: Mapping[str, Array]) -> Array:
+    """Return the profile of a disc, shape (draw, fraction), from named parameters."""
+    return np.stack([of[name] for name in transfer.PROFILE], axis=-1)
+
+
+@lru_cache(maxsize=4)
+def pixel_of(pitch_ratio: float) -> Array:
+    """Transfer function of the pixel aperture, shape (frequency,)."""
+    return transfer.pixel(frequencies(), pitch_ratio)
+
+
+def tube_priors(sensor: Sensor | None) -> tuple[ModelParameter, ...]:
+    """Parameters of an image tube's core: as described, or of image tubes in general."""
+    frequency = ModelParameter(
+        name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3
+    )
+    exponent = ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
+    if sensor is None:
+        return frequency, exponent
+    scale = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
+    cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * scale
+    own = replace(exponent, mean=float(sensor.tube.mtf_exponent), sd=0.1)
+    return replace(frequency, mean=cut_off, sd=0.15 * cut_off), own

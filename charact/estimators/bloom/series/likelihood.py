@@ -1,0 +1,388 @@
+"""Likelihood of a ring series under a halo model, with clipping at full scale."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.bloom.series.halo_models import HaloModel
+from charact.estimators.bloom.series.ring_loops import (
+    best_step,
+    lost_at_top,
+    residuals_and_slopes,
+    ring_means,
+    whiten_rings,
+)
+from charact.estimators.bloom.series.rings import HARDLY_CUT, LevelRings, RingNoise
+from charact.estimators.bloom.transfer import onto_nodes
+
+Array = NDArray[np.float64]
+
+# Trial values of the relative model error.
+SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Misfit:
+    """Relative model error of the rings, the same in every model, since cameras are not
+    rotationally symmetric.
+
+    `share`: relative error of rings beyond the core, dimensionless; `core`: relative error of rings
+    near the core, at least that of the others, dimensionless.
+    """
+
+    share: float
+    core: float
+
+    def of_rings(self, radius_px: Array) -> Array:
+        """Return the relative model error of each ring, shape (ring,)."""
+        return np.where(about_core(radius_px), self.core, self.share)
+
+
+def about_core(radius_px: Array) -> NDArray[np.bool_]:
+    """Return which rings are near the core, shape (ring,)."""
+    return radius_px < 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Modes:
+    """Eigenmodes of the relative noise of some rings.
+
+    `variance`: variance of each mode, shape (level, mode); `modes`: shape (level, ring, mode).
+    """
+
+    variance: Array
+    modes: Array
+
+    def log_likelihoods(self, residual: Array) -> Array:
+        """Log-likelihood of relative residuals, (level, ring), for each trial model error, shape
+        (share,).
+        """
+        squares = (self.modes.transpose(0, 2, 1) @ residual[..., None])[..., 0] ** 2
+        total = self.variance + SHARES[:, None, None] ** 2
+        return -0.5 * (squares / total + np.log(total)).sum(axis=(1, 2))
+
+
+def modes_of(covariance: Array) -> Modes:
+    """Decompose a relative covariance, shape (level, ring, ring)."""
+    variance, modes = np.linalg.eigh(covariance)
+    return Modes(variance=np.maximum(variance, 0.0), modes=modes)
+
+
+def most_likely_misfit(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
+    """Return the most likely relative errors near the core and beyond, and the log-likelihood of
+    both.
+
+    `of_core`, `beyond`: log-likelihoods for each trial error, shape (share,).
+    """
+    share = int(np.argmax(beyond))
+    # Few rings near the core, to which the core was fitted, would underestimate the error.
+    core = share + int(np.argmax(of_core[share:]))
+    return Misfit(share=float(SHARES[share]), core=float(SHARES[core])), float(
+        beyond[share] + of_core[core]
+    )
+
+
+# Distance from full scale, in standard deviations of a pixel, within which noise is clipped.
+NEAR_TOP = 5.0
+# Minimum signal of a ring for its relative error, DN.
+LEAST_LIGHT_DN = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class RingSeries:
+    """Ring means of all stacks of one source.
+
+    `labels`: labels of the stacks; `data`: ring means, shape (level, ring), DN; `cut`: rings with
+    samples at full scale, shape (level, ring); `own_covariance`: covariance of the ring means due
+    to noise alone, shape (level, ring, ring), DN^2; `node_sd`: standard deviation of a pixel at
+    every node, shape (level, node), DN; `sector_sd`: root mean square deviation of sectors from
+    their ring, shape (level, ring), DN; `averages`: matrix from signal at the nodes to ring means,
+    shape (level, ring, node); `node_px`, `radius_px`: radii of the nodes and of the rings, column
+    pitches; `full_dn`: full scale, DN.
+    """
+
+    labels: tuple[str, ...]
+    data: Array
+    cut: NDArray[np.bool_]
+    own_covariance: Array
+    node_sd: Array
+    sector_sd: Array
+    averages: Array
+    node_px: Array
+    radius_px: Array
+    full_dn: float
+
+    @cached_property
+    def light(self) -> Array:
+        """Signal of each ring above the outermost rings of its stack, shape (level, ring), DN."""
+        return np.abs(self.data - np.median(self.data[:, -6:], axis=1, keepdims=True))
+
+    def covariance(self, misfit: Misfit) -> Array:
+        """Covariance of the ring means with a relative model error, shape (level, ring, ring),
+        DN^2.
+        """
+        out = self.own_covariance.copy()
+        ring = np.arange(out.shape[1])
+        out[:, ring, ring] += (
+            misfit.of_rings(self.radius_px) * np.maximum(self.light, LEAST_LIGHT_DN)
+        ) ** 2
+        return out
+
+    @cached_property
+    def own_modes(self) -> tuple[Modes, Modes]:
+        """Eigenmodes of the relative noise of the rings near the core, and of those beyond."""
+        light = np.maximum(self.light, LEAST_LIGHT_DN)
+        relative = self.own_covariance / (light[:, :, None] * light[:, None, :])
+        near = about_core(self.radius_px)
+        return modes_of(relative[:, near][:, :, near]), modes_of(relative[:, ~near][:, :, ~near])
+
+    @cached_property
+    def parts_of_rings(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """First node with a weight in each ring, and the one after the last, shape (level,
+        ring).
+        """
+        has = self.averages != 0
+        return has.argmax(axis=2), has.shape[2] - has[..., ::-1].argmax(axis=2)
+
+    def ring_means(self, light: Array) -> Array:
+        """Average values at the nodes over rings, shape (level, ring, column)."""
+        return ring_means(np.ascontiguousarray(light), self.averages, *self.parts_of_rings)
+
+    @cached_property
+    def onto_nodes(self) -> Array:
+        """Matrix from transfer functions to signal at the nodes, shape (frequency, node)."""
+        return onto_nodes(self.node_px)
+
+
+PER_LEVEL = ("data", "cut", "own_covariance", "node_sd", "sector_sd", "averages")
+
+
+def select_levels(series: RingSeries, which: NDArray[np.bool_]) -> RingSeries:
+    """Return some stacks of a series."""
+    labels = tuple(label for label, one in zip(series.labels, which, strict=True) if one)
+    return replace(
+        series, labels=labels, **{name: getattr(series, name)[which] for name in PER_LEVEL}
+    )
+
+
+def series_of(
+    levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: float, rings: int
+) -> RingSeries:
+    """Combine the innermost rings of all stacks into a series."""
+    within = {id(level.geometry): level.geometry.within(rings) for level in levels}
+    geometries = [within[id(level.geometry)] for level in levels]
+    first = geometries[0]
+    data = np.array([level.mean_dn[:rings] for level in levels])
+    covariances = [
+        noise.covariance(one, of.count, level.frames) + np.diag(np.where(of.lost, 1e5**2, 0.0))
+        for one, level, of in zip(data, levels, geometries, strict=True)
+    ]
+    nodes = np.array([np.interp(first.node_px, first.radius_px, one) for one in data])
+    return RingSeries(
+        labels=tuple(level.label for level in levels),
+        data=data,
+        cut=np.array([level.cut_share[:rings] > HARDLY_CUT for level in levels]),
+        own_covariance=np.array(covariances),
+        node_sd=noise.pixel_sd(nodes),
+        sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
+        averages=np.array([one.averages for one in geometries]),
+        node_px=first.node_px,
+        radius_px=first.radius_px,
+        full_dn=full_dn,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmplitudeSolution:
+    """Optimum amplitudes and residuals of every stack at some points.
+
+    `amplitudes`: source signal, DN px^2, and background, DN, of each stack, shape (level,
+    amplitude, point); `residual`: whitened residuals at the optimum amplitudes, shape (level, ring,
+    point); `slopes`: derivatives of the whitened rings by the amplitudes, shape (amplitude, level,
+    ring, point).
+    """
+
+    amplitudes: Array
+    residual: Array
+    slopes: Array
+
+    @property
+    def chi2(self) -> Array:
+        """Chi squared of every stack, shape (level, point)."""
+        return (self.residual**2).sum(axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelParts:
+    """Model of unit signal at some points, before the amplitudes.
+
+    `straight`: signal at the nodes of a source of one DN px^2, shape (node, point); `white`,
+    `uncut`: its ring means, whitened and weighted by the unclipped rings' precision, shape (level,
+    ring, point).
+    """
+
+    straight: Array
+    white: Array
+    uncut: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeriesLikelihood:
+    """Likelihood of a series under a model.
+
+    `series`, `form`: series and halo model; `misfit`: relative model error of the rings; `steps`:
+    maximum number of steps to the optimum amplitudes.
+    """
+
+    series: RingSeries
+    form: HaloModel
+    misfit: Misfit = Misfit(share=0.02, core=0.02)
+    steps: int = 2
+
+    @cached_property
+    def whitener(self) -> Array:
+        """Whitening matrix of the residuals, shape (level, ring, ring)."""
+        return np.asarray(
+            np.linalg.inv(np.linalg.cholesky(self.series.covariance(self.misfit))), np.float64
+        )
+
+    @cached_property
+    def white_data(self) -> Array:
+        """Whitened ring means, shape (level, ring)."""
+        return (self.whitener @ self.series.data[..., None])[..., 0]
+
+    @cached_property
+    def white_even(self) -> Array:
+        """Whitened ring means of a uniform signal of 1 DN, shape (level, ring)."""
+        return (self.whitener @ self.series.averages.sum(axis=-1)[..., None])[..., 0]
+
+    @cached_property
+    def uncut_data(self) -> Array:
+        """Ring means weighted by the unclipped rings' precision, shape (level, ring)."""
+        return self.uncut_weight * self.series.data
+
+    @cached_property
+    def uncut_even(self) -> Array:
+        """Ring means of a uniform 1 DN weighted by the unclipped rings' precision, shape (level,
+        ring).
+        """
+        return self.uncut_weight * self.series.averages.sum(axis=-1)
+
+    @cached_property
+    def uncut_weight(self) -> Array:
+        """Reciprocal standard error of each unclipped ring, 0 of the others, shape (level, ring),
+        1/DN.
+        """
+        own = np.diagonal(self.series.covariance(self.misfit), axis1=1, axis2=2)
+        return ~self.series.cut / np.sqrt(own)
+
+    def log_probability(self, points: Array) -> Array:
+        """Log-posterior with the optimum amplitudes of every stack, shape (point,)."""
+        prior = self.form.log_prior(points)
+        inside = np.isfinite(prior)
+        out = np.full(len(points), -np.inf)
+        if inside.any():
+            out[inside] = prior[inside] - 0.5 * self.solve_amplitudes(points[inside]).chi2.sum(
+                axis=0
+            )
+        return out
+
+    def parts(self, points: Array) -> ModelParts:
+        """Return the model of unit signal at points."""
+        return ModelParts(
+            **self.straight_parts((self.form.transform(points) @ self.series.onto_nodes).T)
+        )
+
+    def straight_parts(self, straight: Array) -> dict[str, Array]:
+        """Average signal at the nodes, shape (node, point), over rings."""
+        rings = self.series.ring_means(
+            np.broadcast_to(straight, (len(self.series.labels), *straight.shape))
+        )
+        white, uncut = whiten_rings(rings, self.whitener), self.uncut_weight[..., None] * rings
+        return {"straight": straight, "white": white, "uncut": uncut}
+
+    def solve_amplitudes(self, points: Array) -> AmplitudeSolution:
+        """Find the optimum amplitudes of all stacks at points."""
+        return self.solve_amplitudes_of(self.parts(points))
+
+    def solve_amplitudes_of(self, parts: ModelParts) -> AmplitudeSolution:
+        """Find the optimum amplitudes of all stacks for given model parts."""
+        amplitudes = self._of_uncut_rings(parts.uncut)
+        residual, slopes = self.whiten(parts, amplitudes)
+        for _ in range(self.steps):
+            step, promise = best_step(slopes[0], slopes[1], residual)
+            if promise < 1e-4:
+                break
+            amplitudes = amplitudes + step
+            residual, slopes = self.whiten(parts, amplitudes)
+        return AmplitudeSolution(amplitudes=amplitudes, residual=residual, slopes=slopes)
+
+    def _of_uncut_rings(self, uncut: Array) -> Array:
+        """Initial amplitudes from the unclipped rings, correlations neglected."""
+        even, data = (
+            np.broadcast_to(one[..., None], uncut.shape)
+            for one in (self.uncut_even, self.uncut_data)
+        )
+        return best_step(uncut, even, data)[0]
+
+    def whiten(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
+        """Whitened residuals, shape (level, ring, point), and their slopes, (amplitude, level,
+        ring, point).
+        """
+        lost = self.lost(parts, amplitudes)
+        levels, nodes, parts_lost, points = lost.shape
+        of_rings = self.series.ring_means(lost.reshape(levels, nodes, parts_lost * points))
+        lost = of_rings.reshape(levels, of_rings.shape[1], parts_lost, points)
+        return residuals_and_slopes(
+            parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener
+        )
+
+    def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
+        """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point).
+
+        The nodes end beyond the last clipped one.
+        """
+        return lost_at_top(
+            parts.straight, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP
+        )
+
+    def light(self, parts: ModelParts, amplitudes: Array) -> Array:
+        """Signal at the nodes, shape (level, node, point), DN."""
+        return parts.straight * amplitudes[:, :1] + amplitudes[:, 1:]
+
+    def read(self, light_dn: Array, sd_dn: Array) -> tuple[Array, Array]:
+        """Mean grey value and its slope at nodes, shape (level, node, point)."""
+        from scipy.special import ndtr
+
+        full = self.series.full_dn
+        z = (full - light_dn) / sd_dn[..., None]
+        read, slope = np.minimum(light_dn, full), (z > 0).astype(float)
+        near = np.abs(z) < NEAR_TOP
+        if near.any():
+            at, sd = z[near], np.broadcast_to(sd_dn[..., None], z.shape)[near]
+            below = ndtr(at)
+            slope[near] = below
+            read[near] = full - sd * (at * below + np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi))
+        return read, slope
+
+    def rings(self, points: Array) -> Array:
+        """Expected ring means with clipping, shape (level, ring, point), DN."""
+        return self.series.averages @ self.read(self.light_at(points), self.series.node_sd)[0]
+
+    def light_at(self, points: Array) -> Array:
+        """Signal at the nodes with optimum amplitudes, shape (level, node, point), DN."""
+        parts = self.parts(points)
+        return self.light(parts, self.solve_amplitudes_of(parts).amplitudes)
+
+    def likeliest_misfit(self, point: Array) -> tuple[Misfit, float]:
+        """Return the most likely relative model errors at a point, and the log-likelihood."""
+        light = np.maximum(self.series.light, LEAST_LIGHT_DN)
+        residual = (self.series.data - self.rings(point[None])[..., 0]) / light
+        near = about_core(self.series.radius_px)
+        core, beyond = self.series.own_modes
+        misfit, value = most_likely_misfit(
+            core.log_likelihoods(residual[:, near]), beyond.log_likelihoods(residual[:, ~near])
+        )
+        return misfit, value - float(np.log(light).sum())

@@ -1,0 +1,285 @@
+"""Selection of the halo model by the Bayesian information criterion, and acceptance of its halo."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.bloom.series.halo_models import (
+    CORES,
+    CORES_OF_TUBES,
+    LEAST_DIAMETER_PX,
+    WINGS,
+    Core,
+    Halo,
+    HaloModel,
+)
+from charact.estimators.bloom.series.likelihood import RingSeries, SeriesLikelihood, select_levels
+from charact.estimators.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
+from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
+from charact.estimators.bloom.series.rings import SECTORS
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+# Steps of a first optimisation.
+FIRST_STEPS = 20
+# Number of parameters of a disc.
+HALO = 6
+# Excess in the criterion over the best model above which a model is not fitted further.
+WORTHWHILE = 400.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedHaloModel:
+    """Halo model at its optimum.
+
+    `problem`: likelihood of the series under the model, with its relative model error; `peak`:
+    optimum; `log_likelihood`: log-likelihood of the rings at the optimum, in DN; `bic`: -2 log L +
+    k ln N.
+    """
+
+    problem: SeriesLikelihood
+    peak: SeriesOptimum
+    log_likelihood: float
+    bic: float
+
+    @property
+    def form(self) -> HaloModel:
+        """The halo model."""
+        return self.problem.form
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        halo = {"none": "no halo", "disc": "disc", "gaussian": "Gaussian halo"}[self.form.halo]
+        return f"{self.form.core} core, {halo}" + (
+            ", saturating MCP" if isinstance(self.form, SaturatingHaloModel) else ""
+        )
+
+
+def candidates(
+    series: RingSeries,
+    *,
+    pitch_ratio: float,
+    sensor: Sensor | None,
+    has_tube: bool,
+    first_diameter_px: float,
+) -> list[FittedHaloModel]:
+    """Fit all models and return them in order of the information criterion.
+
+    `series`: ring means of all levels; `pitch_ratio`, `sensor`: row pitch over column pitch; sensor
+    description, None if unknown; `has_tube`: whether the camera has a tube, whose MCP may saturate;
+    `first_diameter_px`: diameter of the clearest step of the rings; NaN where there is none.
+    """
+    reach = float(series.radius_px[-1])
+
+    def form(core: Core, halo: Halo) -> HaloModel:
+        return HaloModel(
+            core=core, halo=halo, reach_px=reach, pitch_ratio=pitch_ratio, sensor=sensor
+        )
+
+    out: list[FittedHaloModel] = []
+    for core in CORES_OF_TUBES if has_tube else CORES:
+        bare = fit_model(series, form(core, "none"), [])
+        found = [one for one in out if one.form.halo == "disc"]
+        out += [
+            bare,
+            fit_model(
+                series,
+                form(core, "disc"),
+                _discs(form(core, "disc"), first_diameter_px, bare, found),
+            ),
+        ]
+    likeliest = min(out, key=lambda one: one.bic)
+    out.append(fit_model(series, form(likeliest.form.core, "gaussian"), []))
+    least = min(one.bic for one in out)
+    out = [
+        refit_from_other_profiles(one)
+        if one.form.halo == "disc" and one.bic < least + WORTHWHILE
+        else one
+        for one in out
+    ]
+    out = sorted(
+        (refit_with_misfit(one) if one.bic < least + WORTHWHILE else one for one in out),
+        key=lambda one: one.bic,
+    )
+    if not has_tube:
+        return out
+    # Saturation changes which core fits best, so that each core is tried with it; a described
+    # tube's core is known.
+    near = [one for one in reversed(out) if one.bic < least + WORTHWHILE]
+    cores = {one.form.core: one for one in near if sensor is None or one.form.core == "tube"}
+    tiring = [found for one in cores.values() for found in _saturating_candidates(one, out[0].bic)]
+    return sorted([*out, *tiring], key=lambda one: one.bic)
+
+
+def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHaloModel]:
+    """Fit a core's best model with a saturating MCP, where several stacks can constrain it.
+
+    It must be clearly better than any model without saturation. If the core is clipped in every
+    stack, only its wings are visible, and saturation would compensate errors of their model.
+    """
+    series = best.problem.series
+    if best.form.halo != "disc" or len(series.labels) < 3 or series.cut[:, 0].all():
+        return []
+    found = fit_mcp_saturation(best.problem, best.peak)
+    first = _candidate(*found) if found else best
+    fitted_on = [refit_with_misfit(first)] if first.bic < best.bic else []
+    return [one for one in fitted_on if one.bic < least - 15.0]
+
+
+def _discs(
+    form: HaloModel, first_diameter_px: float, bare: FittedHaloModel, found: list[FittedHaloModel]
+) -> list[Array]:
+    """Start points of a disc: those of other cores, the observed step, and a range of diameters.
+
+    A wing fitted without a halo takes the halo's place, so that wings also start with a Gaussian
+    core and its disc.
+    """
+    low, high = form.bounds[form.names.index("halo_diameter")]
+    diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, 24)
+    if np.isfinite(first_diameter_px):
+        diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
+    halos = [
+        *(one.peak.point[-HALO:] for one in found),
+        *([diameter, *(0.3, 0.3, 0.0, 0.0, 0.08)] for diameter in diameters),
+    ]
+    cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
+    out = [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
+    if form.core in WINGS:
+        plain = found[0].peak.point
+        out.append(np.array([plain[0], *cores[1][1:], *plain[-HALO:]]))
+    return out
+
+
+def fit_model(series: RingSeries, form: HaloModel, starts: list[Array]) -> FittedHaloModel:
+    """Fit one model from the best of its starts, with a small relative model error."""
+    problem = SeriesLikelihood(series=series, form=form)
+    tried = np.array(starts or [form.first])
+    order = np.argsort(problem.log_probability(tried))[::-1][:2]
+    peaks = [optimise(problem, tried[one], iterations=FIRST_STEPS, tolerance=0.2) for one in order]
+    return _candidate(problem, max(peaks, key=lambda one: one.log_probability))
+
+
+def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
+    """Fit again from other halo profiles, with the fitted and the initial core."""
+    form, point = candidate.form, candidate.peak.point
+    at, core = form.names.index("elastic_share"), len(point) - HALO
+    starts = [point]
+    for share in (0.15, 0.6):
+        for first in (point[:core], form.first[:core]):
+            start = np.concatenate([first, point[core:]])
+            start[at] = share
+            starts.append(start)
+    as_it_is, *peaks = [
+        optimise(candidate.problem, start, iterations=FIRST_STEPS, tolerance=0.2)
+        for start in starts
+    ]
+    best = max(peaks, key=lambda one: one.log_probability)
+    return (
+        _candidate(candidate.problem, best)
+        if best.log_probability > as_it_is.log_probability + 1.0
+        else candidate
+    )
+
+
+def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:
+    """Fit a model again with its estimated relative model error."""
+    for _ in range(2):
+        peak = optimise(candidate.problem, candidate.peak.point)
+        candidate = _candidate(candidate.problem, peak)
+    return replace(
+        candidate, peak=optimise(candidate.problem, candidate.peak.point, tolerance=1e-4)
+    )
+
+
+def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloModel:
+    misfit, value = problem.likeliest_misfit(peak.point)
+    off = replace(problem, misfit=misfit)
+    count = len(problem.form.names) + 2 * len(problem.series.data) + 2
+    bic = -2.0 * value + count * float(np.log(problem.series.data.size))
+    return FittedHaloModel(problem=off, peak=peak, log_likelihood=value, bic=bic)
+
+
+# Relative model error above which the model is rejected.
+MISFIT_SHARE = 0.12
+# Consecutive rings with asymmetric sectors that reveal another source.
+UNEVEN_RINGS = 3
+
+
+def halo_refusal_reason(found: list[FittedHaloModel]) -> str | None:
+    """Refusal reason of the halo; None where it is accepted."""
+    best = found[0]
+    if best.form.halo != "disc":
+        return f"the data favour a {best.name}: no halo with an edge is visible"
+    rival = min((one for one in found if one.form.halo != "disc"), key=lambda one: one.bic)
+    if rival.bic - best.bic < 15.0:
+        return (
+            f"the data fit a {rival.name} nearly as well as a halo with an edge: no halo is "
+            f"reported"
+        )
+    return (
+        None
+        if edge_is_tied(best)
+        else "no halo edge: discs of clearly different diameters fit equally well"
+    )
+
+
+def edge_is_tied(best: FittedHaloModel) -> bool:
+    """Whether other diameters are clearly less probable with all other parameters free."""
+    problem, at = best.problem, best.form.names.index("halo_diameter")
+    low, high = best.form.bounds[at]
+    for factor in (0.8, 1.25):
+        start = best.peak.point.copy()
+        start[at] = np.clip(factor * start[at], low, high)
+        other = optimise(problem, start, held=(at,), iterations=8)
+        if best.peak.log_probability - other.log_probability < 12.5:
+            return False
+    return True
+
+
+def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
+    """Diameter and standard error from each stack alone, with common core and profile, and their
+    significance.
+
+    Returns shape (level,) each; NaN for a stack without visible halo.
+    """
+    names = best.form.names
+    held = tuple(
+        i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction")
+    )
+    at, share = names.index("halo_diameter"), names.index("halo_fraction")
+    number = np.arange(len(best.problem.series.data))
+    out = np.full((3, len(number)), np.nan)
+    for one in number:
+        alone = replace(best.problem, series=select_levels(best.problem.series, number == one))
+        seen = _significance(alone, best.peak.point, share)
+        out[2, one] = seen
+        if seen > 8.0:
+            peak = optimise(alone, best.peak.point, held=held, iterations=6)
+            free = [i for i in range(len(names)) if i not in held]
+            covariance = np.linalg.pinv(peak.normal[np.ix_(free, free)])
+            out[0, one], out[1, one] = (
+                peak.point[at],
+                np.sqrt(max(covariance[free.index(at), free.index(at)], 0.0)),
+            )
+    return out[0], out[1], out[2]
+
+
+def _significance(alone: SeriesLikelihood, point: Array, share: int) -> float:
+    """Square root of twice the loss in log-probability of a stack without halo."""
+    bare = point.copy()
+    bare[share] = alone.form.bounds[share, 0]
+    with_halo, without = alone.log_probability(np.array([point, bare]))
+    return float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
+
+
+def is_uneven(series: RingSeries) -> bool:
+    """Whether rings of a stack are asymmetric: two sources, a tail, a border."""
+    variance = SECTORS * np.diagonal(series.own_covariance, axis1=1, axis2=2)
+    excess = np.maximum(series.sector_sd**2 - variance, 0.0)
+    clear = (excess > 4.0**2 * variance) & (excess > (0.5 * series.light) ** 2)
+    clear &= ~series.cut & (series.radius_px > 6.0)
+    on_end = np.array([np.convolve(one, np.ones(UNEVEN_RINGS)) for one in clear])
+    return bool(on_end.max() >= UNEVEN_RINGS)

@@ -1,0 +1,95 @@
+"""Optimum of a series' likelihood by bounded least squares, with the amplitudes of every stack
+projected out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.bloom.series.likelihood import SeriesLikelihood
+from charact.inference.least_squares import least_squares, linearise_residual
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeriesOptimum:
+    """Result of an optimisation: point, half the curvature and the range of its parameters, and
+    log-probability.
+    """
+
+    point: Array
+    normal: Array
+    width: Array
+    log_probability: float
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the parameters; an undetermined one has the variance of its flat prior."""
+        normal = self.normal + np.diag(12.0 / self.width**2)
+        scale = np.sqrt(np.diag(normal))
+        return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+
+
+def optimise(
+    problem: SeriesLikelihood,
+    start: Array,
+    *,
+    held: tuple[int, ...] = (),
+    iterations: int = 50,
+    tolerance: float = 1e-2,
+) -> SeriesOptimum:
+    """Find the optimum near a start; parameters `held` stay fixed."""
+    bounds = problem.form.bounds.copy()
+    for one in held:
+        bounds[one] = start[one]
+    mean, sd = (
+        np.array([getattr(one, name) for one in problem.form.parameters]) for name in ("mean", "sd")
+    )
+
+    def linearise(point: Array):
+        residual, slopes = whitened(problem, point)
+        return linearise_residual(residual, slopes.T, mean - point, sd**-2.0)
+
+    found = least_squares(
+        linearise,
+        start,
+        bounds,
+        iterations=iterations,
+        tolerance=tolerance,
+        damping=1e-2,
+        max_step=1.0,
+    )
+    width = np.ptp(problem.form.bounds, axis=1)
+    return SeriesOptimum(
+        point=found.point, normal=found.at.normal, width=width, log_probability=-0.5 * found.at.cost
+    )
+
+
+def whitened(problem: SeriesLikelihood, point: Array) -> tuple[Array, Array]:
+    """Whitened residuals of the rings, shape (datum,), and the model's Jacobian, shape (datum,
+    parameter).
+
+    Amplitudes stay at their optimum while a parameter moves; their effect is projected out
+    afterwards (variable projection, Kaufman 1975, doi 10.1007/BF01932995).
+    """
+    solved = problem.solve_amplitudes(point[None])
+    low, high = problem.form.bounds.T
+    step = 1e-5 * (high - low)
+    step = np.where(point + step > high, -step, step)
+    there, _ = problem.whiten(
+        problem.parts(point + np.diag(step)), np.repeat(solved.amplitudes, len(point), axis=2)
+    )
+    fall = (solved.residual - there) / step
+    first, second = solved.slopes
+    for one in (
+        first,
+        second - first * (first * second).sum(axis=1, keepdims=True) / _square(first),
+    ):
+        fall = fall - one * (one * fall).sum(axis=1, keepdims=True) / _square(one)
+    return solved.residual.ravel(), fall.reshape(-1, len(point))
+
+
+def _square(of: Array) -> Array:
+    return (of**2).sum(axis=1, keepdims=True) + 1e-300

@@ -1,0 +1,443 @@
+"""Measurements of a fitted series: halo, encircled energy, glare and MCP saturation."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact import robust
+from charact.estimators.bloom import transfer
+from charact.estimators.bloom.point_stack import PointStack
+from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of, profile_of
+from charact.estimators.bloom.series.likelihood import AmplitudeSolution
+from charact.estimators.bloom.series.mcp_saturation import SaturatingSeriesLikelihood
+from charact.estimators.bloom.series.model_selection import FittedHaloModel
+from charact.estimators.bloom.transfer import onto_nodes
+from charact.inference.diagnostics import crowds_at_bound
+from labdata.flags import Finding
+from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
+
+Array = NDArray[np.float64]
+
+REMEDY = "a target that is opaque around its pinhole, or a series with the pinhole covered"
+
+
+def find_leak(
+    group: tuple[PointStack, ...],
+    light: Array,
+    reach_px: float,
+    area_px2: float,
+    near: tuple[float, float],
+) -> list[Finding]:
+    """Return a finding where the background near the source rises faster with its signal than far
+    from it.
+
+    `group`: stacks of one source; `light`: source signal of each stack, DN px^2, shape (level,);
+    `reach_px`: radius of the fitted background around the source, column pitches; `area_px2`: area
+    of the frame, column pitches squared; `near`: uniformly spread light over the source signal from
+    that background, and its standard error.
+    """
+    seen = [_far(one, reach_px) for one in group]
+    if any(one is None for one in seen):
+        return []
+    level, sd = np.array(seen, float).T
+    far = glare(light, level, sd, area_px2)
+    if far is None or abs(near[0] - far[0]) < 4.0 * float(np.hypot(near[1], far[1])):
+        return []
+    if abs(near[0] - far[0]) < 0.3 * max(near[0], far[0]):
+        return []
+    near_percent, far_percent = (
+        100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (near[0], far[0])
+    )
+    effect = (
+        f"veiling_glare is {near_percent:.2g} % by the background within {reach_px:.0f} px of the "
+        f"source, {far_percent:.2g} % by that beyond"
+    )
+    return [Finding(flag="model-misfit", effect=effect, remedy=REMEDY)]
+
+
+def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
+    """Return the median of the pixels far from all sources and its standard error, DN; None with
+    too few pixels.
+    """
+    rows, cols = np.ogrid[: spot.image.shape[0], : spot.image.shape[1]]
+    far = np.hypot((rows - spot.row) * spot.row_pitch, cols - spot.col) > reach_px
+    for other in spot.others:
+        far &= np.hypot((rows - other.row) * spot.row_pitch, cols - other.col) > 40.0
+    values = spot.image[far]
+    if values.size < 200:
+        return None
+    median = float(np.median(values))
+    spread = robust.robust_sd(values)
+    # Pulse noise is correlated: a quarter of the pixels counts. A median has 1.25 times the error
+    # of a mean.
+    return median, max(1.2533 * 2.0 * spread / float(np.sqrt(values.size)), 1e-6)
+
+
+RIM = (0.75, 1.1)
+STEP_PX = 0.1
+
+
+def halo_of(form: HaloModel, points: Array) -> tuple[Array, Array]:
+    """Return plateau and rim of a disc at draws of its parameters, shape (draw,) each.
+
+    Plateau: mean light between 0.3 and 0.7 of the radius over the source's total light, 1/px^2;
+    rim: maximum light of the rim, blurred by the core without its wing, over the plateau.
+    """
+    of = form.at(points)
+    radius, profile = of["halo_diameter"] / 2.0, profile_of(of)
+    inner, outer = (0.3, 0.7)
+    within = _within(outer) - _within(inner)
+    share = profile @ within[:-1] + (1.0 - profile.sum(axis=1)) * within[-1]
+    per_px2 = share / (np.pi * radius**2 * (outer**2 - inner**2))
+    at = np.arange(RIM[0] * radius.min(), RIM[1] * radius.max(), 0.2)
+    halo = form.halo_transform(points)
+    assert halo is not None
+    light = (form.blur_transform(points) * pixel_of(form.pitch_ratio) * halo) @ onto_nodes(at)
+    near = (at > RIM[0] * radius[:, None]) & (at < RIM[1] * radius[:, None])
+    rim = np.where(near, light, -np.inf).max(axis=1)
+    return of["halo_fraction"] * per_px2, rim / per_px2
+
+
+def _within(x: float) -> Array:
+    """Fractions of the light within x of the disc's radius for each density of `transfer.PROFILE`
+    and a flat one.
+    """
+    root = float(np.sqrt(1.0 - x**2))
+    return np.array([1.0 - root, x * np.arccos(x) - root + 1.0, x**4, x**14, x**2])
+
+
+def energy_radii(
+    form: HaloModel, points: Array, shares: tuple[float, ...], reach_px: float
+) -> Array:
+    """Return radii that contain fractions of a point's light, shape (draw, share), px; NaN beyond
+    the reach.
+    """
+    at = np.arange(STEP_PX / 2, reach_px, STEP_PX)
+    light = form.transform(points) @ onto_nodes(at)
+    within = np.cumsum(light * 2.0 * np.pi * at * STEP_PX, axis=1)
+    edges = at + STEP_PX / 2
+    # Ringing of the transform may give small negative light: radii need an increasing sum.
+    rising = np.maximum.accumulate(within, axis=1)
+    out = [[np.interp(share, one, edges, right=np.nan) for share in shares] for one in rising]
+    return np.array(out)
+
+
+def glare(
+    light: Array, background_dn: Array, sd_dn: Array, area_px2: float
+) -> tuple[float, float] | None:
+    """Ratio of uniformly spread light to the source's signal, and its standard error.
+
+    `light`: source signal of each stack, DN px^2, shape (level,); `background_dn`, `sd_dn`:
+    background of each stack and its standard error, shape (level,); `area_px2`: area of the frame,
+    column pitches squared. Returns ratio and standard error, widened by excess scatter of the
+    stacks; None with fewer than three stacks.
+    """
+    if len(light) < 3:
+        return None
+    design = np.stack([np.ones_like(light), light / light.max()], axis=1) / sd_dn[:, None]
+    covariance = np.linalg.inv(design.T @ design)
+    best = covariance @ design.T @ (background_dn / sd_dn)
+    chi2 = float(((background_dn / sd_dn - design @ best) ** 2).sum()) / (len(light) - 2)
+    per_light = float(best[1]) / float(light.max()) * area_px2
+    sd = float(np.sqrt(covariance[1, 1] * max(chi2, 1.0))) / float(light.max()) * area_px2
+    return per_light, sd
+
+
+OF_THE_HALO = (
+    ("halo_diameter", "px"),
+    ("halo_fraction", "1"),
+    ("halo_plateau", "1/px2"),
+    ("halo_rim", "1"),
+)
+# Relative model error of a quantity: a constant, and multiples of the relative model errors beyond
+# the core and near it. The constant is calibrated on closed-form series with wings, the others on
+# simulated cameras: near the core all stacks have the same error, which does not average out.
+LEFT_OUT = {
+    "halo_fraction": (0.012, 3.0, 0.7),
+    "halo_plateau": (0.012, 3.0, 0.7),
+    "halo_rim": (0.013, 1.0, 0.0),
+    "encircled_radius_50": (0.006, 1.0, 0.3),
+    "encircled_radius_90": (0.015, 1.0, 1.0),
+    "veiling_glare": (0.05, 3.0, 0.7),
+    "mcp_saturation_density": (0.03, 6.0, 0.7),
+}
+LEAKS = "light that leaks through the target around its pinhole counts as glare"
+# Draws of derived quantities.
+DERIVED = 400
+
+
+def nearest_px(group: tuple[PointStack, ...]) -> float:
+    """Distance of the nearest other source in any stack, column pitches; inf where there is
+    none.
+    """
+    pairs = ((one, other) for one in group for other in one.others)
+    away = (
+        float(np.hypot((two.row - one.row) * one.row_pitch, two.col - one.col))
+        for one, two in pairs
+    )
+    return min(away, default=np.inf)
+
+
+def several_flag(group: tuple[PointStack, ...]) -> tuple[str, ...]:
+    """Flag of quantities that another source's light affects."""
+    return ("several-targets",) if np.isfinite(nearest_px(group)) else ()
+
+
+def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
+    """Chi squared of the stacks' own diameters about their mean, and its degrees of freedom.
+
+    All stacks have the core and profile of the optimum, so that the median of a skewed posterior is
+    not their mean.
+    """
+    seen = np.isfinite(own[0])
+    sd = np.maximum(own[1][seen], 0.1)
+    mean = np.sum(own[0][seen] / sd**2) / max(float(np.sum(sd**-2.0)), 1e-300)
+    return float(np.sum(((own[0][seen] - mean) / sd) ** 2)), max(int(seen.sum()) - 1, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedSeries:
+    """Series with its models in order of likelihood, and what all its measurements have in common.
+
+    `reason`: why no halo is reported, or None; `posterior`: draws of the best model's parameters;
+    `own`: each stack's own diameter, its error and significance, None without a halo; `group`: the
+    stacks; `flags`, `notes`, `fields`: of its measurements.
+    """
+
+    forms: list[FittedHaloModel]
+    reason: str | None
+    posterior: Posterior
+    own: tuple[Array, Array, Array] | None
+    group: tuple[PointStack, ...]
+    flags: tuple[str, ...]
+    notes: tuple[str, ...]
+    fields: dict[str, Any]
+
+    @property
+    def best(self) -> FittedHaloModel:
+        """The selected model."""
+        return self.forms[0]
+
+    @property
+    def light_flags(self) -> tuple[str, ...]:
+        """Flags of quantities that another source's light affects."""
+        return self.flags + several_flag(self.group)
+
+
+def halo_measurements(fit: FittedSeries) -> list[Measurement]:
+    """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the
+    diameter's interval.
+
+    Light of another source contaminates the rings, but not the position of the edge.
+    """
+    best, posterior, own, group, flags = fit.best, fit.posterior, fit.own, fit.group, fit.flags
+    assert own is not None
+    several = several_flag(group)
+    middle = float(np.median(posterior["halo_diameter"]))
+    apart, freedom = levels_apart(own)
+    wider = np.sqrt(max(1.0, apart / freedom)) if freedom else 1.0
+    wider = wider * _noise_unknown(group, len(posterior.draws), posterior.seed)
+    draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
+    if nearest_px(group) < middle:
+        rng = np.random.default_rng([posterior.seed or 0, 1])
+        draws["halo_diameter"] += 0.005 * middle * rng.standard_normal(len(posterior.draws))
+    draws["halo_diameter"] += _form_unknown(posterior, middle)
+    plateau, rim = halo_of(best.form, posterior.draws[:DERIVED])
+    of_light = {
+        "halo_fraction": posterior["halo_fraction"],
+        "halo_plateau": plateau,
+        "halo_rim": rim,
+    }
+    draws |= {
+        name: one * _model_error_factors(best, name, len(one), posterior)
+        for name, one in of_light.items()
+    }
+    blind = () if shows_core(best, posterior) else ("prior-bound",)
+    flags_of = {
+        "halo_diameter": flags,
+        "halo_fraction": flags + several + blind,
+        "halo_plateau": flags + several + blind,
+        "halo_rim": flags + several,
+    }
+    return [
+        measurement_from_draws(
+            quantity,
+            unit,
+            draws[quantity],
+            flags=flags_of[quantity],
+            notes=fit.notes,
+            posterior=posterior,
+            **fit.fields,
+        )
+        for quantity, unit in OF_THE_HALO
+    ]
+
+
+def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
+    """Errors of a diameter due to the unknown rim width and disc model, px, shape (draw,)."""
+    profile = np.stack([posterior[name] for name in transfer.PROFILE], axis=1)
+    elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
+    rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
+    sd = np.hypot(0.004 * rimmed * diameter_px, 0.05)
+    return sd * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
+
+
+def _noise_unknown(group: tuple[PointStack, ...], draws: int, seed: int | None) -> Array:
+    """Factors for the uncertainty of a noise estimate from few frames (Student's), shape
+    (draw,).
+    """
+    freedom = max(min(one.frames for one in group) - 1, 3)
+    return np.sqrt(freedom / np.random.default_rng(seed).chisquare(freedom, draws))
+
+
+def _model_error_factors(
+    best: FittedHaloModel, quantity: str, draws: int, posterior: Posterior
+) -> Array:
+    """Factors for the model error of a quantity, general and by rotational asymmetry."""
+    of_any, beyond, of_core = LEFT_OUT[quantity]
+    misfit = best.problem.misfit
+    sd = np.linalg.norm([of_any, beyond * misfit.share, of_core * misfit.core])
+    return np.exp(sd * np.random.default_rng(posterior.seed).standard_normal(draws))
+
+
+def shows_core(best: FittedHaloModel, posterior: Posterior) -> bool:
+    """Whether the source's total signal is known; unknown where every core is clipped."""
+    if best.form.halo == "none":
+        return True
+    share = best.form.names.index("halo_fraction")
+    bounds = best.form.bounds[[share]]
+    pressed = np.abs(bounds - best.peak.point[share]).min() < 1e-3 * np.ptp(bounds)
+    return not pressed and not crowds_at_bound(posterior.draws[:, [share]], bounds).any()
+
+
+def energy_radius_measurements(fit: FittedSeries) -> list[Measurement]:
+    """Return the radii that contain 50 and 90 % of the signal."""
+    best, posterior, flags = fit.best, fit.posterior, fit.light_flags
+    reach = float(best.problem.series.radius_px[-1])
+    radii = energy_radii(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
+    flags = flags if shows_core(best, posterior) else (*flags, "prior-bound")
+    out = []
+    for quantity, draws in zip(
+        ("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True
+    ):
+        if np.isnan(draws).any():
+            reason = f"part of this light lies beyond the {reach:.0f} px analysed around the source"
+            out.append(make_refusal(quantity, "px", reason, **fit.fields))
+        else:
+            draws = draws * _model_error_factors(best, quantity, len(draws), posterior)
+            out.append(
+                measurement_from_draws(
+                    quantity, "px", draws, flags=flags, notes=fit.notes, **fit.fields
+                )
+            )
+    return out
+
+
+def glare_measurements(fit: FittedSeries) -> list[Measurement]:
+    """Return the veiling glare, from the backgrounds of all stacks."""
+    best, posterior, group = fit.best, fit.posterior, fit.group
+    settings = {
+        (one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control)
+        for one in group
+    }
+    if len(settings) > 1:
+        return [
+            make_refusal(
+                "veiling_glare", "%", "the stacks were taken at different gains", **fit.fields
+            )
+        ]
+    solved = best.problem.solve_amplitudes(posterior.draws[:200])
+    rows, cols = group[0].image.shape
+    area = rows * cols * best.form.pitch_ratio
+    sd = _background_sd(solved)
+    found = [
+        glare(light, background, error, area)
+        for light, background, error in zip(
+            solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True
+        )
+    ]
+    known = np.array([one for one in found if one is not None])
+    if not len(known):
+        return [
+            make_refusal(
+                "veiling_glare",
+                "%",
+                "the backgrounds of at least three stacks are needed",
+                **fit.fields,
+            )
+        ]
+    rng = np.random.default_rng([posterior.seed, 1])
+    ratio = known[:, 0] + known[:, 1] * rng.standard_normal(len(known))
+    ratio = ratio * _model_error_factors(best, "veiling_glare", len(ratio), posterior)
+    draws = 100.0 * ratio / (1.0 + np.maximum(ratio, 0.0))
+    reach = float(best.problem.series.radius_px[-1])
+    light = np.median(solved.amplitudes[:, 0], axis=1)
+    near = (float(np.median(ratio)), float(np.hypot(ratio.std(), np.median(known[:, 1]))))
+    number = measurement_from_draws(
+        "veiling_glare", "%", draws, flags=fit.light_flags, notes=(*fit.notes, LEAKS), **fit.fields
+    )
+    return [number.with_(findings=find_leak(group, light, reach, area, near))]
+
+
+def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
+    """Return the signal density at half MCP gain, and each stack's core compression.
+
+    The densities of different core models differ by factors; their distance is a systematic
+    uncertainty.
+    """
+    best, posterior, flags = fit.best, fit.posterior, fit.light_flags
+    if not isinstance(best.problem, SaturatingSeriesLikelihood):
+        reason = "the cores are linear in all stacks: no MCP saturation is visible"
+        return [
+            make_refusal(
+                "mcp_saturation_density", "DN", reason, refusal="not-applicable", **fit.fields
+            )
+        ]
+    # Distance, in ln, of the densities of other cores' models from the best one's.
+    saturating = [one for one in fit.forms if isinstance(one.problem, SaturatingSeriesLikelihood)]
+    ln = np.log(
+        [max(float(one.peak.point[one.form.names.index("plate_load")]), 1e-9) for one in saturating]
+    )
+    unlike = float(np.abs(ln - ln[0]).max())
+    if unlike > float(np.log(4.0)):
+        reason = (
+            f"core models give densities that differ by a factor of {np.exp(unlike):.2g}: "
+            f"describe the camera"
+        )
+        return [make_refusal("mcp_saturation_density", "DN", reason, **fit.fields)]
+    load = best.form.names.index("plate_load")
+    if crowds_at_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
+        flags = (*flags, "prior-bound")
+    # For two equally likely cores, the error of either is their distance over root two.
+    rng = np.random.default_rng([posterior.seed, 2])
+    factors = np.exp(unlike / np.sqrt(2.0) * rng.standard_normal(len(posterior.draws)))
+    points = posterior.draws.copy()
+    points[:, load] = np.clip(points[:, load] / factors, *best.form.bounds[load])
+    density = 1.0 / np.maximum(points[:, load], 1e-9)
+    density = density * _model_error_factors(
+        best, "mcp_saturation_density", len(density), posterior
+    )
+    out = [
+        measurement_from_draws(
+            "mcp_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields
+        )
+    ]
+    left = best.problem.compression(points[:DERIVED])
+    for label, draws in zip(best.problem.series.labels, left, strict=True):
+        out.append(
+            measurement_from_draws(
+                "core_compression", "1", draws, flags=flags, stack=label, **fit.fields
+            )
+        )
+    return out
+
+
+def _background_sd(solved: AmplitudeSolution) -> Array:
+    """Standard error of each stack's background, shape (level, point)."""
+    source, even = solved.slopes
+    aa, ab, bb = (
+        (one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even))
+    )
+    return np.sqrt(np.maximum(aa / np.maximum(aa * bb - ab**2, 1e-300), 1e-12))

@@ -1,0 +1,229 @@
+"""Consistency of a point series: gain, dark level, source position and signal across stacks and
+frames.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.bloom.over_time import (
+    FrameSeries,
+    drift_of,
+    frame_series,
+    frames_before_switch_off,
+    recoveries,
+)
+from charact.estimators.bloom.point_stack import DETECTED, PointStack, has_same_settings
+from charact.method import Context
+from labdata.measurement import Measurement, make_refusal, measurement_from_sd
+from labdata.session import Session
+
+Array = NDArray[np.float64]
+
+# Standard errors at which a fall of the background, or a dark mismatch, is significant.
+SEEN = 4.0
+BOUND = "glare of the source raises the background: the gain fell by at least this value"
+DECIBEL = 20.0 / np.log(10.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeriesConsistency:
+    """Inconsistencies of a series.
+
+    `flags`: flags of each stack's measurements, by label; `measurements`: background depression of
+    every stack but the faintest, and recovery times; `evidence`: figure data.
+    """
+
+    flags: dict[str, tuple[str, ...]]
+    measurements: tuple[Measurement, ...]
+    evidence: dict[str, dict[str, Any]]
+
+    @property
+    def halo_flags(self) -> tuple[str, ...]:
+        """Flags of the quantities common to all stacks."""
+        return tuple(sorted({flag for flags in self.flags.values() for flag in flags}))
+
+
+def check_consistency(
+    session: Session, spots: tuple[PointStack, ...], context: Context, **fields: Any
+) -> SeriesConsistency:
+    """Check a series from stack to stack and from frame to frame; `fields` are common to its
+    measurements.
+
+    Flags: `agc` where the background falls below that of the faintest stack at the same settings;
+    `drift` where the source moves, or its signal or the background drifts; `lag` where the source
+    is switched off and decays; `dark-mismatch` where noise contradicts the dark level, or the
+    background lies below it. Decay of a constant source changes no mean and is not flagged.
+    """
+    shown = [
+        spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= 24
+    ]
+    watched = tuple(
+        frame_series(spot, session.stack(spot.label).read(), context.pitch_ratio) for spot in shown
+    )
+    flags = {spot.label: () for spot in spots} | {one.spot.label: _in_time(one) for one in watched}
+    for label, own_flags in _between(watched, flags, _dark_variance(session)).items():
+        flags[label] += own_flags
+    # A source that moves away has not been switched off.
+    still = tuple(one for one in watched if "lag" in flags[one.spot.label])
+    out = [*_depressions(watched, flags, **fields), *recoveries(still, context.seed, **fields)]
+    evidence = {
+        "figure": "bloom-constancy",
+        "label": [one.spot.label for one in watched],
+        "flags": [list(flags[one.spot.label]) for one in watched],
+        "background_dn": [one.background_dn for one in watched],
+        "background_sd_dn": [one.background_sd_dn for one in watched],
+        "time_s": [one.time_s.tolist() for one in watched],
+        "row_px": [_finite_or_none(one.centre_px[:, 0]) for one in watched],
+        "col_px": [_finite_or_none(one.centre_px[:, 1]) for one in watched],
+        "light": [_finite_or_none(one.light_by_frame) for one in watched],
+    }
+    return SeriesConsistency(
+        flags=flags, measurements=tuple(out), evidence={"bloom-constancy": evidence}
+    )
+
+
+def _finite_or_none(values: Array) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _in_time(watched: FrameSeries) -> tuple[str, ...]:
+    """Flags of one stack from its own frames."""
+    travel, change = drift_of(watched)
+    if travel == 0 and frames_before_switch_off(watched) is not None:
+        return ("lag",)
+    return ("drift",) if travel > 0 or change > 0 else ()
+
+
+def _between(
+    watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], dark_variance: float | None
+) -> dict[str, tuple[str, ...]]:
+    """Flags of each stack by comparison with the others."""
+    out: dict[str, tuple[str, ...]] = {}
+    # Motion in one stack may occur less clearly in others, and varies like noise.
+    rest = not any("drift" in own_flags for own_flags in flags.values())
+    for one in watched:
+        reference = _faintest(watched, one)
+        # Stacks with the same dark level have the same error.
+        same = tuple(
+            o for o in watched if o.spot.dark_dn == one.spot.dark_dn and not flags[o.spot.label]
+        )
+        misfit = dark_level_error(same, dark_variance) if one.spot.dark_known and rest else None
+        wrong = one.spot.dark_known and one.background_dn < -max(4.0 * one.background_sd_dn, 0.3)
+        if misfit is not None:
+            # A dark is wrong by more than its error, and by enough to move a contour.
+            wrong |= abs(misfit[0]) > max(SEEN * misfit[1], 0.3, 0.1 * abs(reference.background_dn))
+        fallen = _has_background_fallen(reference, one)
+        out[one.spot.label] = (("agc",) if fallen else ()) + (("dark-mismatch",) if wrong else ())
+    return out
+
+
+def _faintest(watched: tuple[FrameSeries, ...], stack: FrameSeries) -> FrameSeries:
+    """The stack of least illuminance at the same settings."""
+    alike = (
+        one for one in watched if has_same_settings(one.spot.conditions, stack.spot.conditions)
+    )
+    return min(alike, key=lambda one: one.spot.conditions.illuminance_lux or 0.0)
+
+
+def _has_background_fallen(reference: FrameSeries, stack: FrameSeries) -> bool:
+    """Whether a stack's background lies below the reference's; independent of the dark level."""
+    fall = (
+        reference.background_dn + reference.spot.dark_dn - stack.background_dn - stack.spot.dark_dn
+    )
+    return fall > SEEN * np.hypot(reference.background_sd_dn, stack.background_sd_dn)
+
+
+def _depressions(
+    watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], **fields: Any
+) -> list[Measurement]:
+    """Return the fall of each stack's background below that of the faintest stack at the same
+    settings, dB.
+
+    20 log10(B0 / B). Automatic gain lowers the background of a bright frame, glare of the source
+    raises it: the value is a lower limit of the gain change. A background that rises is glare
+    alone, and the value is refused.
+    """
+    out: list[Measurement] = []
+    for one in watched:
+        reference = _faintest(watched, one)
+        common: dict[str, Any] = {"stack": one.spot.label, **fields}
+        if one is reference:
+            continue
+        dim = [
+            each
+            for each in (reference, one)
+            if each.background_dn < max(10.0 * each.background_sd_dn, 0.2)
+        ]
+        reason = ""
+        if dim:
+            level = (
+                f"the background of {dim[0].spot.label} is {dim[0].background_dn:.3g} DN above dark"
+            )
+            reason = f"{level}: too faint to detect a fall"
+        elif _has_background_fallen(one, reference):
+            reason = (
+                "the background is brighter than that of the faintest stack: it contains the "
+                "source's own light"
+            )
+        if reason:
+            out.append(
+                make_refusal(
+                    "background_depression", "dB", reason, refusal="not-applicable", **common
+                )
+            )
+            continue
+        value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
+        relative = [each.background_sd_dn / each.background_dn for each in (reference, one)]
+        sd = DECIBEL * float(np.hypot(relative[0], relative[1]))
+        # This quantity measures the fall itself, which is no reason to flag it.
+        own_flags = tuple(flag for flag in flags.get(one.spot.label, ()) if flag != "agc")
+        own_flags += () if one.spot.dark_known else ("no-darks",)
+        common["notes"] = (*common.get("notes", ()), BOUND)
+        out.append(
+            measurement_from_sd("background_depression", "dB", value, sd, flags=own_flags, **common)
+        )
+    return out
+
+
+def dark_level_error(
+    stacks: tuple[FrameSeries, ...], dark_variance: float | None
+) -> tuple[float, float] | None:
+    """Return the black level above the dark frames' mean and its standard error, DN; None if not
+    measurable.
+
+    `stacks` have this dark and a stationary source; `dark_variance`: temporal variance of the dark
+    frames, DN^2. Temporal variance grows with the signal from that of the dark frames. The signal
+    at which the line through background and halo reaches the dark variance is the black level,
+    independent of the dark frames' mean.
+    """
+    if dark_variance is None or dark_variance < 0.24:
+        return None
+    found = []
+    for light, variance, error in (one.noise for one in stacks if one.noise.shape[1] > 1):
+        sd = np.hypot(error, 0.03 * variance)
+        design = np.stack([light, np.ones_like(light)], axis=1) / sd[:, None]
+        covariance = np.linalg.inv(design.T @ design)
+        slope, offset = covariance @ design.T @ ((variance - dark_variance) / sd)
+        if slope > 5.0 * np.sqrt(covariance[0, 0]):
+            gradient = np.array([offset / slope**2, -1.0 / slope])
+            found.append((-offset / slope, np.sqrt(gradient @ covariance @ gradient)))
+    if not found:
+        return None
+    level, sd = np.array(found).T
+    weight = 1.0 / sd**2
+    mean = float(weight @ level / weight.sum())
+    scatter = float(np.sqrt(weight @ (level - mean) ** 2 / max(len(level) - 1, 1)))
+    return mean, float(max(scatter, 1.0) / np.sqrt(weight.sum()))
+
+
+def _dark_variance(session: Session) -> float | None:
+    """Temporal variance of the dark frames, DN^2; None with fewer than two frames."""
+    variances = [
+        float(stack.data.var(axis=0, ddof=1, dtype=np.float64).mean())
+        for entry in session.of_kind("dark")
+        if len(stack := entry.read()) > 1
+    ]
+    return float(np.median(variances)) if variances else None

@@ -1,0 +1,314 @@
+"""Forward model of a point series: halo, core and glare from all stacks, clipping included in the
+model.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.bloom.extent_measurements import (
+    add_common_measurements,
+    provenance,
+    quantisation_flags,
+)
+from charact.estimators.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
+from charact.estimators.bloom.point_stack import DETECTED, PointStack, read_point_stacks
+from charact.estimators.bloom.series.extent_comparison import MISFIT, compare_extents
+from charact.estimators.bloom.series.likelihood import select_levels
+from charact.estimators.bloom.series.model_selection import (
+    MISFIT_SHARE,
+    FittedHaloModel,
+    candidates,
+    halo_refusal_reason,
+    is_uneven,
+    own_diameters,
+)
+from charact.estimators.bloom.series.optimum import optimise
+from charact.estimators.bloom.series.ring_series import build_ring_series
+from charact.estimators.bloom.series.series_measurements import (
+    OF_THE_HALO,
+    FittedSeries,
+    energy_radius_measurements,
+    glare_measurements,
+    halo_measurements,
+    levels_apart,
+    mcp_saturation_measurements,
+    nearest_px,
+)
+from charact.estimators.bloom.thresholds import CUT_SD, Unmeasurable
+from charact.inference import importance_sample, laplace
+from charact.method import Context, register
+from labdata.measurement import Measurement, Posterior, Result, make_refusal
+from labdata.session import Session
+
+Array = NDArray[np.float64]
+
+
+def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
+    """Ring means of all stacks with the selected model, normalised residuals, and each stack's own
+    halo.
+    """
+    problem, point, own = fit.best.problem, fit.best.peak.point[None], fit.own
+    series = problem.series
+    model, solved = problem.rings(point)[..., 0], problem.solve_amplitudes(point)
+    sd = np.sqrt(np.diagonal(series.covariance(problem.misfit), axis1=1, axis2=2))
+    data: dict[str, Any] = {
+        "figure": "point-profile",
+        "label": list(series.labels),
+        "radius_px": [series.radius_px.tolist()] * len(series.labels),
+        "mean_dn": series.data.tolist(),
+        "sd_dn": sd.tolist(),
+        "used": (~series.cut).tolist(),
+        "model_dn": model.tolist(),
+        "residual_sd": ((series.data - model) / sd).tolist(),
+        "full_scale_dn": series.full_dn,
+        "light_dn_px2": solved.amplitudes[:, 0, 0].tolist(),
+        "background_dn": solved.amplitudes[:, 1, 0].tolist(),
+        "form": fit.best.name,
+        "model_share": problem.misfit.share,
+        "core_share": problem.misfit.core,
+        "chi2": float(solved.chi2.sum()),
+        "freedom": int(series.data.size - 2 * len(series.data) - point.size),
+        "halo_diameter_px": None,
+    }
+    if own is None:
+        return {"point-profile": data}
+    names = ("halo_diameter", "elastic_share", "halo_fraction")
+    joint, elastic, share = (float(np.median(fit.posterior[name])) for name in names)
+    data |= {
+        "halo_diameter_px": joint,
+        "elastic_share": elastic,
+        "halo_share": [share] * len(series.labels),
+    }
+    seen = np.isfinite(own[0])
+    diameter, sd = own[0][seen], np.maximum(own[1][seen], 1e-6)
+    uniformity = {
+        "figure": "halo-constancy",
+        "label": [label for label, one in zip(series.labels, seen, strict=True) if one],
+        "halo_diameter_px": diameter.tolist(),
+        "interval95_px": np.stack([diameter - 1.96 * sd, diameter + 1.96 * sd], axis=1).tolist(),
+        "significance": own[2][seen].tolist(),
+        "joint_px": joint,
+        "joint_elastic_share": elastic,
+        "chi2_of_constancy": float((((diameter - joint) / sd) ** 2).sum()),
+        "freedom": max(0, len(diameter) - 1),
+    }
+    return {"point-profile": data, "halo-constancy": uniformity}
+
+
+def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, Any]:
+    """Information criterion of every fitted model, and its cross-validation."""
+    foretold = (
+        [None] * len(forms)
+        if quick
+        else [cross_validate(one) for one in forms[:3]] + [None] * len(forms)
+    )
+    least = forms[0].bic
+    rows = [
+        {
+            "form": one.name,
+            "parameters": len(one.form.names),
+            "log_likelihood": one.log_likelihood,
+            "bic_over_best": one.bic - least,
+            "off_percent": 100.0 * one.problem.misfit.share,
+            "core_off_percent": 100.0 * one.problem.misfit.core,
+            "foretold_chi2_per_ring": value,
+        }
+        for one, value in zip(forms, foretold, strict=False)
+    ]
+    return {"bloom-forms": {"table": rows}}
+
+
+def cross_validate(candidate: FittedHaloModel) -> float | None:
+    """Reduced chi squared of stacks that a model was not fitted to; None with one stack.
+
+    Every second stack is excluded in turn: core and halo come from one half, each stack's
+    amplitudes from itself.
+    """
+    series = candidate.problem.series
+    count = len(series.labels)
+    if count < 2:
+        return None
+    total = 0.0
+    for fold in (0, 1):
+        seen = np.arange(count) % 2 == fold
+        peak = optimise(
+            replace(candidate.problem, series=select_levels(series, seen)), candidate.peak.point
+        )
+        total += float(
+            replace(candidate.problem, series=select_levels(series, ~seen))
+            .solve_amplitudes(peak.point[None])
+            .chi2.sum()
+        )
+    return total / series.data.size
+
+
+METHOD = "series-forward"
+EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
+
+
+@register("bloom", METHOD)
+def series_forward(session: Session, *, context: Context) -> Result:
+    """Measure halo, encircled energy, glare, bloom diameters and streaks of a point series.
+
+    Parameters
+    ----------
+    session
+        Session with stacks of kind "point".
+    context
+        Seed and settings; the sensor description, if known, gives pitches and the core's prior.
+
+    Notes
+    -----
+    Cores (Gaussian, image tube, Gaussian with a Moffat wing) and halos (none, a disc of
+    backscattered electrons, Gaussian) are fitted to the ring means of all stacks together and
+    selected by the Bayesian information criterion. Each stack has its own source signal and
+    background. A halo is reported only if the disc is clearly the best model with a well-determined
+    edge.
+    """
+    spots = read_point_stacks(session, context=context)
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    fit, said, evidence = None, [], {}
+    try:
+        fit = _fit_series(session, spots, context, fields)
+        said = halo_measurements(fit) if fit.reason is None else _refuse_halo(fit.reason, fields)
+        said += energy_radius_measurements(fit) + glare_measurements(fit)
+        said += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
+        evidence = profile_evidence(fit) | forms_evidence(fit.forms, quick=context.quick)
+    except Unmeasurable as refusal:
+        said = _refuse_halo(str(refusal), fields)
+    result = add_common_measurements(session, spots, said, evidence, context=context, **fields)
+    if fit is None:
+        return result
+    # Measured extents are compared with the fitted signal, or flagged where the fit is poor.
+    if fit.best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(fit.best.problem.series):
+        return replace(
+            result, measurements=compare_extents(fit.best, fit.group, result.measurements)
+        )
+    labels = {one.label for one in fit.group}
+    flagged = (
+        one.with_(flags=MISFIT) if one.quantity in EXTENTS and one.stack in labels else one
+        for one in result.measurements
+    )
+    return replace(result, measurements=tuple(flagged))
+
+
+def _has_tube(group: tuple[PointStack, ...], context: Context) -> bool:
+    return context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
+
+
+def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
+    return [make_refusal(quantity, unit, reason, **fields) for quantity, unit in OF_THE_HALO]
+
+
+def _fit_series(
+    session: Session, spots: tuple[PointStack, ...], context: Context, fields: dict[str, Any]
+) -> FittedSeries:
+    """Fit all models to the rings of a series, and draw the posterior of the best one."""
+    clear = tuple(spot for spot in spots if spot.significance > DETECTED)
+    if not clear:
+        raise Unmeasurable("no point source is detected")
+    series, group = build_ring_series(session, clear, context=context)
+    context.progress("blur models of the source", 0.9)
+    # The stack that shows the halo's edge most significantly.
+    edges = [edge_radius(profile_of(spot, context=context)) for spot in group]
+    radius, seen = max(edges, key=lambda one: one[1])
+    forms = candidates(
+        series,
+        pitch_ratio=context.pitch_ratio,
+        sensor=context.sensor,
+        has_tube=_has_tube(group, context),
+        first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"),
+    )
+    context.progress("posterior of the series", 0.95)
+    posterior = _posterior(forms[0], context)
+    reason = halo_refusal_reason(forms)
+    own = own_diameters(forms[0]) if reason is None else None
+    flags = _flags(forms[0], posterior, own)
+    flags += quantisation_flags(min(group, key=lambda one: one.full_scale_dn - one.dark_dn))
+    return FittedSeries(
+        forms=forms,
+        reason=reason,
+        posterior=posterior,
+        own=own,
+        group=group,
+        flags=flags,
+        notes=_notes(context, group, spots),
+        fields=fields,
+    )
+
+
+def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
+    """Posterior draws of the selected model's parameters."""
+    arguments: dict[str, Any] = {
+        "names": best.form.names,
+        "units": best.form.units,
+        "start": best.peak.point,
+        "covariance": best.peak.covariance,
+        "seed": context.seed,
+        "bounds": best.form.bounds,
+    }
+    if context.quick:
+        gaussian = laplace(best.problem.log_probability, **arguments)
+        if not _is_cut(best, gaussian):
+            return gaussian
+    enough = 100.0 if context.quick else 1000.0
+    return importance_sample(
+        best.problem.log_probability, enough=enough, first_draws=2000, **arguments
+    )
+
+
+def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
+    """Whether bounds or a bent ridge make the Gaussian approximation unreliable."""
+    if best.form.halo != "disc":
+        loss = best.peak.log_probability - best.problem.log_probability(gaussian.draws[:100])
+        return float(np.median(loss)) > 2.0 * len(best.form.names)
+    diameter = gaussian["halo_diameter"]
+    away = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(
+        np.median(diameter)
+    )
+    return abs(away) > CUT_SD * float(np.std(diameter))
+
+
+def _flags(
+    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None
+) -> tuple[str, ...]:
+    """Flags of the series; bounds of nuisance parameters are ignored."""
+    from scipy.special import chdtrc
+
+    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
+    series = best.problem.series
+    if best.problem.misfit.share > MISFIT_SHARE or is_uneven(series):
+        flags += ("model-misfit",)
+    if own is None:
+        return flags
+    diameter = float(np.median(posterior["halo_diameter"]))
+    if diameter / 2.0 > 0.92 * series.radius_px[-1]:
+        flags += ("window-too-small",)
+    apart, freedom = levels_apart(own)
+    return flags + (("model-misfit",) if freedom and chdtrc(freedom, apart) < 1e-4 else ())
+
+
+def _notes(
+    context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]
+) -> tuple[str, ...]:
+    notes = (
+        ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
+    )
+    if np.isfinite(nearest_px(group)):
+        notes += (
+            (
+                f"pixels nearer to another source, {nearest_px(group):.0f} px away or more, are "
+                f"excluded"
+            ),
+        )
+    if len(group) < len(spots):
+        notes += (
+            (
+                f"{len(group)} of {len(spots)} stacks show a source at one position, the others "
+                "are excluded"
+            ),
+        )
+    return notes

@@ -1,0 +1,292 @@
+"""Smear: signal collected by columns during charge transfer, uniform along the column."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.bloom.column_artefacts import (
+    FULL_SHARE,
+    ROUNDED_DN,
+    ColumnArtefacts,
+    MeanFrameNoise,
+    compare_columns,
+    grain_of,
+)
+from charact.estimators.bloom.point_stack import DETECTED, PointStack
+from charact.estimators.bloom.thresholds import Unmeasurable
+from charact.method import Context
+from labdata.measurement import Measurement, make_refusal, measurement_from_sd
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Number of columns left and right of the core for comparison.
+FLANK_PX = 8
+# Minimum rows on each side of the streak for a comparison of both.
+LEAST_SIDE = 6
+APART = 5.0
+# Relative uncertainty of the stated light between stacks: neutral-density steps are rarely known
+# better.
+LIGHT_SD = 0.03
+# Minimum ratio of the light of two stacks with smear for a test of proportionality.
+LEAST_RATIO = 2.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Core:
+    """Columns of the core, and their signal.
+
+    `half_width_px`: columns on either side of the source's column; `light`: stated light;
+    `light_dn`, `light_sd_dn`: mean over these columns of their summed signal above that of their
+    neighbours', per unit light, and its standard error, DN; `stack`: label of the unsaturated
+    stack.
+    """
+
+    half_width_px: int
+    light: float
+    light_dn: float
+    light_sd_dn: float
+    stack: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smear:
+    """Uniform column signal of one stack.
+
+    `label`: the stack; `light`: stated light; `level_dn`, `level_sd_dn`: mean of the core's columns
+    above their neighbours far from the source, and its standard error, DN; `uneven`: whether it
+    differs between above and below the source.
+    """
+
+    label: str
+    light: float
+    level_dn: float
+    level_sd_dn: float
+    uneven: bool
+
+
+def smear_measurement(
+    spots: tuple[PointStack, ...], context: Context, **fields: Any
+) -> tuple[Measurement, dict[str, Any]]:
+    """Return the smear fraction of stacks of one source at several known illuminances, and its
+    figure data.
+
+    The fraction f refers to the summed signal S of a column of R rows, each of which receives f S /
+    R. A stack with visible smear has a saturated core, so that S is scaled from an unsaturated
+    stack by the ratio of stated light. Linearity of the tube is verified only by a second stack
+    with proportional smear: with one alone the number is flagged `extrapolated`. Without visible
+    smear it is refused with an upper limit that assumes linearity.
+    """
+    clear = [spot for spot in spots if spot.significance > DETECTED]
+    found, reasons = [], []
+    try:
+        core = _core_of(clear, context)
+    except Unmeasurable as refusal:
+        return make_refusal("smear_fraction", "1", str(refusal), **fields), {}
+    for spot in clear:
+        if (spot.exposure_lux_ns or 0.0) > LEAST_RATIO * core.light:
+            try:
+                found.append(_smear_of(spot, core, context))
+            except Unmeasurable as refusal:
+                reasons.append(str(refusal))
+    if not found:
+        reason = reasons[0] if reasons else "no stack is brighter than the unsaturated one"
+        return make_refusal("smear_fraction", "1", reason, **fields), {}
+    rows = clear[0].image.shape[0]
+    evidence = {
+        "figure": "bloom-smear",
+        "label": [one.label for one in found],
+        "light_per_row_dn": [one.light * core.light_dn / rows for one in found],
+        "level_dn": [one.level_dn for one in found],
+        "level_sd_dn": [one.level_sd_dn for one in found],
+        "core_stack": core.stack,
+        "core_columns": 2 * core.half_width_px + 1,
+    }
+    return _fraction(found, core, rows, **fields), {"bloom-smear": evidence}
+
+
+def _core_of(spots: list[PointStack], context: Context) -> Core:
+    """Sum the signal of each column of the brightest unsaturated stack."""
+    if not spots:
+        raise Unmeasurable("no point source is detected")
+    if any(spot.exposure_lux_ns is None for spot in spots):
+        raise Unmeasurable("the illuminance of the stacks is unknown: smear has no reference")
+    linear = [spot for spot in spots if spot.exposure_lux_ns and _is_linear(spot)]
+    if not linear:
+        raise Unmeasurable("every stack saturates the core: the signal of its columns is unknown")
+    spot = max(linear, key=lambda one: one.exposure_lux_ns or 0.0)
+    near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= 24
+    sums = spot.image[near].sum(axis=0)
+    col = round(spot.col)
+    wide = sums[max(0, col - 6) : col + 7] - np.median(sums)
+    over = np.flatnonzero(wide > 0.25 * wide.max())
+    half = int(np.clip(np.abs(over - min(6, col)).max(), 1, 6))
+    value, sd = _contrast(spot.image, near, half, col)
+    grain = grain_of(spot.image, spot.col, spot.dark_dn)
+    light, value = spot.exposure_lux_ns or 1.0, value * near.sum()
+    noise = np.hypot(
+        sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1)
+    )
+    if not value > 0 or noise > 0.25 * value:
+        raise Unmeasurable(
+            "the signal of the core's columns is too uncertain: the unsaturated stacks are too "
+            "faint"
+        )
+    return Core(
+        half_width_px=half,
+        light=light,
+        light_dn=value / light,
+        light_sd_dn=float(noise) / light,
+        stack=spot.label,
+    )
+
+
+def _is_linear(spot: PointStack) -> bool:
+    row, col = round(spot.row), round(spot.col)
+    peak = float(spot.image[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3].max())
+    return peak - spot.dark_dn < 0.65 * (spot.full_scale_dn - spot.dark_dn)
+
+
+def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, float]:
+    """Mean of the core's columns less their neighbours' over some rows, and its standard error.
+
+    The error is the scatter of the same difference elsewhere along these rows, which includes
+    correlated noise.
+    """
+    along = image[rows].mean(axis=0)
+    reach = half + 3 + FLANK_PX
+    weight = np.zeros(2 * reach + 1)
+    weight[:FLANK_PX], weight[-FLANK_PX:] = -0.5 / FLANK_PX, -0.5 / FLANK_PX
+    weight[reach - half : reach + half + 1] = 1.0 / (2 * half + 1)
+    padded = np.pad(along, reach, mode="reflect")
+    everywhere = np.correlate(padded, weight, mode="valid")
+    places = np.arange(len(along))
+    inside = (
+        (places >= reach) & (places < len(along) - reach) & (np.abs(places - col) > reach + half)
+    )
+    others = (
+        everywhere[inside]
+        if inside.sum() >= 4 * reach
+        else everywhere[np.abs(places - col) > reach + half]
+    )
+    if len(others) < reach:
+        raise Unmeasurable(
+            "the frame is too narrow: there are no columns far from the source for comparison"
+        )
+    spread = max(1.4826 * float(np.median(np.abs(others))), float(np.std(others)))
+    return float(everywhere[col]), max(spread, ROUNDED_DN / np.sqrt(rows.sum()))
+
+
+def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear:
+    """Uniform column signal of one stack."""
+    col, half = round(spot.col), core.half_width_px
+    # The round profile is subtracted first, since its curvature resembles a faint column.
+    found = compare_columns(spot, context, half_width_px=spot.image.shape[1])
+    middle = slice(max(0, col - half), col + half + 1)
+    far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
+    above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
+    if far.sum() < 16:
+        raise Unmeasurable(
+            "the source's streak or halo extends to the frame's top and bottom: smear is not "
+            "separable from them"
+        )
+    # One full column is sufficient, since a streak's columns differ in length.
+    even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
+    if even > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
+        raise Unmeasurable(
+            "the columns are bright from top to bottom: smear is not separable from a streak"
+        )
+    level, sd = _contrast(found.excess_dn, far, half, col)
+    # Halo and wing add noise to these columns.
+    sd *= float(np.sqrt((found.sd_dn[far, middle] ** 2).mean() / np.median(found.sd_dn[far]) ** 2))
+    uneven = False
+    if min(above.sum(), below.sum()) >= LEAST_SIDE:
+        (up, up_sd), (down, down_sd) = (
+            _contrast(found.excess_dn, rows, half, col) for rows in (above, below)
+        )
+        uneven = abs(up - down) > APART * np.hypot(up_sd, down_sd)
+    return Smear(
+        label=spot.label,
+        light=spot.exposure_lux_ns or 0.0,
+        level_dn=level,
+        level_sd_dn=sd,
+        uneven=bool(uneven),
+    )
+
+
+def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> Mask:
+    """Rows beyond the streak and outside the noisy part of the halo."""
+    excess = found.excess_dn[:, middle].max(axis=1)
+    noise = np.sqrt(grain.floor_variance)
+    quiet = found.sd_dn[:, middle].max(axis=1) < 1.3 * max(
+        noise, float(np.median(found.sd_dn[[0, -1]]))
+    )
+    out = np.zeros(len(excess), bool)
+    for side in (-1, 1):
+        rows = np.flatnonzero(found.row_offset * side > 0)[::side]
+        held = rows[quiet[rows]]
+        if len(held) < LEAST_SIDE:
+            continue
+        last = excess[held[-max(LEAST_SIDE, len(held) // 4) :]]
+        level = float(np.median(last))
+        spread = max(noise, 1.4826 * float(np.median(np.abs(last - level))))
+        over = excess[rows] > level + 6.0 * spread
+        run = np.flatnonzero(over[:-1] & over[1:])
+        # The last pixels of a streak are partly filled: two rows more.
+        beyond = rows[run[-1] + 4 :] if len(run) else rows
+        out[beyond[quiet[beyond]]] = True
+    return out
+
+
+def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measurement:
+    """Combine stacks; scatter beyond their errors widens the interval."""
+    light, level, error = np.array([(one.light, one.level_dn, one.level_sd_dn) for one in found]).T
+    share, sd = rows * level / (light * core.light_dn), rows * error / (light * core.light_dn)
+    seen = level > 4.0 * error
+    weight = 1.0 / (sd**2 + (LIGHT_SD * float(np.average(share, weights=sd**-2))) ** 2)
+    weight /= weight.sum()
+    mean = float(weight @ share)
+    between = max(LIGHT_SD, min(_between(share[seen], sd[seen]), 0.3)) * mean
+    # The light of the unsaturated stack has the same uncertainty.
+    known = float(np.hypot(mean * core.light_sd_dn / core.light_dn, between))
+    total = float(np.sqrt(weight**2 @ (sd**2 + between**2) + known**2))
+    if not seen.any():
+        most = max(mean, 0.0) + 2.0 * total
+        reason = (
+            f"no stack shows smear: it is at most {most:.2g} of a column's signal, if the "
+            f"light is as stated"
+        )
+        return make_refusal("smear_fraction", "1", reason, refusal="not-applicable", **fields)
+    flags = ()
+    if light[seen].max() < LEAST_RATIO * light[seen].min():
+        flags += ("extrapolated",)
+    if _bends(light[seen], share[seen], sd[seen]):
+        flags += ("nonlinear",)
+    if any(one.uneven for one, here in zip(found, seen, strict=True) if here):
+        flags += ("model-misfit",)
+    return measurement_from_sd("smear_fraction", "1", mean, total, flags=flags, **fields)
+
+
+def _between(share: Array, sd: Array) -> float:
+    """Relative scatter of stacks beyond their errors (DerSimonian and Laird, Control. Clin. Trials
+    7, 177, 1986).
+    """
+    if len(share) < 2:
+        return 0.0
+    weight = 1.0 / sd**2
+    mean = float(weight @ share / weight.sum())
+    excess = float(weight @ (share - mean) ** 2) - (len(share) - 1)
+    variance = max(0.0, excess / float(weight.sum() - (weight**2).sum() / weight.sum()))
+    return float(np.sqrt(variance)) / abs(mean)
+
+
+def _bends(light: Array, share: Array, sd: Array) -> bool:
+    """Whether the fraction changes with the light: the column signal is then nonlinear."""
+    if len(share) < 2:
+        return False
+    order = np.argsort(light)
+    low, high = order[0], order[-1]
+    apart = abs(share[high] - share[low]) > APART * np.hypot(sd[high], sd[low])
+    return bool(apart and abs(share[high] / share[low] - 1.0) > 0.15)

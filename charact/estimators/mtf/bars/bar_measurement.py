@@ -1,0 +1,324 @@
+"""Detection and measurement of bars: by fit, or by sums for a camera with a description."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.bars.amplitudes import (
+    amplitudes_of,
+    frame_correlation,
+    second_harmonic,
+    target_background,
+)
+from charact.estimators.mtf.bars.bar_image_model import BarLikelihood
+from charact.estimators.mtf.bars.blur_models import TUBE
+from charact.estimators.mtf.bars.checks import (
+    clipping_findings,
+    findings_of_fit,
+    findings_of_sums,
+    fundamental_in_standard_errors,
+    light_in_standard_errors,
+    not_identifiable,
+    sum_notes,
+    window_findings,
+)
+from charact.estimators.mtf.bars.detection import target_in
+from charact.estimators.mtf.bars.fit import BarFit, fit_all_models, fit_frames, mtf_bias
+from charact.estimators.mtf.bars.nonlinearity import (
+    linearise_mtf_draws,
+    response_findings,
+    response_of,
+)
+from charact.estimators.mtf.bars.posterior import mtf_of, sample_fit, sample_sums
+from charact.estimators.mtf.bars.target import (
+    BarTarget,
+    core_margin_px,
+    fitting_margin,
+    lost_fraction,
+    margin_px,
+    measure_frequency,
+)
+from charact.estimators.mtf.bars.thresholds import LIMITS
+from charact.estimators.mtf.image_lag import image_lag_model
+from charact.method import Context
+from labdata.flags import Finding
+from labdata.frames import FrameStack
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarMeasurement:
+    """A measured bar target."""
+
+    target: BarTarget  # Position of the bars
+    # posterior, mtf: draws, and the MTF of each
+    posterior: Posterior
+    mtf: Array
+    # findings, notes: findings, and notes
+    findings: tuple[Finding, ...]
+    notes: tuple[str, ...]
+    margin_px: float  # Margin of the window around the bars
+
+
+class BarRefusal(NamedTuple):
+    """Refusal of a bar target: reason and flag."""
+
+    reason: str
+    flag: str = "no-target"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedBars:
+    """Number of bars and cycles per column pitch as stated by the user; None: not stated."""
+
+    bars: int | None
+    frequency: float | None
+
+    def __str__(self) -> str:
+        bars = "bars" if self.bars is None else f"{self.bars} bars"
+        return bars if self.frequency is None else f"{bars} at {self.frequency:g} cy/px"
+
+    @property
+    def remedy(self) -> str:
+        """Options that would help."""
+        options = [
+            name
+            for name, value in (("--bars", self.bars), ("--frequency", self.frequency))
+            if value is None
+        ]
+        return " and ".join([*options, "--roi"]) + " narrow the search"
+
+
+def measure_bars_in(
+    used: FrameStack, asked: StatedBars, context: Context
+) -> BarMeasurement | BarRefusal:
+    """Detect and measure the target of a region."""
+    mean = used.data.mean(axis=0, dtype=np.float64)
+    if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
+        size = f"{mean.shape[0]} x {mean.shape[1]} px"
+        return BarRefusal(f"no target: {asked} require a larger region, got {size}")
+    seen = target_in(
+        mean, bars=asked.bars, frequency=asked.frequency, pitch_ratio=context.pitch_ratio
+    )
+    if seen is None:
+        return BarRefusal(f"no target: no group of {asked} found; {asked.remedy}")
+    return (_measure_strip if seen.through else _measure_complete_target)(
+        used, mean, seen.target, asked, context
+    )
+
+
+def _measure_strip(
+    used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
+) -> BarMeasurement | BarRefusal:
+    """Measure bars that cross the region."""
+    turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
+    target = replace(
+        target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio
+    )
+    why = not_identifiable(target, target.length_px)
+    if why is not None:
+        return BarRefusal(why, "aliased")
+    window = np.ones(mean.shape, bool)
+    problem = BarLikelihood.of(mean, window, target, target.frequency, strip=True)
+    fit, problem = fit_frames(
+        used.data, problem, target, inflation=frame_correlation(used.data, window)
+    )
+    if not light_in_standard_errors(fit) > LIMITS.min_light_sd:
+        required = f"at least {LIMITS.min_light_sd:g} standard uncertainties"
+        return BarRefusal(f"no target: the light of the bars must be {required}")
+    across, _ = fit.target.coordinates(mean.shape)
+    # Of the region around the bars, on the nearer side.
+    margin = float(min(-across.min(), across.max()) - fit.target.width_px / 2.0)
+    return _sample_measurement(
+        used, fit, problem, context, asked, margin, window_findings(margin, LIMITS.min_margin_px)
+    )
+
+
+def _refuse_faint(standard_errors: float) -> BarRefusal:
+    return BarRefusal(
+        reason=f"no target: the fundamental is {standard_errors:.1f} standard uncertainties; "
+        f"at least {LIMITS.min_signal_sd:g} are required"
+    )
+
+
+def _refuse_other_object(target: BarTarget, asked: StatedBars) -> BarRefusal:
+    wanted = StatedBars(
+        bars=target.bars, frequency=asked.frequency or float(f"{target.frequency:.4g}")
+    )
+    return BarRefusal(
+        f"no target: the spectrum of the object does not match {wanted}; {asked.remedy}"
+    )
+
+
+def _is_in_region(fit: BarFit) -> bool:
+    """Return whether the fitted bars have the detected sign and lie in the region."""
+    (rows, cols), here = fit.window.shape, fit.target
+    placed = 0 <= here.row < rows and 0 <= here.col < cols
+    return placed and fit["level_dn"] * here.sign > 0 and bool(_count_lit_pixels(fit).any())
+
+
+def _count_lit_pixels(fit: BarFit) -> Mask:
+    """Return the fitted pixels that the bars illuminate, shape (pixel,)."""
+    return (fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"] > 0.02
+
+
+def _sample_measurement(
+    used: FrameStack,
+    fit: BarFit,
+    problem: BarLikelihood,
+    context: Context,
+    asked: StatedBars,
+    margin: float,
+    given: list[Finding],
+) -> BarMeasurement | BarRefusal:
+    """Sample the posterior of a fitted image and collect findings and notes."""
+    if not _is_in_region(fit):
+        return _refuse_other_object(fit.target, asked)
+    own, notes = fit.target.frequency, []
+    if asked.frequency is None:
+        problem = replace(problem, asked=own)
+    elif abs(np.log(own / problem.asked)) > max(
+        LIMITS.frequency_tolerance, 3.0 * fit.sd("log_frequency")
+    ):
+        notes.append(
+            f"Measured bar frequency {own:.4g} cy/px; the MTF is reported at {problem.asked:.4g} "
+            "cy/px."
+        )
+    if asked.bars is None:
+        kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
+        notes.append(f"Found {fit.target.bars} {kind} background.")
+    forms = fit_all_models(fit, problem)
+    _, fit, problem = forms[0]
+    # Blur models that fit alike have about the same bias; the full posterior is that of the
+    # preferred one.
+    bias = mtf_bias(fit, problem)
+    posterior = sample_fit(fit, problem, context, bias)
+    response = response_of(used, fit)
+    mtf = linearise_mtf_draws(
+        _average_models(forms, mtf_of(posterior, fit, context), context, bias),
+        response,
+        context.seed,
+    )
+    notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
+    notes.append(
+        "Bar width assumed to be half a period; a width error of 1 % biases the MTF by −1 %."
+    )
+    if context.sensor is None:
+        notes.append("Pixels taken as square.")
+    near = np.zeros(problem.window.shape, bool)
+    near[problem.window] = _count_lit_pixels(fit)
+    return BarMeasurement(
+        target=replace(fit.target, frequency=problem.asked),
+        posterior=posterior,
+        mtf=mtf,
+        findings=(
+            *given,
+            *findings_of_fit(fit, problem),
+            *response_findings(response),
+            # White clips where there is light, black mostly where there is none.
+            *clipping_findings(used, (near, problem.window), context, fit),
+        ),
+        notes=tuple(notes),
+        margin_px=margin,
+    )
+
+
+def _average_models(
+    forms: list[tuple[float, BarFit, BarLikelihood]], drawn: Array, context: Context, bias: float
+) -> Array:
+    """Return draws over all blur models, given those of the first.
+
+    If the tube model is first, the scatter of the other models is a systematic uncertainty;
+    otherwise the draws are mixed in proportion to the weights.
+    """
+    (fraction, fit, _), others = forms[0], forms[1:]
+    if fit.shape.form is TUBE:
+        doubt = float(
+            np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others))
+        )
+        return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
+    quick = replace(context, quick=True)
+    parts = [(fraction, drawn)]
+    parts += [
+        (part, mtf_of(sample_fit(one, its, quick, bias), one, quick)) for part, one, its in others
+    ]
+    taken = [
+        np.linspace(0, own.size - 1, round(part * drawn.size)).astype(np.intp)
+        for part, own in parts
+    ]
+    return np.concatenate([own[which] for (_, own), which in zip(parts, taken, strict=True)])
+
+
+def _measure_complete_target(
+    used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
+) -> BarMeasurement | BarRefusal:
+    """Measure a target that lies completely in the region."""
+    wanted = target
+    margin, cut = fitting_margin(target, mean.shape, margin_px(context, target.frequency))
+    window = target.box(mean.shape, margin)
+    if np.count_nonzero(~window) < 50:
+        return BarRefusal(
+            reason="no target: the region must include background beyond the bars (pedestal not "
+            "measurable); enlarge --roi"
+        )
+    beyond, crowded = target_background(mean, target, margin)
+    image_lag = None if context.sensor is None else image_lag_model(context, len(used.data))
+    amplitudes = amplitudes_of(used.data, target, window, beyond, image_lag)
+    reported = target.frequency
+    if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
+        target = replace(target, frequency=measure_frequency(mean, target, margin))
+        # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported
+        # at that.
+        near = (
+            asked.frequency is not None
+            and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
+        )
+        reported = reported if near else target.frequency
+        amplitudes = amplitudes_of(used.data, target, window, beyond, image_lag)
+    if context.sensor is not None:
+        box = target.box(mean.shape, core_margin_px(wanted.frequency))
+        core = amplitudes_of(used.data, target, box, beyond, image_lag)
+        if core.signal_to_noise < LIMITS.min_signal_sd:
+            return _refuse_faint(core.signal_to_noise)
+    if (
+        not amplitudes.light > 0
+        or amplitudes.zeros > LIMITS.max_zeros + LIMITS.max_zeros_sd / amplitudes.signal_to_noise
+    ):
+        return _refuse_other_object(target, asked)
+    # A close alias makes the measured frequency uncertain too.
+    why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
+    if why is not None:
+        return BarRefusal(why, "aliased")
+    second = second_harmonic(mean, target, window, float(mean[beyond].mean()), amplitudes)
+    given = findings_of_sums(target, amplitudes, second)
+    given += window_findings(margin, LIMITS.min_margin_px if cut else 0.0, crowded=crowded)
+    if context.sensor is not None:
+        box = target.box(used.shape[1:], 1.0)
+        posterior = sample_sums(amplitudes, lost_fraction(context, margin), context)
+        notes = [f"Normalised to the light within {margin:.0f} px of the bars."] if cut else []
+        return BarMeasurement(
+            target=target,
+            posterior=posterior,
+            mtf=posterior["mtf"],
+            findings=(*given, *clipping_findings(used, (box,), context)),
+            notes=(
+                *sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None),
+                *notes,
+            ),
+            margin_px=margin,
+        )
+    wide = max(20.0, 1.5 / target.frequency)
+    # Only the pixels that have no other light.
+    problem = BarLikelihood.of(
+        mean, target.box(mean.shape, wide) & (beyond | window), target, reported
+    )
+    fit, problem = fit_frames(used.data, problem, target, inflation=amplitudes.frame_correlation)
+    standing = fundamental_in_standard_errors(fit)
+    if standing < LIMITS.min_signal_sd:
+        return _refuse_faint(standing)
+    return _sample_measurement(used, fit, problem, context, asked, margin, given)

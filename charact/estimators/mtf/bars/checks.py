@@ -1,0 +1,444 @@
+"""Checks of a bar target: bar count, field motion, nonlinearity, misfit, sharpening, aliasing."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.bars.amplitudes import Amplitudes
+from charact.estimators.mtf.bars.bar_image_model import (
+    BarImageModel,
+    BarLikelihood,
+    initial_parameters,
+    table_of,
+)
+from charact.estimators.mtf.bars.fit import BarFit, fit_bars, rounding_sd
+from charact.estimators.mtf.bars.target import BarTarget, core_margin_px
+from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.estimators.mtf.quantisation_checks import clipping_flags
+from charact.estimators.mtf.target_motion import TargetMotion
+from charact.estimators.mtf.thresholds import LIMITS as MTF_LIMITS
+from charact.method import Context
+from labdata.flags import Finding
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+REGION = "--roi around this group only, with one period of background on every side"
+REMEDIES = {
+    "model-misfit": REGION,
+    "several-targets": REGION,
+    "window-too-small": "a larger --roi",
+    "quantised": "more gain or light, so that the noise exceeds one quantisation step",
+    "clipped": "less light or gain, or a higher black level",
+    "drift": "a single frame, or a stationary target",
+    "interlace-motion": "a single field, or a stationary target",
+    "low-signal": "more frames or more light",
+    "gamma": "frames without gamma; unequal bars and gaps have the same effect",
+    "processed": "raw frames without sharpening",
+}
+POSTERIOR_FINDINGS = {
+    "not-converged": (
+        "interval from the curvature at the optimum; it may be a third too narrow",
+        "another --seed",
+    ),
+    "several-modes": (
+        "the posterior has two modes, separated by the width of the interval",
+        "--bars and --frequency",
+    ),
+    "model-misfit": (
+        (
+            "the full posterior differs from the fit by more than two standard deviations: MTF "
+            "error up to that"
+        ),
+        "--sensor, to include its halo; or --quick, for the fit only",
+    ),
+}
+
+
+def finding(flag: str, effect: str, remedy: str | None = None) -> Finding:
+    """Return the finding of a flag with its effect and remedy."""
+    return Finding(flag=flag, effect=effect, remedy=remedy or REMEDIES[flag])
+
+
+def sharpening(fit: BarFit) -> float:
+    """Return the fraction of a blurred copy of the bars that is missing, 0 where not
+    significant.
+    """
+    weight = 1.0 / np.maximum(fit.noise.variance, ACCURACY.min_variance * fit["level_dn"] ** 2)
+    basis = np.linalg.qr((fit.slope * np.sqrt(weight)).T)[0]
+    spread = np.array([_blur_bars(fit, width) for width in (2.0, 4.0, 8.0)]) * np.sqrt(weight)
+    apart = (spread - (spread @ basis) @ basis.T) * np.sqrt(weight)
+    missing = -(apart @ fit.residual_dn)
+    sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(apart, fit.window)), 0.0))
+    whole = np.sum(apart * spread / np.sqrt(weight), axis=1)
+    apart_share = np.sum((apart / np.sqrt(weight)) ** 2, axis=1) / np.sum(spread**2, axis=1)
+    sure = (
+        (missing > LIMITS.min_sharpening_sd * sd)
+        & (missing > LIMITS.min_sharpening * whole)
+        & (apart_share > LIMITS.min_independent_fraction)
+    )
+    return float(np.max(np.where(sure, missing / whole, 0.0)))
+
+
+def _blur_bars(fit: BarFit, width_px: float) -> Array:
+    """Return the bars' light blurred, in the pixels of the window."""
+    from scipy.ndimage import gaussian_filter
+
+    light = np.zeros(fit.window.shape)
+    light[fit.window] = fit.model_dn - fit["pedestal_dn"]
+    return gaussian_filter(light, width_px, mode="nearest")[fit.window]
+
+
+def window_findings(margin_px: float, least_px: float, *, crowded: bool = False) -> list[Finding]:
+    """Return findings where other light reaches into the window, and where it cuts off part of the
+    core's blur.
+    """
+    found = []
+    if crowded:
+        height = f"{100 * LIMITS.max_other_light:.0f} % of the bars' height"
+        found.append(
+            finding("several-targets", f"other light nearby exceeds {height}: MTF error up to that")
+        )
+    if margin_px < least_px:
+        effect = f"light further than {margin_px:.0f} px from the bars is not included"
+        found.append(finding("window-too-small", f"{effect}: the MTF is too high by its fraction"))
+    return found
+
+
+def clipping_findings(
+    used: FrameStack, windows: Iterable[Mask], context: Context, fit: BarFit | None = None
+) -> list[Finding]:
+    """Return a finding where pixels of a window are clipped.
+
+    If the frames have hardly any noise, a flat plateau proves clipping only at a stated full scale.
+    """
+    full_scale_dn = context.full_scale_dn or used.full_scale_dn
+    if (
+        fit is not None
+        and _is_noise_hidden(used, fit)
+        and (full_scale_dn is None or used.data.max() < full_scale_dn)
+    ):
+        return []
+    if not any(
+        chain.from_iterable(clipping_flags(used.data[:, one], full_scale_dn) for one in windows)
+    ):
+        return []
+    return [
+        finding(
+            "clipped",
+            "pixels are clipped: MTF error up to the clipped fraction of the bars' height",
+        )
+    ]
+
+
+def _is_noise_hidden(used: FrameStack, fit: BarFit) -> bool:
+    """Return whether a frame's noise is below the quantisation step, or below the error of the
+    image's table.
+    """
+    sd = float(np.sqrt(np.median(fit.noise.variance) * len(used.data)))
+    return sd < (
+        LIMITS.hidden_noise_dn
+        if used.data.dtype.kind in "ui"
+        else LIMITS.hidden_noise_fraction * abs(fit["level_dn"])
+    )
+
+
+def findings_of_draws(
+    mtf: Array, motion: TargetMotion, frequency: float, flags: Iterable[str]
+) -> list[Finding]:
+    """Return the findings of the draws of the MTF, their sampling and motion; an exponent at its
+    bound is none.
+    """
+    mean, sd = float(mtf.mean()), float(mtf.std())
+    found = [
+        finding(flag, *POSTERIOR_FINDINGS[flag]) for flag in flags if flag in POSTERIOR_FINDINGS
+    ]
+    if np.quantile(mtf, 0.025) > 1.0:
+        found.append(
+            finding("model-misfit", f"the MTF must be at most 1, got {100 * mean - 100:.1f} % more")
+        )
+    if mean < LIMITS.min_mtf_sd * sd:
+        found.append(
+            finding(
+                "low-signal",
+                f"the MTF is {mean / max(sd, 1e-30):.1f} standard errors: an upper limit",
+            )
+        )
+    loss = motion.mtf_loss(frequency)
+    if motion.moves and loss * mean > MTF_LIMITS.max_motion_sd * sd:
+        effect = (
+            f"the bars move by {motion.rms_px:.2g} px rms: the MTF is {100 * loss:.2g} % too low"
+        )
+        found.append(finding("drift", effect))
+    return found
+
+
+def sum_notes(
+    target: BarTarget, wanted: BarTarget, amplitudes: Amplitudes, *, stated: bool
+) -> tuple[str, ...]:
+    """Return notes on sums over a target: measured frequency and image lag."""
+    notes = []
+    if stated and abs(target.frequency / wanted.frequency - 1.0) > LIMITS.frequency_tolerance:
+        notes.append(
+            f"Measured bar frequency {target.frequency:.4g} cy/px, {wanted.frequency:.4g} cy/px "
+            "requested."
+        )
+    if amplitudes.frame_correlation > 1.2:
+        factor = np.sqrt(amplitudes.frame_correlation)
+        notes.append(
+            f"Image lag: the standard error of the mean is {factor:.2f} times that of independent "
+            "frames."
+        )
+    return tuple(notes)
+
+
+def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -> list[Finding]:
+    """Return the findings from the sums over a target: bar count, motion between fields, nonlinear
+    response.
+    """
+    found = []
+    noise = LIMITS.significant_sd / amplitudes.signal_to_noise
+    if (
+        amplitudes.zeros > LIMITS.suspect_zeros + noise
+        or amplitudes.flank < LIMITS.min_flank - noise
+    ):
+        effect = (
+            f"{100 * amplitudes.zeros:.0f} % of the fundamental at the zeros of the spectrum "
+            f"of {target.bars} bars"
+        )
+        found.append(
+            finding(
+                "model-misfit", f"{effect}: MTF error up to that", f"--bars, --frequency; {REGION}"
+            )
+        )
+    apart = abs(amplitudes.fields_apart_px)
+    # Bars along rows are aliased in each field, which resembles motion.
+    upright = abs(np.sin(target.angle_rad)) < LIMITS.max_upright_sine
+    if upright and apart > max(
+        LIMITS.significant_sd * amplitudes.fields_apart_sd_px, LIMITS.max_field_offset_px
+    ):
+        found.append(_field_motion(apart, target.frequency))
+    if (
+        abs(second)
+        > LIMITS.max_second_harmonic + LIMITS.max_second_harmonic_sd / amplitudes.signal_to_noise
+    ):
+        effect = (
+            f"second harmonic {100 * abs(second):.1f} % of the fundamental: MTF error up to that"
+        )
+        found.append(finding("gamma", effect))
+    return found
+
+
+def findings_of_fit(fit: BarFit, problem: BarLikelihood) -> list[Finding]:
+    """Return the findings of a fitted image: misfit, departure, sharpening, field motion, bar
+    count, quantisation.
+    """
+    found = []
+    left = _profile_residual_rms(fit)
+    if left > 0.0:
+        share = 100.0 * left / abs(fit["level_dn"])
+        found.append(
+            finding(
+                "model-misfit",
+                f"residual profile {share:.1f} % of the bars' height: MTF error up to that",
+            )
+        )
+    away, known = abs(fit["departure"]), 1.0 / np.sqrt(fit.precision[fit.names.index("departure")])
+    if away > LIMITS.max_departure_sd * known:
+        effect = (
+            f"the MTF at the bars departs by {100 * away:.0f} % from the blur model of the image"
+        )
+        found.append(finding("model-misfit", effect))
+    taken_off = sharpening(fit)
+    if taken_off > 0.0:
+        effect = (
+            f"{100 * taken_off:.1f} % of the light around the bars is missing: the MTF may "
+            f"be too high by that"
+        )
+        found.append(finding("processed", effect))
+    upright = abs(np.sin(fit.target.angle_rad)) < LIMITS.max_upright_sine
+    apart = _field_offset_px(fit) if fit.strip and upright else 0.0
+    if apart:
+        found.append(_field_motion(apart, fit.target.frequency))
+    other = likelier_bar_count(fit, problem)
+    if other is not None:
+        effect = (
+            f"the data favour {other} bars over {fit.target.bars}; the light per bar changes "
+            f"accordingly"
+        )
+        found.append(finding("model-misfit", effect, f"--bars {other}"))
+    moved = rounding_sd(fit)
+    if moved > LIMITS.max_rounding_sd:
+        found.append(
+            finding("quantised", f"quantisation may change the MTF by {100 * moved:.0f} %")
+        )
+    return found
+
+
+def _field_motion(apart_px: float, frequency: float) -> Finding:
+    """Return the finding that the fields are displaced, with the loss of MTF in their mean."""
+    lowered = 1.0 - np.cos(np.pi * frequency * apart_px)
+    effect = (
+        f"the fields are displaced by {apart_px:.2f} px: the MTF is {100 * lowered:.2g} % too low"
+    )
+    return finding("interlace-motion", effect)
+
+
+def light_in_standard_errors(fit: BarFit) -> float:
+    """Return the bars' light in its standard uncertainties at fixed shape and position."""
+    slope = fit.slope[[fit.names.index("level_dn"), fit.names.index("pedestal_dn")]]
+    weighted = slope / fit.noise.variance
+    estimator = np.asarray(np.linalg.solve(weighted @ slope.T, weighted), dtype=np.float64)
+    return abs(fit["level_dn"]) / float(np.sqrt(fit.noise.spread(estimator, fit.window)[0, 0]))
+
+
+def fundamental_in_standard_errors(fit: BarFit) -> float:
+    """Return the fundamental of the bars' core in its standard uncertainties."""
+    target, pixels = fit.target, fit.model_dn + fit.residual_dn - fit["pedestal_dn"]
+    across, _ = target.coordinates(fit.window.shape)
+    core = target.box(fit.window.shape, core_margin_px(target.frequency))[fit.window]
+    phase = 2.0 * np.pi * target.frequency * across[fit.window]
+    waves = np.where(core, np.stack([np.cos(phase), np.sin(phase)]), 0.0)
+    spread = fit.noise.spread(waves, fit.window)
+    modulus, sd = float(np.hypot(*(waves @ pixels))), float(np.sqrt(0.5 * np.trace(spread)))
+    return modulus / max(sd, 1e-12 * modulus + 1e-30)
+
+
+def _profile_residual_rms(fit: BarFit) -> float:
+    """Return the rms of the mean residual profile across the bars, DN, where it exceeds noise and
+    model tolerance.
+
+    Averaging along the bars suppresses noise, also where the noise was estimated from these
+    residuals.
+    """
+    across, _ = fit.target.coordinates(fit.window.shape)
+    near = np.abs(across[fit.window]) < fit.target.width_px / 2.0 + 1.0 / fit.target.frequency
+    position = np.floor(across[fit.window][near]).astype(np.intp)
+    position = position - position.min()
+    count = np.bincount(position)
+    shared = float(np.abs(fit.noise.correlation).sum()) * fit.noise.inflation
+    mean = np.bincount(position, fit.residual_dn[near])[count > 0] / count[count > 0]
+    expected = (
+        np.bincount(position, fit.noise.variance[near])[count > 0] * shared / count[count > 0] ** 2
+    )
+    noise = LIMITS.significant_sd * np.sqrt(2.0 * float(np.sum(expected**2))) / mean.size
+    square = float(np.mean(mean**2 - expected))
+    return (
+        float(np.sqrt(square))
+        if square > (LIMITS.max_misfit * fit["level_dn"]) ** 2 + noise
+        else 0.0
+    )
+
+
+def _field_offset_px(fit: BarFit) -> float:
+    """Return the displacement of odd rows from even rows across the bars, px, where it is
+    significant.
+    """
+    odd = 1.0 - 2.0 * (np.nonzero(fit.window)[0] % 2)
+    slope = fit.slope[fit.names.index("across_px")] * odd
+    weight = 1.0 / float(slope @ slope)
+    apart = 2.0 * weight * float(slope @ fit.residual_dn)
+    sd = 2.0 * np.sqrt(weight * np.mean(fit.residual_dn**2))
+    return (
+        abs(apart)
+        if abs(apart) > max(LIMITS.significant_sd * sd, LIMITS.max_field_offset_px)
+        else 0.0
+    )
+
+
+def not_identifiable(target: BarTarget, length_px: float) -> str | None:
+    """Return why the fundamental cannot be separated from its alias; None where it can.
+
+    Notes
+    -----
+    The alias of a component g along a grid axis lies at 1 - g. The spectrum of N bars is f/N wide
+    on either side, so that the two overlap where 1 - 2 g < 2 f/N, unless the tilt of the bars
+    covers the pixel's phases.
+    """
+    cosine, sine = abs(np.cos(target.angle_rad)), abs(np.sin(target.angle_rad))
+    ratio = target.pitch_ratio
+    cases = [
+        (target.frequency * cosine, length_px * sine),
+        (target.frequency * sine * ratio, length_px * cosine / ratio),
+    ]
+    for sampled, travel in cases:
+        if (
+            1.0 - 2.0 * sampled < LIMITS.min_alias_distance * target.frequency / target.bars
+            and travel < LIMITS.min_travel_px
+        ):
+            return (
+                f"not identifiable: {sampled:.3g} cycles per sample alias to {1.0 - sampled:.3g}, "
+                f"and the bars shift only {travel:.2g} px over their length; tilt them by a few "
+                "degrees"
+            )
+    return None
+
+
+def likelier_bar_count(fit: BarFit, problem: BarLikelihood) -> int | None:
+    """Return the number of bars, one fewer or one more, that fits the pixels better; None if none
+    does.
+    """
+    cost = fit.cost
+    begun = {
+        n: _chi2_of_count(fit, problem, n)
+        for n in (fit.target.bars - 1, fit.target.bars + 1)
+        if n > 1
+    }
+    left = {
+        n: _fit_count(fit, problem, n, shift_px).cost
+        for n, (least, shift_px) in begun.items()
+        if least < LIMITS.max_count_chi2_ratio * cost
+    }
+    if not left:
+        return None
+    best = min(left, key=left.__getitem__)
+    shared = fit.noise.correlation_sum
+    # A wrong number leaves residuals that resemble correlated noise; no other number then saves a
+    # third of them.
+    return (
+        best
+        if cost - left[best]
+        > min(LIMITS.min_count_chi2_gain * shared, LIMITS.min_count_chi2_fraction * cost)
+        else None
+    )
+
+
+def _chi2_of_count(fit: BarFit, problem: BarLikelihood, bars: int) -> tuple[float, float]:
+    """Return the smallest chi squared of another number of bars at the fitted transfer, and their
+    shift, px.
+    """
+    image = BarImageModel(problem, fit.target)
+    across, along = image.places(fit["angle_rad"], 0.0, 0.0)
+    reach = (
+        image.reach[0] + max(ACCURACY.count_shifts_periods) / fit.target.frequency,
+        image.reach[1],
+    )
+    table = table_of(replace(fit.shape, bars=bars), *reach)
+    weight = 1.0 / np.sqrt(problem.variance)
+    background = np.stack([np.ones_like(across), across / reach[0], along / reach[1]]) * weight
+    data, left = problem.image[problem.window] * weight, {}
+    for shift_px in np.array(ACCURACY.count_shifts_periods) / fit.target.frequency:
+        design = np.concatenate(
+            [(table.at(across - shift_px, along)[0] * weight)[None], background]
+        )
+        amplitude = np.linalg.lstsq(design @ design.T, design @ data, rcond=1e-12)[0]
+        left[float(shift_px)] = float(np.sum((data - amplitude @ design) ** 2))
+    best = min(left, key=left.__getitem__)
+    return left[best], best
+
+
+def _fit_count(fit: BarFit, problem: BarLikelihood, bars: int, shift_px: float) -> BarFit:
+    """Return a rough fit of another number of bars."""
+    start = initial_parameters(problem, fit.target)
+    start |= {"angle_rad": fit["angle_rad"], "across_px": shift_px}
+    return fit_bars(
+        problem,
+        replace(fit.target, bars=bars),
+        start,
+        fit.noise,
+        tolerance=ACCURACY.rough_tolerance,
+    )

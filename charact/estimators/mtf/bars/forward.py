@@ -1,0 +1,171 @@
+"""Forward method for bar targets: the exact spectrum of N finite bars, fitted to the pixels."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.estimators.mtf.bars.bar_image_model import BarShape, table_of
+from charact.estimators.mtf.bars.bar_measurement import BarRefusal, StatedBars, measure_bars_in
+from charact.estimators.mtf.bars.blur_models import TUBE
+from charact.estimators.mtf.bars.checks import findings_of_draws
+from charact.estimators.mtf.bars.target import BarTarget
+from charact.estimators.mtf.blur_models import transfer as forms
+from charact.estimators.mtf.mean_frame import Region
+from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
+from charact.method import Context, register
+from labdata.frames import FrameStack
+from labdata.measurement import Provenance, Result, make_refusal, measurement_from_draws
+
+Array = NDArray[np.float64]
+
+METHOD = "bars-forward"
+
+
+def measure_bar_motion(used: FrameStack, target: BarTarget) -> TargetMotion:
+    """Return the motion of a target across its bars through a stack."""
+    across, along = target.coordinates(used.data.shape[1:])
+    inside = (np.abs(across) < target.width_px / 2.0 + 0.5 / target.frequency) & (
+        np.abs(along) < target.length_px / 2.0
+    )
+    if not inside.any():
+        return TargetMotion()
+    line = np.floor(along).astype(np.int64)
+    return measure_line_motion(list(used.data), across, line - line[inside].min(), inside)
+
+
+def bar_profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
+    """Return the mean profile across the bars and a model with the measured MTF, as figure data.
+
+    The model has the tube transfer exp(-(f/fc)^1.2) with the measured value at the fundamental.
+    """
+    across, along = target.coordinates(used.shape[1:])
+    mean = used.data.mean(axis=0, dtype=np.float64)
+    near = (np.abs(along) < 0.3 * target.length_px) & (
+        np.abs(across) < target.width_px / 2 + 1.5 / target.frequency
+    )
+    edges = np.arange(
+        across[near].min(), across[near].max() + 0.25, max(0.25, 0.04 / target.frequency)
+    )
+    position = np.digitize(across[near], edges)
+    count = np.bincount(position, minlength=len(edges) + 1)[1:-1]
+    filled = count > 0
+    value = (
+        np.bincount(position, mean[near], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
+    )
+    distance = (0.5 * (edges[1:] + edges[:-1]))[filled]
+    shape = _model_profile(distance, target, mtf)
+    scale, level = np.polyfit(shape, value, 1) if shape.std() > 0 else (0.0, float(value.mean()))
+    model = level + scale * shape
+    return {
+        "figure": "bars",
+        "distance_px": distance.tolist(),
+        "value_dn": value.tolist(),
+        "model_dn": model.tolist(),
+        "residual_dn": (value - model).tolist(),
+        "frequency_cy_per_px": target.frequency,
+        "mtf": mtf,
+    }
+
+
+def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
+    """Return N blurred bars at distances from their centre, 1 on a wide bar."""
+    frequency = target.frequency
+    pixel = float(forms.aperture(np.array([frequency]), target.angle_rad)[0])
+    core = float(np.clip(mtf / pixel, 1e-3, 0.999))
+    shape = BarShape(
+        bars=target.bars,
+        frequency=frequency,
+        length_px=np.inf,
+        reference=frequency,
+        form=TUBE,
+        log_attenuation=float(np.log(-np.log(core))),
+        form_one=float(np.log(1.2)),
+        form_two=0.0,
+        departure=0.0,
+        angle_rad=target.angle_rad,
+    )
+    return table_of(shape, float(np.abs(distance).max()), 1.0).at(distance, distance)[0]
+
+
+@register("bars", METHOD)
+def bars_forward(
+    stack: FrameStack,
+    *,
+    region: Region | None = None,
+    bars: int | None = None,
+    frequency_cy_per_px: float | None = None,
+    context: Context,
+) -> Result:
+    """Measure the MTF at the frequency of a bar target.
+
+    Parameters
+    ----------
+    stack
+        Frames of one target.
+    region
+        ROW, COL, HEIGHT, WIDTH that contains the complete target and its blur, or a strip across
+        all bars; None: the whole frame.
+    bars
+        Number of bars; None: counted in the image.
+    frequency_cy_per_px
+        Bar frequency, cycles per column pitch across the bars, at which the MTF is reported; None:
+        measured.
+    context
+        Seed, speed and camera.
+
+    Returns
+    -------
+    Result
+        `mtf` at the fundamental, and the profile across the bars as figure data.
+
+    Notes
+    -----
+    The spectrum of N bars of width w = 1/(2 f) and pitch P is O(v) = w sinc(v w) sin(pi N v P) /
+    sin(pi v P). At the bar frequency it is (2/pi) O(0), so that MTF(f) = (pi/2) |I(f)| / I(0), I
+    the spectrum of the image above its pedestal. O times a blur model, with a free departure at f,
+    and the pixel aperture is fitted to the pixels. For a camera with a description, whose halo is
+    wide and known, complete targets are summed instead; the light beyond the window is a parameter
+    with a prior from the description.
+    """
+    used = stack if region is None else stack.region(*region)
+    where = region or (0, 0, *used.shape[1:])
+    stated = StatedBars(bars=bars, frequency=frequency_cy_per_px)
+    found = measure_bars_in(used, stated, context)
+    if isinstance(found, BarRefusal):
+        one = make_refusal(
+            "mtf",
+            "1",
+            found.reason,
+            method=METHOD,
+            flags=(found.flag,),
+            region=where,
+            frequency_cy_per_px=stated.frequency,
+            provenance=Provenance(version=charact.__version__, seed=context.seed),
+        )
+        return Result(measurements=(one,))
+    motion = measure_bar_motion(used, found.target)
+    doubts = findings_of_draws(found.mtf, motion, found.target.frequency, found.posterior.flags)
+    measurement = measurement_from_draws(
+        "mtf",
+        "1",
+        found.mtf,
+        method=METHOD,
+        notes=found.notes,
+        region=where,
+        frequency_cy_per_px=found.target.frequency,
+        orientation_deg=float(np.rad2deg(found.target.angle_rad)) % 180.0,
+        posterior=found.posterior,
+        provenance=Provenance(
+            version=charact.__version__,
+            seed=context.seed,
+            settings={
+                "quick": context.quick,
+                "bars": found.target.bars,
+                "margin_px": found.margin_px,
+            },
+        ),
+    ).with_(findings=dict.fromkeys([*found.findings, *doubts]))
+    return Result(
+        measurements=(measurement,),
+        evidence={"bars": bar_profile(used, found.target, measurement.value or 0.0)},
+    )

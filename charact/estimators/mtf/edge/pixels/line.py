@@ -1,0 +1,394 @@
+"""Position of an edge: a straight line found by projections and refined row by row, and
+displacements of fields.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.edge.thresholds import THRESHOLDS
+from charact.estimators.mtf.mean_frame import OrientedFrame
+from charact.robust import NORMAL, median, robust_sd
+
+Array = NDArray[np.float64]
+
+# Slopes among which the strongest step is searched, px per row.
+SLOPES = np.tan(np.deg2rad(np.arange(-48.0, 49.0, 2.0)))
+# Distance from the edge up to which a row locates it, px, and cells per px of the mean profile it
+# is compared with.
+ROW_REACH_PX, CELLS_PER_PX = 14.0, 4
+# Cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell).
+CELLS_PX = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
+SMOOTHING = np.exp(-0.5 * ((CELLS_PX[:, None] - CELLS_PX) / 0.5) ** 2)
+# Displacement of the odd lines against the even ones, px, and its standard uncertainty.
+Displacement = tuple[float, float]
+
+
+@njit(cache=True)
+def _strongest_step(value: Array, slopes: Array) -> tuple[float, float, float]:
+    """Return the largest weighted step of the profiles projected along slopes: signed, its position
+    and its slope.
+    """
+    rows, cols = value.shape
+    side, middle = min(rows, cols), 0.5 * (rows - 1)
+    reach = max(3, side // 6)
+    best, position, along = 0.0, 0.0, 0.0
+    for slope in slopes:
+        # Running sums of the pixels projected along the slope and of their number.
+        first = -abs(slope) * middle
+        size = int(np.rint(cols - 1 - 2.0 * first)) + 1
+        total, count = np.zeros(size + 1), np.zeros(size + 1)
+        for row in range(rows):
+            begin = int(np.rint(-slope * (row - middle) - first)) + 1
+            for col in range(cols):
+                total[begin + col] += value[row, col]
+                count[begin + col] += 1.0
+        for cell in range(size):
+            total[cell + 1] += total[cell]
+            count[cell + 1] += count[cell]
+        for cut in range(2, size - 1):
+            low, high = max(cut - reach, 0), min(cut + reach, size)
+            left, right = count[cut] - count[low], count[high] - count[cut]
+            # Each side of a step has at least a tenth of a full side's pixels.
+            if min(left, right) <= 0.1 * reach * side:
+                continue
+            step = (total[high] - total[cut]) / right - (total[cut] - total[low]) / left
+            score = step * np.sqrt(left * right / (left + right))
+            if abs(score) > abs(best):
+                best, position, along = score, cut - 0.5 + first, slope
+    return best, position, along
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeLine:
+    """An edge col = position + slope (row - middle row) of an upright picture.
+
+    Parameters
+    ----------
+    position, slope
+        px, and px per row.
+    strength
+        Step over its own standard error on the coarse picture, the noise taken from neighbouring
+        pixels.
+    fields_apart_px, fields
+        How far further along the columns the edge lies in the odd field, px, and the field of every
+        pixel, 0 or 1, shape (row, col); None: the fields do not lie apart.
+    """
+
+    position: float
+    slope: float
+    strength: float = 0.0
+    fields_apart_px: float = 0.0
+    fields: NDArray[np.int64] | None = None
+
+    def across(self, shape: tuple[int, int]) -> Array:
+        """Return the distance along the columns of every pixel from the line, shape (row, col),
+        px.
+        """
+        row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
+        even = np.arange(shape[1])[None, :] - self.position - self.slope * row
+        return even if self.fields is None else even - self.fields_apart_px * (self.fields - 0.5)
+
+    def angle_rad(self, pitch_ratio: float) -> float:
+        """Angle of the edge to the columns' direction, rad; rows are `pitch_ratio` column pitches
+        apart.
+        """
+        return float(np.arctan(self.slope / pitch_ratio))
+
+
+def find(picture: OrientedFrame) -> tuple[OrientedFrame, EdgeLine]:
+    """Find the strongest straight step, turn the picture upright and return both."""
+    factor = max(1, int(np.ceil(max(picture.value.shape) / 96)))
+    rows, cols = (size // factor * factor for size in picture.value.shape)
+    small = (
+        picture.value[:rows, :cols]
+        .reshape(rows // factor, factor, cols // factor, factor)
+        .mean(axis=(1, 3))
+    )
+    found = [_strongest_step(np.ascontiguousarray(one), SLOPES) for one in (small, small.T)]
+    transpose = abs(found[1][0]) > abs(found[0][0])
+    score, place, slope = found[int(transpose)]
+    upright = picture.turned(transpose=transpose, mirror=score < 0)
+    width = upright.value.shape[1]
+    position = (place + 0.5) * factor - 0.5
+    line = EdgeLine(
+        position=width - 1 - position if score < 0 else position,
+        slope=-slope if score < 0 else slope,
+    )
+    noise = min(median(np.abs(np.diff(small, axis=axis))) for axis in (0, 1)) / 0.6745 / np.sqrt(2)
+    strength = abs(score) / max(noise, 1e-12 * (1 + abs(score)))
+    return upright, replace(iterate_edge_line(upright, line), strength=strength)
+
+
+def iterate_edge_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
+    """Return the line that fits the pixels around it best with a smooth step, by damped
+    Gauss-Newton.
+
+    Notes
+    -----
+    Model: level + rise tanh((col - position - slope row) / width), level and rise changing evenly
+    along the edge, as uneven light has it. A symmetric template is unbiased for the course of any
+    edge, and nearly as precise as the edge's own shape. Single wild pixels count as little more
+    than far ones.
+    """
+    rows, cols = picture.value.shape
+    row = np.arange(rows) - (rows - 1) / 2
+    slack = 0.5 * rows * 0.035
+    across = line.across((rows, cols))
+    reach = 12.0 + slack
+    inside = np.nonzero(np.abs(across) < reach)
+    every = picture.value[inside], across[inside], row[inside[0]] / rows
+    if every[0].size < 16:
+        return line
+    # The first steps are far from exact: some of the pixels tell them.
+    few = tuple(np.ascontiguousarray(part[:: max(1, every[0].size // 2000)]) for part in every)
+    shift, turn, width, clip = 0.0, 0.0, max(2.0, slack), np.inf
+    last = np.inf
+    for iteration in range(12):
+        value, distance, height = few if iteration < 3 else every
+        place = (distance - shift - turn * height) / width
+        renew = iteration in (3, 6)
+        across_step, along_step, wider, clip = _smooth_step(
+            value, place, np.tanh(place), height, width, clip, renew
+        )
+        # On single numbers NumPy's clip takes fifty times as long.
+        across_step, along_step = min(max(across_step, -4.0), 4.0), min(max(along_step, -8.0), 8.0)
+        shift, turn = min(max(shift + across_step, -reach), reach), turn + along_step
+        width = min(max(width + min(max(wider, -0.5 * width), width), 0.4), 20.0)
+        size = abs(across_step) + abs(along_step)
+        if iteration > 3 and size < 1e-3 and last < 0.1:
+            break
+        last = size
+    return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
+
+
+@njit(cache=True)
+def _smooth_step(
+    value: Array, place: Array, bend: Array, height: Array, width: float, clip: float, renew: bool
+) -> tuple[float, float, float, float]:
+    """Return the Gauss-Newton step of position, turn and width of a smooth step, and the clip of
+    residuals.
+
+    Level, rise and their slopes along the edge are fitted first. `renew`: whether the clip is set
+    from the residuals.
+    """
+    design, residual = np.empty((7, value.size)), np.empty(value.size)
+    for k in range(value.size):
+        design[0, k], design[1, k], design[2, k], design[3, k] = (
+            1.0,
+            bend[k],
+            height[k],
+            height[k] * bend[k],
+        )
+    levels = _least_squares(design[:4], value)
+    for k in range(value.size):
+        rise = levels[1] + levels[3] * height[k]
+        residual[k] = value[k] - levels[0] - levels[2] * height[k] - rise * bend[k]
+        design[4, k] = -rise / width * (1.0 - bend[k] ** 2)
+        design[5, k], design[6, k] = design[4, k] * height[k], design[4, k] * place[k]
+    if renew:
+        clip = 6.0 * NORMAL * np.median(np.abs(residual[:: max(1, value.size // 4000)]))
+    move = _least_squares(design, np.minimum(np.maximum(residual, -clip), clip))
+    return move[4], move[5], move[6], clip
+
+
+@njit(cache=True)
+def _least_squares(design: Array, value: Array) -> Array:
+    """Return the amplitudes of rows of a design, shape (row, pixel); one that has no effect stays
+    at 0.
+    """
+    normal = np.dot(design, design.T)
+    for k in range(len(normal)):
+        normal[k, k] += 1e-9 * normal[k, k] + 1e-300
+    return np.linalg.solve(normal, np.dot(design, value))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowFit:
+    """The line refined against the profile, and how single rows depart from it.
+
+    Parameters
+    ----------
+    line
+        The refined line.
+    offset
+        Displacement of each row's edge from the line, shape (row,), px.
+    offset_sd
+        Their scatter, px.
+    """
+
+    line: EdgeLine
+    offset: Array
+    offset_sd: float
+
+
+def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
+    """Return the displacement of each row's edge from the line, which is corrected by them.
+
+    Notes
+    -----
+    With the mean profile m of all rows as template a row's displacement is least squares on -m'(d).
+    """
+    rows = picture.value.shape[0]
+    row = np.arange(rows) - (rows - 1) / 2
+    moved = False
+    while True:
+        across = line.across(picture.value.shape)
+        sums, counts = _profile_sums(picture.value, across)
+        profile = SMOOTHING @ sums / np.maximum(SMOOTHING @ counts, 1e-300)
+        offset, power = _row_displacements(
+            picture.value, across, profile, np.gradient(profile, CELLS_PX)
+        )
+        good = (power > 0.5 * median(power)) & (power > 0)
+        if good.sum() < 3:
+            return RowFit(line=line, offset=offset, offset_sd=np.inf)
+        good &= np.abs(offset - median(offset[good])) < 6 * robust_sd(offset[good]) + 1e-9
+        design = np.stack([np.ones_like(row), row], axis=1)[good]
+        shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0].tolist()
+        if moved or abs(shift) + abs(turn) * rows <= 0.02:
+            break
+        shift, turn = min(max(shift, -3.0), 3.0), min(max(turn * rows, -6.0), 6.0) / rows
+        line, moved = replace(line, position=line.position + shift, slope=line.slope + turn), True
+    if good.sum() < 3:
+        return RowFit(line=line, offset=offset, offset_sd=np.inf)
+    offset = np.where(good, offset - shift - turn * row, np.nan)
+    return RowFit(line=line, offset=offset, offset_sd=robust_sd(offset[good]))
+
+
+@njit(cache=True)
+def _profile_sums(value: Array, across: Array) -> tuple[Array, Array]:
+    """Return the sum of the pixels in each cell of the rows' mean profile, and their number.
+
+    A pixel between the middles of two cells counts in both as it is near: at 45 degrees all rows
+    cross the cells at one place, and pixels that passed from one cell to the next along the edge
+    would seem to bend it.
+    """
+    size = 2 * CELLS_PER_PX * int(ROW_REACH_PX)
+    sums, counts = np.zeros(size), np.zeros(size)
+    for row in range(value.shape[0]):
+        for col in range(value.shape[1]):
+            if abs(across[row, col]) < ROW_REACH_PX:
+                place = min(
+                    max((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0.0), size - 1.001
+                )
+                cell = int(place)
+                for k in range(2):
+                    near = place - cell if k else 1.0 - place + cell
+                    sums[cell + k] += near * value[row, col]
+                    counts[cell + k] += near
+    return sums, counts
+
+
+@njit(cache=True)
+def _row_displacements(
+    value: Array, across: Array, profile: Array, rise: Array
+) -> tuple[Array, Array]:
+    """Return by how much each row's edge lies off a profile, shape (row,), px, and the power that
+    tells it.
+
+    A row's own level and step are free: light that changes along the edge must not move it.
+    """
+    rows, cols = value.shape
+    offset, power = np.zeros(rows), np.zeros(rows)
+    mean = profile.mean()
+    shape = np.ones(3)
+    for row in range(rows):
+        normal, pull = np.zeros((3, 3)), np.zeros(3)
+        for col in range(cols):
+            if abs(across[row, col]) >= ROW_REACH_PX:
+                continue
+            place = min(
+                max((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0.0), profile.size - 1.0
+            )
+            left = min(int(place), profile.size - 2)
+            rest = place - left
+            template = profile[left] + rest * (profile[left + 1] - profile[left])
+            shape[0] = rise[left] + rest * (rise[left + 1] - rise[left])
+            shape[2] = template - mean
+            for k in range(3):
+                pull[k] += shape[k] * (value[row, col] - template)
+                for m in range(k + 1):
+                    normal[k, m] += shape[k] * shape[m]
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        for k in range(3):
+            for m in range(k):
+                normal[m, k] = normal[k, m]
+        normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(3)
+        # Symmetric: the first column of the inverse is its first row.
+        inverse = np.linalg.solve(normal, np.array([1.0, 0.0, 0.0]))
+        power[row] = scale[0] ** 2 / inverse[0]
+        offset[row] = -np.dot(inverse, pull / scale) / scale[0]
+    return offset, power
+
+
+def is_significant(displacement: Displacement) -> bool:
+    """Return whether fields are displaced by more than chance, and by enough to matter."""
+    apart, error = displacement
+    return bool(
+        abs(apart) > max(THRESHOLDS.field_displacement_sd * error, THRESHOLDS.field_displacement_px)
+    )
+
+
+def field_displacement(
+    picture: OrientedFrame,
+    rows: RowFit,
+    used: NDArray[np.bool_],
+    distance: Array,
+    profile: tuple[Array, Array],
+    noise: float | None = None,
+) -> Displacement:
+    """Return the displacement of the edge in odd lines of the frame across the edge, px, and its
+    standard uncertainty.
+
+    Parameters
+    ----------
+    used, distance
+        Pixels that show it where lines run along the edge, and their distance from it, shape (row,
+        col), px.
+    profile
+        Places, px, and values of the mean profile, DN.
+    noise
+        Standard deviation of a pixel, DN; None: that of the pixels less their profile.
+
+    Notes
+    -----
+    Lines across the edge are rows of the picture: the medians of their displacements are compared.
+    For lines along it the displacement is least squares on single pixels.
+    """
+    if not picture.transposed:
+        odd, good = (picture.row_index[:, 0] % 2).astype(bool), np.isfinite(rows.offset)
+        one, other = rows.offset[good & odd], rows.offset[good & ~odd]
+        if min(one.size, other.size) < 6:
+            return 0.0, np.inf
+        error = 1.25 * np.hypot(
+            robust_sd(one) / np.sqrt(one.size), robust_sd(other) / np.sqrt(other.size)
+        )
+        return median(one) - median(other), float(error)
+    away, parity = distance[used], picture.row_index[used] % 2
+    residual = picture.value[used] - np.interp(away, *profile)
+    shape = (0.5 - parity) * steepness(*profile, away)
+    power = float(shape @ shape)
+    if power <= 0 or parity.min() == parity.max():
+        return 0.0, np.inf
+    return float(shape @ residual) / power, float(
+        np.std(residual) if noise is None else noise
+    ) / np.sqrt(power)
+
+
+def steepness(place: Array, value: Array, distance: Array) -> Array:
+    """Return the slope of a profile at distances, DN per px, smoothed over even steps, as bins may
+    lie close together.
+
+    Zero within a pixel of its ends, and for a profile that is too short.
+    """
+    step_px, smooth = 0.25, 5
+    even = np.arange(place[0], place[-1], step_px)
+    if even.size < smooth + 6:
+        return np.zeros_like(distance)
+    running = np.convolve(np.interp(even, place, value), np.ones(smooth) / smooth, "valid")
+    middle = even[smooth // 2 : -(smooth // 2)]
+    return np.interp(
+        distance, middle[2:-2], np.gradient(running, step_px)[2:-2], left=0.0, right=0.0
+    )

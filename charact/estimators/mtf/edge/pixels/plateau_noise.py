@@ -1,0 +1,345 @@
+"""Temporal noise on the plateaus and slopes of an edge, and what its growth tells of the camera's
+response.
+
+Noise is taken from frame differences where there are several frames: fixed patterns and lamp
+flicker are then excluded.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR
+from charact.estimators.mtf.thresholds import ACCURACY, LIMITS
+
+Array = NDArray[np.float64]
+
+# Prior probability that noise is read-out noise.
+READ_OUT = 0.5
+# Lags along a row: of neighbours, and of distant pixels, which have only row noise in common.
+LAGS_PX = (1, 8, 9, 10)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlateauNoise:
+    """Noise of one plateau of a target.
+
+    Parameters
+    ----------
+    level
+        Mean of its pixels, DN.
+    variance, scatter
+        Mean variance of a pixel, DN^2, and its relative standard uncertainty.
+    covariance, covariance_sd
+        Mean covariance of neighbours along a row less that of distant pixels, and its standard
+        uncertainty, DN^2.
+    """
+
+    level: float
+    variance: float
+    scatter: float
+    covariance: float
+    covariance_sd: float
+
+
+Sides = tuple[PlateauNoise, PlateauNoise]
+
+
+def plateau_noise(
+    frames: Array, expected: Array, sides: NDArray[np.int64], *, along: int, tied: float
+) -> Sides | None:
+    """Return the noise of the dark and of the bright plateau; None if a plateau has too few pixels.
+
+    Parameters
+    ----------
+    frames
+        Shape (frame, row, col), DN.
+    expected
+        Model of a single frame, shape (row, col), DN.
+    sides
+        0 for excluded pixels, 1 on the dark and 2 on the bright plateau, shape (row, col).
+    along
+        Axis of a frame along which neighbours belong to one field: 0 down its rows, 1 along them.
+    tied
+        Sum of the noise correlations: variance factor of averages relative to independent pixels.
+
+    Notes
+    -----
+    The mean of a plateau in each frame and, of several frames, the mean of each pixel are
+    subtracted. Uncertainties follow from the scatter of the pixels, which includes heavy-tailed
+    pulses, and from their correlation.
+    """
+    mean = frames.mean(axis=0) if len(frames) > 1 else expected
+    sums = _sum_products(frames, mean, sides, 1 - along, along)
+    if sums[:, 0].min() < LIMITS.min_plateau_pixels:
+        return None
+    free, tied, found = max(len(frames) - 1, 1), max(tied, 1.0), []
+    for one in sums / np.array([1, 1, free, free**2, free, free**2, 1, free, 1]):
+        pixels, level, variances, squares, near, near_squares, pairs, far, far_pairs = one.tolist()
+        variance, covariance = variances / pixels, near / max(pairs, 1.0)
+        scatter = max(squares / pixels - variance**2, 0.0)
+        error = max(near_squares / max(pairs, 1.0) - covariance**2, 0.0)
+        side = PlateauNoise(
+            level=level / pixels,
+            variance=variance,
+            scatter=float(np.sqrt(scatter * tied / pixels)) / max(variance, 1e-300),
+            covariance=covariance - far / max(far_pairs, 1.0),
+            covariance_sd=float(np.sqrt(error * tied / pairs)) if pairs else np.inf,
+        )
+        found.append(side)
+    return found[0], found[1]
+
+
+@njit(cache=True)
+def _sum_products(
+    values: Array, mean: Array, sides: NDArray[np.int64], down: int, across: int
+) -> Array:
+    """Return sums over both plateaus, shape (side, 9).
+
+    Number of pixels, sum of values; sums of squares and of squares squared; sums of neighbours'
+    products and of those squared, number of neighbours; sum of distant pixels' products, and their
+    number.
+    """
+    frames, rows, cols = values.shape
+    out, left = np.zeros((2, 9)), np.zeros((frames, rows, cols))
+    for k in range(frames):
+        total, count = np.zeros(3), np.zeros(3)
+        for i in range(rows):
+            for j in range(cols):
+                left[k, i, j] = values[k, i, j] - mean[i, j]
+                total[sides[i, j]] += left[k, i, j]
+                count[sides[i, j]] += 1.0
+        for i in range(rows):
+            for j in range(cols):
+                left[k, i, j] -= total[sides[i, j]] / count[sides[i, j]]
+    for i in range(rows):
+        for j in range(cols):
+            side = sides[i, j]
+            if side == 0:
+                continue
+            here = out[side - 1]
+            square, value = 0.0, 0.0
+            for k in range(frames):
+                square += left[k, i, j] ** 2
+                value += values[k, i, j] / frames
+            here[0] += 1.0
+            here[1] += value
+            here[2] += square
+            here[3] += square**2
+            for lag in LAGS_PX:
+                p, q = i + lag * down, j + lag * across
+                if p >= rows or q >= cols or sides[p, q] != side:
+                    continue
+                product = 0.0
+                for k in range(frames):
+                    product += left[k, i, j] * left[k, p, q]
+                if lag == 1:
+                    here[4] += product
+                    here[5] += product**2
+                    here[6] += 1.0
+                else:
+                    here[7] += product
+                    here[8] += 1.0
+    return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlopeNoise:
+    """Temporal variance on the slopes of a target over that expected from its plateaus.
+
+    Parameters
+    ----------
+    ratio, sd
+        Ratio and its standard uncertainty, dimensionless.
+    """
+
+    ratio: float = 1.0
+    sd: float = np.inf
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether the plateaus are quieter than photon and read-out noise allow."""
+        return self.ratio > LIMITS.slope_noise[0] + LIMITS.slope_noise[1] * self.sd
+
+
+def noise_on_slopes(
+    frames: Array, level: Array, steep: Array, sides: NDArray[np.int64]
+) -> SlopeNoise:
+    """Return the noise on the slopes of a target relative to that of its plateaus.
+
+    Parameters
+    ----------
+    frames
+        Shape (frame, row, col), DN; the target's lines run down the rows.
+    level
+        From 0 (dark) to 1 (bright), shape (row, col).
+    steep
+        Slope of the target across its lines, shape (row, col).
+    sides
+        0 for excluded pixels, 1 on the dark and 2 on the bright plateau, shape (row, col).
+
+    Notes
+    -----
+    The variance of photon and read-out noise is linear in the level. Level and contrast of each
+    frame are subtracted (lamp flicker), and from each row's slope the component of a displacement
+    (line jitter). Correlated noise makes that component larger and the ratio smaller.
+    """
+    on_slope = (np.abs(steep) > LIMITS.min_slope * np.abs(steep).max()) & (
+        np.count_nonzero(sides, axis=1) > 0
+    )[:, None]
+    if len(frames) < LIMITS.min_smoothing_frames or not on_slope.any():
+        return SlopeNoise()
+    left, used = frames - frames.mean(axis=0), on_slope | (sides > 0)
+    design = np.stack([np.ones(np.count_nonzero(used)), level[used]])
+    base, contrast = np.linalg.lstsq(design.T, left[:, used].T, rcond=None)[0]
+    left = left - base[:, None, None] - contrast[:, None, None] * level
+    free = len(frames) - 1
+    square = np.sum(left**2, axis=0) / free
+    count = np.count_nonzero(on_slope, axis=1)
+    shape = np.where(on_slope, steep, 0.0)
+    moved = np.einsum("fij,ij->fi", left, shape) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
+    slope = np.sum(square * on_slope, axis=1) - moved.sum(axis=0) / free
+    usable = count >= LIMITS.min_slope_pixels
+    # The displacement of a row takes one degree of freedom.
+    fraction = (count - 1) / np.maximum(count, 1)
+    bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * fraction
+    # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright
+    # level.
+    slope, bright, dark = ((usable * one) for one in (slope, bright, count * fraction - bright))
+    plateaus = [
+        (np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1))
+        for one in (1, 2)
+    ]
+    parts = [slope, dark, bright, *(part for plateau in plateaus for part in plateau)]
+    rows = np.stack([np.asarray(part, np.float64) for part in parts])
+    blocks = rows.shape[1] // ACCURACY.block_rows
+    if blocks < ACCURACY.min_blocks:
+        return SlopeNoise()
+    sums = (
+        rows[:, : blocks * ACCURACY.block_rows]
+        .reshape(len(rows), blocks, ACCURACY.block_rows)
+        .sum(axis=2)
+    )
+    total = sums.sum(axis=1, keepdims=True)
+    if total[1:].min() <= 0:
+        return SlopeNoise()
+    # Of all rows, and with each block of them left out.
+    slope, dark, bright, *plateaus = np.concatenate([total, total - sums], axis=1)
+    dark_sum, dark_count, bright_sum, bright_count = plateaus
+    expected = dark * dark_sum / np.maximum(dark_count, 1.0) + bright * bright_sum / np.maximum(
+        bright_count, 1.0
+    )
+    ratio, *left_out = slope / np.maximum(expected, 1e-300)
+    return SlopeNoise(ratio=float(ratio), sd=float(np.sqrt((blocks - 1) * np.var(left_out))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlateauNoiseRatio:
+    """Ratio of the noise on the bright side of a target to that on the dark side.
+
+    Parameters
+    ----------
+    ratio, scatter
+        Ratio of the variances, or of the covariances of neighbours, and its relative standard
+        uncertainty, dimensionless.
+    photon_ratio
+        Ratio of the signals, which photon noise has under a linear response; None: the black level
+        is unknown.
+    of_light
+        Whether the ratio is that of covariances. Light pulses correlate neighbours, read-out noise
+        does not.
+    """
+
+    ratio: float
+    scatter: float
+    photon_ratio: float | None
+    of_light: bool = False
+
+
+def noise_growth(
+    sides: Sides, black_dn: float | None, *, several: bool
+) -> PlateauNoiseRatio | None:
+    """Return the ratio of the neighbours' covariances, of the variances where those are too small,
+    or None.
+
+    `several`: whether there are several frames that differ, so that the variances are those of
+    temporal noise.
+    """
+    dark, bright = sides
+    photons = None
+    if black_dn is not None and bright.level > dark.level > black_dn:
+        photons = (bright.level - black_dn) / (dark.level - black_dn)
+        if (
+            min(one.covariance / max(one.covariance_sd, 1e-300) for one in sides)
+            >= LIMITS.min_covariance_sd
+        ):
+            scatter = [one.covariance_sd / one.covariance for one in sides]
+            return PlateauNoiseRatio(
+                ratio=bright.covariance / dark.covariance,
+                scatter=float(
+                    np.linalg.norm([*scatter, ACCURACY.black_sd_dn / (dark.level - black_dn)])
+                ),
+                photon_ratio=photons,
+                of_light=True,
+            )
+    if not several or max(dark.variance, bright.variance) <= 0:
+        return None
+    return PlateauNoiseRatio(
+        ratio=bright.variance / max(dark.variance, 1e-300),
+        scatter=float(np.hypot(dark.scatter, bright.scatter)),
+        photon_ratio=photons,
+    )
+
+
+def noise_flags(growth: PlateauNoiseRatio) -> tuple[str, ...]:
+    """Return `gamma` where the plateau noise contradicts a linear response.
+
+    Notes
+    -----
+    Variance that falls with the signal indicates a compressive response. Under a linear response it
+    grows at most in proportion to the signal above black; the covariance of neighbours grows in
+    proportion to it.
+    """
+    beyond = LIMITS.rising_variance[0] + LIMITS.rising_variance[1] * growth.scatter
+    rising = growth.photon_ratio is not None and growth.ratio > growth.photon_ratio * beyond
+    if growth.of_light and growth.photon_ratio is not None:
+        falling = growth.ratio * beyond < growth.photon_ratio
+    else:
+        falling = (
+            growth.ratio
+            * (LIMITS.falling_variance[0] + LIMITS.falling_variance[1] * growth.scatter)
+            < 1.0
+        )
+    return ("gamma",) if falling or rising else ()
+
+
+def ln_bayes_factor_nonlinear(growth: PlateauNoiseRatio) -> float:
+    """Return the ln Bayes factor of a nonlinear against a linear response for the noise ratio.
+
+    Notes
+    -----
+    The variance is read-out noise with probability `READ_OUT`; that gives no information. Otherwise
+    photons contribute any fraction: under a linear response the ln ratio is uniform from 0 to ln r,
+    r the ratio of the signals. For covariances it is ln r. A power law of exponent g changes the ln
+    ratio by 2 (1 - 1/g) ln r.
+    """
+    from scipy.special import ndtr
+
+    # A side without noise, such as a clipped one, gives no information about the response.
+    if growth.photon_ratio is None or not growth.photon_ratio > 1.0 or not growth.ratio > 0.0:
+        return 0.0
+    found, most, error = np.log(growth.ratio), np.log(growth.photon_ratio), growth.scatter
+    apart = np.array([error, np.hypot(error, 2.0 * BENDING * most)])
+
+    def normal(away: float, sd: Array) -> Array:
+        return np.exp(-0.5 * (away / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd)
+
+    if growth.of_light:
+        density = normal(found - most, apart)
+    else:
+        even = (ndtr(found / apart) - ndtr((found - most) / apart)) / most
+        density = READ_OUT * normal(found, apart[:1]) + (1.0 - READ_OUT) * even
+    straight, curved = np.log(np.maximum(density, 1e-300))
+    return float(np.clip(curved - straight, -MAX_LN_BAYES_FACTOR, MAX_LN_BAYES_FACTOR))

@@ -1,0 +1,537 @@
+"""From frames to an edge ready to be measured: its place, its rows, its profile, motion, roughness
+and noise.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.edge.pixels.line import (
+    ROW_REACH_PX,
+    EdgeLine,
+    RowFit,
+    field_displacement,
+    find,
+    is_significant,
+    refine,
+    steepness,
+)
+from charact.estimators.mtf.edge.pixels.plateau_noise import (
+    PlateauNoiseRatio,
+    Sides,
+    SlopeNoise,
+    noise_growth,
+    noise_on_slopes,
+    plateau_noise,
+)
+from charact.estimators.mtf.edge.pixels.profile import (
+    EdgeProfile,
+    bin_pixels,
+    centre_line,
+    profile_of,
+)
+from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.estimators.mtf.mean_frame import OrientedFrame, Region, mean_oriented_frame
+from charact.estimators.mtf.quantisation_checks import QUANTISATION_DN2
+from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
+from charact.method import Context
+from charact.robust import NORMAL, median
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float64]
+
+MIN_ROWS = 12
+# Half width of the band along an edge, px.
+WIDEST_PX = 110.0
+# Step of the distances at which the profile's slope is tabulated, px.
+STEP_PX = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeRefusal:
+    """Why no edge can be measured: the reason, the region, and the flag that says so."""
+
+    reason: str
+    where: Region
+    flag: str = "no-target"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedEdge:
+    """An edge found in frames.
+
+    Parameters
+    ----------
+    used
+        The frames cut to the edge and its plateaus.
+    where
+        ROW, COL, HEIGHT, WIDTH of that in the frames given.
+    picture
+        Mean frame, the edge upright.
+    rows
+        Its line and the displacements of single rows.
+    profile
+        Its profile with its noise.
+    flags, notes
+        Those of finding it.
+    """
+
+    used: FrameStack
+    where: Region
+    picture: OrientedFrame
+    rows: RowFit
+    profile: EdgeProfile
+    flags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def orientation_deg(self) -> float:
+        """Direction of the edge's normal from the row direction, degrees in [0, 180)."""
+        tilt = float(np.rad2deg(self.profile.angle_rad))
+        # Upright, the normal stands at -tilt to the columns; mirrored it is turned over, transposed
+        # exchanged.
+        tilt = tilt if self.picture.mirrored else -tilt
+        return (90.0 - tilt if self.picture.transposed else tilt) % 180.0
+
+    @cached_property
+    def target_motion(self) -> TargetMotion:
+        """Displacement across the edge from frame to frame."""
+        frames = self.picture.upright(self.used.data)
+        if len(frames) < 2:
+            return TargetMotion()
+        across = self.rows.line.across(frames.shape[1:])
+        row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
+        normal = across * np.cos(self.profile.angle_rad)
+        return measure_line_motion(frames, normal, row, np.abs(across) < ROW_REACH_PX)
+
+    @cached_property
+    def roughness(self) -> TargetMotion:
+        """Deviation from a straight line along its length, the same in all frames."""
+        return roughness_of(self.picture, self.profile)
+
+    @cached_property
+    def temporal_noise(self) -> tuple[Sides | None, SlopeNoise]:
+        """Noise of both plateaus, None: one has few pixels; and of the slopes over that of the
+        plateaus.
+        """
+        profile, frames = self.profile, self.picture.upright(self.used.data)
+        value = np.zeros(profile.keep.size)
+        value[profile.keep] = profile.value
+        value = value[profile.gathered.bin_index]
+        level, share = (value - profile.dark) / (profile.step or 1.0), ACCURACY.plateau_fraction
+        sides = np.select([level < share, level > 1.0 - share], [1, 2]) * profile.gathered.used
+        tied = profile.grain.covariance_over_variance
+        plateaus = plateau_noise(
+            frames, value, sides, along=0 if self.picture.transposed else 1, tied=tied
+        )
+        steep = (
+            steepness(profile.distance, profile.value, profile.gathered.distance)
+            * profile.gathered.used
+        )
+        return plateaus, noise_on_slopes(frames, level, steep, sides)
+
+    @cached_property
+    def noise_growth(self) -> PlateauNoiseRatio:
+        """How its noise grows with the light, from frame to frame where there are several that
+        differ.
+        """
+        profile, grain, sides = self.profile, self.profile.grain, self.temporal_noise[0]
+        found = sides and noise_growth(sides, profile.black, several=len(self.used.data) > 1)
+        if found:
+            return found
+        pixels = (
+            0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
+        )
+        photons = None
+        if profile.black is not None and profile.dark > profile.black:
+            bright_dn = profile.bright - profile.black
+            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(grain.bright_variance):
+                photons = bright_dn / (profile.dark - profile.black)
+        return PlateauNoiseRatio(
+            ratio=grain.bright_variance / grain.dark_variance,
+            # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
+            scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
+            photon_ratio=photons,
+        )
+
+
+def prepare_edge(
+    stack: FrameStack,
+    region: Region | None,
+    context: Context,
+    *,
+    quickly: bool = False,
+    fields_apart: bool = False,
+) -> PreparedEdge | EdgeRefusal:
+    """Find the one edge of a region or, where the frame shows more, its most prominent one.
+
+    Parameters
+    ----------
+    quickly
+        As of `charact.estimators.mtf.edge.pixels.profile.profile_of`.
+    fields_apart
+        Whether the two fields of an interlaced frame are taken each at its own position, where the
+        edge moved between them; else that is left to be flagged.
+    """
+    used = stack if region is None else stack.region(*region)
+    row, col, *_ = region or (0, 0)
+    height, width = used.shape[1:]
+    where: Region = (row, col, height, width)
+    cut = False
+    while True:
+        if min(height, width) < 8:
+            reason = f"an edge needs a region of at least 8 x 8 px, got {height} x {width}"
+            return EdgeRefusal(reason=reason, where=where, flag="window-too-small")
+        picture, coarse = find(
+            mean_oriented_frame(used, context.pitch_ratio, interlaced=context.interlaced)
+        )
+        part = (
+            edge_extent(picture, coarse) if min(height, width) >= 2 * MIN_ROWS and not cut else None
+        )
+        if part is None:
+            break
+        used, where, cut = (
+            used.region(*part),
+            (row + part[0], col + part[1], part[2], part[3]),
+            True,
+        )
+        height, width = part[2:]
+    rows = refine(picture, coarse)
+    if context.interlaced and fields_apart:
+        rows = separate_fields(picture, rows)
+    # A line found in noise may run outside: it must leave pixels on both sides.
+    no_step = EdgeRefusal(
+        reason="no target: no step from dark to bright was found in the region", where=where
+    )
+    distance, near = rows.line.across(picture.value.shape), 2 * THRESHOLDS.min_half_width_px
+    sides = (np.count_nonzero((side > 0) & (side < near)) for side in (distance, -distance))
+    if min(sides) < THRESHOLDS.min_side_pixels:
+        return no_step
+    edge = centre_line(picture, rows.line)
+    profile = profile_of(picture, edge, WIDEST_PX, quickly=quickly)
+    if not profile.step > 0 or profile.gathered.half_width_px < THRESHOLDS.min_half_width_px:
+        return no_step
+    notes, black = [], used.black_level_dn
+    if cut:
+        notes.append("The frame shows more than this edge; the region is the part that was used.")
+    if edge.fields is not None:
+        apart = abs(edge.fields_apart_px)
+        notes.append(
+            f"The edge lies {apart:.2f} px apart in the two fields; each is taken at its own place."
+        )
+    if profile.black is not None:
+        notes.append(f"No light is at {profile.black:.4g} DN.")
+    elif black is not None:
+        notes.append(
+            f"No light would be at {black:.4g} DN, above the edge's dark side at "
+            f"{profile.dark:.4g} DN: taken as not known."
+        )
+    return PreparedEdge(
+        used=used,
+        where=where,
+        picture=picture,
+        rows=replace(rows, line=edge),
+        profile=profile,
+        flags=("several-targets",) if cut and region is not None else (),
+        notes=tuple(notes),
+    )
+
+
+def separate_fields(picture: OrientedFrame, rows: RowFit) -> RowFit:
+    """Return an edge whose two fields are taken each at its own position, where they are
+    displaced.
+    """
+
+    def displacement() -> tuple[float, float]:
+        # Distances grow along the picture's columns, so that an edge displaced by d stands at a
+        # distance of -d.
+        gathered = bin_pixels(picture, rows.line, ACCURACY.field_band_px)
+        mean, count = gathered.means(picture.value)
+        profile = gathered.place[count > 0], mean[count > 0]
+        apart, error = field_displacement(picture, rows, gathered.used, gathered.distance, profile)
+        cosine = (
+            float(np.cos(rows.line.angle_rad(picture.pitch_ratio))) if picture.transposed else 1.0
+        )
+        return apart / cosine, error
+
+    moved = displacement()
+    if not is_significant(moved):
+        return rows
+    # The profile of displaced fields is at first smeared: repeated.
+    for _ in range(5):
+        apart = rows.line.fields_apart_px + moved[0]
+        rows = refine(
+            picture, replace(rows.line, fields_apart_px=apart, fields=picture.row_index % 2)
+        )
+        moved = displacement()
+        if abs(moved[0]) < ACCURACY.field_tolerance_px:
+            break
+    return rows
+
+
+def edge_extent(picture: OrientedFrame, line: EdgeLine) -> Region | None:
+    """Return ROW, COL, HEIGHT, WIDTH of the original frame that hold one edge and its plateaus;
+    None: all of it.
+
+    Rows belong to the edge as long as the step across the line stands there; plateaus end where the
+    mean profile of these rows leaves its level by a third of the step.
+    """
+    rows, cols = picture.value.shape
+    across = line.across((rows, cols))
+    # The step of each block of rows, NaN where a side lies outside the frame, and the noise of one.
+    size = max(4, rows // 64)
+    count, near, far = rows // size, ACCURACY.step_near_px, ACCURACY.step_far_px
+    sides = []
+    for inside in ((across > near) & (across < far), (across < -near) & (across > -far)):
+        parts = inside.sum(axis=1).astype(float), np.where(inside, picture.value, 0.0).sum(axis=1)
+        number, total = (one[: count * size].reshape(count, size).sum(axis=1) for one in parts)
+        sides.append(
+            np.where(number >= size * (far - near - 2.0), total / np.maximum(number, 1.0), np.nan)
+        )
+    step = sides[0] - sides[1]
+    finite = step[np.isfinite(step)]
+    error = NORMAL * median(np.abs(np.diff(finite))) / np.sqrt(2.0) if finite.size > 3 else 0.0
+    reference = (
+        median(finite[finite > 0.5 * finite.max()]) if finite.size and finite.max() > 0 else 0.0
+    )
+    if not reference > 0:
+        return None
+    # The longest run of blocks that hold the edge, single gaps closed.
+    held = np.isfinite(step) & ~(step < 0.5 * reference - 3.0 * error)
+    held[1:-1] |= held[:-2] & held[2:]
+    borders = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int), [0]])))
+    if not borders.size:
+        return None
+    best = 2 * int(np.argmax(borders[1::2] - borders[::2]))
+    first, last = int(borders[best]), int(borders[best + 1])
+    if (last - first) * size < MIN_ROWS:
+        return None
+    inset = 2 * size + 4
+    whole = last - first >= len(step) - 1
+    top, bottom = (0, rows) if whole else (first * size + inset, min(last * size, rows) - inset)
+    if bottom - top < MIN_ROWS:
+        return None
+    left, right = (
+        _plateau_reach(picture.value[top:bottom], across[top:bottom], s, reference, error)
+        for s in (-1, 1)
+    )
+    middle = line.position + line.slope * (np.array([top, bottom - 1]) - (rows - 1) / 2)
+    low = int(np.floor(max(middle.min() - left, 0.0)))
+    high = int(np.ceil(min(middle.max() + right + 1.0, float(cols))))
+    if (top, bottom, low, high) == (0, rows, 0, cols):
+        return None
+    col = cols - high if picture.mirrored else low
+    return (
+        (col, top, high - low, bottom - top)
+        if picture.transposed
+        else (top, col, bottom - top, high - low)
+    )
+
+
+def _plateau_reach(value: Array, across: Array, sign: int, step: float, error: float) -> float:
+    """Return how far a plateau reaches, px; infinite where nothing interrupts it."""
+    cell = np.floor(across / 2.0).astype(np.int64)
+    low = int(cell.min())
+    count = np.bincount((cell - low).ravel())
+    mean = np.bincount((cell - low).ravel(), weights=value.ravel()) / np.maximum(count, 1)
+    places = np.arange(3, 400) * sign - (1 if sign < 0 else 0) - low
+    places = places[(places >= 0) & (places < mean.size)]
+    places = places[(count > 0.3 * median(count))[places]]
+    if places.size < 6:
+        return np.inf
+    # The level varies with the light: each is compared with the median of itself and up to twelve
+    # before it.
+    levels, back = mean[places], 12
+    padded = np.concatenate([np.full(back, np.inf), levels])
+    windows = np.sort(np.lib.stride_tricks.sliding_window_view(padded, back + 1))
+    each = np.arange(levels.size)
+    known = np.minimum(each + 1, back + 1)
+    before = 0.5 * (windows[each, (known - 1) // 2] + windows[each, known // 2])
+    away = np.abs(levels - before) > 0.3 * step + 3.0 * error
+    return 2.0 * (3 + int(np.argmax(away)) - 4) if away.any() else np.inf
+
+
+def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
+    """Return the deviation of an edge from a straight line along its length, beyond what noise
+    alone causes.
+
+    Notes
+    -----
+    The displacement of a row is a weighted sum of its pixels: least squares on -m'(d), m the edge's
+    profile, its own level and contrast free. The same weights, applied to the plateaus, give the
+    displacements by noise: temporal and fixed-pattern noise, correlated between rows or not. Noise
+    half way up is taken as the mean of both sides', as that of light and of read-out are. The mean
+    squares of displacements at the edge and on the plateaus are compared as Fisher's F.
+    """
+    from scipy.special import fdtrc
+
+    # Pixels that locate the edge: they hold most of the squared slope.
+    at = np.arange(0.0, ACCURACY.max_row_window_px, STEP_PX)
+    steep = sum(steepness(profile.distance, profile.value, sign * at) ** 2 for sign in (-1.0, 1.0))
+    held = np.cumsum(steep)
+    reach = (
+        at[int(np.searchsorted(held, ACCURACY.slope_fraction * held[-1]))] + STEP_PX
+        if held[-1] > 0
+        else 0.0
+    )
+    reach = max(float(reach), ACCURACY.min_row_window_px)
+    distance, step = profile.gathered.distance, reach / abs(profile.slopes[0])
+    at = np.arange(-reach - 1.0, reach + 1.0 + STEP_PX, STEP_PX)
+    residual = picture.value - np.interp(distance, profile.distance, profile.value)
+    profile_at = np.interp(at, profile.distance, profile.value)
+    steep = steepness(profile.distance, profile.value, at)
+    # As many windows on the dark as on the bright side.
+    away = np.rint(
+        np.arange(2.0 * step, max(picture.value.shape[1], 2.0 * step + 1.0), step)
+    ).astype(np.int64)
+    shifts = np.concatenate([[0], -away, away])
+    places, squares = _row_positions(
+        residual, distance, profile.gathered.used, reach, profile_at, steep, shifts
+    )
+    edge = places[:, 0]
+    valid = np.flatnonzero(np.isfinite(edge))
+    plateaus = [_plateau_scatter(side) for side in np.split(places[:, 1:], 2, axis=1)]
+    if valid.size < 16 or min(one[1] for one in plateaus) < ACCURACY.min_plateau_positions:
+        return TargetMotion()
+    left = edge[valid] - np.polyval(np.polyfit(valid, edge[valid], 1), valid)
+    # Of each pixel the profile holds as much as one of its bin's pixels weighs.
+    own = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach]))
+    square = float(left @ left) / (valid.size - 2) / max(1.0 - own, 0.5)
+    noise = 0.5 * sum(one[0] for one in plateaus)
+    if picture.whole_codes:
+        # All pixels of a plateau have the same quantisation error; those near an edge differ: the
+        # mean square of the sawtooth of `charact.estimators.mtf.quantisation_checks` at any level,
+        # DN^2.
+        grain = np.array([profile.grain.dark_variance, profile.grain.bright_variance])
+        variance = np.maximum(grain * picture.frames - QUANTISATION_DN2, 0.0)
+        turn = np.pi * np.arange(1, 7)[:, None]
+        quantisation = np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0))
+        noise += float(quantisation * np.mean(squares[valid]))
+    if not square > noise > 0:
+        return TargetMotion()
+    tied = 0.5 * sum(one[2] for one in plateaus)
+    # Of a mean of two squares (Satterthwaite); windows that overlap by half count for half.
+    freedom = 0.5 * 4.0 * noise**2 / sum(one[0] ** 2 * tied / one[1] for one in plateaus)
+    chance = float(fdtrc(valid.size / tied, freedom, square / noise))
+    return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
+
+
+@njit(cache=True)
+def _row_positions(
+    residual: Array,
+    distance: Array,
+    used: NDArray,
+    reach: float,
+    profile: Array,
+    steep: Array,
+    shifts: NDArray,
+) -> tuple[Array, Array]:
+    """Return each row's displacement by the same weights at columns shifted, px, and the weights'
+    sum of squares.
+
+    Shapes (row, shift), NaN where a window is not whole, and (row,).
+    """
+    rows, cols = residual.shape
+    places, squares = np.full((rows, shifts.size), np.nan), np.zeros(rows)
+    middle = profile.mean()
+    shape = np.zeros((cols, 3))
+    for row in range(rows):
+        normal, first, last = np.zeros((3, 3)), cols, -1
+        for col in range(cols):
+            if abs(distance[row, col]) >= reach:
+                continue
+            place = (distance[row, col] + reach + 1.0) / STEP_PX
+            left = int(place)
+            rest = place - left
+            shape[col, 0] = steep[left] + rest * (steep[left + 1] - steep[left])
+            shape[col, 1] = profile[left] + rest * (profile[left + 1] - profile[left]) - middle
+            shape[col, 2] = 1.0
+            first, last = min(first, col), col
+            for k in range(3):
+                for m in range(3):
+                    normal[k, m] += shape[col, k] * shape[col, m]
+        # A row locates the edge if its pixels lie on both sides of it up to the reach.
+        if (
+            last - first < 4
+            or distance[row, first] > 1.0 - reach
+            or distance[row, last] < reach - 1.0
+        ):
+            continue
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(3)
+        inverse = np.linalg.solve(normal, np.array([1.0, 0.0, 0.0])) / scale / scale[0]
+        for one in range(shifts.size):
+            shift = shifts[one]
+            if first + shift < 0 or last + shift >= cols:
+                continue
+            total, whole = 0.0, True
+            for col in range(first, last + 1):
+                whole &= used[row, col + shift]
+                weight = (
+                    inverse[0] * shape[col, 0]
+                    + inverse[1] * shape[col, 1]
+                    + inverse[2] * shape[col, 2]
+                )
+                total -= weight * residual[row, col + shift]
+                squares[row] += weight**2 if one == 0 else 0.0
+            if whole:
+                places[row, one] = total
+    return places, squares
+
+
+def _plateau_scatter(places: Array) -> tuple[float, int, float]:
+    """Return mean square and number of displacements on a plateau, shape (row, window), and their
+    variance factor.
+
+    The factor is by how much a mean square scatters more than that of as many independent normal
+    displacements.
+    """
+    good = np.isfinite(places)
+    count = np.count_nonzero(good, axis=0)
+    places, good, count = places[:, count > 1], good[:, count > 1], count[count > 1]
+    if not count.size:
+        return 0.0, 0, 1.0
+    values = np.where(good, places, 0.0)
+    values = np.where(good, values - values.sum(axis=0) / count, 0.0)
+    number = int(count.sum())
+    square = float(np.sum(values**2)) / (number - count.size)
+    if not square > 0:
+        return 0.0, number, 1.0
+    shared = [
+        float(np.sum(values[lag:] * values[:-lag]))
+        / max(np.count_nonzero(good[lag:] & good[:-lag]), 1)
+        / square
+        for lag in range(1, ACCURACY.roughness_lags + 1)
+    ]
+    heavy = max(float(np.sum(values**4)) / number / square**2 - 1.0, 2.0) / 2.0
+    return square, number, heavy + 2.0 * float(np.sum(np.square(shared)))
+
+
+def fit_refusal(
+    edge: PreparedEdge, chi2: float, chi2_without: float, free: int, half_frequency_cy_per_px: float
+) -> EdgeRefusal | None:
+    """Return why the best step in a region is no edge that it can show, if so.
+
+    Where even the best step does not describe the profile, noise is larger than estimated; where it
+    leaves more than a fifth unexplained besides, what varies across the region is something else.
+    """
+    misfit, half_width = max(chi2 / free, 1.0), edge.profile.gathered.half_width_px
+    sd, left = np.sqrt(max((chi2_without - chi2) / misfit, 0.0)), chi2 / chi2_without
+    if sd**2 < THRESHOLDS.min_edge_chi2:
+        reason = (
+            f"the best step in the region stands {sd:.1f} standard errors out of the noise, "
+            f"fewer than 9.5"
+        )
+    elif misfit > THRESHOLDS.no_edge_reduced_chi2 and left > THRESHOLDS.no_edge_fraction:
+        reason = (
+            f"the best step in the region leaves {100 * left:.0f} % of what varies across it "
+            f"unexplained"
+        )
+    elif half_width < 0.6 / half_frequency_cy_per_px:
+        reason = f"the blur is wider than the region, which ends {half_width:.0f} px from it"
+    else:
+        return None
+    return EdgeRefusal(reason=f"no target: {reason}", where=edge.where)

@@ -1,0 +1,433 @@
+"""Edge profile: pixels binned by their distance from the line, with the covariance of the bin
+means.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.edge.pixels.line import EdgeLine, steepness
+from charact.estimators.mtf.edge.pixels.noise_model import (
+    NARROWEST_PX,
+    EdgeNoiseModel,
+    bin_covariance,
+    estimate_edge_noise,
+)
+from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.estimators.mtf.mean_frame import OrientedFrame, usable_black_level
+from charact.estimators.mtf.nonlinearity import contrast_of
+from charact.robust import NORMAL, median
+
+Array = NDArray[np.float64]
+
+# Distance up to which bins have which width, px, and the width beyond.
+WIDTHS_PX = ((4.0, NARROWEST_PX), (8.0, 0.25), (16.0, 0.5), (np.inf, 1.0))
+DEFECT_SD = 8.0
+# Slope of the illumination on either side, fraction of the step per px: in a good set-up, a fair
+# and a poor one.
+EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinnedPixels:
+    """Pixels of a band along the edge and the bins they fall in.
+
+    Parameters
+    ----------
+    distance, along
+        Distance of every pixel along the normal, positive on the bright side, and position along
+        the edge from its middle, shape (row, col), px.
+    used
+        Pixels inside the band that are not masked, shape (row, col).
+    bin_index
+        Bin of every pixel, shape (row, col); meaningful where used.
+    borders
+        Borders of the bins, shape (bin + 1,), px.
+    half_width_px
+        Half the width of the band.
+    """
+
+    distance: Array
+    along: Array
+    used: NDArray[np.bool_]
+    bin_index: NDArray[np.int64]
+    borders: Array
+    half_width_px: float
+
+    def means(self, value: Array) -> tuple[Array, Array]:
+        """Return mean of a quantity and count of pixels in every bin, shape (bin,)."""
+        index, size = self.bin_index[self.used], self.borders.size - 1
+        count = np.bincount(index, minlength=size).astype(float)
+        return np.bincount(index, value[self.used], size) / np.maximum(count, 1.0), count
+
+    @cached_property
+    def place(self) -> Array:
+        """Mean distance of the pixels of every bin, shape (bin,), px."""
+        return self.means(self.distance)[0]
+
+
+def bin_pixels(
+    picture: OrientedFrame,
+    line: EdgeLine,
+    half_width_px: float,
+    masked: NDArray[np.bool_] | None = None,
+) -> BinnedPixels:
+    """Bin the pixels within a half width of the line, less where the frame ends earlier; masked
+    ones are left out.
+    """
+    angle = line.angle_rad(picture.pitch_ratio)
+    shape = picture.value.shape
+    distance = line.across(shape) * np.cos(angle)
+    row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
+    along = row * picture.pitch_ratio / np.cos(angle) + distance * np.tan(angle)
+    # On both sides as far as most rows reach.
+    flat = distance.ravel()
+    counts = [
+        np.bincount((-flat[flat < 0]).astype(np.int64)),
+        np.bincount(flat[flat >= 0].astype(np.int64)),
+    ]
+    enough = 0.6 * max(median(one[:4]) if one.size else 0.0 for one in counts)
+    reach = []
+    for one in counts:
+        stop = int(np.argmin(one >= enough)) if not (one >= enough).all() else one.size
+        reach.append(float(min(max(stop, 1), half_width_px)))
+    borders = _borders(reach[0], reach[1])
+    # Borders lie on multiples of the narrowest width from the first.
+    narrow = np.rint(np.diff(borders) / NARROWEST_PX).astype(np.int64)
+    lookup = np.repeat(np.arange(narrow.size), narrow)
+    cell = np.floor((distance - borders[0]) / NARROWEST_PX).astype(np.int64)
+    return BinnedPixels(
+        distance=distance,
+        along=along,
+        used=(distance >= borders[0])
+        & (distance < borders[-1])
+        & (True if masked is None else ~masked),
+        bin_index=lookup[np.clip(cell, 0, lookup.size - 1)],
+        borders=borders,
+        half_width_px=min(reach),
+    )
+
+
+def coarsen(gathered: BinnedPixels) -> BinnedPixels:
+    """Return the band with bins twice as wide, which hold the narrower ones whole; pixels beyond
+    the last are left.
+    """
+    borders = _borders(-gathered.borders[0], gathered.borders[-1], wider=2)
+    middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
+    into = np.searchsorted(borders, middle) - 1
+    inside = (into >= 0) & (into < borders.size - 1)
+    return replace(
+        gathered,
+        borders=borders,
+        used=gathered.used & inside[gathered.bin_index],
+        bin_index=np.clip(into, 0, borders.size - 2)[gathered.bin_index],
+    )
+
+
+def _borders(dark_px: float, bright_px: float, wider: int = 1) -> Array:
+    """Return the borders of bins on both sides, which widen with the distance from the edge."""
+    sides = []
+    for limit in (dark_px, bright_px):
+        begin, parts = 0.0, []
+        for end, width in WIDTHS_PX:
+            stop = min(limit, end)
+            parts.append(np.arange(begin + wider * width, stop + 1e-9, wider * width))
+            begin = end
+        sides.append(np.concatenate(parts))
+    return np.concatenate([-sides[0][::-1], [0.0], sides[1]])
+
+
+def levels_of(mean: Array, count: Array, gathered: BinnedPixels) -> tuple[float, float]:
+    """Return dark and bright level: medians of the outer halves of both sides."""
+    middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
+    filled = count > 0
+    left, right = middle < 0.5 * gathered.borders[0], middle > 0.5 * gathered.borders[-1]
+    sides = (side if side.any() else filled for side in (filled & left, filled & right))
+    dark, bright = (median(mean[side]) for side in sides)
+    return dark, bright
+
+
+def _residual_of(value: Array, gathered: BinnedPixels) -> tuple[Array, Array, Array, float]:
+    """Return the frame less its profile, the profile from 0 to 1 at every pixel, a factor of
+    residuals, and the step.
+
+    The profile is its bin's mean, with its slope for the position within the bin. The factor
+    restores the part of the noise that a bin's mean takes with it, and is 0 for pixels that are not
+    used.
+    """
+    mean, count = gathered.means(value)
+    dark, bright = levels_of(mean, count, gathered)
+    index, filled, rise = gathered.bin_index, count > 0, np.zeros_like(mean)
+    level = ((mean - dark) / (bright - dark if bright != dark else 1.0))[index]
+    if np.count_nonzero(filled) > 8:
+        rise[filled] = steepness(gathered.place[filled], mean[filled], gathered.place[filled])
+    residual = value - (mean[index] + rise[index] * (gathered.distance - gathered.place[index]))
+    lost = np.where(gathered.used, np.sqrt(count / np.maximum(count - 1.0, 0.5))[index], 0.0)
+    return residual, level, lost, abs(bright - dark)
+
+
+def _slope_along(value: Array, gathered: BinnedPixels, level: Array) -> Array:
+    """Return the part of residuals that changes evenly along the edge, by its own amount on both
+    sides of it.
+
+    Pixels are compared with those at the same distance: what changes across the edge is the
+    profile's.
+    """
+    along = gathered.along / max(float(np.abs(gathered.along).max()), 1.0)
+    middle = gathered.means(along)[0]
+    within = np.where(gathered.used, along - middle[gathered.bin_index], 0.0)
+    sides = np.stack([(within * level).ravel(), (within * (1.0 - level)).ravel()])
+    bright, dark = np.linalg.lstsq(sides @ sides.T, sides @ value.ravel(), rcond=1e-9)[0]
+    return along * (bright * level + dark * (1.0 - level))
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeProfile:
+    """A measured edge profile.
+
+    Parameters
+    ----------
+    gathered
+        Pixels and bins.
+    distance, spread_px, value, count
+        Mean distance, its standard deviation, mean value and count of the pixels of each bin that
+        holds any, shape (bin,).
+    keep
+        Which bins of the band those are.
+    dark, bright, black
+        Levels of both sides at the edge, and black level, DN; None: unknown.
+    grain
+        Noise of the frame.
+    covariance
+        Of the bin means, shape (bin, bin), DN^2.
+    shading_sd
+        Standard deviation of slow undulations of the plateaus beyond the noise, DN.
+    defects
+        Number of pixels left out for values that the noise cannot explain.
+    angle_rad, slopes
+        Angle of the edge; change of distance with one column and one row, px.
+    variance_floor
+        Least variance of a pixel, DN^2: quantisation, and a ten-millionth of the squared step.
+    """
+
+    gathered: BinnedPixels
+    distance: Array
+    spread_px: Array
+    value: Array
+    count: Array
+    keep: NDArray[np.bool_]
+    dark: float
+    bright: float
+    black: float | None
+    grain: EdgeNoiseModel
+    covariance: Array
+    shading_sd: float
+    defects: int
+    angle_rad: float
+    slopes: tuple[float, float]
+    variance_floor: float
+
+    @property
+    def step(self) -> float:
+        """Height of the edge, DN."""
+        return self.bright - self.dark
+
+    @property
+    def contrast(self) -> float:
+        """Contrast of both sides."""
+        return contrast_of(self.dark, self.bright, self.black)
+
+    @property
+    def _is_one_light(self) -> bool:
+        """Whether the black level tells that both sides slope as one light; else each side slopes
+        by itself.
+        """
+        return self.black is not None and self.bright > max(self.dark, self.black)
+
+    @cached_property
+    def gradient_ways(self) -> Array:
+        """Slopes of bright and dark side in the two ways in which light slopes, unit vectors, shape
+        (way, side).
+
+        Non-uniform lamps and lens shading multiply the light: sides a and b above black slope by
+        the same fraction of a and of b.
+        """
+        if not self._is_one_light:
+            return np.eye(2)
+        bright, dark = self.bright - (self.black or 0.0), max(self.dark - (self.black or 0.0), 0.0)
+        return np.array([[bright, dark], [-dark, bright]]) / np.hypot(bright, dark)
+
+    @cached_property
+    def levels(self) -> Array:
+        """A level and the two ways in which light slopes at the bins, shape (bin, 3)."""
+        sides = np.stack([np.maximum(self.distance, 0.0), np.minimum(self.distance, 0.0)], axis=1)
+        return np.concatenate(
+            [np.ones((self.distance.size, 1)), sides @ self.gradient_ways.T], axis=1
+        )
+
+    def slopes_sd(self, slope_sd_per_px: float) -> Array:
+        """Return the standard deviations of the priors of the two ways in which light slopes, DN
+        per px.
+
+        Parameters
+        ----------
+        slope_sd_per_px
+            That of the bright side's slope, fraction of the step per px.
+        """
+        apart = max(THRESHOLDS.gradient_asymmetry * slope_sd_per_px, EVEN_PER_PX)
+        sd = (
+            slope_sd_per_px / self.gradient_ways[0, 0],
+            apart if self._is_one_light else slope_sd_per_px,
+        )
+        return np.array(sd) * max(abs(self.step), 1e-300)
+
+
+def profile_of(
+    picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, quickly: bool = False
+) -> EdgeProfile:
+    """Bin the pixels of an edge and estimate its noise from the residuals of its profile.
+
+    Parameters
+    ----------
+    half_width_px
+        Half width of the band wanted.
+    quickly
+        Whether bins may be twice as wide where noise hides what narrow ones would show: a fit costs
+        as their square.
+    """
+    gathered = bin_pixels(picture, line, half_width_px)
+    # Light that changes along the edge makes a slope in a tilted window.
+    residual, level, _, _ = _residual_of(picture.value, gathered)
+    value = picture.value - _slope_along(residual, gathered, level)
+    residual, level, lost, step = _residual_of(value, gathered)
+    residual = residual * lost
+    # Defects: pixels that the noise of their level cannot explain; none in heavy-tailed noise,
+    # where many nearly are.
+    size, used = np.abs(residual), gathered.used
+    quantisation_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
+    least_sd = max(quantisation_sd, THRESHOLDS.min_defect * step / DEFECT_SD)
+    sides = (
+        side if side.any() else used for side in (used & (level < 0.25), used & (level > 0.75))
+    )
+    dark_sd, bright_sd = (max(NORMAL * median(size[side]), least_sd) for side in sides)
+    sd = np.sqrt(dark_sd**2 + np.clip(level, 0.0, 1.0) * (bright_sd**2 - dark_sd**2))
+    masked, near = (size > DEFECT_SD * sd) & (sd > 0), np.count_nonzero(size > 5.0 * sd)
+    defects = int(np.count_nonzero(masked))
+    if defects <= THRESHOLDS.defect_fraction * near:
+        defects = 0
+    if defects:
+        gathered = bin_pixels(picture, line, half_width_px, masked)
+        residual, level, lost, _ = _residual_of(value, gathered)
+        residual = residual * lost
+    if quickly and step < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.used]):
+        gathered = coarsen(gathered)
+    mean, count = gathered.means(value)
+    distance, (square, _) = gathered.place, gathered.means(gathered.distance**2)
+    keep = count >= 1
+    dark, bright = levels_of(mean, count, gathered)
+    angle = line.angle_rad(picture.pitch_ratio)
+    slopes = float(np.cos(angle)), float(-line.slope * np.cos(angle))
+    quantisation = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
+    floor = max(quantisation, (3e-4 * (bright - dark)) ** 2, 1e-30)
+    grain = estimate_edge_noise(
+        residual, level, gathered.used, gathered.distance, floor, picture.field_axis
+    )
+    of_bins = (mean[keep] - dark) / (bright - dark if bright != dark else 1.0)
+    return EdgeProfile(
+        gathered=gathered,
+        distance=distance[keep],
+        spread_px=np.sqrt(np.maximum(square - distance**2, 0.0))[keep],
+        value=mean[keep],
+        count=count[keep],
+        keep=keep,
+        dark=dark,
+        bright=bright,
+        black=usable_black_level(picture.black_dn, dark, bright),
+        grain=grain,
+        covariance=bin_covariance(grain, gathered.borders, of_bins, count[keep], keep, slopes),
+        shading_sd=0.0,
+        defects=defects,
+        angle_rad=angle,
+        slopes=slopes,
+        variance_floor=floor,
+    )
+
+
+def centre_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
+    """Return the line moved to where the profile is half way up, so that bins fall alike on both
+    sides of the edge.
+    """
+    gathered = bin_pixels(picture, line, 16.0)
+    mean, count = gathered.means(picture.value)
+    filled = count > 0
+    dark, bright = levels_of(mean, count, gathered)
+    smooth = np.convolve(mean[filled], np.ones(9) / 9.0, "same")[4:-4]
+    above = smooth > 0.5 * (dark + bright)
+    rises = np.flatnonzero(np.diff(above.astype(int)) == 1)
+    shift = median(gathered.place[filled][4:-4][rises]) if rises.size else 0.0
+    if not np.isfinite(shift) or abs(shift) > 4.0:
+        return line
+    return replace(
+        line, position=line.position + shift / float(np.cos(line.angle_rad(picture.pitch_ratio)))
+    )
+
+
+def refine_noise(profile: EdgeProfile, picture: OrientedFrame, model_value: Array) -> EdgeProfile:
+    """Return the profile with its noise estimated anew from the residuals of a model's bin values,
+    shape (bin,), DN.
+    """
+    gathered = profile.gathered
+    at_pixel = np.interp(gathered.distance, profile.distance, model_value)
+    level = (at_pixel - profile.dark) / profile.step
+    value = np.where(gathered.used, picture.value - at_pixel, 0.0)
+    residual = np.where(gathered.used, value - _slope_along(value, gathered, level), value)
+    floor = profile.variance_floor
+    grain = estimate_edge_noise(
+        residual, level, gathered.used, gathered.distance, floor, picture.field_axis
+    )
+    of_bins = (profile.value - profile.dark) / profile.step
+    covariance = bin_covariance(
+        grain, gathered.borders, of_bins, profile.count, profile.keep, profile.slopes
+    )
+    return with_shading(
+        replace(profile, grain=grain, covariance=covariance, shading_sd=0.0), profile.value
+    )
+
+
+def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:
+    """Return the profile with slow undulations of its plateaus allowed for, as large as residuals
+    show them.
+
+    A plateau not much longer than the correlation length is fitted by a parabola within a
+    thousandth: no estimate.
+
+    Parameters
+    ----------
+    left_over
+        The bins' values, or their residuals of a model, shape (bin,), DN.
+    """
+    place, excess, weight, scatter = profile.distance, 0.0, 0.0, 0.0
+    even = np.exp(-0.5 * ((place[:, None] - place) / ACCURACY.shading_length_px) ** 2)
+    bare = profile.covariance - profile.shading_sd**2 * even
+    for side in (place < -ACCURACY.plateau_from_px, place > ACCURACY.plateau_from_px):
+        own = place[side]
+        if own.size < 12 or np.ptp(own) < 1.4 * ACCURACY.shading_length_px:
+            continue
+        basis = np.linalg.qr(np.stack([np.ones_like(own), own, own**2], axis=1))[0]
+        noise, undulation = bare[np.ix_(side, side)], even[np.ix_(side, side)]
+        # Of the residuals of values, noise and undulations after the bend I - B B^T: squares and
+        # traces.
+        across = noise @ basis
+        within = basis.T @ across
+        bend = basis.T @ left_over[side]
+        excess += float(
+            left_over[side] @ left_over[side] - bend @ bend - np.trace(noise) + np.trace(within)
+        )
+        scatter += 2.0 * float(np.sum(noise**2) - 2.0 * np.sum(across**2) + np.sum(within**2))
+        weight += float(np.trace(undulation) - np.sum(basis * (undulation @ basis)))
+    # The excess of plateaus without shading scatters by this much; only what stands out of it
+    # counts.
+    shading = float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0
+    return replace(profile, covariance=bare + shading**2 * even, shading_sd=shading)

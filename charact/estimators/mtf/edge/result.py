@@ -1,0 +1,294 @@
+"""Result of an edge: measurements, curve and evidence; of a fitted one from the draws of its
+MTF.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.estimators.mtf.curve import mtf_measurements
+from charact.estimators.mtf.edge.checks import FittedProfile, edge_flags, findings_of, fit_flags
+from charact.estimators.mtf.edge.nonlinearity import (
+    NO_CURVATURE_ESTIMATE,
+    CurvatureEstimate,
+    nonlinearity_notes,
+    response_flags,
+)
+from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
+from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
+from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.estimators.mtf.known_transfer import KnownTransfer, known_transfer
+from charact.estimators.mtf.mean_frame import Region
+from charact.estimators.mtf.thresholds import LIMITS
+from charact.inference import has_several_peaks
+from charact.method import Context
+from labdata.frames import FrameStack
+from labdata.measurement import (
+    Curve,
+    Measurement,
+    Posterior,
+    Provenance,
+    Result,
+    make_refusal,
+    measurement_from_sd,
+)
+
+Array = NDArray[np.float64]
+
+
+EdgeFitFunction = Callable[[PreparedEdge, KnownTransfer, Context], Result]
+
+
+def measure_by_fit(
+    method: str,
+    fit: EdgeFitFunction,
+    stack: FrameStack,
+    region: Region | None,
+    context: Context,
+    *,
+    quickly: bool = False,
+) -> Result:
+    """Find the edge of a region and return what its fit makes of it, or the refusal.
+
+    Parameters
+    ----------
+    quickly
+        Whether wider bins serve where noise hides what narrow ones would show.
+    """
+    edge = prepare_edge(stack, region, context, quickly=quickly, fields_apart=True)
+    if isinstance(edge, EdgeRefusal):
+        return refuse_edge(method, edge, context.seed)
+    return fit(edge, known_transfer(edge.picture, edge.profile.angle_rad, context), context)
+
+
+def refuse_edge(
+    method: str, refusal: EdgeRefusal, seed: int | None, settings: dict | None = None
+) -> Result:
+    """Return the refusal of all quantities of an edge; methods without draws have no seed."""
+    provenance = Provenance(version=charact.__version__, seed=seed, settings=settings or {})
+    common = {
+        "method": method,
+        "flags": (refusal.flag,),
+        "region": refusal.where,
+        "provenance": provenance,
+    }
+    units = {"mtf50": "cy/px", "mtf10": "cy/px", "edge_angle": "deg"}
+    return Result(
+        measurements=tuple(
+            make_refusal(name, unit, refusal.reason, **common) for name, unit in units.items()
+        )
+    )
+
+
+def edge_result_of_fit(
+    method: str,
+    edge: PreparedEdge,
+    fitted: FittedProfile,
+    response: CurvatureEstimate,
+    posterior: Posterior,
+    mtf: Callable[[Array], Array],
+    context: Context,
+    *,
+    settings: dict,
+    notes: tuple[str, ...] = (),
+    flags: tuple[str, ...] = (),
+    doubt: Callable[[Array], Array] | None = None,
+) -> Result:
+    """Return measurements, curve and evidence of a fitted edge.
+
+    Parameters
+    ----------
+    edge, fitted
+        The edge with its profile, and the profile as fitted.
+    response
+        Curvature of the camera response that the profile requires, with its standard uncertainty.
+    posterior
+        Draws of the parameters.
+    mtf
+        From frequencies, cy/px, to drawn MTFs, shape (f,) -> (draw, f).
+    settings
+        What the result depends on besides seed and version.
+    notes, flags
+        The method's own.
+    doubt
+        Relative standard uncertainty of the MTF by what the method takes as exactly known, shape
+        (f,) -> (f,); None: nothing.
+    """
+    profile, half = edge.profile, np.nan
+
+    def common(halves: Array) -> dict:
+        """Return what all measurements share, which depends on MTF50."""
+        nonlocal half
+        known = halves[np.isfinite(halves)]
+        half = float(np.median(known)) if known.size else np.nan
+        relative_sd = float(np.std(np.log(known))) if known.size else np.inf
+        black = {} if profile.black is None else {"black_dn": profile.black}
+        own = {"quick": context.quick, **black, **settings}
+        found = [
+            *edge_flags(edge, half, context, LIMITS.max_motion_sd * relative_sd),
+            *fit_flags(edge.picture, profile, fitted, half if half > 0 else 0.01),
+            *(() if context.linear else response_flags(response, profile.contrast, relative_sd)),
+            # Modes count where a quantity has them; a described camera's priors are meant to bound.
+            *(
+                set(posterior.flags)
+                - {"several-modes", *(() if context.sensor is None else ("prior-bound",))}
+            ),
+            *flags,
+        ]
+        said = (
+            *_notes(edge, context),
+            *nonlinearity_notes(edge, response, relative_sd, context),
+            *notes,
+        )
+        provenance = Provenance(version=charact.__version__, seed=context.seed, settings=own)
+        return shared_fields(method, edge, found, said, provenance)
+
+    numbers, curve, _, shared = mtf_measurements(
+        mtf, common, posterior=posterior, doubt=doubt, finish=_finish
+    )
+    assert curve.interval68 is not None and curve.interval95 is not None, (
+        "curves of draws have intervals"
+    )
+    wide = _with_margin(curve.value, curve.interval68, curve.interval95, ACCURACY.modulus_margin)
+    curve = replace(curve, interval95=wide)
+    return edge_result(edge, numbers, curve, shared, half, fitted=fitted, response=response)
+
+
+def shared_fields(
+    method: str,
+    edge: PreparedEdge,
+    flags: Iterable[str],
+    notes: Iterable[str],
+    provenance: Provenance,
+) -> dict:
+    """Return what all measurements of an edge share."""
+    rough = edge.roughness
+    course = (
+        [f"Edge roughness {rough.rms_px:.2g} px rms along the edge, beyond the noise."]
+        if rough.moves
+        else []
+    )
+    return {
+        "method": method,
+        "flags": tuple(dict.fromkeys(flags)),
+        "notes": (*edge.notes, *course, *notes),
+        "region": edge.where,
+        "orientation_deg": edge.orientation_deg,
+        "provenance": provenance,
+    }
+
+
+def edge_result(
+    edge: PreparedEdge,
+    numbers: list[Measurement],
+    curve: Curve,
+    shared: dict,
+    half: float,
+    *,
+    fitted: FittedProfile | None = None,
+    response: CurvatureEstimate = NO_CURVATURE_ESTIMATE,
+) -> Result:
+    """Return measurements with the effects of their flags, the edge's tilt among them, the curve
+    and the profile.
+    """
+    profile, misfit = edge.profile, 0.0
+    rows, spread = np.flatnonzero(np.isfinite(edge.rows.offset)), edge.rows.offset_sd
+    if fitted is not None:
+        spread *= np.sqrt(max(profile.grain.covariance_over_variance, 1.0))
+    error = (
+        spread / np.sqrt(max(float(np.sum((rows - rows.mean()) ** 2)), 1.0))
+        if rows.size > 2
+        else 45.0
+    )
+    error = float(np.rad2deg(error / edge.picture.pitch_ratio))
+    angle = measurement_from_sd(
+        "edge_angle", "deg", abs(float(np.rad2deg(profile.angle_rad))), error, **shared
+    )
+    shown = {
+        "figure": "edge-spread",
+        "distance_px": profile.distance.tolist(),
+        "value_dn": profile.value.tolist(),
+        "sd_dn": np.sqrt(np.diag(profile.covariance)).tolist(),
+        "step_dn": profile.step if fitted is None else float(fitted.amplitude[0]),
+    }
+    if fitted is not None:
+        angle = angle.with_(notes=())
+        residual = profile.value - fitted.model
+        misfit = float(np.abs(residual).max()) / max(abs(profile.step), 1e-300)
+        shown |= {
+            "model_dn": fitted.model.tolist(),
+            "residual_dn": residual.tolist(),
+            "chi_squared": fitted.chi2,
+            "degrees_of_freedom": fitted.free,
+            "orientation_deg": edge.orientation_deg,
+        }
+    return Result(
+        measurements=tuple(
+            one.with_(findings=findings_of(one.flags, edge, half, response, misfit))
+            for one in (*numbers, angle)
+        ),
+        curves={"mtf": curve},
+        evidence={"edge-spread": shown},
+    )
+
+
+def _finish(found: Measurement, draws: Array) -> Measurement:
+    """Return a measurement with the margin of its 95 % interval, and flags of several modes or
+    unreliable tails.
+
+    A frequency is the most probable one under draws that are normal in ln f, the median times
+    exp(-s^2), within the 68 % interval: errors of a frequency reach further up than down.
+    """
+    several = has_several_peaks(draws[:, None])
+    flags = (*found.flags, "several-modes") if several else found.flags
+    if found.value is None or found.interval68 is None:
+        return found
+    is_frequency = found.quantity != "mtf"
+    margin = ACCURACY.frequency_margin if is_frequency else ACCURACY.modulus_margin
+    intervals = np.asarray(found.interval68), np.asarray(found.interval95)
+    low95, high95 = _with_margin(np.asarray(found.value), *intervals, margin)
+    value, (low, high) = found.value, found.interval68
+    if is_frequency:
+        deviation = 0.5 * np.log(high / max(low, 1e-6)) / 0.994458
+        if not high - low < 2.0 * THRESHOLDS.max_relative_sd * value:
+            flags = (*flags, "low-signal")
+        value = float(max(value * np.exp(-(deviation**2)), low))
+    return replace(found, value=value, interval95=(float(low95), float(high95))).with_(flags=flags)
+
+
+def _with_margin(
+    value: Array, interval68: Array, interval95: Array, more: tuple[float, float]
+) -> Array:
+    """Return a wider 95 % interval about a value that cannot be negative, shape (2, ...)."""
+    unsure = np.minimum(
+        0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), THRESHOLDS.max_relative_sd
+    )
+    margin = np.stack([ACCURACY.interval_margin + one * unsure for one in more])
+    return np.maximum(value + margin * (interval95 - value), 0.0)
+
+
+def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
+    """Yield notes that are no reason for distrust."""
+    profile = edge.profile
+    yield from edge.used.notes
+    grain = profile.grain.covariance_over_variance
+    if grain > 1.3 or grain < 0.8:
+        yield (
+            f"Noise is correlated between pixels (sum of correlations {grain:.1f}) and treated "
+            f"as such."
+        )
+    if context.sensor is None and context.pitch_ratio == 1.0:
+        yield "Pixels taken as square."
+    if profile.shading_sd > 0:
+        yield f"The plateaus undulate by {profile.shading_sd:.2g} DN, which widens the intervals."
+
+
+def window_normalisation_note(profile: EdgeProfile) -> str:
+    """Return the note on a frame too small to show a halo."""
+    half = profile.gathered.half_width_px
+    return (
+        f"Normalised to the light within {half:.0f} px of the edge; a wider halo would not be seen."
+    )

@@ -1,0 +1,103 @@
+"""Mean frame of a stack, oriented so that an edge is upright with its bright side right."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.thresholds import LIMITS
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float64]
+
+Region = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrientedFrame:
+    """Mean frame with its orientation.
+
+    Parameters
+    ----------
+    value
+        Mean frame, shape (row, col), DN, upright.
+    row_index
+        Row of the original frame of every pixel, shape (row, col); its parity is the field.
+    transposed, mirrored
+        Whether rows and columns are exchanged, and whether the columns then run backwards.
+    frames
+        Number of frames averaged.
+    whole_codes
+        Whether the frames hold integers.
+    black_dn
+        Black level, DN; None: unknown.
+    pitch_ratio
+        Row pitch over column pitch of the oriented frame.
+    interlaced
+        Whether odd and even rows of the original frame are two fields.
+    sample_pitch_px
+        Distance of neighbouring samples in pixels of the camera, see `labdata.frames.FrameStack`.
+    """
+
+    value: Array
+    row_index: NDArray[np.int64]
+    transposed: bool
+    mirrored: bool
+    frames: int
+    whole_codes: bool
+    black_dn: float | None
+    pitch_ratio: float
+    interlaced: bool = False
+    sample_pitch_px: int = 1
+
+    @property
+    def field_axis(self) -> int | None:
+        """Axis along which two fields alternate; None: progressive frames."""
+        return int(self.transposed) if self.interlaced else None
+
+    def turned(self, *, transpose: bool, mirror: bool) -> "OrientedFrame":
+        """Return the frame transposed and then mirrored."""
+        value, row_index = (
+            (self.value.T, self.row_index.T) if transpose else (self.value, self.row_index)
+        )
+        step = -1 if mirror else 1
+        return replace(
+            self,
+            value=np.ascontiguousarray(value[:, ::step]),
+            row_index=np.ascontiguousarray(row_index[:, ::step]),
+            transposed=self.transposed != transpose,
+            mirrored=self.mirrored != mirror,
+            pitch_ratio=1.0 / self.pitch_ratio if transpose else self.pitch_ratio,
+        )
+
+    def upright(self, frames: NDArray) -> Array:
+        """Return frames (frame, row, col) in the same orientation."""
+        turned = frames.swapaxes(1, 2) if self.transposed else frames
+        return np.ascontiguousarray(turned[:, :, ::-1] if self.mirrored else turned, np.float64)
+
+
+def mean_oriented_frame(
+    stack: FrameStack, pitch_ratio: float, *, interlaced: bool
+) -> OrientedFrame:
+    """Return the mean frame of a stack, not yet reoriented."""
+    data = stack.data
+    frames, rows, cols = data.shape
+    return OrientedFrame(
+        value=data[0].astype(float) if frames == 1 else data.mean(axis=0, dtype=np.float64),
+        row_index=np.broadcast_to(np.arange(rows)[:, None], (rows, cols)),
+        transposed=False,
+        mirrored=False,
+        frames=frames,
+        whole_codes=data.dtype.kind in "ui" or bool(np.all(data[0] == np.rint(data[0]))),
+        black_dn=stack.black_level_dn,
+        pitch_ratio=pitch_ratio,
+        interlaced=interlaced,
+        sample_pitch_px=stack.sample_pitch_px,
+    )
+
+
+def usable_black_level(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:
+    """Return the black level, DN; None if it is unknown or lies well above the dark side."""
+    if black_dn is None or black_dn > dark_dn + LIMITS.max_below_black * (bright_dn - dark_dn):
+        return None
+    return black_dn

@@ -1,0 +1,241 @@
+"""Selection and averaging of blur models of points by evidence."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.blur_models.one_dimensional import ExtendedComponent, HaloComponent
+from charact.estimators.mtf.point.blur_models_2d import BlurModel2D, Core
+from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter
+from charact.estimators.mtf.point.source_pixels import (
+    SourcePixels,
+    add_noise,
+    noise_likelihood,
+    position_source,
+    whiten_source,
+)
+from charact.estimators.mtf.point.thresholds import ACCURACY
+from charact.inference.least_squares import weigh_by_evidence
+
+Array = NDArray[np.float64]
+
+# Prior odds of each extended component of a camera without a description; both together equal none.
+WIDE_ODDS = 0.5
+# Prior odds of separable blurs.
+SEPARABLE_ODDS = 0.2
+# Cores of any camera and of a tube, with prior odds; variants of one kind share them.
+CORES: dict[Core, float] = {
+    "gaussian": 1.0,
+    "kolmogorov": 0.5,
+    "exponential": 0.5,
+    "moffat": 0.5,
+    "airy": 0.5,
+    "hole": 0.25,
+    "defocus": 0.25,
+    "pupil": 0.25,
+}
+TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
+# Model departures, fraction of the transfer, and their prior odds.
+DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
+
+
+class EvidenceWeightedModels2D(NamedTuple):
+    """A fitted blur model with its weight by evidence."""
+
+    fit: BlurModelFit2D
+    share: float
+
+
+def candidate_cores(pinhole: float | tuple[float, float], *, described: bool) -> list[BlurModel2D]:
+    """Return the cores of any camera, or of a described tube."""
+    return [
+        BlurModel2D(core=core, round=not described, pinhole_px=pinhole)
+        for core in (TUBES if described else CORES)
+    ]
+
+
+def fit_sources(
+    sites: list[SourcePixels], cores: list[BlurModel2D], wide: tuple[ExtendedComponent, ...] | None
+) -> tuple[list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]]:
+    """Fit sources of one camera: positions, noise and blur models in turn; the most probable model
+    comes first.
+
+    There are no models where none has a finite evidence.
+
+    `wide` are the extended components to be tried with refined cores; None: the cores are the only
+    models.
+    """
+    begun = [position_source(site) for site in sites]
+    sites = [site for site, _ in begun]
+    half = float(np.median([guess for _, guess in begun]))
+    first = next(form for form in cores if form.core == "exponential")
+    fitter = _fitter_for(sites, first, first.start(np.log(half)), None)
+    starts = {form: form.start(np.log(half)) for form in cores}
+    for lower in ACCURACY.noise_factors:
+        fits = [_fit_pupil(fitter, form, starts[form]) for form in cores]
+        starts = {fit.form: fit.point for fit in fits}
+        best = max(fits, key=lambda fit: _likelihood(sites, fit))
+        sites, fitter = _update_sources(sites, best, lower)
+    found = fit_models(fitter, starts, wide)
+    if found and found[0].fit.form != best.form:
+        # Positions and noise were those of a simpler model.
+        sites, fitter = _update_sources(sites, found[0].fit)
+        found = fit_models(fitter, starts, wide)
+    return sites, fitter, found
+
+
+def _likelihood(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
+    """Return the score by which models are compared before the noise is known."""
+    if sites[0].window.frames > 1:
+        return fit.log_evidence
+    # A parameter gains half a unit of ln likelihood by chance (Akaike).
+    return sum(noise_likelihood(site, fit) for site in sites) - fit.point.size
+
+
+def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurModelFit2D:
+    """Fit a model; one with defocus from near focus and from far off."""
+    near = fitter.fit(form, start)
+    if "defocus_square" not in form.parameters:
+        return near
+    far = start.copy()
+    far[0], far[list(form.parameters).index("defocus_square")] = (
+        start[0] + np.log(ACCURACY.defocus_start[0]),
+        ACCURACY.defocus_start[1],
+    )
+    return min(near, fitter.fit(form, far), key=lambda one: one.cost)
+
+
+def _update_sources(
+    sites: list[SourcePixels], fit: BlurModelFit2D, lower: float = 1.0
+) -> tuple[list[SourcePixels], PointFitter]:
+    """Return sources with the position and noise of a fitted model, and their fitter."""
+    sites = [
+        add_noise(site, fit, float(light), lower=lower)
+        for site, light in zip(sites, fit.light, strict=True)
+    ]
+    return sites, _fitter_for(sites, fit.form, fit.point, fit.light)
+
+
+def _fitter_for(
+    sites: list[SourcePixels], form: BlurModel2D, point: Array, light: Array | None
+) -> PointFitter:
+    """Return a fitter whose weights and slopes are those of a model."""
+    transfer = form.transfer(point[None])[0]
+    if light is None:
+        light = np.array([_light_of_core(site) for site in sites])
+    return PointFitter(
+        [whiten_source(site, transfer, float(one)) for site, one in zip(sites, light, strict=True)]
+    )
+
+
+def _light_of_core(site: SourcePixels) -> float:
+    """Return the approximate light of a source: the sum of its core above its border."""
+    area = float(np.diff(site.window.x[:2])[0] * np.diff(site.window.y[:2])[0])
+    core = site.window.core
+    border_dn = np.median(np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]]))
+    return max(float((core - border_dn).sum()) * area, 1e-9)
+
+
+def start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
+    """Return starting values of another model from the parameters in common."""
+    start = form.start(float(fit.point[0]))
+    known = dict(zip(fit.form.parameters, fit.point, strict=True))
+    return np.array(
+        [known.get(name, own) for name, own in zip(form.parameters, start, strict=True)]
+    )
+
+
+def fit_models(
+    fitter: PointFitter,
+    starts: dict[BlurModel2D, Array],
+    wide: tuple[ExtendedComponent, ...] | None,
+) -> list[EvidenceWeightedModels2D]:
+    """Fit candidate blur models and return them with their weights, the most probable first."""
+    found = [fitter.fit(form, start) for form, start in starts.items()]
+    if wide is None:
+        return _rank_by_evidence(found)
+    found += [
+        fitter.fit(form, start_from(one, form))
+        for one in _cores_within(found, ACCURACY.candidate_ln_evidence)
+        if one.form.round and (form := replace(one.form, round=False))
+    ]
+    tubes = [one for one in found if one.form.core == "exponential"]
+    likeliest = max(tubes, key=lambda one: one.log_evidence)
+    if likeliest in _cores_within(found, ACCURACY.candidate_ln_evidence):
+        found.append(_fit_two_blurs(fitter, likeliest))
+        if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(
+            likeliest.covariance[1, 1]
+        ):
+            found.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
+    near = _cores_within(found, 3.0)
+    for light in wide:
+        for core in _cores_within(found, ACCURACY.candidate_ln_evidence)[:4]:
+            always = core in near or isinstance(light, HaloComponent)
+            more = _fit_extended(fitter, core, light, -np.inf if always else 4.0)
+            found += [] if more is None else [more]
+    if any(isinstance(light, HaloComponent) for light in wide):
+        # A described intensifier has a halo.
+        found = [one for one in found if one.form.wide is not None] or found
+    best = max(found, key=_weight)
+    found += [
+        fitter.fit(form, start_from(best, form))
+        for size in DEPARTURES
+        if (form := replace(best.form, departures=size))
+    ]
+    return _rank_by_evidence(found)
+
+
+def _cores_within(found: list[BlurModelFit2D], distance: float) -> list[BlurModelFit2D]:
+    """Return the cores whose ln evidence is within a distance of the best, best first."""
+    cores = sorted((one for one in found if one.form.wide is None), key=lambda one: -_weight(one))
+    return [one for one in cores if _weight(one) > _weight(cores[0]) - distance]
+
+
+def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
+    """Fit a tube model times a Gaussian, from two widths."""
+    form = replace(tube.form, lens=True)
+    begun = []
+    for blur in (0.3, 0.7):
+        start = start_from(tube, form)
+        start[0] += np.log(1.3)
+        start[list(form.parameters).index("blur_px")] = blur
+        begun.append(fitter.fit(form, start))
+    return min(begun, key=lambda one: one.cost)
+
+
+def _weight(fit: BlurModelFit2D) -> float:
+    """Return ln evidence plus ln prior probability of a model."""
+    form = fit.form
+    odds = CORES[form.core] * (SEPARABLE_ODDS if form.separable else 1.0)
+    odds *= 1.0 if form.wide is None or isinstance(form.wide, HaloComponent) else WIDE_ODDS
+    return fit.log_evidence + float(np.log(odds * (DEPARTURES_ODDS if form.departures else 1.0)))
+
+
+def _fit_extended(
+    fitter: PointFitter, core: BlurModelFit2D, wide: ExtendedComponent, worth: float
+) -> BlurModelFit2D | None:
+    """Fit a core with an extended component from several sizes; None if chi squared gains less than
+    `worth`.
+    """
+    form = replace(core.form, wide=wide)
+    first = form.blur_parameters
+    bounds = form.bounds[first : first + len(wide.parameters)]
+    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, 6)
+    begun = []
+    for size in sizes:
+        beyond = [0.05, size, *([0.5] if len(bounds) > 2 else [])]
+        start = np.concatenate([core.point[:first], beyond, core.point[first:]])
+        begun.append(fitter.fit(form, start, iterations=6))
+    best = min(begun, key=lambda one: one.cost)
+    if best.cost > core.cost - worth:
+        return None
+    fit = fitter.fit(form, best.point)
+    # Without light in it the component is the core alone.
+    return fit if fit.point[first] > bounds[0, 0] else None
+
+
+def _rank_by_evidence(found: list[BlurModelFit2D]) -> list[EvidenceWeightedModels2D]:
+    ranked = weigh_by_evidence([_weight(fit) for fit in found], least=ACCURACY.min_model_weight)
+    return [EvidenceWeightedModels2D(fit=found[index], share=share) for index, share in ranked]

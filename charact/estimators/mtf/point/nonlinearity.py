@@ -1,0 +1,118 @@
+"""Nonlinear camera response from the noise of a spot, which grows with the light if linear.
+
+A response S = c L^g gives a variance of S proportional to S^(2 - 1/g): an extra power 1 - 1/g of
+the light.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+
+Array = NDArray[np.float64]
+
+# Extra powers of the light in the noise: response exponents from 0.4 to 2.5.
+POWERS = np.array([-1.5, -1.2, -0.9, -0.7, -0.5, -0.35, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6])
+FINE_POWERS = np.linspace(POWERS[0], POWERS[-1], 421)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpotNonlinearity:
+    """Nonlinearity of a response from the noise of a spot."""
+
+    significance: (
+        float  # Root of twice the gain in ln likelihood over a linear response, standard deviations
+    )
+    power: float  # Likeliest extra power of the light in the noise
+    exponents: tuple[
+        float, float
+    ]  # Range of response exponents, within 0.4 to 2.5, that the noise does not exclude
+
+    @property
+    def is_nonlinear(self) -> bool:
+        """Whether the noise excludes a linear response."""
+        return (
+            self.significance > LIMITS.nonlinear_sd and abs(self.power) > LIMITS.min_nonlinear_power
+        )
+
+    @property
+    def effect(self) -> str:
+        """Effect of the likeliest response on MTF50."""
+        exponent = 1.0 / (1.0 - self.power)
+        moved = 100.0 * (np.sqrt(exponent) - 1.0)
+        return (
+            f"the noise indicates a response of exponent {exponent:.2g}, which changes MTF50 "
+            f"by about {moved:+.0f} %"
+        )
+
+    @property
+    def note(self) -> str:
+        """Range of responses that the noise does not exclude, and their effect on MTF50."""
+        low, high = self.exponents
+        return (
+            f"The camera response is assumed linear; the noise permits exponents from {low:.2g} "
+            f"to {high:.2g}. An exponent g multiplies MTF50 by about sqrt(g), and by more with a "
+            "halo or a tail."
+        )
+
+
+def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
+    """Return the combined nonlinearity of sources of one camera; without sources no exponent is
+    excluded.
+    """
+    fine = CubicSpline(POWERS, np.sum([np.zeros(POWERS.size), *profiles], axis=0))(FINE_POWERS)
+    best = int(np.argmax(fine))
+    gain = 2.0 * (fine[best] - np.interp(0.0, FINE_POWERS, fine))
+    within = FINE_POWERS[fine > fine[best] - 0.5 * LIMITS.nonlinear_sd**2]
+    return SpotNonlinearity(
+        significance=float(np.sqrt(max(gain, 0.0))),
+        power=float(FINE_POWERS[best]),
+        exponents=(1.0 / (1.0 - float(within[0])), 1.0 / (1.0 - float(within[-1]))),
+    )
+
+
+def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Array) -> Array:
+    """Return ln likelihood of each of `POWERS`, maximised over the size of the noise.
+
+    `samples`: independent deviations, each of the noise of one frame, shape (sample, pixel), DN;
+    `mean`: light in every pixel, DN; `pulses`, `dark`: covariance of a frame's light under a linear
+    response and of its dark noise, shape (pixel, pixel).
+
+    Notes
+    -----
+    A common factor of all pixels, flicker of the source, is excluded. Too few pixels give no
+    information: all powers are equally likely.
+    """
+    lit = np.flatnonzero(mean > ACCURACY.min_light_fraction * np.max(mean, initial=0.0))
+    if lit.size < 6:
+        return np.zeros(POWERS.size)
+    light = mean[lit] / mean.max()
+    aside = np.linalg.svd(light[None])[2][1:]
+    root = np.linalg.inv(np.linalg.cholesky(aside @ dark[np.ix_(lit, lit)] @ aside.T)) @ aside
+    white = samples[:, lit] @ root.T
+    return np.array(
+        [
+            _likeliest(white, root * light ** (0.5 * power), pulses[np.ix_(lit, lit)])
+            for power in POWERS
+        ]
+    )
+
+
+def _likeliest(white: Array, root: Array, pulses: Array) -> float:
+    """Return ln likelihood of whitened samples at the likeliest size of the pulses."""
+    values, vectors = np.linalg.eigh(root @ pulses @ root.T)
+    values = np.maximum(values, 0.0)
+    square, count = np.sum((white @ vectors) ** 2, axis=0), len(white)
+    size = 1.0
+    for _ in range(8):
+        variance = 1.0 + size * values
+        part = size * values / variance
+        slope = 0.5 * np.sum((square / variance - count) * part)
+        size *= np.exp(
+            np.clip(slope / max(0.5 * count * float(np.sum(part**2)), 1e-300), -1.0, 1.0)
+        )
+    variance = 1.0 + size * values
+    return float(-0.5 * np.sum(square / variance + count * np.log(variance)))

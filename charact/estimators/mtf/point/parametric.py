@@ -1,0 +1,474 @@
+"""Points measured by blur models that are fitted to pixels and averaged by evidence; the parametric
+method.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.estimators.mtf.blur_models.one_dimensional import (
+    DiscComponent,
+    ExtendedComponent,
+    HaloComponent,
+    ScatterComponent,
+)
+from charact.estimators.mtf.curve import (
+    FINE,
+    LEVELS,
+    PINNED,
+    REPORTED,
+    crossing_frequency,
+    crossing_measurement,
+    curve_of,
+    flag_filter_uncertainty,
+)
+from charact.estimators.mtf.image_lag import image_lag_model
+from charact.estimators.mtf.known_transfer import halo_diameters_px
+from charact.estimators.mtf.mean_frame import Region
+from charact.estimators.mtf.point.blur_models_2d import BANDWIDTH_ORDERS, BlurModel2D
+from charact.estimators.mtf.point.checks import (
+    camera_nonlinearity,
+    finding,
+    flag_undersampled,
+    light_sd,
+    source_findings,
+)
+from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter
+from charact.estimators.mtf.point.model_selection import (
+    EvidenceWeightedModels2D,
+    candidate_cores,
+    fit_sources,
+)
+from charact.estimators.mtf.point.parametric_noise import measure_surroundings_noise
+from charact.estimators.mtf.point.source import PointRefusal, detect_source, refuse_all
+from charact.estimators.mtf.point.source_pixels import SourcePixels
+from charact.estimators.mtf.point.source_window import neighbour_mask, source_window
+from charact.estimators.mtf.point.spot_image_matrix import Aperture
+from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+from charact.inference import has_several_peaks, importance_sample, sample_posterior
+from charact.method import Context, register
+from charact.video_filter import VideoFilter, powers
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Measurement, Posterior, Provenance, Result, measurement_from_draws
+
+Array = NDArray[np.float64]
+
+METHOD = "point-parametric"
+
+
+@register("point", METHOD)
+def point_parametric(
+    stack: FrameStack,
+    *,
+    region: Region | None = None,
+    regions: tuple[Region, ...] | None = None,
+    pinhole_px: float | tuple[float, float] | None = None,
+    context: Context,
+) -> Result:
+    """Measure the horizontal and vertical MTF of a camera from the image of one or several points.
+
+    Parameters
+    ----------
+    stack
+        Frames of the sources; they are averaged, and their differences give the noise.
+    region
+        ROW, COL, HEIGHT, WIDTH that contains the source; None: the whole frame.
+    regions
+        Regions of several sources of one size, fitted with one transfer; they replace `region`.
+    pinhole_px
+        Diameter of the source's image, column pitches, whose transfer is divided out, or its bounds
+        if unknown. None: a point.
+    context
+        Seed, speed and camera.
+
+    Returns
+    -------
+    Result
+        `mtf50`, `mtf10` and `mtf` at fixed frequencies in both directions, and the curves "mtf" and
+        "mtf_vertical". All frequencies are cycles per column pitch.
+
+    Raises
+    ------
+    BadInput
+        If the pinhole's diameter is negative or its bounds are no interval, or if there are no
+        regions.
+
+    Notes
+    -----
+    A pixel's mean is level + slopes + light P(x, y), P the transform of pinhole x pixel x video x
+    blur model. Level, slopes and the shift from the best position are marginalised in closed form;
+    pixels at full scale enter by the probability of at least that value. The draws are those of
+    every blur model in proportion to its evidence.
+    """
+    cores = partial(candidate_cores, described=context.sensor is not None)
+
+    def forms(pinhole: float | tuple[float, float], holds_halo: bool, reach_px: float):
+        return cores(pinhole), _widen_components(context, holds_halo, reach_px)
+
+    method = PointMethod(name=METHOD, quantities=("mtf50", "mtf10", "mtf"), forms=forms)
+    return measure_points(method, stack, region, regions, pinhole_px, context)
+
+
+def _widen_components(
+    context: Context, holds_halo: bool, reach_px: float
+) -> tuple[ExtendedComponent, ...]:
+    """Return the extended components that regions can show."""
+    if context.sensor is not None:
+        return (
+            (HaloComponent(size_px=halo_diameters_px(context, transposed=False)),)
+            if holds_halo
+            else ()
+        )
+    if not reach_px:
+        return ()
+    return DiscComponent(size_px=(6.0, 2.0 * reach_px)), ScatterComponent(
+        size_px=(2.0, reach_px / 3.0)
+    )
+
+
+class PointMethod(NamedTuple):
+    """A method for points: its name, quantities and blur models.
+
+    `forms` takes the pinhole's diameter, whether the regions hold a described halo, and the
+    distance to which they can show light, px. It returns cores, and extended components to refine
+    them with, or None.
+    """
+
+    name: str
+    quantities: tuple[str, ...]
+    forms: Callable[..., tuple[list[BlurModel2D], tuple[ExtendedComponent, ...] | None]]
+
+
+def measure_points(
+    method: PointMethod,
+    stack: FrameStack,
+    region: Region | None,
+    regions: tuple[Region, ...] | None,
+    pinhole_px: float | tuple[float, float] | None,
+    context: Context,
+) -> Result:
+    """Measure the MTF from points by the blur models of a method."""
+    pinhole = _pinhole(pinhole_px)
+    if regions is not None and not regions:
+        raise BadInput("several sources require at least one region, got none")
+    common = {
+        "method": method.name,
+        "region": region or (0, 0, *stack.shape[1:]),
+        "provenance": Provenance(
+            version=charact.__version__,
+            seed=context.seed,
+            settings={"quick": context.quick, "pinhole_px": pinhole},
+        ),
+    }
+    sites = []
+    for part in (
+        [stack.region(*one) for one in regions]
+        if regions
+        else [stack.region(*region) if region else stack]
+    ):
+        site = _locate_source(part, context)
+        if isinstance(site, PointRefusal):
+            return refuse_all(common, *site)
+        sites.append(site)
+    # Rings beyond the light are needed to separate it from the background.
+    rings = min((site.window.ring_px for site in sites), key=len)
+    reach = (
+        float(rings[-1 - ACCURACY.empty_rings].max()) if len(rings) > ACCURACY.empty_rings else 0.0
+    )
+    cores, wide = method.forms(pinhole, all(site.window.holds_halo for site in sites), reach)
+    if any(form.bandwidth_order > 1 for form in cores):
+        sites = [
+            replace(site, aperture=replace(site.aperture, orders=BANDWIDTH_ORDERS))
+            for site in sites
+        ]
+    sites, fitter, found = fit_sources(sites, cores, wide)
+    if not found or not found[0].fit.cost < LIMITS.max_cost * found[0].fit.free:
+        reason = (
+            "no blur model describes the source: it may be light of another shape, or far "
+            "beyond full scale"
+        )
+        return refuse_all(common, reason, "model-misfit")
+    best = found[0].fit
+    # The noise of a single frame's light is poorly known; there the detection decides.
+    weak = best.light < LIMITS.min_light_sd * light_sd(fitter, best)
+    if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
+        n_neighbours = sum(len(site.window.neighbours) for site in sites)
+        crowd = (
+            f"; {n_neighbours} neighbours interfere, use --roi around an isolated one"
+            if n_neighbours
+            else ""
+        )
+        required = (
+            f"no target: the light must be at least {LIMITS.min_light_sd:g} standard "
+            f"uncertainties{crowd}"
+        )
+        return refuse_all(common, required)
+    return _result(method, sites, fitter, found, {**common, "notes": stack.notes}, pinhole, context)
+
+
+def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
+    """Return valid diameter or bounds."""
+    low, high = LIMITS.pinhole_px
+    if isinstance(pinhole_px, tuple | list):
+        least, most = (float(number) for number in pinhole_px)
+        if not low <= least < most < high:
+            raise BadInput(
+                f"bounds of pinhole_px must rise within [0, 50) column pitches, got {least:g} to "
+                f"{most:g}"
+            )
+        return least, most
+    if pinhole_px is not None and not low <= pinhole_px < high:
+        raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
+    return float(pinhole_px or 0.0)
+
+
+def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRefusal:
+    """Return the source of a part of the frames."""
+    if min(part.shape[1:]) < LIMITS.min_region_px:
+        least = f"{LIMITS.min_region_px} x {LIMITS.min_region_px} px"
+        return PointRefusal(
+            f"a point needs a region of at least {least}, got {part.shape[1:]}", "window-too-small"
+        )
+    full = context.full_scale_dn or part.full_scale_dn
+    source = detect_source(part.data, context.pitch_ratio)
+    if isinstance(source, PointRefusal):
+        bright = full is not None and np.median(part.data, axis=0).max() >= full
+        return (
+            PointRefusal("the source is too bright: there is no background", "saturated")
+            if bright
+            else source
+        )
+    window = source_window(part, source, context)
+    height = np.maximum(window.core - np.median(window.core), 0.0)
+    if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
+        reason = "the source is too bright: pixels below full scale contain too little of its light"
+        return PointRefusal(reason, "saturated")
+    rows = 2.0 if context.interlaced else 1.0
+    return SourcePixels(
+        window=window,
+        aperture=Aperture(
+            height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor)
+        ),
+        dark=measure_surroundings_noise(
+            part.data,
+            source.row,
+            source.col,
+            neighbour_mask(part.shape[1:], source.neighbours, context.pitch_ratio),
+        ),
+        memory=image_lag_model(context, window.frames),
+        full_scale_dn=full,
+        screen=context.sensor is not None,
+    )
+
+
+def _result(
+    method: PointMethod,
+    sites: list[SourcePixels],
+    fitter: PointFitter,
+    found: list[EvidenceWeightedModels2D],
+    common: dict[str, Any],
+    pinhole: float | tuple[float, float],
+    context: Context,
+) -> Result:
+    """Return measurements, curves and figure data of fitted sources."""
+    drawn = [_posterior(fitter, one, number, context) for number, one in enumerate(found)]
+    response = camera_nonlinearity(sites, found[0].fit)
+    findings = source_findings(sites, fitter, found)
+    # Of a described tube the pulse widths are tried coarsely, so that noise may appear to grow
+    # faster than the light.
+    known = bool(found[0].fit.form.known)
+    if response.is_nonlinear and (response.power < -LIMITS.max_negative_power or not known):
+        findings.append(finding("gamma", response.effect))
+    if context.sensor and any(site.cut.any() for site in sites):
+        findings.append(
+            finding(
+                "saturated",
+                "wells may fill before the digitiser clips; MTF50 may be 26 to 43 % low",
+            )
+        )
+    if any("not-converged" in one.flags for one in drawn):
+        findings.append(finding("not-converged", "interval from the curvature at the optimum"))
+    common["notes"] = (*common["notes"], *_notes(sites, found, pinhole, context), response.note)
+    total = sum(one.share for one in found)
+    wanted = ACCURACY.quick_draws if context.quick else ACCURACY.draws
+    counts = [max(1, round(wanted * one.share / total)) for one in found]
+    measurements: list[Measurement] = []
+    curves, aperture = {}, sites[0].aperture
+    frequency = np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)])
+    for name, vertical, angle in (("mtf", False, 0.0), ("mtf_vertical", True, 90.0)):
+        draws = np.concatenate(
+            [
+                mtf_of_camera(
+                    one.fit.form, posterior.draws[:count], frequency, aperture, vertical=vertical
+                )
+                for one, posterior, count in zip(found, drawn, counts, strict=True)
+            ]
+        )
+        fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
+        one = {**common, "orientation_deg": angle}
+        own = [
+            _note_several_peaks(
+                crossing_measurement(quantity, fine, drawn[0], one),
+                crossing_frequency(FINE, fine, at),
+            )
+            for quantity, at in LEVELS.items()
+        ]
+        for values, at in zip(pinned.T, PINNED, strict=True) if "mtf" in method.quantities else ():
+            measured = measurement_from_draws(
+                "mtf", "1", values, frequency_cy_per_px=float(at), **one
+            )
+            own.append(_note_several_peaks(measured, values))
+        exact = aperture.video is None or vertical or found[0].fit.form.bandwidth_order > 1
+        doubt = None if exact or aperture.video is None else aperture.video.doubt
+        measurements += [
+            flag_filter_uncertainty(number, doubt, partial(_crossing, fine)) for number in own
+        ]
+        curves[name] = curve_of(REPORTED, reported)
+    measurements = [one.with_(findings=findings) for one in measurements]
+    return Result(
+        measurements=flag_undersampled(measurements, sites[0].window),
+        curves=curves,
+        evidence={"point-profile": _model_figure_data(sites[0], fitter, found[0].fit)},
+    )
+
+
+def mtf_of_camera(
+    form: BlurModel2D, draws: Array, frequency: Array, aperture: Aperture, *, vertical: bool
+) -> Array:
+    """Return the MTF of draws along rows or columns, aperture and video filter included, shape
+    (draw, frequency).
+    """
+    blur = np.abs(form.camera(draws, frequency, np.array([-1.0 if vertical else 1.0]))[:, 0])
+    if vertical:
+        return blur * np.abs(aperture.vertical(frequency))
+    bandwidth = form.ln_bandwidth(draws)
+    if bandwidth is not None and aperture.video is not None:
+        blur = blur * np.exp(powers(bandwidth) @ aperture.video.bend(frequency).real)
+    return blur * np.abs(aperture.horizontal(frequency))
+
+
+def _posterior(
+    fitter: PointFitter, one: EvidenceWeightedModels2D, number: int, context: Context
+) -> Posterior:
+    """Sample the posterior of one blur model, by importance sampling if quick."""
+    fit = one.fit
+    arguments = {
+        "names": tuple(fit.form.parameters),
+        "units": tuple(unit for unit, _ in fit.form.parameters.values()),
+        "start": fit.point,
+        "covariance": fit.covariance,
+        "seed": context.seed + number,
+        "bounds": fit.form.bounds,
+        "draws": ACCURACY.quick_draws if context.quick else ACCURACY.draws,
+    }
+    log_probability = partial(fitter.log_probability, fit.form)
+    effort = max(one.share, 0.25)
+    if context.quick:
+        enough, first = 500.0 * effort, round(1000 * effort)
+        return importance_sample(log_probability, **arguments, enough=enough, first_draws=first)
+    return sample_posterior(log_probability, **arguments, max_steps=1500, effort=effort)
+
+
+def _model_figure_data(
+    site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D
+) -> dict[str, Any]:
+    """Return the figure data of the most probable model for the first source, with the estimated
+    quantisation shift.
+    """
+    pixels, light, background = fitter.pixels[0], float(fit.light[0]), site.background()
+    nodes = fit.form.nodes(fit.point[None])[0]
+    lit = light * (site.matrix()[:, : nodes.size] @ nodes)
+    white = pixels.root @ background[site.value_mask]
+    level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.value_mask], rcond=None)[
+        0
+    ]
+    mean, used = lit + background @ level, site.value_mask
+    left = pixels.root.T @ (pixels.root @ (site.values - mean)[used])
+    mean[used] += pixels.rounding @ left
+    window, (x_px, y_px) = site.window, site.place
+    core, rings = np.split(mean, [window.core.size])
+    core = core.reshape(window.core.shape)
+    # The lines through the source's centre.
+    row, col = int(np.argmin(np.abs(window.y - y_px))), int(np.argmin(np.abs(window.x - x_px)))
+    return {
+        "figure": "point-profile",
+        "column_px": (window.x - x_px).tolist(),
+        "row_px": (window.y - y_px).tolist(),
+        "value_dn": window.core.tolist(),
+        "model_dn": core.tolist(),
+        "used": window.keep.tolist(),
+        "along_row_dn": window.core[row].tolist(),
+        "along_row_model_dn": core[row].tolist(),
+        "along_column_dn": window.core[:, col].tolist(),
+        "along_column_model_dn": core[:, col].tolist(),
+        "ring_px": window.ring_px.mean(axis=1).tolist(),
+        "ring_dn": window.ring_dn.tolist(),
+        "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
+        "ring_model_dn": rings.tolist(),
+        "light_dn_px2": light,
+        "light_sd_dn_px2": float(light_sd(fitter, fit)[0]),
+        "pedestal_dn": float(level[0]),
+        "chi_squared": fit.chi2,
+        "degrees_of_freedom": fit.free,
+    }
+
+
+def _crossing(fine: Array, level: float) -> float:
+    return float(np.nanmedian(crossing_frequency(FINE, fine, level)))
+
+
+def _note_several_peaks(one: Measurement, draws: Array) -> Measurement:
+    """Add a note where the draws have several peaks, which the interval spans."""
+    finite = draws[np.isfinite(draws)]
+    if one.value is None or not has_several_peaks(finite[:, None]):
+        return one
+    low, high = np.quantile(finite, (0.16, 0.84))
+    return one.with_(
+        notes=(*one.notes, f"Blur models of similar evidence give {low:.3g} and {high:.3g}.")
+    )
+
+
+def _notes(
+    sites: list[SourcePixels],
+    found: list[EvidenceWeightedModels2D],
+    pinhole: float | tuple[float, float],
+    context: Context,
+) -> tuple[str, ...]:
+    """Return notes that do not affect validity."""
+    parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)
+    out = [f"Blur models by evidence: {parts}."]
+    cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)
+    if cut:
+        out.append(f"{cut} pixels at full scale are treated as lower limits.")
+        if context.sensor is not None:
+            out.append("Wells may fill before the digitiser clips; use less light.")
+            lost = sum(int(np.count_nonzero(~site.window.keep)) for site in sites) - cut
+            out.append(
+                f"{lost} pixels after full scale, which the video filter affects, are excluded."
+            )
+    if n_neighbours := sum(len(site.window.neighbours) for site in sites):
+        out.append(
+            f"{n_neighbours} neighbours of the source are masked; the light of close ones is "
+            f"fitted too."
+        )
+    if pinhole == 0.0:
+        out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")
+    if all(one.fit.form.wide is None for one in found):
+        out.append("MTF normalised to the core; any halo is not included.")
+    if any(site.dark.common > 0 for site in sites):
+        out.append("Noise is correlated between pixels; accounted for.")
+    most = float(np.exp(-2.0 * np.pi**2 * min(site.window.quiet_sd for site in sites) ** 2) / np.pi)
+    if most >= LIMITS.min_rounding_shift_dn:
+        out.append(
+            f"Quantisation may shift faint light and its level by up to {most:.2f} DN; the fit "
+            "includes this, and the plotted model the estimated shift."
+        )
+    if context.sensor is None:
+        out.append("Pixels taken as square.")
+    return tuple(out)

@@ -1,0 +1,171 @@
+"""One transfer of the camera in every direction: an elliptical core, a halo shared by all, aperture
+and video.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.blur_models.one_dimensional import BlurModel, Core, ExtendedComponent
+from charact.estimators.mtf.session.thresholds import THRESHOLDS
+from charact.method import Context
+from charact.video_filter import VideoFilter, powers
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownCameraTransfer:
+    """Described part of the transfer: aperture in column pitches, and the video filter along rows
+    or None.
+    """
+
+    height_px: float = 1.0
+    video: VideoFilter | None = None
+
+    @classmethod
+    def of(cls, context: Context) -> "KnownCameraTransfer":
+        """Return the described transfer of a context's camera."""
+        rows = 2.0 if context.interlaced else 1.0
+        return cls(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor))
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds by name of a parameter that is known within a range only."""
+        return self.video.parameters if self.video else {}
+
+    def bend(self, fx: Array) -> Array | None:
+        """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`;
+        None: it is exact.
+        """
+        return self.video.bend(fx).real if self.video and self.video.parameters else None
+
+    def __call__(self, fx: Array, fy: Array) -> Array:
+        """Return the modulus at frequencies along rows and columns, cycles per column pitch."""
+        filtered = 1.0 if self.video is None else np.abs(self.video(fx))
+        return np.abs(np.sinc(fx) * np.sinc(fy * self.height_px)) * filtered
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointBlurModel:
+    """A form of the camera's transfer in all directions.
+
+    M(fx, fy) = C(r/f2) exp(-2 (pi r)^2 b) [(1 - q) + q W(f)] A(fx, fy), with r^2 = fx^2 + (fy
+    e^-s)^2 the elliptical frequency, f2 the half frequency of the core C, b the variance of a
+    further Gaussian blur (`blurred`), q the fraction of the halo W (`wide`), s the stretch
+    (`elliptical`), f^2 = fx^2 + fy^2, and A aperture and video (`known`).
+    """
+
+    core: Core
+    blurred: bool
+    wide: ExtendedComponent | None
+    elliptical: bool
+    known: KnownCameraTransfer
+
+    @cached_property
+    def family(self) -> BlurModel:
+        """Core alone, along one direction."""
+        return BlurModel(core=self.core)
+
+    @property
+    def name(self) -> str:
+        """Display name."""
+        core = f"{self.core} x gaussian" if self.blurred else self.core
+        return core if self.wide is None else f"{core} + {self.wide.name}"
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        blur = {"blur_px2": ("px2", (0.0, 3.0))} if self.blurred else {}
+        stretch = {"ln_vertical_stretch": ("1", (-1.0, 1.0))} if self.elliptical else {}
+        wide = self.wide.parameters if self.wide else {}
+        return {**self.family.parameters, **blur, **stretch, **wide, **self.known.parameters}
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        return np.array([bound for _, bound in self.parameters.values()])
+
+    @property
+    def start(self) -> Array:
+        """A starting point of the optimisation."""
+        wide = (
+            [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()]
+            if self.wide
+            else []
+        )
+        blur, stretch = [0.3] * self.blurred, [0.0] * self.elliptical
+        return np.array(
+            [*self.family.start(0.2), *blur, *stretch, *wide, *(0.0 for _ in self.known.parameters)]
+        )
+
+    def transfer(self, theta: Array, fx: Array, fy: Array) -> Array:
+        """Return the MTF at cycles per column pitch along rows and columns, (n, parameter) and (f,)
+        -> (n, f).
+        """
+        return self.known(fx, fy) * self.unknown(theta, fx, fy, bend=self.known.bend(fx))
+
+    def unknown(
+        self,
+        theta: Array,
+        fx: Array,
+        fy: Array,
+        *,
+        bend: Array | None,
+        within: NDArray[np.bool_] | bool = False,
+    ) -> Array:
+        """Return the MTF over aperture and described video, shape (n, parameter) and (f,) -> (n,
+        f).
+
+        Frequencies are cycles per column pitch; `bend` is `known.bend` of `fx`; `within`: where it
+        is normalised to a window narrower than the halo, whose light is then left out.
+        """
+        size, place = self.family.core_parameters, self._stretch_index
+        stretch = np.exp(theta[:, place : place + 1]) if self.elliptical else 1.0
+        radius = np.maximum(np.hypot(fx, fy / stretch), 1e-7)
+        core = self.family.modulus(theta[:, :size], radius)
+        if self.blurred:
+            core = core * np.exp(-2.0 * (np.pi * radius) ** 2 * theta[:, size : size + 1])
+        if bend is not None:
+            core = core * np.exp(powers(theta[:, -1]) @ bend)
+        if self.wide is None:
+            return core
+        tail = theta[:, place + self.elliptical :][:, : len(self.wide.parameters)]
+        far = self.wide.transfer(np.maximum(np.hypot(fx, fy), 1e-7), tail[:, 1:])
+        return core * np.where(within, 1.0, 1.0 - tail[:, :1] + tail[:, :1] * far)
+
+    def log_prior(self, theta: Array) -> Array:
+        """Return ln of the prior density, -inf outside the bounds."""
+        bounds, size = self.bounds, self.family.core_parameters
+        free = np.arange(len(bounds)) >= size
+        density = self.family.log_prior(theta[:, :size])
+        if self.elliptical:
+            free[self._stretch_index] = False
+            density -= 0.5 * (theta[:, self._stretch_index] / THRESHOLDS.stretch_sd) ** 2
+            density -= np.log(THRESHOLDS.stretch_sd * np.sqrt(2.0 * np.pi))
+        if self.known.video and self.known.parameters:
+            free[-1] = False
+            density += self.known.video.log_prior(theta[:, -1])
+        density -= np.sum(np.log(bounds[free, 1] - bounds[free, 0]))
+        return np.where(
+            np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1), density, -np.inf
+        )
+
+    @cached_property
+    def prior_precision(self) -> Array:
+        """Inverse variance of the prior of each parameter, flat ones as wide as their bounds, shape
+        (parameter,).
+        """
+        precision = 12.0 / np.ptp(self.bounds, axis=1) ** 2
+        precision[: self.family.core_parameters] += self.family.prior_precision[1]
+        if self.elliptical:
+            precision[self._stretch_index] += THRESHOLDS.stretch_sd**-2
+        if self.known.video and self.known.parameters:
+            precision[-1] += self.known.video.ln_bandwidth_sd**-2
+        return precision
+
+    @property
+    def _stretch_index(self) -> int:
+        return self.family.core_parameters + self.blurred

@@ -1,0 +1,144 @@
+"""Target motion between frames, by analysis of variance of line positions.
+
+Edge roughness has the same effect within a frame
+(`charact.estimators.mtf.edge.pixels.prepare_edge.roughness_of`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.mtf.thresholds import ACCURACY, LIMITS
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetMotion:
+    """Motion of a target through a stack, or deviation of an edge from a straight line.
+
+    Parameters
+    ----------
+    rms_px
+        Root mean square displacement, noise subtracted, px.
+    chance
+        Probability of such displacements without motion.
+    """
+
+    rms_px: float = 0.0
+    chance: float = 1.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether the motion is significant."""
+        return self.chance < LIMITS.motion_p_value and self.rms_px > 0
+
+    def mtf_loss(self, frequency_cy_per_px: float) -> float:
+        """Return the relative loss of the MTF at a frequency, and approximately that of MTF50.
+
+        The mean frame is blurred by exp(-2 (pi f s)^2). Near MTF50 ln MTF and ln frequency change
+        by about the same amount.
+        """
+        return 2.0 * (np.pi * frequency_cy_per_px * self.rms_px) ** 2
+
+
+def measure_line_motion(
+    frames: Sequence[Array] | Array, across: Array, line: NDArray[np.int64], used: NDArray[np.bool_]
+) -> TargetMotion:
+    """Return the motion of a target whose lines have one common profile.
+
+    Parameters
+    ----------
+    frames
+        Each of shape (row, col), DN.
+    across
+        Distance of every pixel across the lines, shape (row, col), px.
+    line
+        Index of each pixel's line, from 0, shape (row, col).
+    used
+        Pixels that count, shape (row, col).
+
+    Notes
+    -----
+    The displacement of a line is the least-squares coefficient of -m'(d), m the mean profile of all
+    lines, with the line's level and contrast free (lamp flicker).
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    if len(frames) < 2 or not used.any():
+        return TargetMotion()
+    values = np.stack([frame[used] for frame in frames]).astype(np.float64)
+    mean, where, away, cells_per_px = (
+        values.mean(axis=0),
+        line[used],
+        across[used],
+        ACCURACY.profile_cells_per_px,
+    )
+    # The smoothed mean profile of all lines and its slope, at every pixel.
+    cell = np.floor((away - away.min()) * cells_per_px).astype(np.intp)
+    blur = ACCURACY.profile_smoothing_px * cells_per_px
+    sums, counts = (
+        gaussian_filter1d(np.bincount(cell, one), blur) for one in (mean, np.ones_like(mean))
+    )
+    profile = sums / np.maximum(counts, 1e-12)
+    place = away.min() + (np.arange(profile.size) + 0.5) / cells_per_px
+    slope = np.gradient(profile) * cells_per_px if profile.size > 1 else np.zeros(1)
+    template, rise = np.interp(away, place, profile), np.interp(away, place, slope)
+    # The weight of each pixel in its line's displacement, and the lines that are precise enough.
+    shapes = np.stack([rise, template - template.mean(), np.ones_like(rise)])
+    scale = np.sqrt(np.maximum(np.mean(shapes**2, axis=1), 1e-300))
+    shapes = shapes / scale[:, None]
+    pixels = np.bincount(where)
+    normal = np.array(
+        [[np.bincount(where, one * other) for other in shapes] for one in shapes]
+    ).transpose(2, 0, 1)
+    size = np.maximum(pixels, 1)[:, None, None]
+    inverse = np.linalg.inv(normal / size + 1e-9 * np.eye(3)) / size
+    power = np.where(pixels > 0, 1.0 / inverse[:, 0, 0], 0.0)
+    holds = power > LIMITS.min_line_power * np.median(power[power > 0])
+    weight = -np.einsum("pk,kp->p", inverse[where, 0], shapes) / scale[0]
+    positions = np.stack(
+        [np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values]
+    )
+    return measure_target_motion(np.asarray(positions[:, holds], np.float64))
+
+
+def measure_target_motion(places: Array) -> TargetMotion:
+    """Return the motion from line positions.
+
+    Parameters
+    ----------
+    places
+        Position of each line in each frame, shape (frame, line), px; a constant offset of a line
+        has no effect.
+
+    Notes
+    -----
+    Groups of lines have independent noise; a displacement common to all groups of a frame is
+    motion. A two-way analysis of variance compares frame means with the residual (Fisher's F). The
+    mean of K frames is blurred by (K - 1)/K of the variance.
+    """
+    from scipy.special import fdtrc
+
+    frames, lines = places.shape
+    size = min(
+        max(lines // ACCURACY.line_groups, ACCURACY.min_group_lines), ACCURACY.max_group_lines
+    )
+    parts = lines // size
+    if frames < 2 or parts < ACCURACY.min_line_groups:
+        return TargetMotion()
+    kept = size - (2 if size >= ACCURACY.wide_gap_lines else 1)
+    means = places[:, : parts * size].reshape(frames, parts, size)[:, :, :kept].mean(axis=2)
+    means = means - means.mean(axis=0)
+    of_frame = means.mean(axis=1)
+    between, within = frames - 1, (frames - 1) * (parts - 1)
+    noise = float(np.sum((means - of_frame[:, None]) ** 2)) / within
+    shared = parts * float(np.sum(of_frame**2)) / between
+    if not shared > noise:
+        return TargetMotion()
+    rms_px = float(np.sqrt((shared - noise) / parts * between / frames))
+    return TargetMotion(
+        rms_px=rms_px, chance=float(fdtrc(between, within, shared / max(noise, 1e-300)))
+    )

@@ -1,0 +1,77 @@
+"""Noise and gain from dark and uniformly illuminated frames."""
+
+from charact.method import Context, choose
+from charact.method.stopwatch import with_timing
+from labdata.errors import BadInput
+from labdata.measurement import Result
+from labdata.session import Session
+
+__all__ = ["measure"]
+
+
+@with_timing
+def measure(
+    session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context
+) -> Result:
+    """Measure noise and gain from darks and flats, 3-D noise, and single photoelectrons in
+    intensified darks.
+
+    Parameters
+    ----------
+    session
+        Session with at least one dark or flat stack.
+    method
+        "auto" or the name of a registered method of kind "flats".
+    within_percent
+        Tolerance that the automatic choice must meet, percent.
+    context
+        Settings of the method.
+
+    Raises
+    ------
+    BadInput
+        If the session has neither darks nor flats, or flats of a black body, or the method is
+        unknown.
+    """
+    chosen = choose("flats", method, within_percent=within_percent)
+    if not session.of_kind("dark", "flat"):
+        raise BadInput(
+            f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}"
+        )
+    heated = [
+        entry.label for entry in session.of_kind("flat") if entry.conditions.blackbody_c is not None
+    ]
+    if heated:
+        raise BadInput(
+            f"noise against light needs flats of light, got {', '.join(heated)} of a black body "
+            "(blackbody_c): measure the session with charact.noise(SESSION) or "
+            "charact.measure(SESSION)"
+        )
+    from charact.estimators.noise.gain_separation import add_event_gains
+    from charact.estimators.noise.prepared_session import defect_pixels, prepare
+
+    ready = prepare(session, context=context)
+    session, context = ready.session, ready.context
+    if (
+        method == "auto"
+        and chosen.name == "covariance-sum"
+        and _has_small_white_frames(session, context)
+    ):
+        chosen = choose("flats", "variance")
+    result = add_event_gains(chosen.function(session, context=context), session, context=context)
+    return ready.in_dn(result) + defect_pixels(session, ready.surveys, ready.found, context=context)
+
+
+def _has_small_white_frames(session: Session, context: Context) -> bool:
+    """Return whether frames are too small for a covariance sum, of a camera without an
+    intensifier.
+    """
+    from charact.estimators.noise.covariance_sum import image_size_obstacle
+    from charact.estimators.noise.gain.series import has_intensifier
+    from charact.estimators.noise.stack.frame_block import bins_of_run
+
+    entries = session.of_kind("dark", "flat")
+    bins = [bins_of_run(entry.read().data.shape, context, spectra=True) for entry in entries[:1]]
+    return bool(image_size_obstacle(bins)) and not has_intensifier(
+        [entry.conditions for entry in entries], context
+    )

@@ -1,0 +1,251 @@
+"""Dark current against exposure, and its doubling temperature."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
+from charact.estimators.noise.gain.checks import drift_and_flicker
+from charact.estimators.noise.gain.series import group_by_gain
+from charact.estimators.noise.illumination import mean_sd
+from charact.estimators.noise.linear_fit import linear_fit
+from charact.estimators.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2
+from charact.estimators.noise.stack.stack_statistics import StackStatistics
+from charact.estimators.noise.thresholds import CHECKS, DARK_CURRENT
+from charact.method import Context
+from charact.method.stopwatch import with_timing
+from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
+
+Array = NDArray[np.float64]
+METHOD = "dark-exposures"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkSlope:
+    """Dark current at one temperature."""
+
+    temperature_c: float | None  # mean temperature, degrees Celsius; None if unknown
+    draws: Array  # draws of the dark current, shape (draw,), DN/s
+    exposures: int  # number of distinct exposures
+    findings: list[Finding]
+
+
+@with_timing
+def dark_current(darks: list[StackStatistics], result: Result, *, context: Context) -> Result:
+    """Return the dark current of an exposure series, and the temperature difference that doubles
+    it.
+
+    `darks`: darks; the group of one gain and temperature with most exposures is used; `result`:
+    previous measurements; a valid system gain converts DN to electrons.
+
+    The mean of darks is mu_d = mu_d0 + mu_I t (EMVA 1288 Release 3.1, 3.1) and mu_I doubles every
+    T_d kelvin (3.2). Scatter about the line beyond the noise widens the interval (Student's t).
+    """
+    if not darks:
+        return Result()
+    fields = fields_of(METHOD, context)
+    rng = np.random.default_rng([context.seed, 11])
+    slopes = [found for group in _groups(darks) if (found := _slope(group, rng)) is not None]
+    if not slopes:
+        known = sorted(
+            {d.conditions.exposure_s for d in darks if d.conditions.exposure_s is not None}
+        )
+        reason = (
+            "dark current needs darks of at least two exposures at one gain and temperature, got "
+            + (
+                f"only {known[0]:.4g} s"
+                if len(known) == 1
+                else "no two alike but for their exposure"
+                if known
+                else "none whose exposure is stated"
+            )
+        )
+        return Result(
+            measurements=(
+                make_refusal("dark_current", "DN/s", reason, refusal="missing", **fields),
+            )
+        )
+    best = max(slopes, key=lambda slope: slope.exposures)
+    out = [
+        _current(best, "DN/s", best.draws, (), **fields),
+        *_electrons(best, result, rng, **fields),
+    ]
+    out.append(_doubling(slopes, rng, **fields))
+    return Result(measurements=tuple(out))
+
+
+def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
+    """Group darks by temperature, at the gain of most darks."""
+    usable = [
+        dark
+        for dark in darks
+        if dark.conditions.exposure_s is not None
+        and max(dark.low_fraction, dark.high_fraction) <= CHECKS.max_clipped_fraction
+    ]
+    groups: list[list[StackStatistics]] = []
+    last = None
+    for dark in sorted(
+        max(group_by_gain(usable), key=len, default=[]),
+        key=lambda one: one.conditions.temperature_c or 0.0,
+    ):
+        here = dark.conditions.temperature_c
+        far = abs((here or 0.0) - (last or 0.0)) >= DARK_CURRENT.same_temperature_k
+        if not groups or (last is None) != (here is None) or far:
+            groups.append([])
+        groups[-1].append(dark)
+        last = here
+    return groups
+
+
+def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope | None:
+    """Fit level against exposure; None for a single exposure."""
+    time = np.array([d.conditions.exposure_s for d in darks], float)
+    exposures = len(np.unique(time))
+    if exposures < 2:
+        return None
+    mean = np.array([d.mean_dn for d in darks])
+    sd = np.array([mean_sd(d, QUANTISATION_DN2) for d in darks])
+    fit = linear_fit([np.ones_like(time), time / time.max()], mean, sd)
+    value, error = (
+        float(fit.best[1] / time.max()),
+        float(np.sqrt(fit.covariance[1, 1]) / time.max()),
+    )
+    freedom = len(time) - 2
+    if freedom:
+        student = rng.standard_t(freedom, DARK_CURRENT.draws) * fit.stretch(len(time))
+    else:
+        student = rng.standard_normal(DARK_CURRENT.draws)
+    warm = [d.conditions.temperature_c for d in darks if d.conditions.temperature_c is not None]
+    return DarkSlope(
+        temperature_c=float(np.mean(warm)) if warm else None,
+        draws=value + error * student,
+        exposures=exposures,
+        findings=_findings(darks, time, mean, sd, value),
+    )
+
+
+def _findings(
+    darks: list[StackStatistics], time: Array, mean: Array, sd: Array, slope: float
+) -> list[Finding]:
+    """Return the findings of an exposure series."""
+    found: list[Finding] = []
+    if len(np.unique(time)) == 2:
+        found.append(
+            Finding("too-few-frames", "from two exposures: proportionality cannot be checked")
+        )
+    if len(np.unique(time)) > 3:
+        x = time / time.max()
+        fit = linear_fit([np.ones_like(x), x, x**2], mean, sd)
+        bend, error = abs(fit.best[2]), fit.stretch(len(x)) * float(np.sqrt(fit.covariance[2, 2]))
+        if bend > max(
+            DARK_CURRENT.curvature * abs(slope) * time.max(), DARK_CURRENT.curvature_sd * error
+        ):
+            found.append(Finding("nonlinear", "the level of darks is not linear in the exposure"))
+    if any(d.variance_dn2 < QUANTISED_DN2 for d in darks):
+        words = "the noise of darks is smaller than the quantisation step, which biases their level"
+        found.append(Finding("quantised", words))
+    rise = abs(slope) * float(np.ptp(time))
+    for dark in darks:
+        drift = abs(drift_and_flicker(dark)[0])
+        if drift > 0.1 * rise:
+            words = (
+                f"{dark.label} drifts by {drift:.3g} DN, compared with {rise:.3g} DN between "
+                f"exposures"
+            )
+            found.append(Finding("drift", words))
+    if any((d.conditions.mcp_v or 0.0) > 0 for d in darks):
+        found.append(
+            Finding(None, "with the tube on: includes the tube's background illumination (EBI)")
+        )
+    return found
+
+
+def _current(
+    slope: DarkSlope, unit: str, draws: Array, flags: tuple[str, ...], **fields: Any
+) -> Measurement:
+    notes = (
+        () if slope.temperature_c is None else (f"at {slope.temperature_c:.1f} degrees Celsius",)
+    )
+    return measurement_from_draws(
+        "dark_current",
+        unit,
+        draws,
+        flags=flags_of(slope.findings) + flags,
+        notes=(*notes, *notes_of(slope.findings)),
+        **fields,
+    )
+
+
+def _electrons(
+    slope: DarkSlope, result: Result, rng: np.random.Generator, **fields: Any
+) -> list[Measurement]:
+    """Return the dark current in electrons, if the system gain is known."""
+    known = [
+        m
+        for m in result.find("system_gain")
+        if m.value is not None and "correlated-noise" not in m.flags
+    ]
+    if not known:
+        reason = "dark current in electrons needs the system gain, which was not measured"
+        return [make_refusal("dark_current", "e-/s", reason, **fields)]
+    low, high = known[0].interval68 or (0.0, 0.0)
+    draws = float(known[0].value or 0.0) + 0.5 * (high - low) * rng.standard_normal(
+        DARK_CURRENT.draws
+    )
+    return [_current(slope, "e-/s", slope.draws / draws, known[0].flags, **fields)]
+
+
+def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) -> Measurement:
+    """Return the temperature difference that doubles the dark current, from all temperatures."""
+    name = ("dark_doubling_temperature", "K")
+    known = [slope for slope in slopes if slope.temperature_c is not None]
+    if len(known) < 2:
+        need = "darks of two exposures each at two temperatures"
+        return make_refusal(
+            *name,
+            f"the temperature law of the dark current needs {need}, got one",
+            refusal="missing",
+            **fields,
+        )
+    warm = np.array([slope.temperature_c for slope in known], float)
+    draws = np.array([slope.draws for slope in known])
+    unseen = [
+        f"{t:.1f}"
+        for t, current in zip(warm, draws, strict=True)
+        if np.quantile(current, 0.025) <= 0
+    ]
+    if unseen:
+        reason = (
+            f"no dark current detected at {', '.join(unseen)} degrees Celsius; use longer exposures"
+        )
+        return make_refusal(*name, reason, **fields)
+    log2, law_sd = (
+        np.log2(np.maximum(draws, 1e-12 * draws.max())),
+        DARK_CURRENT.law_relative_sd / np.log(2.0),
+    )
+    spread = np.hypot(log2.std(axis=1), law_sd)
+    log2 = log2 + law_sd * rng.standard_normal(log2.shape)
+    away = warm - np.average(warm, weights=spread**-2)
+    rise = (away / spread**2) @ log2 / ((away / spread**2) @ warm)
+    if np.quantile(rise, 0.025) <= 0:
+        reason = (
+            f"the dark current does not rise between {warm.min():.1f} and {warm.max():.1f} "
+            f"degrees Celsius"
+        )
+        return make_refusal(*name, reason, **fields)
+    findings = [finding for slope in known for finding in slope.findings]
+    middle = np.median(log2, axis=1)
+    rest = middle - np.average(middle, weights=spread**-2) - np.median(rise) * away
+    if np.any(np.abs(rest) > DARK_CURRENT.curvature_sd * spread):
+        findings.append(
+            Finding("model-misfit", "the dark current does not double at equal temperature steps")
+        )
+    if len(known) == 2:
+        findings.append(
+            Finding(None, "from two temperatures: exponential growth cannot be checked")
+        )
+    return measurement_from_draws(
+        *name, 1.0 / rise, flags=flags_of(findings), notes=notes_of(findings), **fields
+    )

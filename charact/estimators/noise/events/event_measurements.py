@@ -1,0 +1,332 @@
+"""Single photoelectrons of dark frames: background illumination, pulse height, excess noise
+factor.
+"""
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.events.frames import MIDDLE, dark_frames, fits_filters, has_pulses
+from charact.estimators.noise.events.pulse_height_fit import PulseFit, fit_pulses
+from charact.estimators.noise.findings import Finding, Unmeasurable, flags_of, notes_of, provenance
+from charact.estimators.noise.gain.series import gain_of
+from charact.estimators.noise.illumination import lognormal_draws, photoelectrons_per_lux_s
+from charact.estimators.noise.rounding import QUANTISED_DN2
+from charact.estimators.noise.stack.stack_statistics import StackStatistics
+from charact.estimators.noise.thresholds import EVENT_ACCURACY, EVENTS
+from charact.method import Context
+from charact.method.stopwatch import with_timing
+from labdata.conditions import Conditions
+from labdata.frames import FrameStack
+from labdata.lazy_stack import open_lazy_stack
+from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
+from labdata.session import Session, StackEntry
+
+Array = NDArray[np.float64]
+
+
+def pulse_figure_data(found: PulseFit) -> dict[str, Any]:
+    """Return measured and fitted distributions of filtered pixels, and the fit parameters."""
+    best, one = found.peak.pulses, found.observed.filters[MIDDLE]
+    noise = float(np.sqrt(one.noise(best.line) * best.noise_dn2))
+    low, high = (
+        -EVENT_ACCURACY.figure_noise_sd * noise,
+        EVENT_ACCURACY.figure_heights * found.signal_to_noise * noise,
+    )
+    edges = np.linspace(low, high, EVENT_ACCURACY.figure_bins + 1)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    value = [
+        one.within(change, one.reach)[
+            good[
+                :,
+                one.reach[0] : good.shape[1] - one.reach[0],
+                one.reach[1] : good.shape[2] - one.reach[1],
+            ]
+        ]
+        for change, good in zip(found.frames.changes, found.usable, strict=True)
+    ]
+    pixels = sum(part.size for part in value)
+    count = sum(np.histogram(part, edges)[0] for part in value)
+    spread = found.posterior["relative_variance"]
+    return {
+        "figure": "pulse-heights",
+        "edge_dn": edges.tolist(),
+        "density_per_dn": (np.asarray(count) / pixels / np.diff(edges)).tolist(),
+        "value_dn": middle.tolist(),
+        "law_per_dn": _density(found, middle, float(high - low)).tolist(),
+        "noise_per_dn": (
+            np.exp(-0.5 * (middle / noise) ** 2) / noise / np.sqrt(2.0 * np.pi)
+        ).tolist(),
+        "values": pixels,
+        "filter_px": [one.high, one.broad],
+        "response_to_mean_pulse_dn": found.signal_to_noise * noise,
+        "density_per_px": best.density,
+        "mean_height_dn": best.height_dn,
+        "relative_variance": best.relative_variance,
+        "relative_variance_sd": float(np.std(spread)),
+        "spot_column_px": best.column_px,
+        "spot_row_px": best.row_px,
+        "glow": best.glow,
+        "glow_exposures": best.glow_exposures,
+        "fast_exposures": best.fast_exposures,
+        "signal_to_noise": found.signal_to_noise,
+        "ion_events": len(found.ion_height_dn),
+        "ion_events_per_px": len(found.ion_height_dn)
+        / sum(change.size for change in found.frames.changes),
+        "ion_mean_height_dn": float(np.mean(found.ion_height_dn))
+        if len(found.ion_height_dn)
+        else None,
+        "chi2": found.peak.chi2,
+        "freedom": found.peak.freedom,
+        "chance": found.peak.chance,
+    }
+
+
+def _density(found: PulseFit, value: Array, span_dn: float) -> Array:
+    """Return the fitted probability density of filtered pixels per DN, from its characteristic
+    function.
+    """
+    step = EVENT_ACCURACY.figure_margin * span_dn / EVENT_ACCURACY.figure_points
+    frequency = np.asarray(
+        2.0 * np.pi * np.fft.rfftfreq(EVENT_ACCURACY.figure_points, step), np.float64
+    )
+    log = found.peak.pulses.log_characteristic(found.observed.filters[MIDDLE], frequency)
+    # NumPy's transform uses exp(-i t y).
+    density = np.fft.irfft(np.exp(np.conj(log)), EVENT_ACCURACY.figure_points) / step
+    place = np.fft.fftfreq(
+        EVENT_ACCURACY.figure_points, 1.0 / (EVENT_ACCURACY.figure_points * step)
+    )
+    order = np.argsort(place)
+    return np.interp(value, place[order], np.maximum(density[order], 0.0))
+
+
+METHOD = "pulse-law"
+
+
+def pulses_of_darks(session: Session, darks: list[StackStatistics], *, context: Context) -> Result:
+    """Measure single photoelectrons in the dark frames of an intensified camera.
+
+    Returns measurements of the dark stack at the gain of most flats, or else of most frames; empty
+    if neither a sensor nor an MCP voltage indicates an intensifier.
+    """
+    if context.sensor is None and not any(dark.conditions.mcp_v for dark in darks):
+        return Result()
+    gains = Counter(gain_of(entry.conditions) for entry in session.of_kind("flat"))
+    common = max(gains, key=lambda gain: gains[gain], default=None)
+    order = sorted(
+        darks,
+        key=lambda dark: (
+            dark.frames >= EVENTS.min_frames,
+            gain_of(dark.conditions) == common,
+            dark.frames,
+            dark.conditions.exposure_s or 0.0,
+        ),
+    )
+    return measure_events(session.stack(order[-1].label), context=context) if order else Result()
+
+
+@with_timing
+def measure_events(dark: StackEntry, *, context: Context) -> Result:
+    """Measure single photoelectrons in a dark stack."""
+    context.progress("single photoelectrons in the darks", 0.95)
+    fields: dict[str, Any] = {
+        "method": METHOD,
+        "stack": dark.label,
+        "provenance": provenance(context),
+    }
+    stack = open_lazy_stack(dark)
+    count = min(len(stack), EVENTS.max_frames)
+    frames = FrameStack(
+        data=stack.frames(0, count),
+        frame_number=stack.frame_number[:count],
+        full_scale_dn=stack.full_scale_dn,
+    )
+    try:
+        found = _fit_dark_frames(frames, dark.conditions, context)
+    except Unmeasurable as reason:
+        out = [
+            make_refusal(name, unit, str(reason), **fields)
+            for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))
+        ]
+        return Result(measurements=tuple(out))
+    findings = pulse_findings(found)
+    fields |= {"flags": flags_of(findings), "notes": notes_of(findings)}
+    out = _measurements(found, dark.conditions, context, fields)
+    return Result(measurements=tuple(out), evidence={"pulse-heights": pulse_figure_data(found)})
+
+
+def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context) -> PulseFit:
+    """Return the pulse fit; Unmeasurable if the darks do not show single photoelectrons."""
+    if len(stack) < EVENTS.min_frames:
+        raise Unmeasurable(
+            f"single photoelectrons need at least {EVENTS.min_frames} dark frames, got {len(stack)}"
+        )
+    look = dark_frames(stack, context, EVENTS.quick_values)
+    rows, cols = look.changes[0].shape[1:]
+    if not fits_filters(look, EVENTS.min_inside_px):
+        raise Unmeasurable(f"exposures of {rows} x {cols} px are too small for the pulse filters")
+    if look.still > EVENTS.max_unchanged:
+        raise Unmeasurable(
+            "the noise beneath the pulses is smaller than the quantisation step: "
+            f"{100 * look.still:.0f} % of the values do not change between frames, at most "
+            f"{100 * EVENTS.max_unchanged:.0f} % may; use a higher camera gain or at least 10 bits"
+        )
+    if not has_pulses(look):
+        raise Unmeasurable(
+            "no single-photoelectron events detected: filtered pixels are symmetric about their "
+            "mean"
+        )
+    period_s, open_s = conditions.exposure_s, _open_s(conditions)
+    share = min(1.0, open_s / period_s) if open_s and period_s else 1.0
+    try:
+        found = fit_pulses(
+            look, dark_frames(stack, context), context, period_s=period_s, open_share=share
+        )
+    except np.linalg.LinAlgError:
+        raise Unmeasurable(
+            "no pulse-height distribution fits the darks: their bright pixels are not single "
+            "photoelectrons"
+        ) from None
+    chi2, error = found.peak.chi2 / found.peak.freedom, _relative_sd(found.posterior)
+    for wrong, reason in (
+        (
+            found.gain_of_pulses < EVENTS.min_chi2_gain,
+            "no single-photoelectron events detected: chi2 improvement "
+            f"{found.gain_of_pulses:.0f}, at least {EVENTS.min_chi2_gain} required",
+        ),
+        (
+            found.signal_to_noise < EVENTS.min_snr,
+            f"pulses are hidden by noise: a mean pulse is {found.signal_to_noise:.2g} times the "
+            f"noise of a matched filter, at least {EVENTS.min_snr:g} required",
+        ),
+        (
+            chi2 > EVENTS.max_reduced_chi2,
+            "no pulse-height distribution fits the darks: chi2 per degree of freedom is "
+            f"{chi2:.0f}, at most {EVENTS.max_reduced_chi2:g} may be left",
+        ),
+        (
+            error > EVENTS.max_relative_sd,
+            (
+                f"the uncertainty of number or height of pulses is {100 * error:.0f} %; take more "
+                f"frames"
+            ),
+        ),
+    ):
+        if wrong:
+            raise Unmeasurable(reason)
+    return found
+
+
+def _relative_sd(posterior: Posterior) -> float:
+    """Return the relative uncertainty of density or height, the larger."""
+    return max(float(np.std(np.log(posterior[name]))) for name in ("density", "height_dn"))
+
+
+def pulse_findings(found: PulseFit) -> list[Finding]:
+    """Return the findings of a pulse fit."""
+    best, frames, ions = found.peak.pulses, found.frames, found.ion_height_dn
+    count, error = best.density * found.observed.pixels, _relative_sd(found.posterior)
+    size = float(np.mean(ions)) / best.height_dn if len(ions) else 0.0
+    rate = len(ions) / sum(change.size for change in frames.changes)
+    checks = (
+        (True, None, f"the detection probability p is not measurable in darks: {_HOW_P}"),
+        (
+            found.signal_to_noise < EVENTS.low_snr,
+            "low-signal",
+            f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise",
+        ),
+        (
+            count < EVENTS.few_events or error > EVENTS.high_relative_sd,
+            "too-few-frames",
+            f"{count:.0f} events: the uncertainty of number or height is {100 * error:.0f} %",
+        ),
+        (
+            best.noise_dn2 < QUANTISED_DN2,
+            "quantised",
+            f"the noise beneath the pulses is {np.sqrt(best.noise_dn2):.2g} DN",
+        ),
+        (
+            frames.full > EVENTS.clipped_fraction,
+            "clipped",
+            f"{100 * frames.full:.0f} % of the brightest values are at full scale",
+        ),
+        (
+            frames.defects > EVENTS.blinking_fraction,
+            "defects",
+            f"{100 * frames.defects:.1f} % of the pixels are blinking",
+        ),
+        (
+            found.peak.chance < EVENTS.min_p_value,
+            "model-misfit",
+            f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}",
+        ),
+        (
+            found.fraction_contaminated > EVENTS.contaminated_fraction,
+            "model-misfit",
+            f"{100 * found.fraction_contaminated:.0f} % of the values are near ion feedback events",
+        ),
+        (
+            len(ions) > 0,
+            None,
+            f"{len(ions)} ion feedback events, {rate:.2g} per pixel and exposure, of {size:.0f} "
+            "mean pulses each, are excluded",
+        ),
+    )
+    out = [Finding(flag, note) for seen, flag, note in checks if seen]
+    return out + [Finding(flag, "see the posterior") for flag in found.posterior.flags]
+
+
+_HOW_P = "take a flat at known illuminance: it gives k, and p = k / pulse height"
+
+
+def _measurements(
+    found: PulseFit, conditions: Conditions, context: Context, fields: dict[str, Any]
+) -> list[Measurement]:
+    """Return the quantities of a pulse fit, with the EBI: dark photoelectrons per second and pixel,
+    and equivalent illumination.
+    """
+    posterior = found.posterior
+    rng = np.random.default_rng([context.seed, 7])
+    height, spread = posterior["height_dn"], posterior["relative_variance"]
+    detected, note = detection(context, rng, len(height))
+    out = [
+        measurement_from_draws(
+            "detected_photoelectron_gain", "DN", height, posterior=posterior, **fields
+        )
+    ]
+    own = {**fields, "notes": (*fields["notes"], note)}
+    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", detected * height, **own))
+    out.append(measurement_from_draws("excess_noise_factor", "1", (1.0 + spread) / detected, **own))
+    density, open_s = posterior["density"] / detected, _open_s(conditions)
+    if not open_s:
+        reason = (
+            f"{np.median(density):.3g} photoelectrons per pixel and exposure: their rate needs "
+            "the exposure_s or gate_ns of the darks"
+        )
+        del own["flags"]
+        return [*out, make_refusal("ebi", "pe/s/px", reason, **own)]
+    rate = density / open_s
+    out.append(measurement_from_draws("ebi", "pe/s/px", rate, **own))
+    if context.sensor is not None:
+        lux = rate / photoelectrons_per_lux_s(context, rng, len(rate))
+        out.append(measurement_from_draws("ebi", "lm/cm2", 1e-4 * lux, **own))
+    return out
+
+
+def detection(context: Context, rng: np.random.Generator, count: int) -> tuple[Array, str]:
+    """Return draws of the detection probability, and a note on its source."""
+    if context.sensor is None:
+        low, high = EVENTS.detection_range
+        return rng.uniform(
+            low, high, count
+        ), f"without a sensor description, p is assumed between {low:g} and {high:g}"
+    stated = context.sensor.microchannel_plate.detection_probability
+    note = f"p from the sensor description, {float(stated):.2g}, within its range"
+    return np.minimum(lognormal_draws(stated, rng, count), 1.0), note
+
+
+def _open_s(conditions: Conditions) -> float | None:
+    """Return the open time of one exposure, s."""
+    return conditions.exposure_s if conditions.gate_ns is None else conditions.gate_ns * 1e-9

@@ -1,0 +1,444 @@
+"""Dark frames without fixed pattern and blinking pixels, for the search of single pulses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.stack.temporal import split_fields
+from charact.estimators.noise.thresholds import EVENT_ACCURACY, EVENTS
+from charact.method import Context
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float64]
+
+Images = NDArray[np.float32]
+# Index of the filter matched to the spot.
+MIDDLE = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filter:
+    """Sum over a box of pixels less the mean on both sides, in one exposure or across several."""
+
+    # high, broad: rows and columns of the box, odd
+    high: int
+    broad: int
+    times: tuple[float, ...] = (1.0,)  # weights of successive exposures of one parity
+    stride: int = 1  # exposures between successive ones of one parity: 2 for fields
+    exposures: int = 64  # exposures of one parity in each pixel's subtracted mean
+
+    @cached_property
+    def columns(self) -> NDArray[np.float64]:
+        """Weights along a row; their sum is zero."""
+        far, gap = EVENT_ACCURACY.background_px, np.zeros(EVENT_ACCURACY.gap_px)
+        side = np.full(far, -self.broad / (2.0 * far))
+        return np.concatenate([side, gap, np.ones(self.broad), gap, side])
+
+    @property
+    def reach(self) -> tuple[int, int]:
+        """Rows and columns of margin on each side."""
+        return self.high // 2, len(self.columns) // 2
+
+    def noise(self, line: tuple[float, ...]) -> float:
+        """Return the output variance over that of white noise before the video filter along a
+        line.
+        """
+        across, time = np.convolve(self.columns, line), np.asarray(self.times)
+        return float(
+            (across @ across) * self.high * (time @ time - time.sum() ** 2 / self.exposures)
+        )
+
+    def within(self, change: Images, reach: tuple[int, int]) -> Images:
+        """Return the filtered images at all pixels with a margin of `reach` rows and columns.
+
+        `change`: images, shape (exposure, row, col); `reach`: margin in rows and columns, at least
+        that of the filter; the output is smaller by twice as many.
+        """
+        rows, cols = change.shape[1] - 2 * reach[0], change.shape[2] - 2 * reach[1]
+        top, left = reach[0] - self.reach[0], reach[1] - self.reach[1]
+        strip = change[:, top : top + rows]
+        for shift in range(1, self.high):
+            strip = strip + change[:, top + shift : top + shift + rows]
+        total = np.zeros((*strip.shape[:2], strip.shape[2] + 1), np.float32)
+        np.cumsum(strip, axis=2, out=total[..., 1:])
+        far, gap = EVENT_ACCURACY.background_px, EVENT_ACCURACY.gap_px
+
+        out = total[..., left + far : left + far + cols] - total[..., left : left + cols]
+
+        def add(start: int, width: int) -> None:
+            np.add(out, total[..., start + width : start + width + cols], out=out)
+            np.subtract(out, total[..., start : start + cols], out=out)
+
+        add(left + far + 2 * gap + self.broad, far)
+        out *= np.float32(-self.broad / (2.0 * far))
+        add(left + far + gap, self.broad)
+        return out if len(self.times) == 1 else self.through_time(out)
+
+    def through_time(self, still: Images) -> Images:
+        """Return the weighted sum over successive exposures of box-filtered images."""
+        count = len(still) - len(self.times) + 1
+        return sum(np.float32(w) * still[i : i + count] for i, w in enumerate(self.times))  # type: ignore[return-value]
+
+
+def common_reach(filters: Sequence[Filter]) -> tuple[int, int]:
+    """Return the margin in rows and columns of all filters."""
+    return max(one.reach[0] for one in filters), max(one.reach[1] for one in filters)
+
+
+def boxes(step: int, *, stride: int, exposures: int, lag: bool) -> tuple[Filter, ...]:
+    """Return filters from one pixel to several times a spot of half width `step`.
+
+    `step`: half width of the matched filter, px; `stride`, `exposures`: as in `Filter`; `lag`:
+    whether to include filters across exposures.
+    """
+    near, wide = 2 * step + 1, 6 * step + 1
+
+    def box(high: int, broad: int, times: tuple[float, ...] = (1.0,)) -> Filter:
+        return Filter(high=high, broad=broad, times=times, stride=stride, exposures=exposures)
+
+    plain = (box(1, 1), box(1, near), box(near, 1), box(near, near), box(wide, wide))
+    return plain + (box(near, near, (1.0, -1.0)), box(near, near, (1.0, 1.0, 1.0, 1.0))) * lag
+
+
+# Reference frequency of the wings, cycles per pixel.
+REFERENCE_CY_PER_PX = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class PulseSpread:
+    """Spread of a pulse after the gain; names as in
+    `charact.estimators.noise.events.event_distribution.PulsePopulation`.
+    """
+
+    column_px: float
+    row_px: float
+    wings: float
+    exponent: float
+    row_pitch: float
+
+    def area_px(self) -> float:
+        """Return the effective area of a spot, 1 over the integral of its square, px."""
+        sides = _sides(Filter(high=1, broad=1))
+        power = _transfer(self, sides) ** 2
+        return float(
+            sides[0] * sides[1] / (2.0 * power.sum() - power[:, 0].sum() - power[:, -1].sum())
+        )
+
+
+def _sides(one: Filter) -> tuple[int, int]:
+    """Return rows and columns of the positions around a filter, px."""
+    rows, cols = (
+        -(-(size + EVENT_ACCURACY.spot_px) // 8) * 8 for size in (one.high, len(one.columns))
+    )
+    return rows, cols
+
+
+@lru_cache(maxsize=64)
+def _transfer(spot: PulseSpread, sides: tuple[int, int]) -> Array:
+    """Return the transfer from a pulse to the light of a pixel."""
+    squares, distance, pixel = _plane(spot.row_pitch, sides)
+    gauss = spot.column_px**2 * squares[1] + spot.row_px**2 * squares[0]
+    # Negative wings, tried by a fit, must not overflow.
+    log_transfer = -2.0 * np.pi**2 * gauss - spot.wings * distance**spot.exponent
+    return np.exp(np.minimum(log_transfer, EVENT_ACCURACY.max_log_transfer)) * pixel
+
+
+@lru_cache(maxsize=8)
+def _plane(row_pitch: float, sides: tuple[int, int]) -> tuple[tuple[Array, Array], Array, Array]:
+    """Return squared frequencies along both axes, radial frequency over the reference, and pixel
+    transfer.
+    """
+    fy, fx = _frequencies(sides)
+    distance = np.hypot(fx, fy / row_pitch) / REFERENCE_CY_PER_PX
+    return (
+        (fy**2, fx**2),
+        np.asarray(distance, np.float64),
+        np.asarray(np.sinc(fx) * np.sinc(fy), np.float64),
+    )
+
+
+@lru_cache(maxsize=8)
+def _frequencies(sides: tuple[int, int]) -> tuple[Array, Array]:
+    fine = EVENT_ACCURACY.steps_per_px
+    fy = np.fft.fftfreq(fine * sides[0])[:, None] * fine
+    fx = np.fft.rfftfreq(fine * sides[1])[None, :] * fine
+    return np.asarray(fy, np.float64), np.asarray(fx, np.float64)
+
+
+def _comb(kernel: NDArray[np.float64], frequency: Array) -> NDArray[np.complex128]:
+    """Return the transfer of weights on the pixel lattice, about the centre."""
+    place = np.arange(len(kernel)) - len(kernel) // 2
+    return np.asarray(
+        np.exp(-2j * np.pi * np.multiply.outer(frequency.ravel(), place)) @ kernel, np.complex128
+    )
+
+
+@lru_cache(maxsize=64)
+def _weights(one: Filter, line: tuple[float, ...]) -> NDArray[np.complex128]:
+    """Return the transfer of the filter and the video filter."""
+    fy, fx = _frequencies(_sides(one))
+    return _comb(np.ones(one.high), fy).real[:, None] * _comb(np.convolve(one.columns, line), fx)
+
+
+def responses(
+    one: Filter, spot: PulseSpread, line: tuple[float, ...] = (1.0,)
+) -> tuple[Array, Array]:
+    """Return the filter outputs of unit pulses at all positions: amplitudes, and the area in px of
+    each.
+
+    Thousands of positions are reduced to few amplitudes with equal area, mean and mean square.
+    """
+    return _responses(Filter(high=one.high, broad=one.broad), spot, line)
+
+
+@lru_cache(maxsize=512)
+def _responses(one: Filter, spot: PulseSpread, line: tuple[float, ...]) -> tuple[Array, Array]:
+    sides, fine = _sides(one), EVENT_ACCURACY.steps_per_px
+    # Filters and spots are symmetric along columns: one half counts twice, its borders once.
+    half = fine * sides[0] // 2 + 1
+    whole = np.fft.irfft2(
+        _transfer(spot, sides) * _weights(one, line), s=(fine * sides[0], fine * sides[1])
+    )[:half]
+    once = np.full(half, 2.0)
+    once[[0, -1]] = 1.0
+    weight = np.broadcast_to(once[:, None], whole.shape) / fine**2
+    return quantise_amplitudes(whole.ravel() * fine**2, weight.ravel())
+
+
+def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
+    """Return few values with weights in place of many, with equal moments up to the second.
+
+    Each value is assigned to the three nearest nodes by quadratic interpolation (some weights are
+    negative). Nodes are proportional to squared integers; small values use the three around zero.
+    """
+    top, count = float(np.abs(value).max()), EVENT_ACCURACY.nodes
+    place = np.sqrt(np.abs(value) / top) * count
+    grid = np.arange(-count - 1, count + 2)
+    nodes = top * (grid / count) ** 2 * np.sign(grid)
+    far = place > 1.5
+    small, small_weight = value[~far], weight[~far]
+    zero, unit = count + 1, nodes[count + 2]
+    out = np.zeros(len(nodes))
+    first, second = float(small_weight @ small) / unit, float(small_weight @ small**2) / unit**2
+    out[zero - 1 : zero + 2] = (
+        0.5 * (second - first),
+        float(small_weight.sum()) - second,
+        0.5 * (second + first),
+    )
+    large, large_weight = value[far], weight[far]
+    middle = np.rint(np.copysign(place[far], large)).astype(np.int64) + zero
+    middle = np.clip(middle, 1, len(nodes) - 2)
+    a, b, c = nodes[middle - 1], nodes[middle], nodes[middle + 1]
+    to_a, to_b, to_c = large - a, large - b, large - c
+    out += np.bincount(middle - 1, to_b * to_c / ((a - b) * (a - c)) * large_weight, len(nodes))
+    out += np.bincount(middle, to_a * to_c / ((b - a) * (b - c)) * large_weight, len(nodes))
+    out += np.bincount(middle + 1, to_a * to_b / ((c - a) * (c - b)) * large_weight, len(nodes))
+    used = out != 0.0
+    return nodes[used], out[used]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkFrames:
+    """Dark exposures without fixed pattern."""
+
+    changes: tuple[
+        Images, ...
+    ]  # fluctuations of the exposures of each parity, shape (exposure, row, col), DN
+    stride: int  # exposures between successive ones of one parity
+    row_pitch: float  # row pitch of an exposure, column pitches
+    defects: float  # fraction of blinking pixels, which are set to zero
+    still: float  # fraction of values unchanged in the next exposure of the same parity
+    full: float  # fraction of bright values at full scale
+
+    def filters(self, step: int, *, lag: bool) -> tuple[Filter, ...]:
+        """Return filters for a spot of half width `step`, px."""
+        return boxes(step, stride=self.stride, exposures=len(self.changes[0]), lag=lag)
+
+    def without_mean(self, usable: list[NDArray[np.bool_]]) -> "DarkFrames":
+        """Return a copy with each pixel's mean computed from the usable values."""
+        changes = []
+        for change, good in zip(self.changes, usable, strict=True):
+            count = np.maximum(good.sum(axis=0), 1)
+            changes.append(
+                change - (np.where(good, change, 0.0).sum(axis=0) / count).astype(np.float32)
+            )
+        return replace(self, changes=tuple(changes))
+
+
+def dark_frames(
+    stack: FrameStack, context: Context, most_values: int = EVENTS.max_values
+) -> DarkFrames:
+    """Split fields, subtract each pixel's mean, and set blinking pixels to zero."""
+    frames = min(len(stack), EVENTS.max_frames)
+    middle = _middle(stack, frames, most_values)
+    row_step = 2 if context.interlaced else 1
+    changes, bad, pixels, still = [], 0, 0, []
+    for field in split_fields(middle.data, row_step):
+        image = field.astype(np.float32)
+        still.append(float(np.mean(image[1:] == image[:-1])))
+        change = image - image.mean(axis=0)
+        change -= np.median(change[:, ::5, ::5], axis=(1, 2), keepdims=True)
+        flickering = _flickering(change)
+        change[:, flickering] = 0.0
+        bad, pixels = bad + int(flickering.sum()), pixels + flickering.size
+        changes.append(change)
+    top = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    # Fraction at full scale of the brightest thousandth of the values.
+    full = 0.0 if top is None else float(np.mean(middle.data >= top)) / 1e-3
+    return DarkFrames(
+        changes=tuple(changes),
+        stride=len(changes),
+        row_pitch=context.pitch_ratio * row_step,
+        defects=bad / pixels,
+        still=float(np.mean(still)),
+        full=full,
+    )
+
+
+def _middle(stack: FrameStack, frames: int, most_values: int) -> FrameStack:
+    """Return the first frames, cropped to the centre at an even row, which preserves the fields."""
+    rows, cols = stack.data.shape[1:]
+    share = min(1.0, np.sqrt(most_values / (frames * rows * cols)))
+    high, wide = max(1, int(share * rows)), max(1, int(share * cols))
+    row, col = (rows - high) // 4 * 2, (cols - wide) // 2
+    return FrameStack(
+        data=stack.data[:frames, row : row + high, col : col + wide],
+        frame_number=stack.frame_number[:frames],
+    )
+
+
+def spread(values: NDArray) -> float:
+    """Return the standard deviation of the noise beneath the pulses, from the lower half of the
+    values.
+    """
+    sample = values.ravel()[:: max(1, values.size // EVENT_ACCURACY.sample)]
+    low, middle = np.quantile(sample, [0.15866, 0.5])
+    return max(float(middle - low), 1e-6)
+
+
+def _flickering(change: Images) -> NDArray[np.bool_]:
+    """Return pixels that are bright more often than random pulses allow."""
+    from scipy.special import gammaincc
+
+    often = np.count_nonzero(change > EVENTS.bright_sd * spread(change), axis=0)
+    expected = max(float(np.mean(often)), 1e-3)
+    # Neighbouring pixels see the same pulses: robust against few pixels that dominate the mean.
+    expected = max(
+        min(expected, float(np.quantile(often, 0.9)) + 1e-3, len(change) - 1.0), 1e-3 * len(change)
+    )
+    suspect = (often > 1) & (often > 2.0 * expected)
+    suspect[suspect] = (
+        1.0 - gammaincc(often[suspect], expected)
+    ) * often.size < EVENTS.blinking_false_alarm
+    return suspect
+
+
+def filter_exposures(frames: DarkFrames) -> list[Array]:
+    """Return the exposures of each parity filtered for a small spot."""
+    one = frames.filters(1, lag=False)[MIDDLE]
+    return [one.within(change, one.reach).astype(np.float64) for change in frames.changes]
+
+
+def has_pulses(frames: DarkFrames) -> bool:
+    """Return whether filtered pixels have the positive skewness of pulses."""
+    parts, out = [], []
+    for value in filter_exposures(frames):
+        noise = spread(value)
+        out.append(float(np.mean(value > EVENTS.outlier_sd * noise)))
+        limit = 20.0 * noise
+        cubes = np.clip(value, -limit, limit) ** 3
+        side = EVENT_ACCURACY.skewness_block_px
+        rows, cols = (size // side for size in cubes.shape[1:])
+        blocks = cubes[:, : rows * side, : cols * side].reshape(len(cubes), rows, side, cols, side)
+        parts.append(blocks.sum(axis=(2, 4)).ravel())
+    total = np.concatenate(parts)
+    # Bright pulses have negative sides, and few of them give no significant skewness.
+    skewed = float(total.mean()) > EVENTS.skewness_sd * float(total.std()) / np.sqrt(len(total))
+    return max(out) > EVENTS.outlier_fraction or skewed
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageLagCorrelation:
+    """Exposures with image lag."""
+
+    across: bool  # in the next field
+    later: bool  # two exposures later
+
+
+def image_lag_correlation(frames: DarkFrames) -> ImageLagCorrelation:
+    """Return in which later exposures image lag is detected."""
+    one, values = frames.filters(1, lag=False)[MIDDLE], filter_exposures(frames)
+    if frames.stride == 1:
+        return ImageLagCorrelation(
+            across=False, later=_is_correlated(values[0][:-2], values[0][2:], one)
+        )
+    even, odd = values
+    across = any(
+        _is_correlated(*pair, one, lowered=0.0) for pair in ((even, odd), (odd[:-1], even[1:]))
+    )
+    return ImageLagCorrelation(
+        across=across, later=any(_is_correlated(value[:-1], value[1:], one) for value in values)
+    )
+
+
+def _is_correlated(before: Array, after: Array, one: Filter, lowered: float | None = None) -> bool:
+    """Return whether pixels are correlated between two sets of exposures.
+
+    `lowered` is the bias of the correlation by the subtracted mean; None: one over the number of
+    exposures.
+    """
+    # Limit the weight of a single bright pulse.
+    limit = 12.0 * spread(before)
+    before, after = (np.clip(value, -limit, limit) for value in (before, after))
+    before, after = before - before.mean(axis=0), after - after.mean(axis=0)
+    product = before * after
+    power = float(np.mean(before**2))
+    # Values within the filter box and its video neighbours are correlated.
+    area = 2.0 * one.high * one.broad
+    sd = float(np.sqrt(np.mean(product**2) / (product.size / area))) / power
+    correlation = float(np.mean(product)) / power + (
+        1.0 / len(before) if lowered is None else lowered
+    )
+    return correlation > EVENTS.lag_sd * sd
+
+
+def usable_values(
+    change: Images, one: Filter, limit_dn: float, after: int
+) -> tuple[NDArray[np.bool_], Array]:
+    """Return which values are far from every pulse above a limit, and the heights of these pulses.
+
+    Starting with the brightest value, each pulse claims its surroundings.
+
+    `one`: filter whose output is compared with the limit, DN; `after`: exposures after such a pulse
+    that are excluded too.
+    """
+    value = one.within(change, one.reach)
+    usable, heights = np.ones(change.shape, bool), []
+    places = np.argwhere(value > limit_dn)
+    bright = value[tuple(places.T)]
+    for index in np.argsort(-bright):
+        frame, row, col = places[index] + (0, *one.reach)
+        if not usable[frame, row, col]:
+            continue
+        heights.append(float(bright[index]))
+        area = (
+            slice(max(frame - after, 0), frame + after + 1),
+            slice(max(row - 2 * one.high, 0), row + 2 * one.high + 1),
+            slice(max(col - len(one.columns), 0), col + len(one.columns) + 1),
+        )
+        usable[area] = False
+    return usable, np.array(heights)
+
+
+def fits_filters(frames: DarkFrames, least: int) -> bool:
+    """Return whether images have enough rows and columns inside the margin of the widest
+    filters.
+    """
+    reach = common_reach(boxes(3, stride=1, exposures=2, lag=False))
+    return all(
+        size - 2 * far >= least
+        for size, far in zip(frames.changes[0].shape[1:], reach, strict=True)
+    )

@@ -1,0 +1,414 @@
+"""Checks of a flat series: linearity, stationarity, clipping, quantisation, conditions."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.findings import Finding, with_remedy
+from charact.estimators.noise.gain.emva1288 import errors_of
+from charact.estimators.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
+from charact.estimators.noise.gain.undetected_correlation import (
+    UndetectedEffect,
+    gamma_of_light,
+    gamma_of_noise,
+    processing_findings,
+)
+from charact.estimators.noise.linear_fit import linear_fit
+from charact.estimators.noise.stack.stack_statistics import StackStatistics
+from charact.estimators.noise.thresholds import CHECKS
+from labdata.conditions import Conditions
+
+Array = NDArray[np.float64]
+
+ALLOWED = "the interval includes what cannot be excluded"
+# Conditions that must agree between flat and dark: largest relative and absolute difference.
+ALIKE = {
+    "mcp_v": (1e-3, 0.0),
+    "gain_control": (0.0, 0.5),
+    "em_gain": (0.01, 0.0),
+    "camera_gain_db": (0.0, 0.05),
+    "temperature_c": (0.0, 5.0),
+}
+
+
+def series_findings(series: FlatSeries) -> list[Finding]:
+    """Return the findings that concern every quantity of the series."""
+    found: list[Finding] = []
+    if series.reference != "dark":
+        words = f"no darks of two frames or more: signals are measured from the {series.reference}"
+        found.append(Finding("no-darks", words))
+    if series.left_out:
+        found.append(Finding(None, f"excluded (different gain): {', '.join(series.left_out)}"))
+        here = series.flats[0].conditions
+        known = [
+            f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None
+        ]
+        words = "the gain with most flats, or the brightest of equally many"
+        found += [Finding(None, f"measured at {', '.join(known)}: {words}")] if known else []
+    if series.single:
+        found.append(Finding(None, without_noise(series.single)))
+    found += (
+        _stationarity_findings(series)
+        + _proportionality_findings(series)
+        + _clipping_findings(series)
+    )
+    found += _condition_findings(series) + processing_findings(series) + dark_findings(series)
+    left = int(series.fitted.sum())
+    if left < CHECKS.min_levels:
+        word = "level" if left == 1 else "levels"
+        found.append(
+            Finding(
+                None,
+                f"only {left} {word} inside the linear range: linearity not testable; {ALLOWED}",
+            )
+        )
+    return found
+
+
+def dark_findings(series: FlatSeries) -> list[Finding]:
+    """Return the finding of a dark brighter than flats by more than the noise of a pixel."""
+    noise = [max(dark.variance_dn2, 0.0) ** 0.5 for dark in series.darks]
+    below = [
+        i for i, sd in enumerate(noise) if series.reference == "dark" and series.signal_dn[i] < -sd
+    ]
+    if not below:
+        return []
+    lowest = min(below, key=lambda i: series.signal_dn[i])
+    flat, dark = series.flats[lowest], series.darks[lowest]
+    high = noise[lowest] - max(flat.variance_dn2, 0.0) ** 0.5
+    effect = (
+        f"{flat.label} lies {-series.signal_dn[lowest]:.4g} DN below {dark.label}, whose "
+        f"noise may be {high:.3g} DN"
+    )
+    remedy = "kind in session.toml: dark and flat may be exchanged"
+    return [with_remedy("dark-mismatch", f"{effect} too high", remedy)]
+
+
+def _condition_findings(series: FlatSeries) -> list[Finding]:
+    """Return differences between flat and dark in conditions that set dark level or gain."""
+    if series.reference != "dark":
+        return []
+    found: list[Finding] = []
+    for flat, dark in zip(series.flats, series.darks, strict=True):
+        for name, (share, least) in ALIKE.items():
+            here, there = getattr(flat.conditions, name), getattr(dark.conditions, name)
+            if here is None or there is None or abs(here - there) <= max(least, share * abs(here)):
+                continue
+            word = name.rsplit("_", 1)
+            effect = (
+                f"{flat.label} and its dark {dark.label} differ in {word[0]}: {here:.4g} and "
+                f"{there:.4g} {word[1]}, so that level and noise of the dark may be others"
+            )
+            found.append(with_remedy("unlike-conditions", effect, f"darks of the flats' {name}"))
+    return found
+
+
+def light_findings(series: FlatSeries) -> list[Finding]:
+    """Return findings against quantities that need the illumination: dark current, misstated light.
+
+    Dark current missing from a shorter dark is Poisson-distributed like light, so it leaves the
+    slope unbiased.
+    """
+    return [*_dark_current_findings(series), *_light_statement_findings(series)]
+
+
+def _dark_current_findings(series: FlatSeries) -> list[Finding]:
+    """Return the finding of flats exposed for longer than their darks."""
+    times = [
+        (f.conditions.exposure_s, d.conditions.exposure_s)
+        for f, d in zip(series.flats, series.darks, strict=True)
+    ]
+    gaps = [(here - there, here) for here, there in times if here is not None and there is not None]
+    apart = [gap for gap, here in gaps if here and gap > CHECKS.exposure_tolerance * here]
+    if not apart or series.reference != "dark":
+        return []
+    effect = f"signals include the dark current of up to {max(apart):.3g} s"
+    return [with_remedy("unlike-conditions", effect, "darks of the flats' exposure_s")]
+
+
+def _light_of_conditions(series: FlatSeries) -> tuple[Array, Array] | None:
+    """Return stated light and signal of the fitted flats; None if one is unknown, or there is one
+    flat only.
+    """
+    chosen = np.flatnonzero(series.fitted)
+    light = [light_of(series.flats[i].conditions) for i in chosen]
+    if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
+        return None
+    return np.array(light, float), series.signal_dn[chosen]
+
+
+def _light_statement_findings(series: FlatSeries) -> list[Finding]:
+    """Return the finding of different levels under the same stated light."""
+    stated = _light_of_conditions(series)
+    if stated is None:
+        return []
+    exposure, signal = stated
+    ratio = signal / exposure
+    levels, light = (values.max() / values.min() for values in (ratio, exposure))
+    if light >= CHECKS.min_light_ratio or levels < CHECKS.min_light_ratio:
+        return []
+    effect = (
+        f"levels differ {levels:.3g}-fold under light stated to differ {light:.3g}-fold, so that "
+        "numbers per photon or lux may be off as much"
+    )
+    return [
+        with_remedy(
+            "agc", effect, "illuminance_lux, photons_per_px or exposure_s of each flat as it was"
+        )
+    ]
+
+
+def is_quantisation_limited(dark: StackStatistics, signal_dn: float) -> bool:
+    """Return whether rounding distorts pulses of few DN: signal and dark noise are both small."""
+    return dark.variance_dn2 < CHECKS.coarse_variance_dn2 and signal_dn < CHECKS.coarse_signal_dn
+
+
+def quantisation_findings(series: FlatSeries) -> list[Finding]:
+    """Return the finding of flats so dim that rounding distorts every pulse."""
+    fitted = np.flatnonzero(series.fitted)
+    if not all(
+        is_quantisation_limited(series.darks[i], float(series.signal_dn[i])) for i in fitted
+    ):
+        return []
+    brightest = float(series.signal_dn[fitted].max())
+    sentence = (
+        f"at {brightest:.2g} DN of signal rounding removes the faint parts of pulses; take "
+        f"brighter flats"
+    )
+    return [Finding("quantised", sentence)]
+
+
+class _Trend(NamedTuple):
+    """Straight line through variance over signal against signal, DN; `shared` is the common error
+    of the data.
+    """
+
+    signal: Array
+    gain: Array
+    sd: Array
+    shared: Array
+    first: float  # at zero signal
+    rise: float  # change up to the brightest level
+    rise_sd: float
+    middle: float  # mean over the levels
+
+
+def _trend(series: FlatSeries) -> _Trend | None:
+    """Fit the line; None for a single level."""
+    chosen = np.flatnonzero(series.fitted)
+    signal = series.signal_dn[chosen]
+    if len(np.unique(signal)) < 2:
+        return None
+    sd, common = errors_of(series)
+    sd, shared, gain = sd[chosen] / signal, common / signal, series.variance_dn2[chosen] / signal
+    one = np.ones_like(signal)
+    line, mean = (
+        linear_fit(columns, gain, sd, shared=shared)
+        for columns in ([one, signal / signal.max()], [one])
+    )
+    return _Trend(
+        signal=signal,
+        gain=gain,
+        sd=sd,
+        shared=shared,
+        first=line.best[0],
+        rise=line.best[1],
+        rise_sd=float(np.sqrt(line.covariance[1, 1])),
+        middle=mean.best[0],
+    )
+
+
+def bend_allowance(series: FlatSeries) -> float:
+    """Return the relative standard deviation of the gain due to possible nonlinearity.
+
+    The slope lies below the small-signal gain by up to the change of variance over signal. Three or
+    more levels show this change; with one or two levels the accepted nonlinearity and none are
+    equally likely.
+    """
+    trend = _trend(series)
+    share, sd = (
+        (0.0, np.inf)
+        if trend is None
+        else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
+    )
+    if series.fitted.sum() >= CHECKS.min_levels:
+        return min(abs(share), CHECKS.curvature) if abs(share) > CHECKS.curvature_sd * sd else 0.0
+    shrinkage = CHECKS.curvature**2 / (CHECKS.curvature**2 + sd**2)
+    return UndetectedEffect(
+        share=shrinkage * share, sd=CHECKS.curvature * float(np.sqrt(1.0 - shrinkage))
+    ).posterior_rms
+
+
+def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
+    """Return findings of variance over signal that changes with the signal."""
+    trend = _trend(series)
+    if trend is None:
+        return []
+    middle, slope, error = trend.middle, trend.rise, trend.rise_sd
+    # Behind a gamma curve variance over signal rises and falls again, which no straight line shows.
+    limit = 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * np.hypot(
+        trend.sd, trend.shared
+    )
+    deviates = bool(np.any(np.abs(trend.gain - middle) > limit))
+    if abs(slope) <= CHECKS.curvature_sd * error and not deviates:
+        return []
+    sentence = (
+        f"variance over signal changes from {trend.first:.4g} to {trend.first + slope:.4g} "
+        f"DN along the levels"
+    )
+    if not deviates and abs(slope) <= CHECKS.curvature * middle + CHECKS.curvature_sd * error:
+        more = "the gain is the slope over all levels, and its interval includes the change"
+        return [Finding(None, f"{sentence}; {more}")]
+    found = [with_remedy("nonlinear", sentence, "flats of the linear range only")]
+    own = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / trend.signal
+    return found + gamma_of_noise(trend.signal, own, trend.sd)
+
+
+def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:
+    """Return findings of correlation between successive exposures, detected or untestable."""
+    if exposures.is_detected:
+        share = 100 * exposures.share
+        return [Finding("lag", f"noise of successive exposures is correlated ({share:.3g} %)")]
+    if exposures.is_untestable:
+        return [Finding(None, f"too few frames to test temporal correlation; {ALLOWED}")]
+    return []
+
+
+def correlation_findings(
+    neighbours: UndetectedEffect, exposures: UndetectedEffect
+) -> list[Finding]:
+    """Return findings of correlations that lower the variance."""
+    found = exposure_findings(exposures)
+    if neighbours.is_detected:
+        low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.share, 0.0)))
+        effect = (
+            f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is "
+            f"{low:.2g} % low"
+        )
+        found.append(with_remedy("correlated-noise", effect, "--method covariance-sum"))
+    elif neighbours.is_untestable:
+        found.append(
+            Finding(
+                None, f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"
+            )
+        )
+    return found
+
+
+def _stationarity_findings(series: FlatSeries) -> list[Finding]:
+    """Return findings of drift and flicker."""
+    found: list[Finding] = []
+    for flat, signal in zip(series.flats, np.abs(series.signal_dn), strict=True):
+        drift, flicker = drift_and_flicker(flat)
+        if abs(drift) > CHECKS.drift_fraction * signal:
+            found.append(
+                Finding("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame")
+            )
+        if flicker > CHECKS.flicker_fraction * signal:
+            found.append(Finding("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
+    return found
+
+
+def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
+    """Return drift from first to last frame and rms flicker, DN; zero if within their noise.
+
+    The noise of a frame mean follows from the covariance sum, which includes correlated noise.
+    """
+    means = level.frame_mean_dn
+    if len(means) < 4:
+        return 0.0, 0.0
+    power = level.variance_dn2
+    if len(level.bins.modes):
+        # Noise power of the lowest frequency bins, summed over lags.
+        low = np.argsort(np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px))[:8]
+        lags = level.many.power_dn2[low].mean(axis=0)
+        power = float(lags[0] + 2.0 * np.clip(lags[1:], 0, None).sum())
+    noise = np.sqrt(max(power, level.variance_dn2) / level.pixels)
+    time = np.linspace(-0.5, 0.5, len(means))
+    slope = float(time @ means / (time @ time))
+    slope_sd = noise / np.sqrt(time @ time)
+    rest = means - means.mean() - slope * time
+    rms = float(np.sqrt(rest @ rest / (len(means) - 2)))
+    significant = rms > noise * (1 + CHECKS.significant_sd / np.sqrt(2 * len(means)))
+    # A step in the middle, as of automatic gain, leaves a residual of its own about a line.
+    scatter = min([rms, *_scatter_about_steps(means)])
+    drift = (
+        slope
+        if abs(slope) > CHECKS.significant_sd * max(slope_sd, scatter / np.sqrt(time @ time))
+        else 0.0
+    )
+    return drift, rms if significant else 0.0
+
+
+def _scatter_about_steps(means: Array) -> list[float]:
+    """Return the rms of frame means about their means before and after a frame, of three frames or
+    more each, DN.
+    """
+    parts = [(means[:at], means[at:]) for at in range(3, len(means) - 2)]
+    return [
+        float(np.sqrt(sum(len(part) * part.var() for part in both) / (len(means) - 3)))
+        for both in parts
+    ]
+
+
+def light_of(conditions: Conditions) -> float | None:
+    """Return the stated exposure in arbitrary units; None if the light is unknown."""
+    if conditions.photons_per_px is not None:
+        return conditions.photons_per_px
+    if conditions.illuminance_lux is None:
+        return None
+    time = conditions.gate_ns if conditions.gate_ns is not None else conditions.exposure_s
+    return conditions.illuminance_lux * (1.0 if time is None else time)
+
+
+def _proportionality_findings(series: FlatSeries) -> list[Finding]:
+    """Return findings of a signal that is not proportional to the stated light."""
+    # A gain change common to all levels does not show in flats; the session must state it.
+    if any(
+        flat.conditions.automatic_gain or flat.conditions.brightness_control
+        for flat in series.flats
+    ):
+        return [Finding("agc", "an automatic gain or brightness control was on")]
+    stated = _light_of_conditions(series)
+    if stated is None:
+        return []
+    exposure, signal = stated
+    span = exposure.max() / exposure.min()
+    if span < CHECKS.min_light_ratio:
+        return []
+    if gamma := gamma_of_light(exposure, signal):
+        return gamma
+    slope = float(
+        np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0]
+    )
+    if slope < CHECKS.min_light_exponent:
+        return [
+            Finding(
+                "agc",
+                f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only",
+            )
+        ]
+    ratio = signal / exposure
+    reference = float(exposure @ signal / (exposure @ exposure))
+    off = float(np.abs(ratio / reference - 1.0)[signal > 0.05 * signal.max()].max())
+    if off > CHECKS.nonlinear_fraction:
+        return [
+            Finding("nonlinear", f"signal over light deviates by {100 * off:.1f} % from its mean")
+        ]
+    return []
+
+
+def _clipping_findings(series: FlatSeries) -> list[Finding]:
+    found = [
+        Finding(
+            "clipped",
+            f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at 0 DN",
+        )
+        for level in (*series.all_darks, *series.flats)
+        if level.low_fraction > 0.01
+    ]
+    over = [flat.label for flat in series.flats if flat.high_fraction > CLIPPED_SHARE]
+    if over and not series.fitted.any():
+        found.append(Finding("saturated", f"pixels of {', '.join(over)} are at full scale"))
+    return found

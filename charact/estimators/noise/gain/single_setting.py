@@ -1,0 +1,273 @@
+"""Covariance gain of the flats of one setting: pooled noise, fitted blur, findings."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.findings import Finding
+from charact.estimators.noise.gain import emva1288
+from charact.estimators.noise.gain.checks import exposure_findings
+from charact.estimators.noise.gain.fit import Fit, fit_spectrum
+from charact.estimators.noise.gain.model import blur_models
+from charact.estimators.noise.gain.pooled_noise import PooledNoise, pool_noise, pooling
+from charact.estimators.noise.gain.series import FlatSeries
+from charact.estimators.noise.gain.undetected_correlation import (
+    UndetectedEffect,
+    spatially_correlated_fraction,
+    temporally_correlated_fraction,
+)
+from charact.estimators.noise.gain.white_floor import has_analogue_chain
+from charact.estimators.noise.linear_fit import linear_fit
+from charact.estimators.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2
+from charact.estimators.noise.thresholds import GAIN
+from charact.method import Context
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+
+class _Trend(NamedTuple):
+    """Covariance over signal along the levels, DN."""
+
+    first: float  # at zero signal
+    first_sd: float  # standard error of its difference to the pooled value
+    pooled: float
+    rise: float  # change up to the brightest level
+    rise_sd: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SingleSetting:
+    """Noise of the flats of one setting."""
+
+    series: FlatSeries
+    summary: PooledNoise  # noise per DN of signal
+    # fitted blur and covariance gain; its posterior includes image lag that few frames cannot
+    # exclude
+    fit: Fit
+    # Covariance over signal of every flat with the common blur, and its standard error, shape
+    # (flat,), DN.
+    levels_dn: Array
+    levels_sd_dn: Array
+    neighbours: UndetectedEffect  # correlation between neighbouring pixels
+    exposures: UndetectedEffect  # correlation between successive exposures
+
+    @property
+    def white(self) -> bool:
+        """Whether no correlation between neighbours is detected."""
+        return not self.neighbours.is_detected
+
+    @property
+    def posterior(self) -> Posterior:
+        """Draws of covariance gain, blur factor, lag factor and blur parameters."""
+        return self.fit.posterior
+
+    def _with_posterior(self, posterior: Posterior) -> "SingleSetting":
+        return replace(self, fit=replace(self.fit, posterior=posterior))
+
+    def at_low_signal(self, context: Context) -> "SingleSetting":
+        """Return a copy with the covariance gain extrapolated to small signals.
+
+        Strip-current saturation of the MCP lowers the gain; quantities refer to small signals. The
+        relative loss per DN is the slope of covariance over signal along the levels.
+        """
+        trend = self._trend()
+        if trend is None:
+            return self
+        rng, draws = np.random.default_rng([context.seed, 4]), self.posterior.draws.copy()
+        factor = trend.first / trend.pooled + trend.first_sd / trend.pooled * rng.standard_normal(
+            len(draws)
+        )
+        draws[:, self.posterior.names.index("covariance_gain")] *= factor
+        return self._with_posterior(replace(self.posterior, draws=draws))
+
+    def allowing(self, relative_sd: float, rng: np.random.Generator) -> "SingleSetting":
+        """Return a copy with one more independent relative error of the covariance gain."""
+        return self._with_posterior(
+            emva1288.with_relative_error(self.posterior, "covariance_gain", relative_sd, rng)
+        )
+
+    def level_share(self, index: int) -> float:
+        """Return covariance over signal of a flat, by the line along the levels, over the pooled
+        one.
+        """
+        trend, signal = self._trend(), self.series.signal_dn
+        if trend is None:
+            return 1.0
+        return float(
+            (trend.first + trend.rise * signal[index] / signal[self.series.fitted].max())
+            / trend.pooled
+        )
+
+    def _trend(self) -> _Trend | None:
+        """Fit a straight line through the fitted levels; None for fewer than three."""
+        chosen = self.series.fitted
+        if chosen.sum() < 3:
+            return None
+        signal, levels, sd = (
+            self.series.signal_dn[chosen],
+            self.levels_dn[chosen],
+            self.levels_sd_dn[chosen],
+        )
+        fit = linear_fit([np.ones_like(signal), signal / signal.max()], levels, sd)
+        scatter, covariance, weight = fit.stretch(len(signal)), fit.covariance, 1.0 / sd**2
+        first_sd = scatter * np.sqrt(max(covariance[0, 0] - 1.0 / weight.sum(), 0.0))
+        pooled = float(weight @ levels / weight.sum())
+        return _Trend(
+            fit.best[0], first_sd, pooled, fit.best[1], scatter * np.sqrt(covariance[1, 1])
+        )
+
+    def findings(self) -> list[Finding]:
+        """Return the findings of spectrum and image lag."""
+        fit, lag, posterior, found = self.fit, self.summary.lag, self.posterior, list[Finding]()
+        if fit.chance < 1e-4:
+            words = f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"
+            found.append(Finding("model-misfit", words))
+        blur = float(np.median(posterior["blur_factor"]))
+        if blur < 0.9:
+            found.append(
+                Finding(
+                    None,
+                    f"noise is correlated between pixels (blur factor {blur:.3g}); accounted for",
+                )
+            )
+        if lag.is_detected:
+            found.append(
+                Finding(None, f"image lag (lag factor {lag.factor:.3g}); all lags were summed")
+            )
+        low, middle, high = np.quantile(posterior["covariance_gain"], [0.16, 0.5, 0.84])
+        if 0.5 * (high - low) > GAIN.max_relative_sd * middle:
+            words = (
+                "the relative uncertainty of the power at frequency 0 exceeds a third; take "
+                "more frames or pixels"
+            )
+            found.append(Finding("too-few-frames", words))
+        found += [Finding(flag, "see the posterior") for flag in posterior.flags]
+        if not lag.is_detected:
+            return found + exposure_findings(self.exposures)
+        if lag.open:
+            words = (
+                f"image lag has not decayed after {lag.lag[-1]} exposures, the end of the lag sum"
+            )
+            found.append(Finding("lag", words))
+        return found
+
+    def departures(self) -> list[Finding]:
+        """Return findings of levels whose covariance over signal deviates or rises.
+
+        MCP saturation and charge effects lower it along the levels.
+        """
+        levels, chosen = self.levels_dn, np.flatnonzero(self.series.fitted)
+        middle = float(np.median(levels[chosen]))
+        found = [
+            Finding(
+                "model-misfit",
+                f"covariance over signal of {self.series.flats[i].label} is {levels[i]:.3g} DN, "
+                f"not {middle:.3g} DN",
+            )
+            for i in chosen
+            if abs(levels[i] - middle)
+            > max(GAIN.level_fraction * middle, GAIN.level_sd * self.levels_sd_dn[i])
+        ]
+        trend = None if self.white else self._trend()
+        if trend is not None and trend.rise > GAIN.rise_sd * trend.rise_sd:
+            words = (
+                f"covariance gain rises by {100.0 * trend.rise / trend.pooled:.2g} % up to the "
+                "brightest flat; MCP saturation would make it fall: check for gamma or a wrong "
+                "dark"
+            )
+            found.append(Finding("nonlinear", words))
+        return found
+
+
+def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> SingleSetting:
+    """Fit blur and covariance gain to the flats of one setting."""
+    neighbours = spatially_correlated_fraction(series)
+    summary = pool_noise(
+        series, context.sensor, floor=neighbours.is_detected and not has_analogue_chain(context)
+    )
+    forms = blur_models(
+        blur_exponent(context), blurred=neighbours.is_detected, floor=summary.beyond is not None
+    )
+    found = fit_spectrum(summary, seed=context.seed, quick=quick, forms=forms)
+    if share := quantisation_fraction(series, summary):
+        found = replace(
+            found, posterior=_with_steps(found.posterior, share * summary.variance_dn, context)
+        )
+    levels, spread = _level_gains(series, summary, found)
+    exposures = temporally_correlated_fraction(series)
+    pooled = SingleSetting(
+        series=series,
+        summary=summary,
+        fit=found,
+        levels_dn=levels,
+        levels_sd_dn=spread,
+        neighbours=neighbours,
+        exposures=exposures,
+    )
+    # Image lag that too few frames cannot exclude.
+    hidden = 0.0 if summary.lag.tested else exposures.allowance
+    return pooled.allowing(hidden, np.random.default_rng([context.seed, 6])) if hidden else pooled
+
+
+def quantisation_fraction(series: FlatSeries, summary: PooledNoise) -> float:
+    """Return the possible fraction of quantisation noise in the pooled variance; 0 if negligible.
+
+    Rounding adds 1/12 DN^2 to noise of half a step or more, and another amount to a quieter dark,
+    which biases the difference; the relative bias is largest in the dimmest flats.
+    """
+    chosen, weight = pooling(series)
+    levels = [level for i in chosen for level in (series.flats[i], series.darks[i])]
+    if min(level.variance_dn2 for level in levels) >= QUANTISED_DN2:
+        return 0.0
+    return float(QUANTISATION_DN2 * weight.sum() / max(summary.variance_dn, 1e-12))
+
+
+def _with_steps(posterior: Posterior, power_dn: float, context: Context) -> Posterior:
+    """Return the posterior with white noise of standard deviation `power_dn` added to variance and
+    spectrum.
+
+    Rounding errors of neighbours are independent, so they add to all frequencies.
+    """
+    draws, power = posterior.draws.copy(), posterior["power"]
+    steps = np.maximum(
+        power_dn * np.random.default_rng([context.seed, 17]).standard_normal(len(draws)),
+        -0.9 * power,
+    )
+    names = posterior.names.index
+    draws[:, names("covariance_gain")] += steps
+    draws[:, names("blur_factor")] = (posterior["blur_factor"] * power + steps) / (power + steps)
+    return replace(posterior, draws=draws)
+
+
+def blur_exponent(context: Context) -> tuple[float, float] | None:
+    """Return the exponent of the described tube's blur and its standard deviation; None without a
+    description.
+    """
+    if context.sensor is None:
+        return None
+    known = context.sensor.tube.mtf_exponent
+    spread = 0.0 if known.low is None or known.high is None else (known.high - known.low) / 3.92
+    return float(known), max(spread, 0.05)
+
+
+def _level_gains(series: FlatSeries, summary: PooledNoise, fit: Fit) -> tuple[Array, Array]:
+    """Return covariance over signal of every flat with the common blur, and its standard error,
+    DN.
+    """
+    shape = fit.model_dn / float(np.median(fit.posterior["power"]))
+    name, use = "many" if summary.lag.is_detected else "few", fit.used
+    gains, errors = [], []
+    for flat, dark, signal in zip(series.flats, series.darks, series.signal_dn, strict=True):
+        power = getattr(flat, name).power_dn2[use, 0] - getattr(dark, name).power_dn2[use, 0]
+        modes = flat.bins.modes[use] * flat.bins.efficiency
+        weight, scaled = modes / modes.sum(), power / shape[use] / signal
+        gain = float(weight @ scaled)
+        own = np.sqrt(weight**2 @ (scaled - gain) ** 2)
+        gains.append(gain)
+        errors.append(
+            float(np.hypot(own, gain * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12)))
+        )
+    return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor

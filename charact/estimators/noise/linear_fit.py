@@ -1,0 +1,89 @@
+"""Weighted linear least squares, and draws of laws whose deviation is a parameter."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.inference import find_maximum
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+
+class LinearFit(NamedTuple):
+    """Parameters of a linear fit, their covariance, and the squared residuals over their
+    variance.
+    """
+
+    best: Array
+    covariance: Array
+    chi2: float
+
+    def stretch(self, data: int) -> float:
+        """Return the factor of all errors that explains the scatter of the data, at least 1
+        (Birge's ratio).
+        """
+        return float(np.sqrt(max(1.0, self.chi2 / max(1, data - len(self.best)))))
+
+
+def linear_fit(
+    columns: Sequence[Array], y: Array, sd: Array, *, shared: Array | None = None
+) -> LinearFit:
+    """Fit y by a sum of columns.
+
+    `columns`, `y`, `sd`: columns, data and their standard errors, shape (datum,) each. `shared`:
+    one error common to all data, shape (datum,).
+    """
+    design, weight = np.stack(columns), np.diag(1.0 / np.maximum(sd, 1e-12) ** 2)
+    if shared is not None:
+        weight = np.linalg.pinv(np.diag(np.maximum(sd, 1e-12) ** 2) + np.outer(shared, shared))
+    covariance = np.asarray(np.linalg.pinv(design @ weight @ design.T), np.float64)
+    best = covariance @ (design @ weight @ y)
+    rest = y - best @ design
+    return LinearFit(best, covariance, float(rest @ weight @ rest))
+
+
+def weighted_mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the mean of values weighted by their errors, and its standard error; 0 and inf without
+    finite errors.
+    """
+    known = np.array([pair for pair in pairs if np.isfinite(pair[1])])
+    if not len(known):
+        return 0.0, np.inf
+    fit = linear_fit([np.ones(len(known))], known[:, 0], np.maximum(known[:, 1], 1e-9))
+    return float(fit.best[0]), float(np.sqrt(fit.covariance[0, 0]))
+
+
+def draw_posterior(
+    log_probability: Callable[[Array], Array],
+    start: Array,
+    bounds: Array,
+    *,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    seed: int,
+    method: Callable[..., Posterior],
+) -> Posterior:
+    """Draw from a posterior inside bounds by a method of `charact.inference`.
+
+    The flag `prior-bound` is dropped: an undetectably small departure or fraction is harmless.
+    """
+
+    def inside_bounds(points: Array) -> Array:
+        inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
+        return np.where(inside, log_probability(np.where(inside[:, None], points, start)), -np.inf)
+
+    point, covariance = find_maximum(inside_bounds, start, bounds)
+    drawn = method(
+        inside_bounds,
+        names=names,
+        units=units,
+        start=point,
+        covariance=covariance,
+        seed=seed,
+        bounds=bounds,
+    )
+    return replace(drawn, flags=tuple(flag for flag in drawn.flags if flag != "prior-bound"))

@@ -1,0 +1,326 @@
+"""Survey of one stack: robust level and noise, quantisation step, outlying pixels."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.estimators.noise.thresholds import STACK, SURVEY
+from labdata.errors import BadInput
+from labdata.lazy_stack import open_lazy_stack
+from labdata.session import StackEntry
+
+
+def step_of(values: NDArray[np.float64]) -> float | None:
+    """Return the greatest common difference of values; 0 for continuous ones, None if all are
+    equal.
+
+    For non-integers the smallest spacing is the step if all others are multiples of it.
+    """
+    distinct = np.unique(values)
+    if len(distinct) < 2:
+        return None
+    gaps = np.diff(distinct)
+    if np.all(distinct == np.rint(distinct)):
+        return float(np.gcd.reduce(gaps.astype(np.int64)))
+    if len(distinct) > SURVEY.distinct_fraction * values.size:
+        return 0.0
+    noise = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(distinct).max())
+    real = gaps[gaps > noise]
+    if not len(real):
+        return None
+    least = float(real.min())
+    step = float(np.mean(real[real < 1.5 * least]))
+    whole = gaps / step
+    return (
+        step
+        if np.all(np.abs(whole - np.rint(whole)) < SURVEY.step_tolerance + noise / step)
+        else 0.0
+    )
+
+
+def common_step(steps: list[float | None]) -> float | None:
+    """Return the common step of all stacks: the smallest that divides all; 0 if one is continuous;
+    None if unknown.
+    """
+    known = [step for step in steps if step is not None]
+    if not known:
+        return None
+    if min(known) == 0.0:
+        return 0.0
+    if all(step.is_integer() for step in known):
+        return float(np.gcd.reduce(np.array(known, np.int64)))
+    return min(known)
+
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+# Squares of larger values exceed single precision.
+LARGEST_DN = 1e9
+
+
+def _no_places() -> Places:
+    return np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelSurvey:
+    """Outlying pixels of one stack; positions are row times columns plus column."""
+
+    # label, kind, size: as in the session; rows and columns
+    label: str
+    kind: str
+    size: tuple[int, int]
+    frames: int  # number of frames
+    # level_dn, sd_dn: median, and robust temporal standard deviation, DN
+    level_dn: float
+    sd_dn: float
+    step_dn: float | None  # quantisation step, DN; 0 for continuous values, None if unknown
+    # bright, faint: positions of pixels whose mean is far from the surrounding ones
+    bright: Places = field(default_factory=_no_places)
+    faint: Places = field(default_factory=_no_places)
+    threshold_dn: float = 0.0  # distance threshold, DN
+    # least, most: their numbers if each mean were 1 and 1.96 standard errors closer to the
+    # surrounding ones, or farther
+    least: tuple[int, int] = (0, 0)
+    most: tuple[int, int] = (0, 0)
+    sudden: Places = field(
+        default_factory=_no_places
+    )  # positions of pixels with outliers in some frames
+    # departure_dn, times, frame: for each such pixel the largest deviation, DN, the number of
+    # outlying frames (at most 4), and the most outlying frame, -1 if unknown (pair)
+    departure_dn: Array
+    times: Places = field(default_factory=_no_places)
+    frame: Places = field(default_factory=_no_places)
+    # sample, sample_place: deviations of a sample of values, DN, and their positions
+    sample: NDArray[np.float32]
+    sample_place: Places
+
+    @property
+    def pixels(self) -> int:
+        """Pixels of a frame."""
+        return self.size[0] * self.size[1]
+
+    @property
+    def trials(self) -> int:
+        """Independent chances of an outlier per pixel."""
+        return 1 if self.frames == 2 else self.frames
+
+    def tail_dn(self, without: NDArray[np.bool_]) -> float:
+        """Return the extrapolated limit of the stack's tail, without some pixels, DN."""
+        kept = np.abs(self.sample[~without[self.sample_place]])
+        if kept.size < 100:
+            return np.inf
+        places = [int(kept.size * (1.0 - chance)) for chance in (1e-2, 1e-3)]
+        near, far = np.partition(kept, places)[places]
+        return max(float(far + SURVEY.tail_decades * (far - near)), SURVEY.sudden_sd * self.sd_dn)
+
+
+def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
+    """Return the survey of a stack.
+
+    Raises BadInput if the frames cannot be read or values are out of range.
+    """
+    stack = open_lazy_stack(entry)
+    frames, rows, cols = stack.shape
+    first = _pixel_rows(stack.frames(0, min(frames, 2)), entry)
+    every = max(1, rows * cols // SURVEY.sample) | 1
+    place = np.arange(0, rows * cols, every)
+    values = first[:, place].astype(np.float64)
+    change = values[-1] - values[0]
+    change -= np.median(change)
+    step = step_of(values)
+    sd = _robust_sd(change, step) / np.sqrt(2.0)
+    common = {
+        "label": entry.label,
+        "kind": entry.kind,
+        "size": (rows, cols),
+        "frames": frames,
+        "level_dn": float(np.median(values)),
+        "step_dn": step,
+        "sd_dn": sd,
+        "sample": (change / np.sqrt(2.0)).astype(np.float32),
+        "sample_place": place,
+    }
+    if (
+        frames < 2
+        or rows * cols < SURVEY.min_pixels
+        or min(rows, cols) < SURVEY.min_side_px
+        or sd <= 0
+    ):
+        return PixelSurvey(**common, departure_dn=np.empty(0))
+    blocks = (
+        (at, _pixel_rows(stack.frames(at, min(at + STACK.block_frames, frames)), entry))
+        for at in range(0, frames, STACK.block_frames)
+    )
+    if frames == 2:
+        found = _sudden_in_pair(first, SURVEY.sudden_sd * sd)
+        highest, lowest = np.float32(np.maximum(*first)), np.float32(np.minimum(*first))
+        total = highest + lowest
+    else:
+        extremes = _Extremes(rows * cols)
+        for at, block in blocks:
+            _extend(block, at, *extremes.arrays)
+        found = extremes.sudden(frames, SURVEY.sudden_sd * sd)
+        total, highest, lowest = extremes.total, extremes.high, extremes.low
+    if means:
+        # Means without their extreme value: one struck frame makes no bright pixel.
+        rest = [(total - top) / np.float32(frames - 1) for top in (highest, lowest)]
+        common |= _outlying_means(
+            rest[0].reshape(rows, cols), rest[1].reshape(rows, cols), sd / np.sqrt(frames)
+        )
+    return PixelSurvey(**common, **found)
+
+
+def _pixel_rows(data: NDArray, entry: StackEntry) -> NDArray:
+    """Return frames as rows of pixels, of a type supported by the compiled loops."""
+    flat = data.reshape(len(data), -1)
+    if flat.dtype in (np.uint8, np.uint16):
+        return flat
+    largest = float(np.abs(flat).max())
+    if largest > LARGEST_DN:
+        raise BadInput(
+            f"pixel values must lie below {LARGEST_DN:.0e} DN, got {largest:.3g}, in stack "
+            f"{entry.label!r}; divide the frames by a constant"
+        )
+    return flat.astype(np.float32)
+
+
+def _robust_sd(change: Array, step: float | None) -> float:
+    """Return a robust standard deviation, at least that of rounding."""
+    size = np.abs(change)
+    half, most = np.quantile(size, [0.5, 0.95])
+    if most <= 0:
+        return 0.0
+    return float(max(half / 0.6745, most / 1.96, (step or 0.0) / np.sqrt(6.0)))
+
+
+@njit(cache=True)
+def _pair_departs(first, second, middle, limit, out):
+    """Write the positions at which a pair differs by more than a limit; return their number."""
+    count = 0
+    for i in range(len(first)):
+        change = float(second[i]) - float(first[i]) - middle
+        if change > limit or change < -limit:
+            if count < len(out):
+                out[count] = i
+            count += 1
+    return count
+
+
+def _sudden_in_pair(pair: NDArray, limit: float) -> dict:
+    """Return the pixels in which two frames differ."""
+    middle = float(np.median(pair[1, ::7].astype(np.float64) - pair[0, ::7]))
+    out = np.empty(int(SURVEY.max_fraction * pair.shape[1]) + 1, np.int64)
+    count = _pair_departs(pair[0], pair[1], middle, limit * np.sqrt(2.0), out)
+    places = out[: min(count, len(out))]
+    departure = np.abs(pair[1, places].astype(float) - pair[0, places] - middle) / np.sqrt(2.0)
+    return {
+        "sudden": places,
+        "departure_dn": departure,
+        "times": np.ones(len(places), np.int64),
+        "frame": np.full(len(places), -1),
+    }
+
+
+class _Extremes:
+    """Two largest and two smallest values of every pixel, their frames, and the sum."""
+
+    def __init__(self, pixels: int) -> None:
+        self.total = np.zeros(pixels, np.float32)
+        self.high, self.next_high = (np.full(pixels, -np.inf, np.float32) for _ in range(2))
+        self.low, self.next_low = (np.full(pixels, np.inf, np.float32) for _ in range(2))
+        self.high_at, self.low_at = np.zeros(pixels, np.int32), np.zeros(pixels, np.int32)
+
+    @property
+    def arrays(self) -> tuple:
+        """All arrays, in the order of the loop's arguments."""
+        return (
+            self.total,
+            self.high,
+            self.next_high,
+            self.low,
+            self.next_low,
+            self.high_at,
+            self.low_at,
+        )
+
+    def sudden(self, frames: int, limit: float) -> dict:
+        """Return the pixels that deviate in some frames from the mean of the others."""
+        middle = (self.total - self.high - self.low) / np.float32(frames - 2)
+        limit *= float(np.sqrt(1.0 + 1.0 / (frames - 2)))
+        up, down = self.high - middle, middle - self.low
+        places = np.flatnonzero((up > limit) | (down > limit))[
+            : int(SURVEY.max_fraction * len(middle)) + 1
+        ]
+        times = sum(
+            (np.abs(one[places] - middle[places]) > limit).astype(np.int64)
+            for one in (self.high, self.next_high, self.low, self.next_low)
+        )
+        where = np.where(up[places] > down[places], self.high_at[places], self.low_at[places])
+        return {
+            "sudden": places,
+            "departure_dn": np.maximum(up[places], down[places]).astype(float),
+            "times": np.asarray(times),
+            "frame": where.astype(np.int64),
+        }
+
+
+@njit(cache=True)
+def _extend(block, at, total, high, next_high, low, next_low, high_at, low_at):
+    """Add frames, in groups of pixels that fit the cache."""
+    for start in range(0, block.shape[1], 4096):
+        stop = min(start + 4096, block.shape[1])
+        for t in range(block.shape[0]):
+            for i in range(start, stop):
+                value = np.float32(block[t, i])
+                total[i] += value
+                if value > next_high[i]:
+                    if value > high[i]:
+                        next_high[i], high[i], high_at[i] = high[i], value, at + t
+                    else:
+                        next_high[i] = value
+                if value < next_low[i]:
+                    if value < low[i]:
+                        next_low[i], low[i], low_at[i] = low[i], value, at + t
+                    else:
+                        next_low[i] = value
+
+
+def _outlying_means(
+    without_top: NDArray[np.float32], without_low: NDArray[np.float32], error: float
+) -> dict:
+    """Return the pixels whose mean is far from the surrounding median, row and column offsets
+    removed.
+    """
+    above, below = _high_pass(without_top), _high_pass(without_low)
+    size = 0.5 * (above + below).ravel()[::3]
+    threshold = SURVEY.outlying_sd * max(
+        1.4826 * float(np.median(np.abs(size - np.median(size)))), error
+    )
+
+    def beyond(nearer_dn: float) -> int:
+        limit = max(threshold + nearer_dn, 0.0)
+        return int(np.count_nonzero((above > limit) | (below < -limit)))
+
+    bright, faint = np.flatnonzero(above > threshold), np.flatnonzero(below < -threshold)
+    if len(bright) + len(faint) > SURVEY.max_fraction * above.size:
+        bright = faint = _no_places()
+    return {
+        "bright": bright,
+        "faint": faint,
+        "threshold_dn": threshold,
+        "least": (beyond(error), beyond(1.96 * error)),
+        "most": (beyond(-error), beyond(-1.96 * error)),
+    }
+
+
+def _high_pass(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return an image without shading and row and column offsets."""
+    from cv2 import medianBlur
+
+    rest = image - medianBlur(np.ascontiguousarray(image), 5)
+    rest -= np.median(rest, axis=0, keepdims=True)
+    rest -= np.median(rest, axis=1, keepdims=True)
+    return rest

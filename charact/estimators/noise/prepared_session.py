@@ -1,0 +1,478 @@
+"""Preparation of a session: defective pixels replaced, values in units of the quantisation step,
+results in DN.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.findings import fields_of
+from charact.estimators.noise.gain.series import has_multiplication
+from charact.estimators.noise.pixel_survey import PixelSurvey, common_step, survey_pixels
+from charact.estimators.noise.stack.stack_statistics import WHOLE_BYTES
+from charact.estimators.noise.thresholds import SURVEY
+from charact.method import Context
+from labdata.frames import FrameStack
+from labdata.lazy_stack import LazyStack
+from labdata.measurement import Measurement, Result, make_measurement, make_refusal
+from labdata.session import Session, StackEntry
+
+Places = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DefectivePixels:
+    """Excluded pixels of a session; positions are row times columns plus column."""
+
+    places: Places  # pixels that are defective in all frames
+    blinking: Places  # those that blink
+    # by stack label, positions and frames of struck values; frame -1 for all frames of the stack
+    struck: dict[str, tuple[Places, Places]] = field(default_factory=dict)
+
+    @property
+    def note(self) -> str | None:
+        """Note on the excluded pixels; None for none."""
+        hits = sum(len(places) for places, _ in self.struck.values())
+        parts = [f"{len(self.places)} defective pixels of the session"] if len(self.places) else []
+        parts += [f"{hits} outliers of single frames (cosmic rays, ion feedback)"] if hits else []
+        return f"excludes {' and '.join(parts)}" if parts else None
+
+
+def find_defective_pixels(surveys: Sequence[PixelSurvey], *, multiplies: bool) -> DefectivePixels:
+    """Return the defective pixels.
+
+    `surveys`: one of each stack, of equal size; `multiplies`: whether a tube or a register
+    multiplies electrons; its pulses are valid outliers.
+    """
+    pixels = surveys[0].pixels
+    wrong = np.zeros(pixels, bool)
+    for one in surveys:
+        wrong[one.bright] = wrong[one.faint] = True
+    if np.count_nonzero(wrong) > SURVEY.max_fraction * pixels:
+        wrong[:] = False
+    least = SURVEY.max_pulse * _slope(surveys) if multiplies else 0.0
+    blinks = _blinking_mask(surveys, wrong)
+    away = wrong | blinks
+    struck = {
+        one.label: hits for one in surveys if len((hits := _outlying_values(one, away, least))[0])
+    }
+    return DefectivePixels(
+        places=np.flatnonzero(away), blinking=np.flatnonzero(blinks), struck=struck
+    )
+
+
+def _slope(surveys: Sequence[PixelSurvey]) -> float:
+    """Return variance over signal of the flats by robust statistics, DN; 0 without flats."""
+    darks = [one for one in surveys if one.kind == "dark"]
+    dark, noise = (
+        min((getattr(one, name) for one in darks), default=0.0) for name in ("level_dn", "sd_dn")
+    )
+    flats = [one for one in surveys if one.kind == "flat" and one.level_dn > dark]
+    slopes = [(one.sd_dn**2 - noise**2) / (one.level_dn - dark) for one in flats]
+    return max(float(np.median(slopes)), 0.0) if slopes else 0.0
+
+
+def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels that are outliers more often than chance allows."""
+    from scipy.special import bdtrc
+
+    counts, trials = np.zeros(len(wrong), np.int64), 0
+    for one in surveys:
+        if len(one.sudden) <= SURVEY.max_fraction * one.pixels:
+            counts[one.sudden] += one.times
+            trials += one.trials
+    if not trials:
+        return np.zeros(len(wrong), bool)
+    never = float(np.mean(counts[~wrong] == 0))
+    rate = min(SURVEY.rate_variation * (1.0 - max(never, 1e-9) ** (1.0 / trials)), 1.0)
+    needed = np.arange(2, trials + 2)
+    enough = needed[bdtrc(needed - 1, trials, rate) * len(wrong) < SURVEY.false_alarm]
+    blinks = counts >= (enough[0] if len(enough) else trials + 1)
+    return (
+        blinks
+        if np.count_nonzero(blinks) <= SURVEY.max_fraction * len(wrong)
+        else np.zeros(len(wrong), bool)
+    )
+
+
+def _outlying_values(
+    one: PixelSurvey, away: NDArray[np.bool_], least: float
+) -> tuple[Places, Places]:
+    """Return the values far beyond the tail of their stack."""
+    rest = ~away[one.sudden]
+    own = (
+        one.kind == "flat"
+        or least > 0
+        or np.count_nonzero(rest) > SURVEY.blinking_fraction * one.pixels
+    )
+    far = rest & (one.departure_dn > max(least, one.tail_dn(away) if own else 0.0))
+    return one.sudden[far], np.where(one.times[far] > 1, -1, one.frame[far])
+
+
+METHOD = "outlying-pixels"
+
+
+def defect_pixels(
+    session: Session,
+    surveys: Sequence[PixelSurvey],
+    found: DefectivePixels | None,
+    *,
+    context: Context,
+) -> Result:
+    """Return the number of defective pixels in the dark of the longest exposure and in the
+    brightest flat.
+    """
+    fields = fields_of(METHOD, context)
+    known = [one for one in surveys if one.threshold_dn > 0]
+    if found is None or not known:
+        reason = (
+            "defective pixels need stacks of two frames and of 32 x 32 px at least that "
+            "change from frame to frame"
+        )
+        return Result(measurements=(make_refusal("defect_pixels", "px", reason, **fields),))
+    exposure = {entry.label: entry.conditions.exposure_s or 0.0 for entry in session.stacks}
+    darks = [one for one in known if one.kind == "dark"]
+    flats = [one for one in known if one.kind == "flat"]
+    chosen = [max(darks, key=lambda one: (exposure[one.label], one.frames))] if darks else []
+    chosen += [max(flats, key=lambda one: one.level_dn)] if flats else []
+    return Result(measurements=tuple(_defect_count(one, found, fields) for one in chosen))
+
+
+def _defect_count(one: PixelSurvey, found: DefectivePixels, fields: dict[str, Any]) -> Measurement:
+    """Return the number of defective pixels of a stack."""
+    blinking = np.intersect1d(found.blinking, one.sudden)
+    bright, faint = (np.setdiff1d(places, blinking) for places in (one.bright, one.faint))
+    each = f"{len(bright)} bright, {len(faint)} faint, {len(blinking)} blinking"
+    far = (
+        f"a mean more than {one.threshold_dn:.3g} DN ({SURVEY.outlying_sd:g} robust standard "
+        f"deviations) off"
+    )
+    notes = [f"{each}; {far} the surrounding ones, or outliers in more frames than chance allows"]
+    places = np.concatenate([bright, faint, blinking])
+    count = len(np.unique(places))
+    if count:
+        rows, cols = np.divmod(places[: SURVEY.listed], one.size[1])
+        shown = ", ".join(
+            f"({row}, {col})"
+            for row, col in dict.fromkeys(zip(rows.tolist(), cols.tolist(), strict=True))
+        )
+        notes.append(f"row and column of the first: {shown}")
+    least, most = (
+        [number + len(blinking) for number in bounds] for bounds in (one.least, one.most)
+    )
+    around = [(float(min(least[i], count)), float(max(most[i], count))) for i in (0, 1)]
+    return make_measurement(
+        "defect_pixels", "px", float(count), *around, notes=tuple(notes), stack=one.label, **fields
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameView:
+    """Transformation of the frames of one stack on reading.
+
+    A defective pixel takes the values of a valid one up to 32 px away in all frames, shifted by the
+    difference of the surrounding medians, which preserves level, noise and pattern. Random
+    distances average out the added correlation in spectra. Variances change by less than 1e-4 if
+    one pixel of 200 is replaced.
+    """
+
+    unit_dn: float  # divisor of the values, DN
+    whole: bool  # whether the values are integers then
+    # places, donors: replaced pixels, and their replacements
+    places: Places
+    donors: Places
+    # struck, frame, struck_donors: values replaced in single frames, the frames, and the
+    # replacements
+    struck: Places
+    frame: Places
+    struck_donors: Places
+
+    def through(self, stack: LazyStack) -> LazyStack:
+        """Return the transformed stack."""
+        if self.unit_dn == 1.0 and not len(self.places) and not len(self.struck):
+            return stack
+        place, donor = (
+            np.concatenate([self.places, self.struck]),
+            np.concatenate([self.donors, self.struck_donors]),
+        )
+        first = stack.frames(0, min(len(stack), 2)).mean(axis=0, dtype=np.float64)
+        shift = _surrounding_median(first, place) - _surrounding_median(first, donor)
+        exact = stack.dtype.kind in "ui" or self.whole
+        shift = np.rint(shift / self.unit_dn) * self.unit_dn if exact else shift
+        throughout = len(self.places)
+
+        def block(start: int, stop: int) -> NDArray:
+            data = np.array(stack.frames(start, stop))
+            flat = data.reshape(len(data), -1)
+            if throughout:
+                write_values(flat, np.s_[:], self.places, flat[:, self.donors], shift[:throughout])
+            for at, frame, source, change in zip(
+                self.struck, self.frame, self.struck_donors, shift[throughout:], strict=True
+            ):
+                if frame < 0:
+                    write_values(flat, np.s_[:], at, flat[:, source], change)
+                elif start <= frame < stop:
+                    write_values(flat, frame - start, at, flat[frame - start, source], change)
+            return self._in_units(data)
+
+        full = None if stack.full_scale_dn is None else stack.full_scale_dn / self.unit_dn
+        dtype = stack.dtype if self.unit_dn == 1.0 else np.dtype(np.float32)
+        return replace(stack, block=block, full_scale_dn=full, dtype=dtype)
+
+    def _in_units(self, data: NDArray) -> NDArray:
+        if self.unit_dn == 1.0:
+            return data
+        scaled = data / self.unit_dn
+        return (np.rint(scaled) if self.whole else scaled).astype(np.float32)
+
+
+def write_values(flat: NDArray, frames, places, values: NDArray, shift) -> None:
+    """Write shifted values, clipped to the range of an integer type."""
+    moved = values.astype(np.float64) + shift
+    if flat.dtype.kind in "ui":
+        limits = np.iinfo(flat.dtype)
+        moved = np.clip(moved, limits.min, limits.max)
+    flat[frames, places] = moved.astype(flat.dtype)
+
+
+def _surrounding_median(image: NDArray[np.float64], places: Places) -> NDArray[np.float64]:
+    """Return the median of the 24 pixels around each position, DN."""
+    rows, cols = image.shape
+    row, col = np.divmod(places, cols)
+    step = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if i or j])
+    near_row = np.clip(row[:, None] + step[:, 0], 0, rows - 1)
+    near_col = np.clip(col[:, None] + step[:, 1], 0, cols - 1)
+    return np.median(image[near_row, near_col], axis=1) if len(places) else np.empty(0)
+
+
+def choose_donors(
+    places: Places, unsound: NDArray[np.bool_], size: tuple[int, int], rng: np.random.Generator
+) -> Places:
+    """Return a valid pixel near each position."""
+    rows, cols = size
+    found = np.full(len(places), -1)
+    while (left := np.flatnonzero(found < 0)).size:
+        row, col = np.divmod(places[left], cols)
+        row = _mirror_inside(
+            row + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), rows
+        )
+        col = _mirror_inside(
+            col + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), cols
+        )
+        pixel = row * cols + col
+        found[left] = np.where(unsound[pixel], -1, pixel)
+    return found
+
+
+def _mirror_inside(place: NDArray, length: int) -> NDArray:
+    """Return positions mirrored into the image."""
+    place = np.abs(place) % (2 * length)
+    return np.where(place < length, place, 2 * length - 1 - place)
+
+
+def frame_view(
+    label: str,
+    found: DefectivePixels | None,
+    size: tuple[int, int],
+    *,
+    unit_dn: float,
+    whole: bool,
+    seed: int,
+) -> FrameView:
+    """Return the view of one stack."""
+    none = np.empty(0, np.int64)
+    places, struck, frame = none, none, none
+    if found is not None:
+        places, (struck, frame) = found.places, found.struck.get(label, (none, none))
+    away = np.zeros(size[0] * size[1], bool)
+    away[places] = away[struck] = True
+    rng = np.random.default_rng([seed, 71])
+    return FrameView(
+        unit_dn=unit_dn,
+        whole=whole,
+        places=places,
+        donors=choose_donors(places, away, size, rng),
+        struck=struck,
+        frame=frame,
+        struck_donors=choose_donors(struck, away, size, rng),
+    )
+
+
+# Files and folders that are memory-mapped.
+MAPPED = (".npy", ".zarr")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadedStackEntry(StackEntry):
+    """A stack with its frames in memory."""
+
+    kept: FrameStack  # the frames
+
+    def read(self, plane: str | None = None) -> FrameStack:
+        """Return the frames; `plane` has no effect."""
+        return self.kept
+
+
+def load_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
+    """Return darks and flats with their frames in memory, up to `WHOLE_BYTES`."""
+    left, out = WHOLE_BYTES, []
+    for entry in entries:
+        plain = type(entry) is StackEntry and entry.kind in ("dark", "flat")
+        paths = entry.paths if plain else ()
+        if not paths or any(
+            path.suffix in MAPPED or path.is_dir() or path.stat().st_size > left for path in paths
+        ):
+            out.append(entry)
+            continue
+        frames = entry.read()
+        left -= frames.data.nbytes
+        whole = {item.name: getattr(entry, item.name) for item in fields(StackEntry)}
+        out.append(LoadedStackEntry(**whole, kept=frames) if left >= 0 else entry)
+    return tuple(out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """A session prepared for measurement."""
+
+    # session, context: stacks with their views, and settings
+    session: Session
+    context: Context
+    unit_dn: float  # unit of the values, DN
+    surveys: tuple[PixelSurvey, ...]  # survey of each dark and flat of at least two frames
+    found: DefectivePixels | None  # defective pixels; None if the images are too small
+
+    def in_dn(self, result: Result) -> Result:
+        """Return a result in DN of the files, with a note on excluded pixels."""
+        unit_dn, note = self.unit_dn, None if self.found is None else self.found.note
+        notes = () if note is None else (note,)
+        if unit_dn != 1.0:
+            notes += (f"DN in other notes are units of {unit_dn:.4g} of the files' values",)
+        noted = [
+            m if m.value is None else replace(m, notes=(*m.notes, *notes))
+            for m in result.measurements
+        ]
+        if unit_dn == 1.0:
+            return replace(result, measurements=tuple(noted)) if notes else result
+        return replace(
+            result,
+            measurements=tuple(_in_dn(m, unit_dn) for m in noted),
+            evidence={
+                name: _scale_figure_data(data, unit_dn) for name, data in result.evidence.items()
+            },
+        )
+
+
+def prepare(session: Session, *, context: Context) -> Prepared:
+    """Survey the darks and flats of a session and prepare it for measurement.
+
+    Pixel means are compared in at most eight stacks distributed over the levels, because a defect
+    shows in several.
+    """
+    session = replace(
+        session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks
+    )
+    entries = session.of_kind("dark", "flat")
+    spread = set(
+        np.linspace(0, len(entries) - 1, min(SURVEY.mean_stacks, len(entries)))
+        .round()
+        .astype(int)
+        .tolist()
+    )
+    surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
+    many = [one for one in surveys if one.frames > 1]
+    sizes = {one.size for one in surveys}
+    large = (
+        many
+        and len(sizes) == 1
+        and many[0].pixels >= SURVEY.min_pixels
+        and min(many[0].size) >= SURVEY.min_side_px
+    )
+    found = (
+        find_defective_pixels(many, multiplies=has_multiplication(session, context))
+        if large
+        else None
+    )
+    unit, whole = _unit(surveys)
+    views = {
+        one.label: frame_view(
+            one.label, found, one.size, unit_dn=unit, whole=whole, seed=context.seed
+        )
+        for one in surveys
+    }
+    stacks = tuple(replace(entry, view=views.get(entry.label)) for entry in session.stacks)
+    full = None if context.full_scale_dn is None else context.full_scale_dn / unit
+    return Prepared(
+        session=replace(session, stacks=stacks),
+        context=replace(context, full_scale_dn=full),
+        unit_dn=unit,
+        surveys=tuple(many),
+        found=found,
+    )
+
+
+def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
+    """Return the unit of the values, DN, and whether they are integers of it."""
+    step = common_step([one.step_dn for one in surveys])
+    if step is None:
+        return 1.0, False
+    if step > 0:
+        return step, True
+    noise = [one.sd_dn for one in surveys if one.sd_dn > 0]
+    return (
+        (2.0 ** np.floor(np.log2(min(noise) / SURVEY.fine_units)), False) if noise else (1.0, False)
+    )
+
+
+def power_of_dn(unit: str) -> int:
+    """Return the power of DN in a unit: 2 for DN2, 1 for DN or DN/e-, -1 for 1/DN, 0 for others."""
+    above, _, below = unit.partition("/")
+    powers = {"DN": 1, "DN2": 2}
+    return powers.get(above, 0) - powers.get(below, 0)
+
+
+def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
+    """Return a measurement converted from units to DN; logarithms of draws are shifted."""
+    factor = unit_dn ** power_of_dn(measurement.unit)
+    around = [
+        None if pair is None else (pair[0] * factor, pair[1] * factor)
+        for pair in (measurement.interval68, measurement.interval95)
+    ]
+    kept = measurement.posterior
+    if kept is not None:
+        draws = kept.draws.copy()
+        for column, unit in enumerate(kept.units):
+            power = power_of_dn(unit.removeprefix("log "))
+            if unit.startswith("log "):
+                draws[:, column] += power * np.log(unit_dn)
+            else:
+                draws[:, column] *= unit_dn**power
+        kept = replace(kept, draws=draws)
+    value = None if measurement.value is None else measurement.value * factor
+    return replace(
+        measurement, value=value, interval68=around[0], interval95=around[1], posterior=kept
+    )
+
+
+def _scale_figure_data(data: Any, unit_dn: float, factor: float = 1.0) -> Any:
+    """Return figure data in DN, each entry by the unit in its name."""
+    if isinstance(data, dict):
+        return {
+            key: _scale_figure_data(value, unit_dn, _factor(key, unit_dn, factor))
+            for key, value in data.items()
+        }
+    if isinstance(data, list):
+        return [_scale_figure_data(value, unit_dn, factor) for value in data]
+    return data * factor if isinstance(data, float) and factor != 1.0 else data
+
+
+def _factor(key: str, unit_dn: float, outer: float) -> float:
+    if re.search(r"_dn2(_|$)", key):
+        return unit_dn**2
+    if re.search(r"_per_dn(_|$)", key):
+        return 1.0 / unit_dn
+    return unit_dn if re.search(r"_dn(_|$)", key) else outer

@@ -1,0 +1,363 @@
+"""Quantities of darks and flats that need no blur model: noise, non-uniformity, EMVA 1288
+quantities.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.findings import Finding, flags_of, notes_of
+from charact.estimators.noise.gain import emva1288
+from charact.estimators.noise.gain.checks import dark_findings, light_findings
+from charact.estimators.noise.gain.series import FlatSeries, gain_obstacle, without_noise
+from charact.estimators.noise.illumination import light_of_photons, mean_sd
+from charact.estimators.noise.rounding import (
+    QUANTISATION_DN2,
+    QUANTISED_DN2,
+    flags_of_rounding,
+    rounding_sd,
+)
+from charact.estimators.noise.stack.stack_statistics import StackStatistics
+from charact.estimators.noise.thresholds import CHECKS, CORRELATION
+from charact.method import Context
+from labdata.measurement import (
+    Measurement,
+    make_refusal,
+    measurement_from_draws,
+    measurement_from_sd,
+)
+
+Array = NDArray[np.float64]
+PAIR = "from two frames: includes any temporal correlation between them"
+
+
+def dark_quantities(
+    darks: tuple[StackStatistics, ...], *, flags: tuple[str, ...], **fields: Any
+) -> list[Measurement]:
+    """Return read noise and dark signal, DN, from the dark of the shortest exposure."""
+    dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
+    spread = float(np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]))
+    noise, sd = emva1288.noise_of(dark.variance_dn2, spread)
+    # Checked here too, for darks without flats.
+    flags += dark_clipping_flags(dark)
+    out = []
+    if noise > 0:
+        note = ("temporal noise of a dark frame: electronics, digitiser and dark scintillation",)
+        out.append(
+            measurement_from_sd(
+                "read_noise",
+                "DN",
+                noise,
+                sd,
+                flags=flags + flags_of_rounding(dark.variance_dn2),
+                notes=note,
+                **fields,
+            )
+        )
+    else:
+        out.append(
+            make_refusal(
+                "read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields
+            )
+        )
+    level_sd = mean_sd(dark, QUANTISED_DN2)
+    out.append(
+        measurement_from_sd("dark_signal", "DN", dark.mean_dn, level_sd, flags=flags, **fields)
+    )
+    return out
+
+
+def dark_clipping_flags(dark: StackStatistics) -> tuple[str, ...]:
+    """Return the flag of a dark with clipped values."""
+    return (
+        ("clipped",)
+        if max(dark.low_fraction, dark.high_fraction) > CHECKS.max_clipped_fraction
+        else ()
+    )
+
+
+def saturation_level(series: FlatSeries, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
+    """Return the level at which the temporal variance peaks."""
+    if series.peak is None:
+        reason = (
+            f"the variance still rises at the brightest flat, {series.flats[-1].mean_dn:.4g} DN"
+        )
+        return make_refusal("saturation", "DN", reason, **fields)
+    level = np.array([flat.mean_dn for flat in series.flats])
+    near = level[max(0, series.peak - 1) : series.peak + 2]
+    # The peak lies between the neighbouring levels: triangular distribution.
+    return measurement_from_sd(
+        "saturation",
+        "DN",
+        level[series.peak],
+        float(np.ptp(near)) / np.sqrt(24.0),
+        flags=flags,
+        **fields,
+    )
+
+
+def pattern_quantities(
+    series: FlatSeries,
+    gain: Array | None,
+    *,
+    flags: tuple[str, ...],
+    gain_flags: tuple[str, ...] = (),
+    pair_flags: tuple[str, ...] = (),
+    **fields: Any,
+) -> list[Measurement]:
+    """Return DSNU and PRNU, from the stacks of most frames.
+
+    Values in electrons take the gain's flags, stacks of few frames those of temporal correlation.
+    """
+    out = []
+    dark = max(series.all_darks, key=lambda level: level.frames) if series.all_darks else None
+    if dark is not None:
+        out.append(
+            _dark_pattern(dark, gain, flags=flags + (() if gain is None else gain_flags), **fields)
+        )
+    chosen = np.flatnonzero(series.fitted)
+    if dark is None or not len(chosen):
+        return out
+    # Half of saturation by the standard; without saturation the brightest flat, where PRNU is
+    # largest.
+    middle = (
+        series.signal_dn[chosen[-1]] if series.peak is None else 0.5 * series.signal_dn[series.peak]
+    )
+    best = max(chosen, key=lambda i: (series.flats[i].frames, -abs(series.signal_dn[i] - middle)))
+    flat, signal = series.flats[best], float(series.signal_dn[best])
+    variance = flat.spatial_variance_dn2 - dark.spatial_variance_dn2
+    sd = float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2))
+    weighs = (
+        dark.spatial_variance_dn2 + dark.spatial_sd_dn2 > CHECKS.dark_pattern_fraction * variance
+    )
+    out.append(
+        _spatial_deviation(
+            "prnu",
+            "%",
+            variance,
+            sd,
+            lambda s: 100.0 * s / signal,
+            flags=flags
+            + image_lag_flags(flat, *((dark,) if weighs else ()))
+            + pair_flags * (flat.frames <= CORRELATION.few_frames),
+            notes=("includes shading of illumination and lens",),
+            **fields,
+        )
+    )
+    return out
+
+
+def _dark_pattern(
+    dark: StackStatistics, gain: Array | None, *, flags: tuple[str, ...], **fields: Any
+) -> Measurement:
+    """Return the DSNU, in electrons if the gain is known."""
+    flags += image_lag_flags(dark) + flags_of_rounding(dark.variance_dn2)
+    notes = (PAIR,) if dark.frames < CORRELATION.few_frames else ()
+    unit, scale, relative_sd = "DN", 1.0, 0.0
+    if gain is not None:
+        unit, scale, relative_sd = (
+            "e-",
+            float(np.median(gain)),
+            float(np.std(gain) / np.median(gain)),
+        )
+    sd = float(np.hypot(dark.spatial_sd_dn2, 2.0 * relative_sd * dark.spatial_variance_dn2))
+    return _spatial_deviation(
+        "dsnu",
+        unit,
+        dark.spatial_variance_dn2,
+        sd,
+        lambda s: s / scale,
+        flags=flags,
+        notes=notes,
+        **fields,
+    )
+
+
+def image_lag_flags(*levels: StackStatistics) -> tuple[str, ...]:
+    """Return the flag of stacks in which slowly varying noise may count as fixed pattern."""
+    return () if all(level.settled for level in levels) else ("lag",)
+
+
+def _spatial_deviation(
+    quantity: str,
+    unit: str,
+    variance: float,
+    sd: float,
+    scaled: Callable[[float], float],
+    *,
+    flags: tuple[str, ...],
+    notes: tuple[str, ...] = (),
+    **fields: Any,
+) -> Measurement:
+    """Return a spatial standard deviation; refused if hidden by temporal noise."""
+    if variance < 3.0 * sd or variance <= 0:
+        limit = float(scaled(np.sqrt(max(variance, 0.0) + 3.0 * sd)))
+        reason = (
+            f"hidden by temporal noise; more frames are needed to detect less than "
+            f"{limit:.3g} {unit}"
+        )
+        return make_refusal(quantity, unit, reason, notes=notes, **fields)
+    root = float(np.sqrt(variance))
+    return measurement_from_sd(
+        quantity,
+        unit,
+        float(scaled(root)),
+        float(scaled(sd / (2 * root))),
+        flags=flags,
+        notes=notes,
+        **fields,
+    )
+
+
+def electron_quantities(
+    series: FlatSeries,
+    gains: tuple[emva1288.GainLine, emva1288.GainLine],
+    findings: tuple[list[Finding], list[Finding]],
+    context: Context,
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """Return the system gain and the EMVA 1288 quantities that follow from it: efficiency, noise,
+    range.
+
+    `gains`: slope of the standard, and gain per electron of the derived quantities. `findings`:
+    those of each.
+    """
+    (plain, gain), (own, why) = gains, findings
+    excess = emva1288.excess_of(series.flats[0].conditions, context)
+    notes = () if excess.note is None else (excess.note,)
+    out = [
+        measurement_from_draws(
+            "system_gain",
+            "DN/e-",
+            plain.slope,
+            flags=flags_of(own) + plain.posterior.flags,
+            notes=notes_of(own) + notes,
+            posterior=plain.posterior,
+            **fields,
+        )
+    ]
+    slope, light = gain.slope, light_findings(series)
+    rng = np.random.default_rng([context.seed, 2])
+    flagged = {**fields, "flags": flags_of(why) + gain.posterior.flags}
+    photons = emva1288.photons_of(series)
+    efficiency = None
+    if photons is not None and (photons > 0).all():
+        lit = {**fields, "flags": flags_of([*why, *light]) + gain.posterior.flags}
+        response = emva1288.responsivity_line(series, photons, context=context)
+        efficiency = rng.permutation(response.slope) / slope
+        stated = light_of_photons(series.flats, photons)
+        true = efficiency / stated.scale(context.seed, len(efficiency))
+        words = (*notes, stated.note, *notes_of(light))
+        out.append(
+            measurement_from_draws("quantum_efficiency", "%", 100 * true, notes=words, **lit)
+        )
+        out.append(_linearity(series, response, photons, notes=notes_of(light), **lit))
+    if not series.all_darks:
+        return out
+    dark, dark_sd = emva1288.dark_noise_dn(series)
+    # Rounding of so little noise may raise or lower its variance.
+    steps = rounding_sd(dark**2)[1] * rng.standard_normal(len(slope))
+    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - QUANTISATION_DN2 + steps
+    if np.quantile(square, 0.02) <= 0:
+        reason = f"the noise of {dark:.3g} DN does not exceed the quantisation noise"
+        return [*out, make_refusal("read_noise", "e-", reason, **fields)]
+    dark_e2 = np.maximum(square, 0.0) / slope**2
+    out.append(measurement_from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **flagged))
+    # Capacity, largest signal-to-noise ratio and dynamic range, at the level of peak variance.
+    names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
+    if series.peak is None:
+        reason = (
+            "no flat reaches saturation: the variance still rises at "
+            f"{series.flats[-1].mean_dn:.4g} DN"
+        )
+        return [
+            *out,
+            *(
+                make_refusal(name, unit, reason, refusal="missing", **fields)
+                for name, unit in names
+            ),
+        ]
+    capacity = series.signal_dn[series.peak] / slope
+    if efficiency is not None and photons is not None and not light:
+        capacity = efficiency * photons[series.peak]
+    factor = excess.factor
+    least = emva1288.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
+    # The peak is resolved to the spacing of the levels.
+    draws = (capacity, np.sqrt(capacity / factor), capacity / least)
+    return out + [
+        measurement_from_draws(*name, d, **flagged) for name, d in zip(names, draws, strict=True)
+    ]
+
+
+def _linearity(
+    series: FlatSeries, response: emva1288.GainLine, photons: Array, **fields: Any
+) -> Measurement:
+    """Return the mean deviation from the line between 5 and 70 % of saturation, percent of the
+    line.
+    """
+    chosen = np.flatnonzero(series.fitted)
+    value = np.median(response.slope) * photons[chosen]
+    inside = value > 0.05 * (
+        series.signal_dn[series.peak] if series.peak is not None else value.max()
+    )
+    if not inside.any():
+        reason = "no fitted flat lies between 5 and 70 % of saturation; add levels there"
+        return make_refusal("linearity_error", "%", reason, **fields)
+    error = np.array(
+        [np.sqrt(series.flats[i].variance_dn2 / series.flats[i].pixels) for i in chosen]
+    )
+    departure = np.abs(response.residual[inside] / value[inside])
+    sd = np.hypot(
+        float(np.sqrt(np.sum((error / value)[inside] ** 2))) / inside.sum(),
+        float(np.std(response.slope) / np.median(response.slope)),
+    )
+    return measurement_from_sd(
+        "linearity_error", "%", 100 * float(departure.mean()), 100 * float(sd), **fields
+    )
+
+
+def without_flats(
+    darks,
+    series: FlatSeries | None,
+    single: list[str],
+    *,
+    quantity=("system_gain", "DN/e-"),
+    **fields: Any,
+) -> list[Measurement]:
+    """Return the quantities of darks alone, and the refusal of the gain."""
+    if series is not None:
+        reason = "; ".join(
+            part for part in (gain_obstacle(series), without_noise(series.single)) if part
+        )
+    elif single:
+        reason = f"noise needs stacks of at least two frames; {', '.join(single)} has one"
+    else:
+        reason = "there are no flats"
+    out = [make_refusal(quantity[0], quantity[1], reason, refusal="missing", **fields)]
+    wrong = [] if series is None or not len(series.flats) else dark_findings(series)
+    dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
+    notes = notes_of(wrong)
+    return out + [one.with_(flags=flags_of(wrong), notes=(*one.notes, *notes)) for one in dark]
+
+
+def transfer_figure_data(
+    series: FlatSeries, *, gain: float | None = None, **more: Any
+) -> dict[str, Any]:
+    """Return the photon transfer curve: signal, variance and fitted range."""
+    return {
+        "figure": "photon-transfer",
+        "label": [flat.label for flat in series.flats],
+        "mean_dn": [flat.mean_dn for flat in series.flats],
+        "signal_dn": series.signal_dn.tolist(),
+        "variance_dn2": [flat.variance_dn2 for flat in series.flats],
+        "variance_sd_dn2": series.variance_sd_dn2.tolist(),
+        "fitted": series.fitted.tolist(),
+        "system_gain_dn_per_e": gain,
+        "reference": series.reference,
+        "variance_above_dark_dn2": series.variance_dn2.tolist(),
+        "dark_mean_dn": [dark.mean_dn for dark in series.darks],
+        "dark_variance_dn2": [dark.variance_dn2 for dark in series.darks],
+        **more,
+    }

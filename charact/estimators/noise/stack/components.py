@@ -1,0 +1,520 @@
+"""Seven components of 3-D noise from orthonormal contrasts, without bias by the finite cube."""
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.estimators.noise.stack.pixels import dot
+from charact.estimators.noise.thresholds import CUBE
+from labdata.frames import FrameStack
+from labdata.lazy_stack import LazyStack
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contrasts:
+    """Orthonormal combinations of the pixels of a stack, separate for each interlaced field.
+
+    Index 0 of an axis of combinations is the sum over it divided by the root of its length; the
+    others are the slowest waves along it, see `waves`. White noise of variance v gives every
+    combination the variance v. DN.
+    """
+
+    by_row: NDArray  # combinations along columns, shape (field, frame, row, wave)
+    by_col: NDArray  # combinations along rows, shape (field, frame, wave, col)
+    by_pixel: NDArray  # combinations along frames, shape (field, wave, row, col)
+    # sum over frames and pixels of the squared deviation from the temporal mean of each pixel,
+    # shape (field,), DN^2
+    power_dn2: Array
+    # differences of some successive frames, disjoint, over the root of two, shape (field, pair,
+    # row, col)
+    pairs: NDArray[np.float32]
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """Frames, rows and columns of one field."""
+        return self.by_row.shape[1], self.by_row.shape[2], self.by_col.shape[3]
+
+    @property
+    def frame_mean_dn(self) -> Array:
+        """Mean of every frame of each field, shape (field, frame), DN."""
+        return self.by_row[..., 0].sum(axis=2) / np.sqrt(self.size[2]) / self.size[1]
+
+
+def waves(length: int) -> Array:
+    """Return the mean and the slowest waves along an axis as orthonormal rows, shape (1 + wave,
+    length).
+    """
+    phase = 2.0 * np.pi * np.arange(length) / length
+    periods = range(1, min(CUBE.slow_waves // 2, length // 2) + 1)
+    pairs = [wave(period * phase) for period in periods for wave in (np.cos, np.sin)]
+    # At half a wave per pixel the sine vanishes.
+    rows = np.array([np.ones(length), *pairs])[: min(1 + CUBE.slow_waves, length)]
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def row_sets(*, interlaced: bool, two_way: bool = False) -> int:
+    """Return the number of sets of rows that are separate: two fields, each with lines of both scan
+    directions.
+    """
+    return (2 if interlaced else 1) * (2 if two_way else 1)
+
+
+def contrasts(
+    stack: LazyStack | FrameStack, *, interlaced: bool, two_way: bool = False
+) -> Contrasts:
+    """Read a stack once, in groups of frames, and return its contrasts.
+
+    `two_way`: whether successive lines of a field are scanned in opposite directions; these are
+    separate then.
+
+    The first frame is subtracted from all frames, which removes the fixed pattern, so that single
+    precision suffices for the squares.
+    """
+    step = row_sets(interlaced=interlaced, two_way=two_way)
+    rows = step * (stack.shape[1] // step)
+    parts = [_Pass(stack, parity, rows, step) for parity in range(step)]
+    for first in range(0, len(stack), CUBE.chunk_frames):
+        frames = stack.frames(first, min(first + CUBE.chunk_frames, len(stack)))
+        for part in parts:
+            part.take(frames, first)
+    found = [part.contrasts() for part in parts]
+    by_row, by_col, by_pixel, power, pairs = (
+        np.stack([part[i] for part in found]) for i in range(5)
+    )
+    return Contrasts(by_row=by_row, by_col=by_col, by_pixel=by_pixel, power_dn2=power, pairs=pairs)
+
+
+class _Pass:
+    """Running sums of one field."""
+
+    def __init__(self, stack: LazyStack | FrameStack, parity: int, rows: int, step: int) -> None:
+        self.field = np.s_[parity:rows:step]
+        self.first = stack.frames(0, 1)[0][self.field].astype(np.float64)
+        frames, (height, width) = len(stack), self.first.shape
+        self.along = [waves(length).astype(np.float32) for length in (frames, height, width)]
+        self.by_row = np.empty((frames, height, len(self.along[2])), np.float32)
+        self.by_col = np.zeros((frames, len(self.along[1]), width), np.float32)
+        self.by_pixel = np.zeros((len(self.along[0]), height, width), np.float32)
+        self.power = 0.0
+        pairs = frames // 2
+        self.starts = 2 * np.unique(
+            np.linspace(0, pairs - 1, min(CUBE.pairs, pairs)).round().astype(int)
+        )
+        self.pairs: list[NDArray[np.float32]] = []
+
+    def take(self, frames: NDArray, first: int) -> None:
+        """Add the next frames."""
+        change = self._from_first(frames[:, self.field])
+        here = slice(first, first + len(change))
+        in_time = np.ascontiguousarray(self.along[0][:, here].T)
+        self.power += _add(
+            change,
+            in_time,
+            self.along[1],
+            self.along[2],
+            self.by_row[here],
+            self.by_col[here],
+            self.by_pixel,
+        )
+        for start in (
+            self.starts[(self.starts >= first) & (self.starts < first + len(change))] - first
+        ):
+            self.pairs.append((change[start + 1] - change[start]) / np.float32(np.sqrt(2.0)))
+
+    def _from_first(self, frames: NDArray) -> NDArray[np.float32]:
+        """Return the deviation from the first frame; values of up to 16 bits are exact in single
+        precision.
+        """
+        if frames.dtype.itemsize <= 2:
+            return np.subtract(frames, self.first.astype(np.float32), dtype=np.float32)
+        return (frames - self.first).astype(np.float32)
+
+    def contrasts(self):
+        """Return the contrasts of the field including the first frame, the power about the mean,
+        and the pairs.
+        """
+        frames = len(self.by_row)
+        power = self.power - float(np.sum(self.by_pixel[0].astype(np.float64) ** 2))
+        fixed_row, fixed_col = self.first @ self.along[2].T, self.along[1] @ self.first
+        by_pixel = self.by_pixel.astype(np.float64)
+        by_pixel[0] += np.sqrt(frames) * self.first
+        return (
+            self.by_row + fixed_row,
+            self.by_col + fixed_col,
+            by_pixel,
+            power,
+            np.array(self.pairs),
+        )
+
+
+@njit(cache=True, fastmath=True)
+def _add(change, in_time, along_rows, along_cols, by_row, by_col, by_pixel):
+    """Add the contrasts of some frames along time, rows and columns; return the sum of squares."""
+    power = 0.0
+    for t in range(change.shape[0]):
+        for row in range(change.shape[1]):
+            line = change[t, row]
+            power += dot(line, line)
+            for wave in range(along_cols.shape[0]):
+                by_row[t, row, wave] = dot(line, along_cols[wave])
+            for wave in range(along_rows.shape[0]):
+                out, share = by_col[t, wave], along_rows[wave, row]
+                for col in range(len(line)):
+                    out[col] += share * line[col]
+            for wave in range(in_time.shape[1]):
+                out, share = by_pixel[wave, row], in_time[t, wave]
+                for col in range(len(line)):
+                    out[col] += share * line[col]
+    return power
+
+
+# Axes of a contrast array (field, time, row, col) along which components vary.
+TIME, ROW, COL = 1, 2, 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanSquare:
+    """A mean of squares with a scaled chi-squared distribution."""
+
+    value_dn2: float  # the mean of squares, DN^2
+    freedom: float  # degrees of freedom, reduced for correlated or non-normal values
+
+    def draws(self, rng: np.random.Generator, count: int) -> Array:
+        """Return posterior draws of the expected mean square, shape (count,), DN^2."""
+        return self.value_dn2 * self.freedom / rng.chisquare(self.freedom, count)
+
+
+def subtract_means(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArray:
+    """Return contrasts without their means along the given axes, and without smooth shading of a
+    fixed pattern.
+    """
+    for axis in own:
+        part = part - part.mean(axis=axis, keepdims=True)
+    if not fixed:
+        return part
+    smooth = part
+    bases = {axis: shading(part.shape[axis]) for axis in own}
+    for axis, base in bases.items():
+        smooth = np.moveaxis(np.moveaxis(smooth, axis, -1) @ base, -1, axis)
+    for axis, base in bases.items():
+        smooth = np.moveaxis(np.moveaxis(smooth, axis, -1) @ base.T, -1, axis)
+    return part - smooth
+
+
+def shading(length: int) -> Array:
+    """Return orthonormal polynomials along an axis without the constant, shape (length, order)."""
+    place = np.linspace(-1.0, 1.0, length)
+    order = min(CUBE.shading_order, length // CUBE.pixels_per_order)
+    return np.linalg.qr(np.polynomial.legendre.legvander(place, order))[0][:, 1:]
+
+
+def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
+    """Return the mean square of centred contrasts.
+
+    For a stationary normal process with mode powers P the sum of n squares is approximately
+    chi-squared with (sum P)^2 / sum P^2 degrees of freedom (Satterthwaite, Biometrics Bulletin 2,
+    110 (1946)). A fourth cumulant g adds g / n to its relative variance; k fields of correlation r
+    count k / (1 + (k - 1) r^2) times. Each of the three is measured and corrected for its own
+    error.
+    """
+    count = degrees_of_freedom(rest.shape, own, fixed=fixed)
+    total = float(np.sum(rest**2))
+    if total <= 0:
+        return MeanSquare(value_dn2=0.0, freedom=count)
+    unit = rest / np.sqrt(total / rest.size)
+    spread = correlation_factor(unit, own, count) + 0.5 * excess_kurtosis(unit, count)
+    return MeanSquare(
+        value_dn2=total / count,
+        freedom=max(1.0, count / spread / (1.0 + field_correlation_square(unit, count))),
+    )
+
+
+def degrees_of_freedom(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> float:
+    """Return the degrees of freedom of white noise in contrasts of a shape."""
+    averaged = np.prod([length for axis, length in enumerate(shape) if axis not in own])
+    free = np.prod([shape[axis] - 1 for axis in own])
+    taken = np.prod([shading(shape[axis]).shape[1] for axis in own]) if fixed else 0
+    return float(averaged * (free - taken))
+
+
+def correlation_factor(unit: NDArray, own: tuple[int, ...], count: float) -> float:
+    """Return the number of values per independent value, from the spread of power over modes."""
+    from scipy import fft
+
+    modes = np.asarray(fft.rfftn(unit, axes=own))
+    power = (
+        np.abs(
+            modes[
+                np.ix_(*(np.arange(axis in own, length) for axis, length in enumerate(modes.shape)))
+            ]
+        )
+        ** 2
+    )
+    mean = float(np.mean(power))
+    # Powers of single modes are exponential, with a mean square of twice the squared mean.
+    return (
+        max(1.0, 0.5 * float(np.mean(power**2)) / mean**2 - np.sqrt(10.0 / count))
+        if mean > 0
+        else 1.0
+    )
+
+
+def excess_kurtosis(unit: NDArray, count: float) -> float:
+    """Return the excess kurtosis of values of mean square one, less its error."""
+    square = unit * unit
+    return max(0.0, float(np.mean(square * square)) - 3.0 - np.sqrt(24.0 / count))
+
+
+def field_correlation_square(unit: NDArray, count: float) -> float:
+    """Return the sum of the squared correlations of a field with the others; 0 for one field."""
+    fields = len(unit)
+    product = unit.reshape(fields, -1) @ unit.reshape(fields, -1).T
+    own = np.diag(product)
+    if fields < 2 or not np.all(own > 0):
+        return 0.0
+    square = float(np.sum(product**2 / np.outer(own, own))) / fields - 1.0
+    return max(0.0, square - (fields - 1) * fields / count)
+
+
+def strata(values: Array, own: tuple[int, ...]) -> list[tuple[int, list[int], Array]]:
+    """Return the parts of the contrasts of a component, each with its sign and its axes of waves.
+
+    Along every other axis the mean (index 0) is compared with the slowest waves (all others), which
+    contain the same noise without the component: sign -1 for each axis of waves.
+    """
+    others = [axis for axis in (TIME, ROW, COL) if axis not in own]
+    out = []
+    for choice in product((0, 1), repeat=len(others)):
+        index = [slice(None)] * values.ndim
+        for axis, slow in zip(others, choice, strict=True):
+            index[axis] = slice(1, None) if slow else slice(0, 1)
+        waving = [axis for axis, slow in zip(others, choice, strict=True) if slow]
+        out.append(((-1) ** len(waving), waving, values[tuple(index)]))
+    return out
+
+
+# Axes along which each component varies.
+OWN = {
+    "t": (TIME,),
+    "v": (ROW,),
+    "h": (COL,),
+    "tv": (TIME, ROW),
+    "th": (TIME, COL),
+    "vh": (ROW, COL),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LowFrequencyExcess:
+    """Excess power of correlated noise in its mean over its slowest waves along an axis."""
+
+    # dn2, sd_dn2: the excess and its standard error, extrapolated from the waves of two periods and
+    # of one, DN^2
+    dn2: float
+    sd_dn2: float
+    share: float  # the excess over the power of these waves, dimensionless
+    drawn: bool = True  # whether the excess is shrunk towards zero (James and Stein)
+
+    @property
+    def estimate_dn2(self) -> float:
+        """Shrinkage estimate of the excess, DN^2."""
+        return self.dn2 * self._weight
+
+    @property
+    def estimate_sd_dn2(self) -> float:
+        """Standard error of the estimate, DN^2."""
+        return float(
+            np.hypot(
+                np.sqrt(max(self._weight, CUBE.shrunk_variance)) * self.sd_dn2,
+                CUBE.extrapolation_sd * self.estimate_dn2,
+            )
+        )
+
+    @property
+    def min_fraction(self) -> float:
+        """Lower limit of the relative excess by its error, dimensionless."""
+        return (
+            abs(self.share) * max(0.0, 1.0 - CUBE.significant_sd * abs(self.sd_dn2 / self.dn2))
+            if self.dn2
+            else 0.0
+        )
+
+    @property
+    def _weight(self) -> float:
+        if not self.drawn:
+            return 1.0
+        return max(0.0, 1.0 - (self.sd_dn2 / self.dn2) ** 2) if self.dn2 else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Component:
+    """The variance of one component."""
+
+    terms: tuple[
+        tuple[float, MeanSquare], ...
+    ]  # mean squares with their factors; the variance is their sum
+    slopes: dict[
+        int, LowFrequencyExcess
+    ]  # excess to subtract for each axis (`TIME`, `ROW`, `COL`) of averaging
+
+    @property
+    def variance_dn2(self) -> float:
+        """Unbiased estimate, which may be negative, DN^2."""
+        noise = sum(slope.estimate_dn2 for slope in self.slopes.values())
+        return sum(factor * term.value_dn2 for factor, term in self.terms) - noise
+
+    def draws(self, rng: np.random.Generator, count: int) -> Array:
+        """Return draws of the variance, shape (count,), DN^2; some are negative if the component is
+        near zero.
+        """
+        out = sum((factor * term.draws(rng, count) for factor, term in self.terms), np.zeros(count))
+        for slope in self.slopes.values():
+            out -= slope.estimate_dn2 + slope.estimate_sd_dn2 * rng.standard_normal(count)
+        return out
+
+
+def components(found: Contrasts) -> dict[str, Component]:
+    """Return the seven variance components of a stack.
+
+    U(t,v,h) = S + N_t + N_v + N_h + N_tv + N_th + N_vh + N_tvh. An orthonormal mean along an axis
+    contains white noise of variance s^2 as s^2, and a component constant along the axis n-fold; the
+    analysis of variance subtracts the one from the other. The subtracted term is not the mean
+    square over all of N_tvh, as in the textbook, but over its slowest waves along the averaged
+    axis. Both agree for white noise, and the estimate is unbiased for finite cubes. Correlated
+    noise has more power in slow waves, which alone predict its part in a mean
+    (`LowFrequencyExcess`). Bias identities for white noise: s_vh^2 = sigma_vh^2 + sigma_tvh^2 / T
+    and cyclic, s_t^2 = sigma_t^2 + sigma_tv^2 / V + sigma_th^2 / H + sigma_tvh^2 / (VH) and cyclic
+    (Appl. Opt. 54, 4907 (2015)). Mean squares are independent and chi-squared distributed for
+    normal noise, each with its own degrees of freedom if it is not white (see `mean_square`). Draws
+    of each give draws of their sum and the generalized confidence interval (Weerahandi, J. Am.
+    Stat. Assoc. 88, 899 (1993)).
+    """
+    arrays = _arrays(found)
+    parts = {name: _component(arrays[name], OWN[name], found.size) for name in OWN}
+    return parts | {"tvh": _random_component(found, parts)}
+
+
+def _arrays(found: Contrasts) -> dict[str, Array]:
+    """Return the contrasts of each component, shape (field, time, row, col) with waves on the
+    averaged axes.
+    """
+    frames, rows, _ = (waves(length) for length in found.size)
+    return {
+        "t": np.einsum("wv,ftvx->ftwx", rows, found.by_row),
+        "v": np.einsum("wt,ftvx->fwvx", frames, found.by_row),
+        "h": np.einsum("wt,ftxh->fwxh", frames, found.by_col),
+        "tv": found.by_row,
+        "th": found.by_col,
+        "vh": found.by_pixel,
+    }
+
+
+def _component(values: Array, own: tuple[int, ...], size: tuple[int, int, int]) -> Component:
+    """Return one component: mean squares of means less those of slow waves, over the number of
+    averaged pixels.
+    """
+    fixed = TIME not in own
+    averaged = float(np.prod([size[axis - 1] for axis in (TIME, ROW, COL) if axis not in own]))
+    terms, excess = [], {axis: [] for axis in (TIME, ROW, COL) if axis not in own}
+    for sign, slow, part in strata(values, own):
+        rest = subtract_means(part, own, fixed=fixed)
+        square = mean_square(rest, own, fixed=fixed)
+        terms.append((sign / averaged, square))
+        for axis in slow:
+            excess[axis].append((-sign / averaged, square, _excess(rest, axis, square)))
+    return Component(
+        terms=tuple(terms), slopes={axis: _slope(found) for axis, found in excess.items()}
+    )
+
+
+def _excess(rest: Array, axis: int, square: MeanSquare) -> float:
+    """Return the power at frequency 0 less that of the waves of one and two periods, by a
+    parabola.
+    """
+    if rest.shape[axis] < 4 or square.value_dn2 <= 0:
+        return 0.0
+    one, two = (float(np.mean(np.take(rest, pair, axis=axis) ** 2)) for pair in ((0, 1), (2, 3)))
+    return 5.0 / 6.0 * (one - two) / float(np.mean(rest**2)) * square.value_dn2
+
+
+def _slope(found: list[tuple[float, MeanSquare, float]]) -> LowFrequencyExcess:
+    """Return the excess along an axis of all its terms: factor, mean square and excess of each."""
+    value = sum(factor * excess for factor, _, excess in found)
+    sd = [
+        factor * square.value_dn2 * 5.0 / 6.0 * np.sqrt(8.0 / square.freedom)
+        for factor, square, _ in found
+    ]
+    power = sum(abs(factor) * square.value_dn2 for factor, square, _ in found)
+    return LowFrequencyExcess(
+        dn2=value, sd_dn2=float(np.linalg.norm(sd)), share=value / power if power > 0 else 0.0
+    )
+
+
+def _random_component(found: Contrasts, parts: dict[str, Component]) -> Component:
+    """Return the component that varies along all axes: residual power, and its scatter from pairs
+    of frames.
+    """
+    length = np.array(found.size)
+    count = len(found.by_row) * float(np.prod(length - 1))
+    means = (found.by_row[..., 0], found.by_col[:, :, 0], _arrays(found)["t"][:, :, 0, 0])
+    rows, cols, frames = (
+        float(np.sum((mean - mean.mean(axis=1, keepdims=True)) ** 2)) for mean in means
+    )
+    power = max(float(found.power_dn2.sum()) - rows - cols + frames, 0.0) / count
+    # Correlated noise has a different power in the planes removed with the means.
+    slow = np.array([parts[name].terms[1][1].value_dn2 for name in ("vh", "th", "tv")])
+    factor = float(np.prod(1.0 + (slow / power - 1.0) / length)) if power > 0 else 1.0
+    square = MeanSquare(value_dn2=power, freedom=_freedom(found.pairs, power, count))
+    slopes = {
+        axis: parts[name].slopes[axis] for axis, name in ((TIME, "vh"), (ROW, "th"), (COL, "tv"))
+    }
+    # The correction is small relative to this component, so its error matters less than a bias.
+    taken = {
+        axis: replace(slope, dn2=-slope.dn2, share=-slope.share, drawn=False)
+        for axis, slope in slopes.items()
+    }
+    return Component(terms=((factor, square),), slopes=taken)
+
+
+def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
+    """Return the degrees of freedom of the random component; correlations and pulses reduce
+    them.
+    """
+    rest = subtract_means(pairs, (2, 3), fixed=False)
+    square = float(np.mean(rest**2, dtype=np.float64))
+    if power <= 0 or square <= 0:
+        return count
+    unit = rest / np.float32(np.sqrt(square))
+    size = degrees_of_freedom(rest.shape, (2, 3), fixed=False)
+    blocks = _blocks(unit**2)
+    pixels = rest[0, 0].size / blocks.shape[2]
+    normal = 2.0 * correlation_factor(unit[:, : CUBE.spectra], (2, 3), size) / pixels
+    # A difference of two frames halves the fourth cumulant.
+    pulses = 2.0 * max(_scatter(blocks) - normal, 0.5 * excess_kurtosis(unit, size) / pixels)
+    lag = float(np.clip(1.0 - square / power, 0.0, 0.95))
+    alike = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + field_correlation_square(unit, size))
+    return max(1.0, 2.0 * count / ((normal + pulses) * pixels * alike))
+
+
+def _scatter(blocks: Array) -> float:
+    """Return the relative temporal variance of the block power, each block about its own mean."""
+    pairs = blocks.shape[1]
+    if pairs < 2:
+        return 0.0
+    variance = float(blocks.var(axis=1, ddof=1).mean())
+    return variance / max(float(np.mean(blocks.mean(axis=1) ** 2)) - variance / pairs, 1e-3)
+
+
+def _blocks(image: NDArray) -> Array:
+    """Return means over blocks of the last two axes, shape (field, pair, block)."""
+    rows, cols = (
+        np.linspace(0, length, min(most, length // 2) + 1).astype(int)
+        for length, most in zip(image.shape[2:], CUBE.blocks, strict=True)
+    )
+    total = np.add.reduceat(np.add.reduceat(image, rows[:-1], axis=2), cols[:-1], axis=3)
+    return (total / np.outer(np.diff(rows), np.diff(cols))).reshape(*image.shape[:2], -1)

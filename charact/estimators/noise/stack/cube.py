@@ -1,0 +1,189 @@
+"""3-D noise of one stack: seven components with their findings, and the means of its exposures."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.findings import Finding
+from charact.estimators.noise.stack.components import (
+    ROW,
+    TIME,
+    Component,
+    Contrasts,
+    components,
+    contrasts,
+    row_sets,
+    shading,
+    subtract_means,
+)
+from charact.estimators.noise.thresholds import CUBE, STACK
+from charact.method import Context
+from charact.method.stopwatch import Stopwatch
+from labdata.lazy_stack import LazyStack
+
+
+def shading_findings(found: Contrasts) -> list[Finding]:
+    """Return the note on the removed smooth shading."""
+    image = found.by_pixel[:, 0] / np.sqrt(found.size[0])
+    rows, cols = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in found.size[1:])
+    smooth = rows.T @ image @ cols
+    smooth[:, 0, 0] = 0.0
+    rms = float(np.sqrt(np.sum(smooth**2) / image.size))
+    return [
+        Finding(
+            None,
+            f"excludes smooth shading up to fourth order along rows and columns, {rms:.3g} DN rms",
+        )
+    ]
+
+
+def row_parity_findings(found: Contrasts, *, fixed: bool) -> list[Finding]:
+    """Return the finding of different even and odd rows: fields not separated."""
+    rows = subtract_means(found.by_row[..., :1], (TIME, ROW), fixed=False)
+    if fixed:
+        rows = subtract_means(found.by_row[..., :1].mean(axis=1, keepdims=True), (ROW,), fixed=True)
+    sign = (-1.0) ** np.arange(rows.shape[2]) / np.sqrt(rows.shape[2])
+    alternating = np.einsum("ftvx,v->ft", rows, sign)
+    power = float(np.mean(alternating**2) / np.mean(rows**2)) if np.any(rows) else 0.0
+    limit = (
+        CUBE.alternating_power
+        if fixed
+        else 1.0 + CUBE.alternating_sd * np.sqrt(2.0 / (found.size[0] - 1))
+    )
+    if power <= limit:
+        return []
+    rms = float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / found.size[2]))
+    sentence = f"even and odd rows differ by {2.0 * rms:.3g} DN: interlaced fields, not separated?"
+    return [Finding("interlace-motion", sentence)]
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameMeans:
+    """Means of the exposures of one stack."""
+
+    mean_dn: Array  # mean of each exposure about the mean of its parity, shape (exposure,), DN
+    frequency_cy_per_exposure: (
+        Array  # frequencies above zero, shape (frequency,), cycles per exposure
+    )
+    power_dn2: (
+        Array  # variance of the means at each frequency without drift, shape (frequency,), DN^2
+    )
+    exposure_period_s: float | None  # exposure period, s; None without time stamps
+    # drift_dn, drift_seen: linear change from first to last exposure, DN, and whether it is
+    # significant
+    drift_dn: float
+    drift_seen: bool
+    line: int | None  # index of the strongest frequency if significant, else None
+
+    @property
+    def line_rms_dn(self) -> float:
+        """Root mean square of the flicker line, DN; 0 for none."""
+        return 0.0 if self.line is None else float(np.sqrt(self.power_dn2[self.line]))
+
+    @property
+    def line_hz(self) -> float | None:
+        """Frequency of the line, or of its alias below half of the exposure rate, Hz."""
+        if self.line is None or self.exposure_period_s is None:
+            return None
+        return float(self.frequency_cy_per_exposure[self.line] / self.exposure_period_s)
+
+
+def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
+    """Search the means of exposures for drift and a flicker line.
+
+    `field_mean_dn`: mean of every frame of each field, shape (field, frame), DN, at least four
+    frames; `time_s`: time of each frame, shape (frame,), s; empty if unknown.
+
+    The largest of m powers of white noise exceeds the fraction g of their sum with probability m (1
+    - g)^(m - 1) (Fisher, Proc. R. Soc. A 125, 54 (1929), first term).
+    """
+    fields = len(field_mean_dn)
+    series = (field_mean_dn - field_mean_dn.mean(axis=1, keepdims=True)).T.ravel()
+    drift, seen, rest = _drift(series, fields)
+    power = 2.0 * np.abs(np.fft.rfft(rest)[1:]) ** 2 / len(rest) ** 2
+    if len(rest) % 2 == 0:
+        power[-1] /= 2.0
+    frequency = np.asarray(np.fft.rfftfreq(len(rest))[1:], np.float64)
+    step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    return FrameMeans(
+        mean_dn=series,
+        frequency_cy_per_exposure=frequency,
+        power_dn2=power,
+        exposure_period_s=step / fields if step > 0 else None,
+        drift_dn=drift,
+        drift_seen=seen,
+        line=_line(power),
+    )
+
+
+def _drift(series: Array, taken: int) -> tuple[float, bool, Array]:
+    """Return the linear change from first to last, whether it is significant, and the residual."""
+    from scipy.special import fdtrc
+
+    place = np.linspace(-0.5, 0.5, len(series))
+    slope = float(place @ series / (place @ place))
+    rest = series - slope * place
+    free = len(series) - taken - 1
+    explained, left = slope**2 * float(place @ place), float(rest @ rest) / free
+    if left <= 0:
+        return slope, slope != 0, rest
+    return slope, bool(fdtrc(1, free, explained / left) < STACK.false_alarm), rest
+
+
+def _line(power: Array) -> int | None:
+    """Return the index of a significant power."""
+    if power.sum() <= 0:
+        return None
+    strongest = int(np.argmax(power))
+    share = float(power[strongest] / power.sum())
+    return strongest if len(power) * (1.0 - share) ** (len(power) - 1) < STACK.false_alarm else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cube:
+    """3-D noise of one stack."""
+
+    components: dict[str, Component]  # variance of each component, by its axes: "t" to "tvh"
+    findings: dict[str, tuple[Finding, ...]]  # findings of each component, by its axes
+    means: FrameMeans  # means of the exposures
+    # row_mean_dn, column_mean_dn: mean of each row, shape (row,), and of each column, shape (col,),
+    # DN
+    row_mean_dn: Array
+    column_mean_dn: Array
+    fields: int  # number of cubes: 2 for interlaced frames, 4 if their lines are scanned both ways
+    seconds: float  # run time, s
+
+
+def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
+    """Return the 3-D noise of a stack; None if it is too short or too small."""
+    frames, rows, cols = stack.shape
+    two_way = context.imager is not None and context.imager.scanner is not None
+    sets = row_sets(interlaced=context.interlaced, two_way=two_way)
+    if frames < CUBE.min_frames or min(rows // sets, cols) < CUBE.min_pixels:
+        return None
+    watch = Stopwatch()
+    found = contrasts(stack, interlaced=context.interlaced, two_way=two_way)
+    parts = components(found)
+    shaded = tuple(shading_findings(found))
+    split, fields = sets > 1, 2 if context.interlaced else 1
+    # Lines of both directions of one field have one exposure.
+    mean_dn = found.frame_mean_dn.reshape(sets // fields, fields, frames).mean(axis=0)
+    findings = {
+        "v": shaded + (() if split else tuple(row_parity_findings(found, fixed=True))),
+        "h": shaded,
+        "vh": shaded,
+        "tv": () if split else tuple(row_parity_findings(found, fixed=False)),
+    }
+    return Cube(
+        components=parts,
+        findings=findings,
+        means=frame_means(mean_dn, stack.time_s),
+        row_mean_dn=(found.by_row[..., 0].mean(axis=1) / np.sqrt(found.size[2])).T.ravel(),
+        column_mean_dn=(found.by_col[:, :, 0].mean(axis=1) / np.sqrt(found.size[1])).mean(axis=0),
+        fields=len(found.by_row),
+        seconds=watch.seconds(),
+    )

@@ -1,0 +1,390 @@
+"""Statistics of pixels and their neighbours in one pass over the exposures, with errors from image
+blocks.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.estimators.noise.stack.spectrum import (
+    Bins,
+    along_rows,
+    modes_of,
+    products_of,
+    smooth_length,
+)
+from charact.estimators.noise.stack.temporal import Order, split_fields
+from charact.estimators.noise.thresholds import STACK
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+# Sums of each block, in this order.
+SUMS = ("power", "right", "below", "near", "level")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelSums:
+    """Products of the temporal fluctuations of pixels, less each pixel's and each exposure's mean.
+
+    The pixel mean removes the fixed pattern, the exposure mean flicker.
+    """
+
+    size: tuple[int, int]  # rows and columns of an exposure
+    mean_dn: Array  # mean of each exposure, shape (exposure,), DN
+    # mean product of exposures of equal parity, shape (exposure, exposure), DN^2; 0 across parities
+    products: Array
+    # mean product of each exposure's fluctuations with the mean image of its parity, shape
+    # (exposure,), DN^2
+    with_mean: Array
+    mean_square: Array  # variance over the image of that mean image, shape (parity,), DN^2
+    # middle, mean_middle: for each parity the image centre of the fluctuations of some exposures,
+    # shape (exposure, row, col), and of the mean image, shape (row, col), DN
+    middle: tuple[NDArray[np.float32], ...]
+    mean_middle: tuple[NDArray[np.float32], ...]
+    # power, right, below: block means of the sum over exposures of the square, and of the product
+    # with the next pixel of the row and of the column, shape (block,), DN^2; NaN for a block
+    # without such pairs
+    power: Array
+    right: Array
+    below: Array
+    # near, pairs: block means of the summed products of the exposures nearest in time, shape
+    # (block,), DN^2, and the number of these pairs
+    near: Array
+    pairs: int
+    level: Array  # mean of the pixels of a block, shape (block,), DN
+    # mean product of the modes of exposures, see
+    # `charact.estimators.noise.stack.spectrum.products_of`
+    spectra: Array
+
+
+def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
+    """Return the sums over the pixels of frames.
+
+    `data`: pixels, shape (frame, row, col), DN; `order`: time order of the exposures; `bins`: bins
+    of the spectra; `NO_BINS` for none.
+    """
+    fields = split_fields(data, order.row_step)
+    rows, cols = fields[0].shape[1:]
+    row_cuts = np.linspace(0, rows, min(STACK.blocks[0], rows) + 1).astype(np.int64)
+    col_cuts = np.linspace(0, cols, min(STACK.blocks[1], cols) + 1).astype(np.int64)
+    total = np.zeros((len(SUMS), len(row_cuts) - 1, len(col_cuts) - 1))
+    count = len(order.time)
+    level, products, with_mean = np.empty(count), np.zeros((count, count)), np.zeros(count)
+    modes, passes = [], []
+    for parity, field in enumerate(fields):
+        same = np.flatnonzero(order.parity == parity)
+        level[same] = [_mean(image) for image in field]
+        found = _Pass(
+            field, level[same], _nearest(order.time[same]), row_cuts, col_cuts, total, bins
+        )
+        products[np.ix_(same, same)], with_mean[same] = (
+            found.products / (rows * cols),
+            found.with_mean / (rows * cols),
+        )
+        modes += [modes_of(along, parity, bins) for along in found.along]
+        passes.append(found)
+    high, wide = np.diff(row_cuts), np.diff(col_cuts)
+    right, below = wide.copy(), high.copy()
+    right[-1] -= 1
+    below[0] -= 1
+    plain = np.outer(high, wide)
+    number = (plain, np.outer(high, right), np.outer(below, wide), plain, plain * len(fields))
+    mean = {
+        name: np.where(n > 0, part / np.maximum(n, 1), np.nan).ravel()
+        for name, part, n in zip(SUMS, total, number, strict=True)
+    }
+    mean["level"] += level.mean()
+    return PixelSums(
+        size=(rows, cols),
+        mean_dn=level,
+        products=products,
+        with_mean=with_mean,
+        mean_square=np.array([found.mean_square for found in passes]) / (rows * cols),
+        middle=tuple(found.middle for found in passes),
+        mean_middle=tuple(found.mean_middle for found in passes),
+        pairs=sum(len(found.first) for found in passes),
+        spectra=_complete_products(products_of(np.array(modes), bins), order.parity),
+        **mean,
+    )
+
+
+class _Pass:
+    """One pass over the exposures of one parity, in bands of rows."""
+
+    def __init__(
+        self,
+        field: NDArray,
+        level: Array,
+        near: tuple[Whole, Whole],
+        row_cuts: Whole,
+        col_cuts: Whole,
+        total: Array,
+        bins: Bins,
+    ) -> None:
+        count, rows, cols = field.shape
+        self.first, self.second = near
+        self.bins = bins
+        self.products, self.with_mean, self.mean_square = (
+            np.zeros((count, count)),
+            np.zeros(count),
+            0.0,
+        )
+        # Centred exposures sum to zero: all but one are independent.
+        self.some = np.linspace(0, count - 2, min(count - 1, STACK.spectra)).round().astype(int)
+        self.rows, self.cols = (_middle(length) for length in (rows, cols))
+        side = (self.rows.stop - self.rows.start, self.cols.stop - self.cols.start)
+        self.middle = np.empty((len(self.some), *side), np.float32)
+        self.mean_middle = np.empty(side, np.float32)
+        self.along = np.empty((count - 1, bins.window.shape[0], bins.columns), np.complex64)
+        above = np.zeros((count, cols), np.float32)
+        # White noise loses the fraction 1/N with the mean of N pixels; it is restored.
+        back = np.float32(np.sqrt(rows * cols / max(rows * cols - 1, 1)))
+        step = max(1, STACK.band_pixels // (count * cols))
+        for start in range(0, rows, step):
+            band = field[:, start : start + step].astype(np.float32)
+            mean = _centre(band, level, back)
+            self.mean_square += _add(
+                band,
+                mean,
+                above,
+                start,
+                row_cuts,
+                col_cuts,
+                *near,
+                self.products,
+                self.with_mean,
+                total,
+            )
+            above = band[:, -1].copy()
+            self._keep(band, mean, start)
+
+    def _keep(self, band: NDArray[np.float32], mean: NDArray[np.float32], start: int) -> None:
+        """Store the data of the spectra."""
+        low, high = max(start, self.rows.start), min(start + len(mean), self.rows.stop)
+        if low < high:
+            here, there = (
+                np.s_[low - start : high - start],
+                np.s_[low - self.rows.start : high - self.rows.start],
+            )
+            self.middle[:, there] = band[self.some, here, self.cols]
+            self.mean_middle[there] = mean[here, self.cols]
+        stop = min(start + len(mean), self.along.shape[1])
+        if start < stop:
+            self.along[:, start:stop] = along_rows(band[:-1, : stop - start], start, self.bins)
+
+
+def _complete_products(products: Array, parity: Whole) -> Array:
+    """Return the mode products of all exposures from those without the last of each parity, shape
+    (bin, i, j).
+
+    Centred exposures sum to zero: the last is minus the sum of the others.
+    """
+    made = np.zeros((len(parity), products.shape[1]))
+    first = 0
+    # The others are ordered by parity.
+    for value in np.unique(parity):
+        same = np.flatnonzero(parity == value)
+        here = first + np.arange(len(same) - 1)
+        made[same[:-1], here], made[same[-1], here] = 1.0, -1.0
+        first += len(here)
+    return made @ products @ made.T
+
+
+def _middle(length: int) -> slice:
+    """Return the centre of an axis, of a length with a fast transform."""
+    side = smooth_length(min(length, STACK.side_px))
+    return slice((length - side) // 2, (length - side) // 2 + side)
+
+
+@njit(cache=True, fastmath=True)
+def _mean(image):
+    """Return the mean of an image in double precision."""
+    total = 0.0
+    for row in range(image.shape[0]):
+        for col in range(image.shape[1]):
+            total += image[row, col]
+    return total / image.size
+
+
+@njit(cache=True, fastmath=True)
+def dot(one, two):
+    """Return the sum of products, added in a fixed order."""
+    total = np.float32(0.0)
+    for i in range(len(one)):
+        total += one[i] * two[i]
+    return total
+
+
+@njit(cache=True, fastmath=True)
+def _centre(band, level, back):
+    """Replace a band of exposures by its fluctuations, and return its mean over the exposures."""
+    count, rows, cols = band.shape
+    mean = np.zeros((rows, cols), np.float32)
+    share = np.float32(1.0 / count)
+    for row in range(rows):
+        middle = mean[row]
+        for t in range(count):
+            line, own = band[t, row], np.float32(level[t])
+            for col in range(cols):
+                line[col] -= own
+                middle[col] += line[col]
+        for col in range(cols):
+            middle[col] *= share
+        for t in range(count):
+            line = band[t, row]
+            for col in range(cols):
+                line[col] = (line[col] - middle[col]) * back
+    return mean
+
+
+@njit(cache=True, fastmath=True)
+def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, with_mean, total):
+    """Add the products of a band that starts at row `start`, below the row `above`; return those of
+    its mean.
+    """
+    count, rows, cols = band.shape
+    mean_square, high = 0.0, 0
+    sums = np.zeros((len(total), cols), np.float32)
+    for row in range(rows):
+        while start + row >= row_cuts[high + 1]:
+            _flush(sums, total[:, high], col_cuts)
+            high += 1
+        mean_square += dot(mean[row], mean[row])
+        for i in range(count):
+            line = band[i, row]
+            with_mean[i] += dot(mean[row], line)
+            for j in range(i):
+                square = dot(line, band[j, row])
+                products[i, j] += square
+                products[j, i] += square
+            products[i, i] += dot(line, line)
+        for t in range(count):
+            line = band[t, row]
+            _add_products(line, line, sums[0])
+            _add_products(line[:-1], line[1:], sums[1])
+            _add_products(line, band[t, row - 1] if row else above[t], sums[2])
+        for pair in range(len(first)):
+            _add_products(band[first[pair], row], band[second[pair], row], sums[3])
+        for col in range(cols):
+            sums[4, col] += mean[row, col]
+    _flush(sums, total[:, high], col_cuts)
+    return mean_square
+
+
+@njit(cache=True, fastmath=True)
+def _add_products(one, two, sums):
+    """Add the products of two rows, column for column."""
+    for col in range(len(one)):
+        sums[col] += one[col] * two[col]
+
+
+@njit(cache=True, fastmath=True)
+def _flush(sums, total, col_cuts):
+    """Add the column sums to the block sums, and reset them."""
+    for kind in range(len(sums)):
+        for wide in range(len(col_cuts) - 1):
+            block = 0.0
+            for col in range(col_cuts[wide], col_cuts[wide + 1]):
+                block += sums[kind, col]
+            total[kind, wide] += block
+    sums[:] = 0.0
+
+
+def variance_error(sums: PixelSums, variance: float) -> float:
+    """Return the standard error of the mean variance, from image blocks scaled to the mean
+    level.
+    """
+    # Shot noise is lower in darker blocks.
+    bright = sums.level.min() > 0.5 * sums.level.mean()
+    even = sums.power * (sums.level.mean() / sums.level if bright else 1.0)
+    if even.size < 2:
+        return variance
+    return float(variance * even.std(ddof=1) / max(float(even.mean()), 1e-12) / np.sqrt(even.size))
+
+
+def line_errors(sums: PixelSums, order: Order) -> tuple[float, float]:
+    """Return the part of row noise, and of column noise, in the standard error of the variance,
+    DN^2.
+
+    Row noise of variance v in R rows of n exposures has the standard error v sqrt(2 / (R (n - 1))),
+    whatever the number of pixels. It is the power of rows at frequency 0 above that at the lowest
+    frequency, which blur affects alike.
+    """
+    count = len(order.time) / len(sums.middle)
+    freedom = max(len(order.time) - len(sums.middle), 1)
+    parts = [
+        [_line_power(np.moveaxis(image, axis, -1)) for image in sums.middle] for axis in (2, 1)
+    ]
+    # Subtracting the mean of n exposures removes the fraction 1/n.
+    rows, cols = (max(float(np.mean(part)), 0.0) * count / max(count - 1.0, 1.0) for part in parts)
+    return rows * float(np.sqrt(2.0 / (sums.size[0] * freedom))), cols * float(
+        np.sqrt(2.0 / (sums.size[1] * freedom))
+    )
+
+
+def _line_power(lines: NDArray[np.float32]) -> float:
+    """Return the variance of the line means beyond that of the lowest frequency; lines along the
+    last axis.
+    """
+    phase = 2.0 * np.pi * np.arange(lines.shape[-1], dtype=np.float32) / lines.shape[-1]
+    waves = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1) / lines.shape[-1]
+    power = np.mean((lines @ waves).reshape(-1, 3) ** 2, axis=0)
+    return float(power[0] - power[1] - power[2])
+
+
+def right_neighbour(sums: PixelSums) -> tuple[float, float]:
+    """Return the correlation of neighbouring pixels of a row, and its standard error; zeros for
+    rows of one pixel.
+    """
+    return _correlation(sums, sums.right) if sums.size[1] > 1 else (0.0, 0.0)
+
+
+def lower_neighbour(sums: PixelSums) -> tuple[float, float]:
+    """Return the correlation of neighbouring pixels of a column of one exposure, and its standard
+    error.
+    """
+    return _correlation(sums, sums.below) if sums.size[0] > 1 else (0.0, 0.0)
+
+
+def _correlation(sums: PixelSums, products: Array) -> tuple[float, float]:
+    """Return products over squares, and the standard error from the scatter of blocks."""
+    there = np.isfinite(products)
+    products, power = products[there], sums.power[there]
+    ratio = products / np.maximum(power, 1e-12)
+    error = ratio.std(ddof=1) / np.sqrt(ratio.size) if ratio.size > 1 else 1.0
+    # Subtracting the mean of N pixels anticorrelates white noise by 1/(N - 1).
+    own = 1.0 / max(sums.size[0] * sums.size[1] - 1, 1)
+    return float(products.mean() / max(float(power.mean()), 1e-12)) + own, float(error)
+
+
+def successor_correlation(sums: PixelSums, parity: Whole) -> tuple[float, float]:
+    """Return the excess correlation of exposures nearest in time over the others, and its standard
+    error.
+
+    Centred exposures sum to zero, so the mean covariance of all pairs follows from the variance,
+    and the excess needs the near pairs alone. It is free of centring bias and fixed pattern. With
+    two exposures of one parity the error is infinite.
+    """
+    count = np.bincount(parity)
+    others = int((count * (count - 1) // 2).sum()) - sums.pairs
+    freedom = len(parity) - np.count_nonzero(count)
+    if not others or sums.power.mean() <= 0 or sums.power.size < 2:
+        return 0.0, np.inf
+    contrast = (
+        (sums.near / sums.pairs + (0.5 * sums.power + sums.near) / others)
+        * freedom
+        / sums.power.mean()
+    )
+    return float(contrast.mean()), float(contrast.std(ddof=1) / np.sqrt(contrast.size))
+
+
+def _nearest(time: Whole) -> tuple[Whole, Whole]:
+    """Return the indices of the pairs nearest in time."""
+    distance = np.abs(time[:, None] - time)
+    upper = np.triu(np.ones_like(distance, bool), 1)
+    first, second = np.nonzero(
+        upper & (distance == distance[upper].min(initial=np.iinfo(np.int64).max))
+    )
+    return first, second

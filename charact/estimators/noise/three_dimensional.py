@@ -1,0 +1,186 @@
+"""3-D noise (NVESD model) of every dark and flat."""
+
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
+from charact.estimators.noise.rounding import QUANTISED_DN2
+from charact.estimators.noise.stack.components import OWN, TIME, Component
+from charact.estimators.noise.stack.cube import Cube, FrameMeans
+from charact.estimators.noise.stack.stack_statistics import StackStatistics
+from charact.estimators.noise.thresholds import CHECKS, CUBE
+from charact.method import Context
+from charact.method.stopwatch import Stopwatch
+from labdata.measurement import Measurement, Result, intervals_of, make_measurement, make_refusal
+
+Array = NDArray[np.float64]
+METHOD = "three-dimensional"
+NAMES = (*OWN, "tvh")
+
+
+def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Result:
+    """Return the seven components of 3-D noise of every dark and flat with enough frames.
+
+    `levels`: darks and flats, read with their cubes; interlaced fields are separated and their
+    variances averaged. Returns `noise_t` to `noise_tvh` of each stack, DN, quantisation included;
+    as figure data the means of frames with their spectrum, of rows and of columns. Seven refusals
+    if no stack is long enough.
+    """
+    fields, result = fields_of(METHOD, context), Result()
+    for level in levels:
+        if level.cube is not None:
+            result += _measure_stack(level, level.cube, context, {**fields, "stack": level.label})
+    if result.measurements:
+        return result
+    most = max((level.frames for level in levels), default=1)
+    reason = (
+        f"3-D noise needs a stack of at least {CUBE.min_frames} frames, and {CUBE.min_pixels} "
+        f"rows and columns in each field; the longest stack has {most} "
+        f"{'frame' if most == 1 else 'frames'}"
+    )
+    return Result(measurements=_refusals(reason, fields))
+
+
+def _refusals(reason: str, fields: dict[str, Any]) -> tuple[Measurement, ...]:
+    return tuple(make_refusal(f"noise_{name}", "DN", reason, **fields) for name in NAMES)
+
+
+def _measure_stack(
+    level: StackStatistics, cube: Cube, context: Context, fields: dict[str, Any]
+) -> Result:
+    """Return the seven components of one stack."""
+    watch = Stopwatch()
+    parts = cube.components
+    if parts["tvh"].variance_dn2 <= 0:
+        reason = f"{level.label} has no temporal noise of single pixels"
+        return Result(measurements=_refusals(reason, fields))
+    rng = np.random.default_rng([context.seed, 7, crc32(level.label.encode())])
+    draws = {name: part.draws(rng, CUBE.draws) for name, part in parts.items()}
+    findings = {
+        name: [
+            *_low_frequency_findings(name, parts[name], draws[name]),
+            *cube.findings.get(name, ()),
+        ]
+        for name in NAMES
+    }
+    findings["t"] += _frame_mean_findings(cube.means)
+    common = _common_findings(level, cube, draws["tvh"])
+    out = [
+        _measurement(name, parts[name], draws[name], common + findings[name], fields)
+        for name in NAMES
+    ]
+    seconds = cube.seconds + watch.seconds()
+    return Result(
+        measurements=tuple(m.with_(seconds=seconds) for m in out),
+        evidence={f"three-dimensional-noise:{level.label}": _figure_data(level, cube)},
+    )
+
+
+def _measurement(
+    name: str, part: Component, draws: Array, findings: list[Finding], fields: dict[str, Any]
+) -> Measurement:
+    """Return the standard deviation of a component, or its upper limit."""
+    value = float(np.sqrt(max(part.variance_dn2, 0.0)))
+    # A negative estimate is chance and must not lower the limit below that of a zero estimate.
+    possible = draws - min(part.variance_dn2, 0.0)
+    _, interval68, (low, high) = intervals_of(np.sqrt(np.maximum(possible, 0.0)))
+    notes = notes_of(findings)
+    if np.quantile(draws, CUBE.false_alarm) <= 0:
+        low = 0.0
+        seen = f"no {name} noise detected (unbiased variance {part.variance_dn2:.2g} DN2)"
+        notes = (*notes, f"{seen}: at most {high:.3g} DN")
+    around = [(min(one, value), max(two, value)) for one, two in (interval68, (low, high))]
+    return make_measurement(
+        f"noise_{name}", "DN", value, *around, flags=flags_of(findings), notes=notes, **fields
+    )
+
+
+def _common_findings(level: StackStatistics, cube: Cube, draws: Array) -> list[Finding]:
+    """Return the findings common to all components of the stack."""
+    out: list[Finding] = []
+    if cube.fields > 1:
+        of = (
+            "even and odd rows"
+            if cube.fields == 2
+            else "lines of both fields and both scan directions"
+        )
+        out.append(Finding(None, f"{of} form separate cubes; their variances are averaged"))
+    variance, half = cube.components["tvh"].variance_dn2, _half(draws)
+    for share, which in ((level.low_fraction, "0"), (level.high_fraction, "the highest")):
+        # Clipping a fraction of a normal distribution lowers its variance by about twice that
+        # fraction.
+        if share > CHECKS.max_clipped_fraction or 2.0 * share * variance > 0.5 * half:
+            out.append(Finding("clipped", f"{100 * share:.2g} % of the values are at code {which}"))
+    if variance < QUANTISED_DN2:
+        out.append(
+            Finding(
+                "quantised",
+                f"the random noise of {variance:.2g} DN2 is smaller than the quantisation step",
+            )
+        )
+    return out
+
+
+def _low_frequency_findings(name: str, part: Component, draws: Array) -> list[Finding]:
+    """Return findings of noise correlated over too large a part of the stack or image."""
+    out: list[Finding] = []
+    for axis, slope in part.slopes.items():
+        if slope.min_fraction > CUBE.max_slope and abs(
+            slope.estimate_dn2
+        ) > CUBE.slope_weight * _half(draws):
+            flag, along = ("lag", "frames") if axis == TIME else ("correlated-noise", "pixels")
+            out.append(
+                Finding(
+                    flag,
+                    (
+                        f"noise is correlated over so many {along} that it is hardly separable "
+                        f"from {name}"
+                    ),
+                )
+            )
+    return out
+
+
+def _half(draws: Array) -> float:
+    """Return half of the 95 % interval."""
+    return 0.5 * float(np.ptp(np.quantile(draws, [0.025, 0.975])))
+
+
+def _frame_mean_findings(means: FrameMeans) -> list[Finding]:
+    """Return findings of drift and flicker in the frame means."""
+    out: list[Finding] = []
+    if means.drift_seen:
+        out.append(
+            Finding("drift", f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame")
+        )
+    if means.line is not None:
+        place = f"{means.frequency_cy_per_exposure[means.line]:.3g} cycles per exposure"
+        if means.line_hz is not None:
+            place = f"{means.line_hz:.3g} Hz, or an alias of a higher frequency"
+        out.append(
+            Finding("flicker", f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {place}")
+        )
+    return out
+
+
+def _figure_data(level: StackStatistics, cube: Cube) -> dict[str, Any]:
+    """Return the figure data: means of frames, rows and columns."""
+    means = cube.means
+    return {
+        "figure": "three-dimensional-noise",
+        **{f"{name}_dn2": part.variance_dn2 for name, part in cube.components.items()},
+        "fields": cube.fields,
+        "frames": level.frames,
+        "exposure_mean_dn": means.mean_dn.tolist(),
+        "exposure_period_s": means.exposure_period_s,
+        "frequency_cy_per_exposure": means.frequency_cy_per_exposure.tolist(),
+        "power_dn2": means.power_dn2.tolist(),
+        "drift_dn": means.drift_dn,
+        "flicker_rms_dn": means.line_rms_dn,
+        "flicker_hz": means.line_hz,
+        "row_mean_dn": cube.row_mean_dn.tolist(),
+        "column_mean_dn": cube.column_mean_dn.tolist(),
+    }

@@ -1,0 +1,87 @@
+"""System gain from the variance of pixels, for white noise (EMVA 1288 Release 4)."""
+
+import numpy as np
+
+from charact.estimators.noise.dark_current import dark_current
+from charact.estimators.noise.findings import fields_of, flags_of
+from charact.estimators.noise.gain import emva1288
+from charact.estimators.noise.gain.checks import (
+    bend_allowance,
+    correlation_findings,
+    exposure_findings,
+    series_findings,
+    variance_ratio_changes,
+)
+from charact.estimators.noise.gain.series import (
+    gain_obstacle,
+    has_intensifier,
+    read_levels,
+    series_of,
+)
+from charact.estimators.noise.gain.undetected_correlation import (
+    allowance_of,
+    spatially_correlated_fraction,
+    temporally_correlated_fraction,
+)
+from charact.estimators.noise.quantities import (
+    dark_quantities,
+    electron_quantities,
+    pattern_quantities,
+    saturation_level,
+    transfer_figure_data,
+    without_flats,
+)
+from charact.estimators.noise.three_dimensional import three_dimensional
+from charact.method import Context, register
+from labdata.measurement import Result
+from labdata.session import Session
+
+METHOD = "variance"
+
+
+@register("flats", METHOD)
+def variance(session: Session, *, context: Context) -> Result:
+    """Measure gain, efficiency, noise and range from the variance and mean of darks and flats.
+
+    Parameters
+    ----------
+    session
+        Session with dark and flat stacks of at least two frames each.
+    context
+        Seed and settings.
+    """
+    darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
+    cubes = three_dimensional([*darks, *flats], context=context)
+    fields = fields_of(METHOD, context)
+    series = series_of(flats, darks, single) if flats else None
+    if series is None or gain_obstacle(series) is not None:
+        result = Result(measurements=tuple(without_flats(darks, series, single, **fields))) + cubes
+        return result + dark_current(darks, result, context=context)
+    neighbours, exposures = (
+        spatially_correlated_fraction(series),
+        temporally_correlated_fraction(series),
+    )
+    common = series_findings(series)
+    findings = common + variance_ratio_changes(series) + correlation_findings(neighbours, exposures)
+    tube = has_intensifier([level.conditions for level in (*darks, *flats)], context)
+    allowance = float(
+        np.hypot(allowance_of(neighbours, exposures, tube=tube), bend_allowance(series))
+    )
+    gain = emva1288.gain_line(series, context=context, allowance=allowance)
+    flags = flags_of(common)
+    first, *out = electron_quantities(series, (gain, gain), (findings, findings), context, fields)
+    darks_alone = (
+        dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
+    )
+    out = [first, *darks_alone, saturation_level(series, flags=flags, **fields), *out]
+    out += pattern_quantities(
+        series,
+        gain.slope,
+        flags=flags,
+        gain_flags=flags_of(findings) + gain.posterior.flags,
+        pair_flags=flags_of(exposure_findings(exposures)),
+        **fields,
+    )
+    evidence = {"photon-transfer": transfer_figure_data(series, gain=float(np.median(gain.slope)))}
+    result = Result(measurements=tuple(out), evidence=evidence) + cubes
+    return result + dark_current(darks, result, context=context)

@@ -1,0 +1,223 @@
+"""Observations of the fit: measured numbers with covariance and predicted quantity; likely causes
+of a misfit.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.findings import (
+    AUTOMATIC,
+    CURVED,
+    LAGGING,
+    PROCESSING,
+    SPREAD,
+    UNSTEADY,
+    Cause,
+)
+from charact.fitting.predicted_quantities import Values
+from labdata.conditions import Conditions
+from labdata.flags import Finding
+from labdata.measurement import Measurement, Result
+
+Array = NDArray[np.float64]
+
+# Of cameras without a tube, relative: nonlinearity of the photon transfer curve.
+NOISE_MODEL_SD = 0.01
+# Flags that add no bias; any other flag excludes a measurement from the fit.
+MILD = {
+    "defects",
+    "drift",
+    "flicker",
+    "gradient",
+    "low-signal",
+    "not-converged",
+    "prior-bound",
+    "too-few-frames",
+}
+
+
+def is_admissible(m: Measurement) -> bool:
+    """Whether a measurement is ok, or suspect only for reasons that add no bias."""
+    return m.status != "refused" and m.interval68 is not None and set(m.flags) <= MILD
+
+
+def admissible_measurements(
+    result: Result, quantity: str, unit: str | None = None
+) -> list[Measurement]:
+    """Return the measurements of a quantity with status ok, or the mildly suspect ones where there
+    are none.
+    """
+    found = [m for m in result.find(quantity) if is_admissible(m) and unit in (None, m.unit)]
+    return [m for m in found if m.status == "ok"] or found
+
+
+def sd_of(m: Measurement) -> float:
+    """Return half the 68 % interval: the standard deviation of a Gaussian one."""
+    low, high = m.interval68 or (float("nan"), float("nan"))
+    return (high - low) / (2.0 * 0.994458)
+
+
+Predict = Callable[[Values], Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ridge:
+    """Surface on which a posterior is narrow: a number of many parameters that is known far better
+    than any of them.
+
+    In coordinates with the number itself in place of one parameter the surface is a plane.
+    """
+
+    carrier: str  # path of the parameter
+    number: Predict  # values of shape (n,) each -> (n,)
+    slope: float  # change of the number with the coordinate of the carrier, the same everywhere
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """Measured numbers with Gaussian errors and their predicted values."""
+
+    name: str  # name of the quantity, for messages
+    value: Array  # measured numbers, shape (k,)
+    covariance: Array  # covariance of their errors, model error included, shape (k, k)
+    predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
+    is_bound: bool = False  # whether a prediction beyond the value agrees
+    speaks_of: tuple[str, ...]  # paths of the sensor parameters that it depends on
+    ridge: "Ridge | None" = (
+        None  # the product that it determines far better than any of its parameters
+    )
+
+    def chi_squared(self, values: Values) -> Array:
+        """Return each draw's chi squared, shape (n,)."""
+        away = (self.predict(values) - self.value) @ self._whitening
+        return np.sum(away**2, axis=1)
+
+    def scale_errors(self, factor: float) -> "Observation":
+        """Return the same numbers with all errors larger by a factor."""
+        return replace(self, covariance=self.covariance * factor**2)
+
+    @cached_property
+    def _whitening(self) -> Array:
+        """Root of the inverse covariance: residuals times it are independent and of unit
+        variance.
+        """
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)).T, np.float64)
+
+
+def one(
+    name: str,
+    value: float,
+    sd: float,
+    predict: Callable[[Values], Array],
+    speaks_of: tuple[str, ...],
+) -> Observation:
+    """Return an observation of one number; its prediction has shape (n,)."""
+    return Observation(
+        name=name,
+        value=np.array([value]),
+        covariance=np.array([[sd**2]]),
+        predict=lambda values: predict(values)[:, None],
+        speaks_of=speaks_of,
+    )
+
+
+def at_least(
+    name: str,
+    value: float,
+    sd: float,
+    predict: Callable[[Values], Array],
+    speaks_of: tuple[str, ...],
+) -> Observation:
+    """Return the observation of a lower bound: a prediction above it agrees."""
+    bound = one(name, value, sd, lambda values: np.minimum(predict(values), value), speaks_of)
+    return replace(bound, is_bound=True)
+
+
+# Flags by which a measurement speaks of a stage of the camera or bench that the fit does not know.
+# Others are of the target, the number of frames or the method.
+CAUSES = {
+    "agc": AUTOMATIC,
+    "nonlinear": CURVED,
+    "gamma": CURVED,
+    "processed": PROCESSING,
+    "correlated-noise": SPREAD,
+    "drift": UNSTEADY,
+    "flicker": UNSTEADY,
+}
+# What an observation that no parameters explain may come from, by its name.
+CAUSES_OF_MISFIT = {
+    "levels": CURVED,
+    "photon transfer": CURVED,
+    "noise": Cause(
+        stage=(
+            f"{CURVED.stage}, or sharpening, interpolation or averaging of frames in camera or "
+            f"grabber"
+        ),
+        remedy="raw frames of a gamma of 1, of the linear range only",
+    ),
+    "image lag": LAGGING,
+    "covariance of neighbours in a row": SPREAD,
+    "offsets of rows": SPREAD,
+}
+
+
+def has_automatic_gain(conditions: Conditions) -> bool:
+    """Whether the gain of a stack is unknown, as a control of the camera or tube set it."""
+    return bool(conditions.automatic_gain or conditions.brightness_control)
+
+
+def findings_of(result: Result) -> tuple[Finding, ...]:
+    """Return what flags of measurements say of the camera's stages: one finding a flag.
+
+    The fit leaves measurements with most of these flags out, but not the levels and the noise of
+    the same frames. Flags of the whole session, which are of its flats, count before those of
+    single targets. The noise spectrum is left out: ions change its shape from level to level as a
+    bend would.
+    """
+    kept = [
+        m for m in result.measurements if m.status != "refused" and m.method != "noise-spectrum"
+    ]
+    whole = _findings_among([m for m in kept if m.stack is None])
+    return whole or _findings_among(kept)
+
+
+def _findings_among(measurements: list[Measurement]) -> tuple[Finding, ...]:
+    found = []
+    for flag, cause in CAUSES.items():
+        own = [m for m in measurements if flag in m.flags]
+        if own:
+            notes = dict.fromkeys(
+                n.partition(": ")[2] for m in own for n in m.notes if n.startswith(f"{flag}: ")
+            )
+            seen = next(iter(notes), f"flag of {own[0].quantity}").partition("; what settles it")[0]
+            found.append(cause.finding(flag, seen))
+    return tuple(found)
+
+
+def misfit_finding(parts: dict[str, float], numbers: int, factor: float) -> Finding:
+    """Return the finding of a misfit: the observation with most of it, and its likely cause.
+
+    Parameters
+    ----------
+    parts
+        Chi-squared of each observation by its name.
+    numbers
+        Number of observed numbers.
+    factor
+        Factor by which all errors are multiplied.
+    """
+    worst = max(parts, key=lambda name: parts[name])
+    cause = CAUSES_OF_MISFIT.get(worst)
+    said = (
+        f"chi-squared {sum(parts.values()):.0f} for {numbers} numbers, {parts[worst]:.0f} of it "
+        f"from {worst}; all errors were multiplied by {factor:.1f}"
+    )
+    return Finding(
+        flag="model-misfit",
+        effect=said if cause is None else f"{said}; it may come from {cause.stage}",
+        remedy="a description that fits the camera" if cause is None else cause.remedy,
+    )

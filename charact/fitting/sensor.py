@@ -1,0 +1,477 @@
+"""Fit of a sensor description: model, posterior and the resulting parameters."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.estimators.noise.illumination import relative_sd_of
+from charact.estimators.noise.rounding import step_finding
+from charact.fitting.fitted_session import camera_of, per_pixel, require_noise, with_fixed_gain
+from charact.fitting.observation import (
+    Observation,
+    Ridge,
+    findings_of,
+    has_automatic_gain,
+    misfit_finding,
+)
+from charact.fitting.predicted_quantities import Values
+from charact.fitting.prior import (
+    COMBINATIONS,
+    Combination,
+    SensorPrior,
+    VisibleCamera,
+    prior_of,
+    values_of_description,
+)
+from charact.fitting.silicon_observations import silicon_observations
+from charact.fitting.slice_sampling import slice_sample
+from charact.fitting.stack_levels import dark_rise_dn_per_s, levels_of, note_on_exclusions
+from charact.fitting.thresholds import LIMITS, SAMPLING
+from charact.fitting.tube_observations import tube_observations
+from labdata.camera_description import Parameter
+from labdata.errors import BadInput
+from labdata.flags import Finding
+from labdata.measurement import Posterior, Result
+from labdata.sensor import Draws, Sensor
+from labdata.session import Session
+
+Array = NDArray[np.float64]
+# Row pitch of pixels of known shape: it follows the column pitch.
+TIED = {"ccd.pitch_y_um": "ccd.pitch_x_um"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """Prior and likelihood of the requested parameters."""
+
+    sensor: VisibleCamera  # sensor description with the prior ranges and the parameters not drawn
+    prior: SensorPrior  # prior of the parameters drawn
+    observed: tuple[Observation, ...]  # observations of the session
+
+    def misfit(self, coordinates: Array) -> Array:
+        """Return chi squared of all observations for coordinates (n, parameter), shape (n,)."""
+        values = self.values(coordinates)
+        return np.sum([observed.chi_squared(values) for observed in self.observed], axis=0)
+
+    def values(self, coordinates: Array) -> Values:
+        """Return every parameter's value: (n,) for those drawn, at coordinates (n, parameter), else
+        (1,).
+        """
+        drawn = dict(zip(self.prior.names, self.prior.parameters(coordinates).T, strict=True))
+        return {**self._description_values, **drawn, **self.tied(drawn)}
+
+    def tied(self, drawn: dict[str, Array]) -> dict[str, Array]:
+        """Return the parameters that keep their ratio to one that is drawn."""
+        known = self._description_values
+        return {
+            path: drawn[by] * (known[path] / known[by]) for path, by in TIED.items() if by in drawn
+        }
+
+    @cached_property
+    def _description_values(self) -> Values:
+        return values_of_description(self.sensor)
+
+    def log_probability(self, coordinates: Array) -> Array:
+        """Return the log-posterior, not normalised, shape (n,); -inf outside the prior's bounds."""
+        density = self.prior.log_density(coordinates)
+        inside = np.isfinite(density)
+        out = np.full(len(coordinates), -np.inf)
+        if inside.any():
+            out[inside] = density[inside] - 0.5 * self.misfit(coordinates[inside])
+        return out
+
+    @cached_property
+    def ridges(self) -> tuple[tuple[int, Ridge], ...]:
+        """Place of the carrier among the coordinates, and the ridge, of every observation that has
+        one.
+        """
+        known = [
+            one.ridge
+            for one in self.observed
+            if one.ridge is not None and one.ridge.carrier in self.prior.names
+        ]
+        return tuple((self.prior.names.index(one.carrier), one) for one in known)
+
+    def bend(self, points: Array) -> Array:
+        """Return the coordinates of points whose carriers are straightened, shape (n, parameter).
+
+        A carrier c of the number N = f(others) + a c stands for c + (f(others) - f(centre))/a: a
+        shear, of unit determinant.
+        """
+        out, centre = points.copy(), self.prior.centre[None]
+        inside = np.clip(points, self.prior.bounds[:, 0], self.prior.bounds[:, 1])
+        for place, ridge in self.ridges:
+            inside[:, place] = centre[0, place]
+            apart = ridge.number(self.values(inside)) - ridge.number(self.values(centre))
+            out[:, place] -= apart / ridge.slope
+        return out
+
+
+def model_of(sensor: VisibleCamera, observed: tuple[Observation, ...]) -> Model:
+    """Return the model of the parameters that the observations depend on."""
+    requested = tuple(dict.fromkeys(path for one in observed for path in one.speaks_of))
+    return Model(sensor=sensor, prior=prior_of(sensor, requested), observed=observed)
+
+
+def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
+    """Return the most probable point with only the free coordinates changed."""
+    from charact.inference import find_maximum
+
+    if not free.any():
+        return start
+
+    def conditional(points: Array) -> Array:
+        whole = np.tile(start, (len(points), 1))
+        whole[:, free] = points
+        return model.log_probability(whole)
+
+    found = start.copy()
+    found[free], _ = find_maximum(conditional, start[free], model.prior.bounds[free])
+    return found
+
+
+def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
+    """Return the model with errors scaled to its misfit, and the finding that reports it.
+
+    At the most probable point chi squared of data and prior has as many degrees of freedom as there
+    are data. A p-value below 1e-4 is a misfit: all errors are then scaled by the root of the
+    reduced chi squared (Birge's ratio), so that ranges include the model error.
+    """
+    from scipy.special import chdtri
+
+    best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
+    parts = {
+        one.name: float(one.chi_squared(model.values(best[None]))[0]) for one in model.observed
+    }
+    parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
+    numbers, total = sum(one.value.size for one in model.observed), sum(parts.values())
+    if total <= chdtri(numbers, LIMITS.misfit):
+        return model, None
+    factor = float(np.sqrt(total / numbers))
+    return replace(
+        model, observed=tuple(one.scale_errors(factor) for one in model.observed)
+    ), misfit_finding(parts, numbers, factor)
+
+
+def posterior_of(model: Model, *, seed: int) -> Posterior:
+    """Draw the joint posterior in the prior's coordinates."""
+    from charact.inference import find_maximum
+
+    prior, bounds = model.prior, model.prior.bounds.copy()
+    bounds[[place for place, _ in model.ridges]] = -np.inf, np.inf
+
+    def log_probability(points: Array) -> Array:
+        return model.log_probability(model.bend(points))
+
+    point, covariance = find_maximum(log_probability, prior.centre, bounds)
+    if any(one.is_bound for one in model.observed):
+        # At a bound, where the most probable point often lies, finite differences find no
+        # curvature.
+        smooth = replace(model, observed=tuple(one for one in model.observed if not one.is_bound))
+        _, covariance = find_maximum(
+            lambda points: smooth.log_probability(model.bend(points)), point, bounds
+        )
+    found = slice_sample(
+        log_probability,
+        names=prior.names,
+        point=point,
+        covariance=covariance,
+        bounds=bounds,
+        seed=seed,
+    )
+    return replace(found, draws=model.bend(found.draws))
+
+
+FULL_WELL = "ccd.full_well_e"
+GAIN = "video.conversion_gain_dn_per_e"
+PLANE_NOTE = (
+    "Fitted to the plane {} of a mosaic: lengths, charges and gain are those of the camera's "
+    "pixels, the quantum efficiency that behind their colour filter; rows, neighbours and "
+    "interference of the read-out are the plane's."
+)
+
+
+RISE_NOTE = (
+    "The dark level rises by {:.3g} DN/s of exposure. The description subtracts dark charge (a "
+    "clamp): its black level is that of the shortest dark, and simulated darks do not rise."
+)
+
+
+def fills_the_scale(session: Session) -> bool:
+    """Whether a point source's frames reach full scale, so that the full well is at least as
+    large.
+    """
+    if session.bit_depth is None:
+        return False
+    fixed = [
+        entry for entry in session.of_kind("point") if not has_automatic_gain(entry.conditions)
+    ]
+    return any(int(entry.read().data.max()) >= 2**session.bit_depth - 1 for entry in fixed)
+
+
+def full_well_draws(
+    sensor: VisibleCamera, drawn: dict[str, Array], rng: np.random.Generator
+) -> Array | None:
+    """Return the full well for each draw of gain and black level, e-; None if not constrained.
+
+    The prior, truncated below (full scale - black level) / gain; that charge where nothing remains.
+    """
+    prior = prior_of(sensor, (FULL_WELL,))
+    if not prior.names or GAIN not in drawn:
+        return None
+    black = drawn.get("video.black_level_dn", np.array([float(sensor.video.black_level_dn)]))
+    least = (2**sensor.video.bit_depth - 1 - black) / drawn[GAIN]
+    tried = np.sort(prior.parameters(prior.draw(rng, SAMPLING.candidates))[:, 0])
+    first = np.searchsorted(tried, least)
+    picked = first + np.floor(rng.random(least.size) * (SAMPLING.candidates - first)).astype(int)
+    return np.where(
+        first < SAMPLING.candidates, tried[np.minimum(picked, SAMPLING.candidates - 1)], least
+    )
+
+
+Progress = Callable[[str, float], None]
+# Parameters that the systematic uncertainty of the light meter affects.
+_METERED = (
+    "tube.luminous_gain",
+    "photocathode.luminous_sensitivity_ua_per_lm",
+    "photocathode.ebi_lm_per_cm2",
+    "microchannel_plate.strip_current_ua_per_cm2",
+)
+
+
+def fit_sensor(
+    session: Session,
+    result: Result,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda sentence, share: None,
+) -> VisibleCamera:
+    """Fit the session's camera description to its measurements.
+
+    Parameters
+    ----------
+    session
+        Session of a described camera of visible light, with a tube or without; its description
+        gives the priors, its darks and flats the stack means.
+    result
+        Measurements of the session.
+    seed
+        Seed of the posterior draws.
+    progress
+        Called with a sentence and the fraction done.
+
+    Returns
+    -------
+    Sensor or SolidStateCamera
+        Every requested parameter has the value of the joint posterior's mode. One that the data
+        identify is `fitted` (95 % range of the posterior); every other one keeps the range of its
+        prior and is marked `prior`, and its value departs from the prior's only as a factor of a
+        combination that the data determine. The rest is unchanged. `draws` contains the joint
+        posterior of all requested parameters, with a tube without the systematic uncertainty of the
+        light meter: products of parameters are better known than each of them. Frame size and bit
+        depth are the session's; those of a plane of a mosaic are of the camera that has it, see
+        `PLANE_NOTE`.
+
+    Raises
+    ------
+    BadInput
+        If the session names no camera, one of the thermal infrared, has no measurement of it, or
+        stacks of several colour planes, or an automatic gain or brightness control was on in every
+        dark or in every flat.
+    """
+    plane, pitch_px = session.sampling
+    camera = camera_of(session, pitch_px)
+    session, left_out = with_fixed_gain(session)
+    result = per_pixel(result, pitch_px)
+    progress("levels of darks and flats", 0.0)
+    levels = levels_of(session)
+    observed = (
+        tube_observations(session, camera, result, levels)
+        if isinstance(camera, Sensor)
+        else silicon_observations(session, camera, result, levels)
+    )
+    if not observed:
+        raise BadInput(
+            f"a fit needs at least one measurement that was not refused, got none in "
+            f"{session.name!r}"
+        )
+    require_noise(session, observed)
+    model, doubt = inflate_errors(model_of(camera, observed))
+    progress("posterior of the sensor", 0.2)
+    posterior = posterior_of(model, seed=seed)
+    progress("identifying parameters", 0.9)
+    lit = [
+        entry.conditions for entry in session.of_kind("flat") if entry.conditions.illuminance_lux
+    ]
+    metered = isinstance(camera, Sensor)
+    fitted = description_from_posterior(
+        model,
+        posterior,
+        illuminance_relative_sd=relative_sd_of(lit, "lux")[0] if metered else 0.0,
+        scale_filled=metered and fills_the_scale(session),
+        seed=seed,
+    )
+    known = (step_finding(session), left_out, doubt)
+    findings = {one.flag: one for one in (*findings_of(result), *known) if one is not None}
+    rise = 0.0 if metered else dark_rise_dn_per_s(levels)
+    noted = (
+        PLANE_NOTE.format(plane) if pitch_px > 1 else None,
+        note_on_exclusions(session, levels),
+        RISE_NOTE.format(rise) if rise else None,
+        *(one.note for one in findings.values()),
+    )
+    notes = (*fitted.notes, *(note for note in noted if note))
+    progress("fitted", 1.0)
+    return replace(fitted, notes=notes)
+
+
+def description_from_posterior(
+    model: Model,
+    posterior: Posterior,
+    *,
+    illuminance_relative_sd: float,
+    seed: int,
+    scale_filled: bool = False,
+) -> VisibleCamera:
+    """Return the camera description of a posterior.
+
+    `posterior`: draws in the coordinates of the model's prior; `illuminance_relative_sd`: relative
+    standard uncertainty of the illuminance; widens the ranges of the parameters that depend on the
+    meter; `scale_filled`: whether frames reach full scale, which constrains the full well.
+    """
+    point = _typical(model, posterior.draws)
+    values = dict(
+        zip(posterior.names, model.prior.parameters(point[None])[0].tolist(), strict=True)
+    )
+    rng = np.random.default_rng([seed, 1])
+    draws = dict(zip(posterior.names, model.prior.parameters(posterior.draws).T, strict=True))
+    known = model.values(posterior.draws)
+    combined = tuple(
+        _combination(one, one.product(known), float(one.product(model.values(point[None]))[0]))
+        for one in COMBINATIONS
+        if set(one.paths) <= set(posterior.names)
+    )
+    draws.update(model.tied(draws))
+    values.update(
+        {
+            path: float(one[0])
+            for path, one in model.tied({p: np.array([v]) for p, v in values.items()}).items()
+        }
+    )
+    meter = 1.0 + illuminance_relative_sd * rng.standard_normal(len(posterior.draws))
+    before = model.sensor.parameters()
+    changes = {
+        path: _parameter(
+            before[path],
+            values[path],
+            drawn * meter if path in _METERED else drawn,
+            _remaining_width(model.sensor, path, drawn),
+        )
+        for path, drawn in draws.items()
+    }
+    well = full_well_draws(model.sensor, draws, rng) if scale_filled else None
+    if well is not None:
+        draws[FULL_WELL] = well
+        low, value, high = (float(q) for q in np.quantile(well, (0.025, 0.5, 0.975)))
+        words = "the prior, truncated below the charge at full scale, which frames reach; prior: "
+        changes[FULL_WELL] = Parameter(
+            value=value,
+            low=low,
+            high=high,
+            standing="prior",
+            source=words + before[FULL_WELL].source,
+        )
+    table = np.stack(list(draws.values()), axis=1)
+    return replace(
+        model.sensor.with_parameters(changes),
+        name=f"{model.sensor.name}, fitted",
+        draws=Draws(
+            names=tuple(draws), values=tuple(tuple(float(f"{x:.7g}") for x in row) for row in table)
+        ),
+        notes=(
+            *model.sensor.notes,
+            _how(model, posterior, point),
+            *combined,
+            *_out_of_range(before, changes),
+        ),
+    )
+
+
+def _typical(model: Model, draws: Array) -> Array:
+    """Return the posterior's mode, in which a coordinate that stands at a bound of the data has its
+    median.
+    """
+    middle = np.median(draws, axis=0)
+    point = most_probable(model, middle, np.ones(middle.size, bool))
+    place = np.mean(draws < point, axis=0)
+    inside = (place > LIMITS.edge) & (place < 1.0 - LIMITS.edge)
+    return most_probable(model, np.where(inside, point, middle), inside)
+
+
+def _combination(combination: Combination, drawn: Array, value: float) -> str:
+    """Return the note on a product that the data determine, and its range relative to its value."""
+    low, high = (float(q) / value for q in np.quantile(drawn, (0.025, 0.975)))
+    first, *others = combination.paths
+    return (
+        f"The data determine {first} only together with {', '.join(others)}: the combination is "
+        f"known to {low - 1.0:+.1%} to {high - 1.0:+.1%} (95 %), and its departure from the "
+        "description is divided over the factors as their prior ranges allow."
+    )
+
+
+def _remaining_width(sensor: VisibleCamera, path: str, drawn: Array) -> float:
+    """Return the posterior's standard deviation over the prior's, in the coordinate of the
+    prior.
+    """
+    prior = prior_of(sensor, (TIED.get(path, path),))
+    return float(prior.coordinates(drawn[:, None]).std(ddof=1) / prior.sd[0])
+
+
+def _parameter(before: Parameter, value: float, draws: Array, left: float) -> Parameter:
+    """Return one parameter of the fitted description; `left` is the remaining fraction of its
+    prior's width.
+    """
+    if left >= LIMITS.identified:
+        said = (
+            f"requested, but not identified by the session's data: {left:.0%} of the prior's "
+            f"width remains"
+        )
+        low, high = (value if end is None else end for end in (before.low, before.high))
+        source = f"{said}; prior: {before.source}"
+        return Parameter(
+            value=value, low=min(low, value), high=max(high, value), standing="prior", source=source
+        )
+    low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
+    source = f"fitted to the session's data; {left:.0%} of the prior's width remains"
+    return Parameter(
+        value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source
+    )
+
+
+def _out_of_range(before: dict[str, Parameter], fitted: dict[str, Parameter]) -> Iterator[str]:
+    """Yield a note on each fitted value outside the description's range, which its interval does
+    not reach.
+    """
+    for path, p in fitted.items():
+        low, high = before[path].low, before[path].high
+        if low is None or high is None or p.low is None or p.high is None or p.standing != "fitted":
+            continue
+        if p.high < low or p.low > high:
+            yield (
+                f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] is outside the description's "
+                f"{low:g} to {high:g}: another description, or conditions other than stated"
+            )
+
+
+def _how(model: Model, posterior: Posterior, point: Array) -> str:
+    """Return the note that summarises the fit."""
+    numbers = sum(observed.value.size for observed in model.observed)
+    chi_squared = float(model.misfit(point[None])[0])
+    flags = f"; flags: {', '.join(posterior.flags)}" if posterior.flags else ""
+    return (
+        f"Fitted with {len(posterior.names)} parameters to {numbers} measured numbers, "
+        f"chi-squared {chi_squared:.1f}, {posterior.sampler}, seed {posterior.seed}{flags}."
+    )

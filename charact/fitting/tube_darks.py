@@ -1,0 +1,102 @@
+"""Darks of a camera with a tube: the noise between pulses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fitting.stack_levels import StackMean
+from charact.fitting.thresholds import DARKS
+from charact.fitting.tube_ions import IonEvents
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Darks:
+    """Frames of a dark, what is quiet in them, and how its pulses are expected to look."""
+
+    data: NDArray[np.float32]  # shape (frame, row, col), DN
+    level: StackMean
+    sensor: Sensor
+    level_dn: float  # mean of the quiet pixels before rounding, DN
+    noise_dn: float  # their standard deviation before rounding, DN
+    noise_relative_sd: float  # relative error of that by the pulses among them
+    quiet: Mask  # pixels without a pulse near by, shape (frame, row, col)
+    ions: IonEvents
+
+    @property
+    def step(self) -> int:
+        """Frame rows from one row of a field to the next."""
+        return 2 if self.sensor.video.interlaced else 1
+
+    @property
+    def fields(self) -> int:
+        """Number of fields in the frames."""
+        return len(self.data) * self.step
+
+
+def darks_of(ions: IonEvents) -> Darks | None:
+    """Return the frames of a dark and what is quiet in them, or None where its noise cannot be
+    located.
+    """
+    from scipy.ndimage import maximum_filter
+
+    data = ions.data
+    first = quiet_noise(data.ravel())
+    if first is None:
+        return None
+    pulse = data >= first[0] + max(DARKS.pulse_dn, DARKS.pulse_sd * first[1])
+    quiet = maximum_filter(pulse, size=(1, *DARKS.pulse_reach)) == 0
+    noise = quiet_noise(data[quiet]) if quiet.mean() > DARKS.least_quiet else None
+    # Pulses among all pixels raise their noise by up to a seventh, among quiet ones by some
+    # percent.
+    noise, relative_sd = (noise, 0.03) if noise else (first, 0.15)
+    return Darks(
+        data=data,
+        level=ions.level,
+        sensor=ions.sensor,
+        level_dn=noise[0],
+        noise_dn=noise[1],
+        noise_relative_sd=relative_sd,
+        quiet=quiet,
+        ions=ions,
+    )
+
+
+def thresholds_of(values: NDArray[np.floating]) -> tuple[float, float] | None:
+    """Return two levels between grey values that locate the lower side and the middle of the noise,
+    DN.
+    """
+    codes, counts = np.unique(values, return_counts=True)
+    below = np.cumsum(counts)
+    fine = counts.max() < DARKS.fine_fraction * values.size
+    least = DARKS.fine_below[0] * values.size if fine else float(DARKS.least_count)
+    most = (DARKS.fine_below[1] if fine else DARKS.most_below) * values.size
+    low, high = np.searchsorted(below, least), np.searchsorted(below, most, side="right") - 1
+    return (float(codes[low]) + 0.5, float(codes[high]) + 0.5) if high > low else None
+
+
+def quiet_noise(values: NDArray[np.floating]) -> tuple[float, float] | None:
+    """Return level and standard deviation before rounding of normal noise, from its lower side, DN.
+
+    The fraction below a level c between grey values is the normal distribution at (c - level)/sd,
+    rounded or not. Pulses only raise values. None of noise that reaches no second grey value.
+    """
+    levels = thresholds_of(values)
+    if levels is None:
+        return None
+    return level_and_sd(np.array([float(np.mean(values < level)) for level in levels]), levels)
+
+
+def level_and_sd(below: Array, levels: tuple[float, float]) -> tuple[float, float]:
+    """Return level and standard deviation of normal noise from the fractions below two levels,
+    shape (2,), DN.
+    """
+    from scipy.special import ndtri
+
+    low, high = ndtri(below)
+    sd = (levels[1] - levels[0]) / (high - low)
+    return float(levels[0] - low * sd), float(sd)

@@ -1,0 +1,246 @@
+"""Observation of ion feedback: number and charge of the events in a dark that are larger than
+pulses.
+"""
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fitting import predicted_quantities as predicted
+from charact.fitting.observation import Observation
+from charact.fitting.predicted_quantities import Values
+from charact.fitting.prior import values_of_description
+from charact.fitting.stack_levels import StackMean
+from charact.fitting.thresholds import DARKS, ION_ERRORS
+from charact.fitting.tube_time_observations import field_products, frames_of, pulse_covariance
+from labdata.measurement import Result
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+RATE, SIZE = "microchannel_plate.ion_event_rate_per_s_cm2", "microchannel_plate.ion_event_size_pe"
+IONS = (RATE, SIZE)
+DETECTED, SHAPE = (
+    "microchannel_plate.detection_probability",
+    "microchannel_plate.pulse_height_shape",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IonEvents:
+    """Events of a dark that are larger than pulses, and pixels that they reach."""
+
+    level: StackMean
+    sensor: Sensor
+    data: NDArray[np.float32]  # frames of the dark, shape (frame, row, col), DN
+    reached: NDArray[
+        np.bool_
+    ]  # pixels that the light of an event may reach in any frame, shape (row, col)
+    charge_dn: tuple[float, ...]  # charge of each event in its window and brightest field, DN
+    least_dn: float  # charge in the window from which an event counts as that of an ion, DN
+    in_window: float  # fraction of a pulse's light in a field that its window contains
+    event_dn: float  # k F^2 as measured, DN
+    variance_dn2: float  # what the events add to the variance of a pixel, DN^2
+
+
+def light_in_window(values: Values) -> float:
+    """Return the fraction of a pulse's light that its window contains, of a Gaussian of the
+    described blur.
+    """
+    from scipy.special import erf
+
+    blur = pulse_covariance(values, ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)))[0]
+    # Two such Gaussians r px apart have the covariance exp(-r^2/(4 s^2)).
+    sizes = [1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:]]
+    sides = [
+        erf(wide / (2.0 * np.sqrt(2.0) * size))
+        for wide, size in zip(DARKS.window, sizes, strict=True)
+    ]
+    return float(np.prod(sides))
+
+
+def ions_of(sensor: Sensor, result: Result, levels: tuple[StackMean, ...]) -> IonEvents | None:
+    """Return the ion events of the dark with most frames, or None without one of enough frames or a
+    measured gain.
+    """
+    stacks = [level for level in levels if level.dark and level.entry is not None]
+    # A scale of the charge of pulses, for which any estimate will do.
+    gains = [m.value for m in result.find("covariance_gain") if m.value]
+    if not stacks or not gains:
+        return None
+    level = max(stacks, key=lambda level: len(level.entry.read()) if level.entry else 0)
+    data = frames_of(level, sensor)
+    if data is None or len(data) < DARKS.least_frames:
+        return None
+    return find_ions(data, level, sensor, gains[0])
+
+
+def find_ions(
+    data: NDArray[np.float32], level: StackMean, sensor: Sensor, event_dn: float
+) -> IonEvents:
+    """Return the ion events of a dark's frames (frame, row, col); `event_dn`: k F^2, DN."""
+    from scipy.ndimage import label, maximum, maximum_filter, uniform_filter
+
+    values, step = values_of_description(sensor), 2 if sensor.video.interlaced else 1
+    in_window = light_in_window(values)
+    in_field = in_window * float(np.sqrt(field_products(values, level.gate_s, 1)[0, 0]))
+    charge, window = np.empty_like(data), cast(Any, (0, *DARKS.window))
+    for parity in range(step):
+        charge[:, parity::step] = uniform_filter(data[:, parity::step], size=window) - data.mean()
+    charge *= DARKS.window[0] * DARKS.window[1]
+    low, middle = np.quantile(charge[0], (0.16, 0.5))
+    noise_dn = max(
+        DARKS.ion_sd * float(middle - low), DARKS.ion_pixel_dn * DARKS.window[0] * DARKS.window[1]
+    )
+    least = max(DARKS.ion_charge * event_dn * in_field, noise_dn)
+    seed = charge > least
+    # An event is seen in both fields and in later frames: what touches is one event.
+    near = np.asarray(maximum_filter(seed, size=(1, 5, 5)), bool)
+    parts, count = cast(Any, label(near, structure=np.ones((3, 3, 3))))
+    largest = (
+        np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
+    )
+    reached = maximum_filter(seed.any(axis=0), size=DARKS.ion_reach) > 0
+    return IonEvents(
+        level=level,
+        sensor=sensor,
+        data=data,
+        reached=reached,
+        least_dn=least,
+        in_window=in_window,
+        event_dn=event_dn,
+        variance_dn2=float(np.sum((data[near] - data.mean()) ** 2)) / data.size,
+        charge_dn=tuple(float(one) for one in largest),
+    )
+
+
+def moment_below(shape: Array, mean: Array | float, limit: Array, order: int) -> Array:
+    """Return the part of the moment of an order of gamma distributed charges below a limit."""
+    from scipy.special import gammainc, poch
+
+    shape, scale = np.asarray(shape, float), np.asarray(mean) / shape
+    return (
+        scale**order * poch(shape, order) * gammainc(shape + order, np.maximum(limit, 0.0) / scale)
+    )
+
+
+def single_pulse_limit(values: Values, events: IonEvents) -> Array:
+    """Return the charge from which an event counts as that of an ion, in mean detected pulses,
+    shape (n,).
+    """
+    return events.least_dn / _in_window(values, events)
+
+
+def weak_ions(values: Values, events: IonEvents) -> tuple[Array, Array]:
+    """Return mean and mean square light of ion events too small to be counted, by field pixel and
+    field.
+
+    Shapes (n,), DN and DN^2.
+    """
+    rate, height = predicted.ion_rate(values) * events.level.gate_s, _pulse_dn(values, events)
+    mean, square = (_moment_of_weak(values, events, order) for order in (1, 2))
+    return rate * mean * height, rate * square * height**2
+
+
+def ion_observation(events: IonEvents) -> Observation:
+    """Observe the square root of the number of counted ion events and the logarithm of their mean
+    charge.
+
+    Notes
+    -----
+    The root of a Poisson number plus 3/8 has the variance 1/4 nearly (Anscombe 1948). No event says
+    that few are above the limit; then the charge is left out.
+    """
+    charges = np.array(events.charge_dn)
+    number = charges.size
+    value = [float(np.sqrt(number + 0.375))]
+    # At the charge of pulses as measured: the described gain may be far from it.
+    sheet = values_of_description(events.sensor)
+    pulse_dn = events.event_dn / (1.0 + 1.0 / sheet[SHAPE])
+    limit = single_pulse_limit(sheet, events) * _pulse_dn(sheet, events) / pulse_dn
+    groups = float(_coincidences(sheet, limit, events.level.gate_s)[0]) * _exposure_of_pixels_s(
+        events
+    )
+    unsure = ION_ERRORS.number * value[0], 0.5 * ION_ERRORS.coincidences * groups / value[0]
+    sd = [float(np.hypot.reduce([0.5, *unsure]))]
+    if number >= ION_ERRORS.least_events:
+        value.append(float(np.log(charges.mean())))
+        sd.append(
+            float(
+                np.hypot(charges.std(ddof=1) / charges.mean() / np.sqrt(number), ION_ERRORS.charge)
+            )
+        )
+
+    def predict(values: Values) -> Array:
+        ions = predicted.ion_rate(values) * _exposure_of_pixels_s(events)
+        counted = ions * (1.0 - _moment_of_weak(values, events, 0))
+        above = ions * (values[SIZE] - _moment_of_weak(values, events, 1))
+        limit = single_pulse_limit(values, events)
+        pulses = _coincidences(values, limit, events.level.gate_s) * _exposure_of_pixels_s(events)
+        found = counted + pulses
+        # Where none is expected, an event is one at the limit.
+        few = 1e-9
+        charge = (above + (pulses + few) * (limit + 1.0)) / (found + few)
+        columns = [np.sqrt(found + 0.375), np.log(charge * _in_window(values, events))][
+            : len(value)
+        ]
+        return np.stack(np.broadcast_arrays(*columns), axis=1)
+
+    return Observation(
+        name="ion events",
+        value=np.array(value),
+        covariance=np.diag(np.square(sd)),
+        predict=predict,
+        speaks_of=IONS,
+    )
+
+
+def _exposure_of_pixels_s(events: IonEvents) -> float:
+    """Return the time that all pixels of all fields were exposed, s."""
+    return events.level.gate_s * events.data.size
+
+
+def _pulse_dn(values: Values, events: IonEvents) -> Array:
+    """Return the charge of the mean detected pulse k/p, shape (n,), DN."""
+    reference_v = float(events.sensor.microchannel_plate.reference_v)
+    return predicted.photoelectron_gain(values, events.level.mcp_v, reference_v) / values[DETECTED]
+
+
+def _in_window(values: Values, events: IonEvents) -> Array:
+    """Return the charge of the mean detected pulse in its window and brightest field, shape (n,),
+    DN.
+    """
+    in_field = np.sqrt(field_products(values, events.level.gate_s, 1)[:, 0])
+    return _pulse_dn(values, events) * events.in_window * in_field
+
+
+def _moment_of_weak(values: Values, events: IonEvents, order: int) -> Array:
+    """Return the part of a moment of the charge of ion events that is below the limit, in mean
+    detected pulses.
+
+    The charge of an event is the sum of a Poisson number of pulses, here as the gamma distribution
+    of its mean m and variance m (1 + 1/shape).
+    """
+    size, spread = values[SIZE], 1.0 + 1.0 / values[SHAPE]
+    return moment_below(size / spread, size, single_pulse_limit(values, events), order)
+
+
+def _coincidences(values: Values, limit: Array, gate_s: float) -> Array:
+    """Return the number of pulses and groups of pulses above a limit, by field pixel and second,
+    shape (n,).
+
+    Of k pulses besides one in its window, a Poisson number, the charge is gamma distributed of the
+    shape (1 + k) a; the group is one event.
+    """
+    from scipy.special import gammaincc
+    from scipy.stats import poisson
+
+    rate = predicted.background_rate(values) * values[DETECTED]
+    besides = rate * gate_s * DARKS.window[0] * DARKS.window[1]
+    total = np.zeros(np.broadcast(rate, limit).shape)
+    for k in range(12):
+        above = gammaincc((1 + k) * values[SHAPE], limit * values[SHAPE])
+        total = total + poisson.pmf(k, besides) * above / (1 + k)
+    return rate * total

@@ -1,8 +1,0 @@
-"""Infrared cameras: signal transfer (SiTF), NETD and 3-D noise in kelvin from black-body flats, and
-MRTD.
-"""
-
-from charact.infrared.blackbody_flats import blackbody_flats, is_linear, measure
-from charact.infrared.mrtd import add_mrtd
-
-__all__ = ["add_mrtd", "blackbody_flats", "is_linear", "measure"]

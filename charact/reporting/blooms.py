@@ -1,0 +1,442 @@
+"""Figures of halo and blooming: radial profiles with fits, diameters against light."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from charact.reporting.style import (
+    COLOURS,
+    DATA,
+    FOURTH,
+    INK,
+    MODEL,
+    THIRD,
+    WARN,
+    first_array,
+    has_all,
+    panels,
+    plot_line,
+    plot_points,
+    write_note,
+)
+
+Data = Mapping[str, Any]
+
+
+def plot_point_profile(data: Data) -> Any:
+    """Plot the radial profiles of a point series with the joint fit, and the residuals in standard
+    errors.
+
+    Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`, `used`
+    (fitted rings), and with a fit `model_dn` and `residual_sd`. `halo_diameter_px` and
+    `full_scale_dn` are marked.
+    """
+    fitted = has_all(data, "model_dn")
+    rows = 2 if fitted else 1
+    figure, grid = panels(
+        rows,
+        1,
+        size=(5.8, 5.2 if fitted else 4.0),
+        sharex=True,
+        height_ratios=(2.2, 1.0) if fitted else None,
+    )
+    axes = grid[0, 0]
+    for colour, number in zip(COLOURS * 2, pick_levels(len(data["label"])), strict=False):
+        radius, mean, sd = (
+            np.asarray(data[key][number], float) for key in ("radius_px", "mean_dn", "sd_dn")
+        )
+        used = np.asarray(data["used"][number], bool)
+        plot_points(
+            axes,
+            radius[used],
+            mean[used],
+            sd[used],
+            color=colour,
+            label=str(data["label"][number]),
+            alpha=0.8,
+        )
+        plot_points(axes, radius[~used], mean[~used], color=colour, alpha=0.3, marker="x")
+        if not fitted:
+            continue
+        model = np.asarray(data["model_dn"][number], float)
+        plot_line(axes, radius, model, color=colour, linewidth=1)
+        left = (
+            np.asarray(data["residual_sd"][number], float)
+            if has_all(data, "residual_sd")
+            else (mean - model) / np.maximum(sd, 1e-9)
+        )
+        plot_points(grid[1, 0], radius[used], left[used], color=colour, alpha=0.8)
+    for one in grid[:, 0]:
+        if data.get("halo_diameter_px") is not None:
+            one.axvline(
+                data["halo_diameter_px"] / 2,
+                color=INK,
+                linestyle="--",
+                linewidth=0.9,
+                label="halo radius",
+            )
+    if data.get("full_scale_dn"):
+        axes.axhline(
+            data["full_scale_dn"], color=WARN, linestyle=":", linewidth=0.9, label="full scale"
+        )
+    means = np.concatenate([np.asarray(mean, float) for mean in data["mean_dn"]])
+    low, high = float(np.nanmin(means)), float(np.nanmax(means))
+    axes.set(ylabel="mean of the ring (DN)")
+    # A halo is a small step on a long slope; a logarithmic scale shows both.
+    axes.set_yscale("log" if low > 0 else "linear")
+    axes.set_ylim(0.93 * low if low > 0 else low - 0.05 * high, 1.3 * high)
+    axes.legend(ncols=2)
+    grid[-1, 0].set(xlabel="distance from the source (column pitches, px)")
+    if fitted:
+        rest = grid[1, 0]
+        rest.axhline(0.0, color=INK, linewidth=0.7)
+        rest.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
+        most = max(4.0, 1.1 * _largest(data, fitted))
+        rest.set(ylabel="data - model\n(standard errors)", ylim=(-most, most))
+    return figure
+
+
+def _largest(data: Data, fitted: bool) -> float:
+    """Return the largest residual of the fitted rings in standard errors, at most 12."""
+    if not fitted or not has_all(data, "residual_sd"):
+        return 4.0
+    pairs = zip(data["residual_sd"], data["used"], strict=True)
+    largest = [np.abs(np.asarray(r, float)[np.asarray(u, bool)]).max(initial=0.0) for r, u in pairs]
+    return float(min(12.0, max(largest)))
+
+
+def plot_point_spread(data: Data) -> Any:
+    """Plot the profiles of a point source along row and column and its rings, with the model."""
+    figure, grid = panels(1, 2, size=(5.8, 3.4), width_ratios=(1.2, 1))
+    core, rings = grid[0]
+    for colour, way, place in ((DATA, "row", "column_px"), (THIRD, "column", "row_px")):
+        x = first_array(data, place)
+        plot_points(
+            core,
+            x,
+            first_array(data, f"along_{way}_dn"),
+            color=colour,
+            label=f"along the {way}",
+            markersize=4,
+        )
+        plot_line(core, x, first_array(data, f"along_{way}_model_dn"), color=colour)
+    core.set(xlabel="distance from the source (px)", ylabel="signal (DN)")
+    low, high = core.get_ylim()
+    core.set(ylim=(low, high + 0.2 * (high - low)))
+    core.legend(loc="upper right")
+    radius, mean = first_array(data, "ring_px"), first_array(data, "ring_dn")
+    plot_points(
+        rings, radius, mean, first_array(data, "ring_sd_dn"), color=DATA, label="rings, ± 1 sd"
+    )
+    plot_line(
+        rings, radius, first_array(data, "ring_model_dn"), color=MODEL, label="model", zorder=3
+    )
+    rings.set(xlabel="radius (column pitches, px)", ylabel="mean of the ring (DN)")
+    rings.legend()
+    return figure
+
+
+def pick_levels(count: int) -> list[int]:
+    """Return at most six level indices at equal intervals."""
+    return sorted({int(n) for n in np.linspace(0, count - 1, min(count, 6)).round()})
+
+
+def exposure(data: Data) -> tuple[np.ndarray, str]:
+    """Return the abscissa of a point series and its label: overload, else light dose, else the
+    stack number.
+    """
+    if data.get("overload_known"):
+        return first_array(data, "overload"), "overload: signal over full scale (1)"
+    gate = [1.0 if value is None else value for value in data.get("gate_ns", [])]
+    light = [None if value is None else value for value in data.get("illuminance_lux", [])]
+    if light and all(value is not None and value > 0 for value in light):
+        return np.asarray(light, float) * np.asarray(
+            gate, float
+        ) * 1e-9, "light dose on the photocathode (lux s)"
+    return np.arange(1, len(data["label"]) + 1, dtype=float), "stack, in order (1)"
+
+
+def plot_illuminated_edge(data: Data) -> Any:
+    """Plot the profile across the edge of an illuminated area at every source level, with the model
+    and the halo end.
+
+    Reads `label`, and for each of these a list per level: `distance_px`, `mean_dn`, `sd_dn`,
+    `used`, `model_dn`; `edge_px`, the true edge on the scale of the distances, and
+    `halo_diameter_px`.
+    """
+    figure, grid = panels(2, 1, size=(5.8, 4.8), sharex=True, height_ratios=(2.2, 1.0))
+    upper, lower = grid[:, 0]
+    for colour, number in zip(COLOURS * 2, pick_levels(len(data["label"])), strict=False):
+        at, mean, sd, model = (
+            np.asarray(data[key][number], float)
+            for key in ("distance_px", "mean_dn", "sd_dn", "model_dn")
+        )
+        used = np.asarray(data["used"][number], bool)
+        plot_points(
+            upper, at[used], mean[used], sd[used], color=colour, label=str(data["label"][number])
+        )
+        plot_points(upper, at[~used], mean[~used], color=colour, alpha=0.3, marker="x")
+        plot_line(upper, at[used], model[used], color=colour, linewidth=1)
+        plot_points(
+            lower, at[used], (mean - model)[used] / np.maximum(sd[used], 1e-9), color=colour
+        )
+    end = data["edge_px"] + data["halo_diameter_px"] / 2.0
+    for axes in (upper, lower):
+        axes.axvline(data["edge_px"], color=INK, linewidth=0.9, label="edge")
+        axes.axvline(end, color=INK, linestyle="--", linewidth=0.9, label="end of the halo")
+    upper.set(ylabel="mean of the strip (DN)", yscale="log")
+    upper.legend(ncols=2)
+    lower.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
+    lower.set(
+        xlabel="distance from the edge (column pitches, px)",
+        ylabel="data - model\n(standard errors)",
+    )
+    return figure
+
+
+# Quantity: threshold, colour and marker.
+EXTENTS = {
+    "bloom_diameter": ("half of full scale", DATA, "o"),
+    "bloom_diameter_background": ("twice the background", FOURTH, "^"),
+    "bloom_diameter_clip": ("full scale", THIRD, "v"),
+    "streak_length": ("streak", MODEL, "s"),
+}
+
+
+def plot_bloom_series(data: Data) -> Any:
+    """Plot bloom diameters at three thresholds, streak length and halo diameter against light, with
+    95 % intervals.
+
+    Reads `label` and the data of `exposure`; `measured`, by quantity and label [value, low, high]
+    of 95 %, and without it the lists `bloom_diameter_px` and `streak_length_px`; `halo_px` [value,
+    low, high], else each level's `halo_diameter_px`; `foretold`, the diameters predicted by the
+    fitted spread: `overload`, and by quantity [low, median, high] lists, shown as lines; `truth`,
+    by quantity a list for the stacks.
+    """
+    figure, grid = panels(size=(5.8, 4.2))
+    axes = grid[0, 0]
+    x, label = exposure(data)
+    predicted = data.get("foretold") if data.get("overload_known") else None
+    shown = [_extent(axes, data, x, quantity, predicted) for quantity in EXTENTS]
+    if data.get("halo_px"):
+        value, low, high = data["halo_px"]
+        axes.axhspan(low, high, color=INK, alpha=0.15, linewidth=0)
+        axes.axhline(value, color=INK, linestyle="--", linewidth=0.9, label=f"halo, {value:.1f} px")
+    elif own := [
+        (at, one) for at, one in zip(x, data.get("halo_diameter_px", []), strict=False) if one
+    ]:
+        plot_points(
+            axes,
+            *zip(*own, strict=True),
+            color=INK,
+            markersize=5,
+            marker="D",
+            mfc="none",
+            label="halo, before blur",
+        )
+    if not any(shown):
+        write_note(axes, "No stack exceeds any of the thresholds.")
+    if not label.startswith("stack"):
+        axes.set_xscale("log")
+    axes.set(xlabel=label, ylabel="diameter or length (column pitches, rows; px)")
+    _set_height(axes, data)
+    lines = ", lines: predicted by the fit" if predicted else ""
+    axes.legend(title=f"diameter at{lines}" if any(shown) else None, alignment="left")
+    return figure
+
+
+def _set_height(axes: Any, data: Data) -> None:
+    """Set a linear ordinate, or a logarithmic one if one diameter is far larger than the others."""
+    measured = data.get("measured", {})
+    values = [one[0] for quantity in measured.values() for one in quantity.values()]
+    usual = [one[0] for one in measured.get("bloom_diameter", {}).values()] + [
+        (data.get("halo_px") or [0.0])[0]
+    ]
+    if values and max(values) > 2.0 * max(usual):
+        axes.set_yscale("log")
+        axes.set_ylim(2.0, 1.3 * max(values))
+    else:
+        axes.set_ylim(bottom=0.0)
+
+
+def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, predicted: Any) -> bool:
+    """Plot one quantity of every stack, its prediction by the fit, and its truth; return whether it
+    has points.
+    """
+    words, colour, marker = EXTENTS[quantity]
+    measured = data.get("measured", {}).get(quantity, {})
+    points = [
+        (at, *measured[label])
+        for at, label in zip(x, data["label"], strict=True)
+        if measured.get(label)
+    ]
+    if not measured and f"{quantity}_px" in data:
+        points = [
+            (at, d, d, d)
+            for at, d in zip(x, first_array(data, f"{quantity}_px"), strict=True)
+            if d > 0
+        ]
+    if predicted is not None and quantity in predicted and points:
+        low, middle, high = (np.asarray(one, float) for one in predicted[quantity])
+        at = np.asarray(predicted["overload"], float)
+        axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(at, middle, color=colour, linewidth=1)
+    if points:
+        at, value, low, high = np.array(points, float).T
+        arms = np.maximum([value - low, high - value], 0.0)
+        axes.errorbar(
+            at, value, yerr=arms, fmt=marker, color=colour, markersize=4.5, linewidth=1, label=words
+        )
+    truth = data.get("truth", {}).get(quantity)
+    if truth is not None:
+        axes.plot(
+            x,
+            truth,
+            "_",
+            color=INK,
+            markersize=12,
+            label="truth" if quantity == "bloom_diameter" else None,
+        )
+    return bool(points)
+
+
+def plot_spread_models(data: Data) -> Any:
+    """Plot the BIC of every halo model above that of the best one, the best at the top.
+
+    Reads `table`, a list of rows with `form`, `parameters`, `bic_over_best` and, if
+    cross-validated, `foretold_chi2_per_ring`.
+    """
+    table = data["table"]
+    figure, grid = panels(size=(5.8, 0.9 + 0.34 * len(table)))
+    axes = grid[0, 0]
+    place = np.arange(len(table))[::-1]
+    over = np.array([row["bic_over_best"] for row in table], float)
+    axes.barh(place, over + 1.0, left=0.0, color=DATA, height=0.6, alpha=0.7)
+    axes.set_xscale("symlog", linthresh=10)
+    axes.set_xlim(0.0, 2.0 * max(10.0, float(over.max())))
+    axes.set_yticks(place, [str(row["form"]) for row in table])
+    axes.set(xlabel="BIC above that of the best model (1):\nmodels beyond 10 are excluded")
+    axes.grid(axis="y", alpha=0)
+    criteria = axes.secondary_yaxis("right")
+    criteria.set_yticks(place, [_criteria(row) for row in table], fontsize=7.0)
+    criteria.tick_params(length=0)
+    return figure
+
+
+def _criteria(row: Mapping[str, Any]) -> str:
+    """Return the label of a model, to the right of its bar."""
+    first = f"{row['bic_over_best']:.0f}; parameters: {row['parameters']}"
+    cross = row.get("foretold_chi2_per_ring")
+    return first if cross is None else f"{first}\ncross-validation: χ² {cross:.3g} per ring"
+
+
+def plot_smear(data: Data) -> Any:
+    """Plot the uniform signal of the source's columns against their collected light; the slope is
+    the smear.
+
+    Reads `light_per_row_dn`, `level_dn`, `level_sd_dn` and `label`, a list per stack.
+    """
+    figure, grid = panels(size=(5.6, 3.2))
+    axes = grid[0, 0]
+    light, level, sd = (
+        first_array(data, key) for key in ("light_per_row_dn", "level_dn", "level_sd_dn")
+    )
+    axes.errorbar(
+        light,
+        level,
+        yerr=1.96 * sd,
+        fmt="o",
+        color=DATA,
+        markersize=4.5,
+        linewidth=1,
+        label="stack, 95 %",
+    )
+    smear = float((light * level / sd**2).sum() / (light**2 / sd**2).sum())
+    ends = np.geomspace(light.min(), light.max(), 50)
+    axes.plot(ends, smear * ends, color=MODEL, label=f"smear {smear:.2g} of the column's light")
+    axes.set(
+        xscale="log",
+        xlabel="light of the columns per row (DN)",
+        ylabel="uniform signal of the columns (DN)",
+    )
+    # Smear rises with the light, so this corner is free.
+    axes.legend(loc="upper left")
+    return figure
+
+
+def plot_halo_uniformity(data: Data) -> Any:
+    """Plot the halo diameter of every source level with 95 % intervals; geometry requires it to be
+    constant.
+    """
+    figure, grid = panels(size=(5.6, 3.2))
+    axes = grid[0, 0]
+    seen = [n for n, diameter in enumerate(data["halo_diameter_px"]) if diameter is not None]
+    diameter = np.array([data["halo_diameter_px"][n] for n in seen], float)
+    ends = np.array([data["interval95_px"][n] for n in seen], float).reshape(-1, 2)
+    arms = np.maximum([diameter - ends[:, 0], ends[:, 1] - diameter], 0)
+    axes.errorbar(
+        seen,
+        diameter,
+        yerr=arms,
+        fmt="o",
+        color=DATA,
+        markersize=4.5,
+        linewidth=1,
+        label="one level, 95 %",
+    )
+    if data.get("joint_px") is not None:
+        axes.axhline(
+            data["joint_px"], color=INK, linestyle="--", linewidth=0.9, label="all levels together"
+        )
+    axes.set_xticks(
+        range(len(data["label"])), [str(label) for label in data["label"]], rotation=30, ha="right"
+    )
+    axes.set(xlabel="stack", ylabel="halo diameter (px)", xlim=(-0.5, len(data["label"]) - 0.5))
+    axes.legend()
+    return figure
+
+
+def plot_series_stability(data: Data) -> Any:
+    """Plot the background of every stack with 95 % intervals, and the source position frame by
+    frame.
+
+    Reads `label`, `background_dn`, `background_sd_dn`, and `row_px` and `col_px`, a list per stack
+    by frame.
+    """
+    figure, grid = panels(1, 2, size=(6.4, 3.0))
+    level, place = grid[0]
+    numbers = np.arange(len(data["label"]))
+    background, sd = first_array(data, "background_dn"), first_array(data, "background_sd_dn")
+    level.errorbar(
+        numbers,
+        background,
+        yerr=1.96 * sd,
+        fmt="o",
+        color=DATA,
+        markersize=4.5,
+        linewidth=1,
+        label="stack, 95 %",
+    )
+    level.set_xticks(numbers, [str(label) for label in data["label"]], rotation=40, ha="right")
+    level.set(xlabel="stack", ylabel="background over dark (DN)")
+    level.legend()
+    for colour, (label, rows, cols) in zip(
+        COLOURS * 4, zip(data["label"], data["row_px"], data["col_px"], strict=True), strict=False
+    ):
+        seen = np.array(
+            [(r, c) for r, c in zip(rows, cols, strict=True) if r is not None and c is not None],
+            float,
+        )
+        if len(seen) > 1:
+            place.plot(
+                *(seen - seen.mean(axis=0)).T[::-1],
+                marker=".",
+                color=colour,
+                linewidth=0.8,
+                label=str(label),
+            )
+    place.axhline(0.0, color=INK, linewidth=0.6)
+    place.axvline(0.0, color=INK, linewidth=0.6)
+    place.set(xlabel="source, frame by frame: column (px)", ylabel="row (px)")
+    return figure

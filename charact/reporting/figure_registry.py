@@ -1,0 +1,217 @@
+"""Figure registry: the plot function and report section of each kind of figure data."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from charact.reporting import bloom_images, blooms, curves, noise, resolution
+from charact.reporting.figure_svg import as_svg
+from charact.reporting.style import report_style
+
+Data = Mapping[str, Any]
+# Kind of figure data: section of the report, plot function (data -> matplotlib figure) and caption.
+FIGURES: dict[str, tuple[str, Callable[[Data], Any], str]] = {
+    "edge-spread": (
+        "mtf",
+        curves.plot_edge_spread,
+        "The edge spread function with the fitted model, and the residual below.",
+    ),
+    "bars": (
+        "mtf",
+        curves.plot_bars,
+        "The profile across the bars with the fitted model, and the residual below.",
+    ),
+    "point-spread": (
+        "mtf",
+        blooms.plot_point_spread,
+        "Profiles through the centre of the point source with the fitted model.",
+    ),
+    "agreement": (
+        "mtf",
+        curves.plot_mtf_differences,
+        (
+            "Differences between the MTFs of the targets at the bar frequencies; an interval that "
+            "holds zero is agreement."
+        ),
+    ),
+    "joint-mtf": (
+        "mtf",
+        curves.plot_joint_mtf,
+        (
+            "Distance of each target from the joint MTF; 95 % of the points lie in the band if the "
+            "targets agree."
+        ),
+    ),
+    "constancy": (
+        "mtf",
+        curves.plot_mtf_uniformity,
+        (
+            "MTF50 of the targets against place and settings; a slope shows that the MTF is not "
+            "uniform."
+        ),
+    ),
+    "stage-budget": (
+        "mtf",
+        curves.plot_mtf_budget,
+        "MTF of every stage of the camera, their product, and the measured MTF.",
+    ),
+    "limiting-resolution": (
+        "mtf",
+        resolution.plot_resolution,
+        "Limiting resolution against light with 95 % intervals, and the least contrast of bars "
+        "that an observer resolves at several lights.",
+    ),
+    "bar-groups": (
+        "mtf",
+        curves.plot_bar_groups,
+        "MTF of each group of bars and the curve through them.",
+    ),
+    "point-profile": (
+        "bloom",
+        blooms.plot_point_profile,
+        "Mean signal in rings around the point source at several overloads, with the fitted model.",
+    ),
+    "bloom-series": (
+        "bloom",
+        blooms.plot_bloom_series,
+        "Extent of the bloom against the exposure of the point source; bars and bands hold 95 %.",
+    ),
+    "halo-constancy": (
+        "bloom",
+        blooms.plot_halo_uniformity,
+        "Halo diameter of each stack by itself; one camera has one halo.",
+    ),
+    "bloom-forms": (
+        "bloom",
+        blooms.plot_spread_models,
+        "Evidence of the forms of spread that were tried; the smallest bar is the best.",
+    ),
+    "lit-edge": (
+        "bloom",
+        blooms.plot_illuminated_edge,
+        "Signal on the dark side of the edge against distance, with the halo that fits it.",
+    ),
+    "bloom-smear": (
+        "bloom",
+        blooms.plot_smear,
+        "Signal in the columns of the source, away from it, against the source's light.",
+    ),
+    "bloom-constancy": (
+        "bloom",
+        blooms.plot_series_stability,
+        "Background level and place of the source through the series; drift would show as a slope.",
+    ),
+    "bloom-frames": (
+        "bloom",
+        bloom_images.plot_bloom_frames,
+        "Frames of the series with the measured halo and bloom drawn.",
+    ),
+    "bloom-map": (
+        "bloom",
+        bloom_images.plot_bloom_map,
+        "Fraction of each pixel's signal that is blooming.",
+    ),
+    "photon-transfer": (
+        "noise",
+        noise.plot_photon_transfer,
+        "Temporal variance and summed covariance against the signal; the slopes are the gains.",
+    ),
+    "noise-spectrum": (
+        "noise",
+        noise.plot_noise_spectrum,
+        "Noise power of the flats against frequency with the fitted post-gain MTF.",
+    ),
+    "post-gain-noise": (
+        "noise",
+        noise.plot_post_gain_noise,
+        "Noise power added after the gain, along rows and columns.",
+    ),
+    "noise-against-gain": (
+        "noise",
+        noise.plot_noise_against_gain,
+        "Gain against its setting, and the noise at each gain.",
+    ),
+    "noise-by-gain": (
+        "noise",
+        noise.plot_noise_by_gain,
+        "Temporal noise against the signal at each gain setting.",
+    ),
+    "autocorrelation": (
+        "noise",
+        noise.plot_autocorrelation,
+        (
+            "Correlation of the noise between neighbouring pixels and between exposures; zero is "
+            "white noise without lag."
+        ),
+    ),
+    "predictive-frames": (
+        "noise",
+        noise.plot_predictive_checks,
+        "Statistics of the frames and those that the fitted noise predicts.",
+    ),
+    "snr-light": (
+        "noise",
+        noise.plot_snr,
+        "Signal-to-noise ratio against the light, and the light at which it is one.",
+    ),
+    "signal-transfer": (
+        "noise",
+        noise.plot_signal_transfer,
+        (
+            "Mean signal against the temperature of the black body, and the departure of each "
+            "level from the fitted law."
+        ),
+    ),
+    "three-dimensional-noise": (
+        "noise",
+        noise.plot_three_dimensional_noise,
+        "Means of exposures, rows and columns, and the power of the frame mean against frequency.",
+    ),
+    "pulse-heights": (
+        "noise",
+        noise.plot_pulse_heights,
+        "Distribution of the pulse heights of single photoelectrons with the fitted law.",
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """One figure of the page: its section, title and caption, and the SVG or the reason why there
+    is none.
+    """
+
+    section: str
+    title: str
+    svg: str | None
+    kind: str = ""
+    caption: str = ""
+    refusal_reason: str = ""
+
+
+def figure_of(name: str, data: Data) -> Figure:
+    """Plot figure data; data that cannot be plotted, such as empty lists, have the reason
+    instead.
+    """
+    kind = str(data.get("figure", name.partition(":")[0]))
+    # Profiles through the centre of one source show the MTF, rings of a series the halo.
+    kind = "point-spread" if kind == "point-profile" and "along_row_dn" in data else kind
+    section, draw, caption = FIGURES.get(kind, ("other", None, ""))
+    caption = f"{caption} {data['the_curves_say']}." if "the_curves_say" in data else caption
+    title, svg, why = figure_title(name, kind), None, f"no figure of the kind {kind!r}"
+    if draw is not None:
+        try:
+            with report_style():
+                svg, why = as_svg(draw(data), title), ""
+        except (KeyError, ValueError, TypeError, IndexError) as error:
+            why = f"its data cannot be plotted ({type(error).__name__}: {error})"
+    return Figure(
+        section=section, title=title, svg=svg, kind=kind, caption=caption, refusal_reason=why
+    )
+
+
+def figure_title(name: str, kind: str) -> str:
+    """Return the title of a figure: name of the data and, after the colon, its stack."""
+    what, _, label = name.partition(":")
+    text = (what or kind or "figure").replace("-", " ").replace("_", " ")
+    return f"{text}, {label}" if label else text

@@ -1,0 +1,66 @@
+"""Transfer functions and the spreads they stand for, against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from charact.estimators.mtf.blur_models import transfer
+from charact.estimators.mtf.edge.fit import esf_from_mtf
+
+ERF = np.vectorize(math.erf)
+DISTANCE = np.concatenate(
+    [np.arange(-12.0, 12.0, 0.125), np.arange(-100.0, -12.0, 1.0), np.arange(12.0, 100.0, 1.0)]
+)
+
+
+@pytest.fixture(scope="module")
+def weights():
+    grid = esf_from_mtf.nodes(fine=True)
+    even, _ = esf_from_mtf.edge_weights(grid, DISTANCE, np.zeros_like(DISTANCE))
+    return grid, even
+
+
+def test_edge_spread_of_a_gaussian_transfer_is_the_error_function(weights):
+    grid, even = weights
+    for sigma in (0.5, 1.0, 3.0):
+        expected = 0.5 * ERF(DISTANCE / sigma / np.sqrt(2))
+        assert np.abs(even @ np.exp(-2 * (np.pi * grid * sigma) ** 2) - expected).max() < 2e-4
+
+
+def test_edge_spread_of_the_halo_is_its_ramp(weights):
+    """A shell's shadow has a box for a line spread (Archimedes); uniform energies sum boxes of all
+    widths.
+    """
+    grid, even = weights
+    for diameter, share in ((47.0, 1.0), (47.0, 0.0), (60.0, 0.3)):
+        blurred = transfer.halo(grid, np.array(diameter), np.array(share)) * np.exp(
+            -2 * (np.pi * grid * 1.0) ** 2
+        )
+        # A ramp, and for uniform energies x (1 - ln|x|)/2, x = d/R.
+        x = np.clip(2.0 * DISTANCE / diameter, -1.0, 1.0)
+        expected = 0.5 * x * (share + (1.0 - share) * (1.0 - np.log(np.maximum(np.abs(x), 1e-12))))
+        away = (np.abs(DISTANCE) > 5) & (np.abs(np.abs(DISTANCE) - diameter / 2) > 4)
+        # Uniform energies bend the ramp everywhere a little; the blur of the test feels that.
+        assert np.abs(even @ blurred - expected)[away].max() < 5e-4 + 3e-3 * (1 - share)
+
+
+def test_halo_transfer_at_low_frequency_follows_its_second_moment():
+    """1 - 2 (pi f)^2 <d^2>: boxes of half width R have <d^2> = R^2/3; uniform energies R^2/9."""
+    f, radius = np.array([1e-3]), 23.5
+    for share, moment in ((1.0, radius**2 / 3), (0.0, radius**2 / 9)):
+        drop = 1 - transfer.halo(f, np.array(2 * radius), np.array(share))[0]
+        assert drop == pytest.approx(2 * (np.pi * f[0]) ** 2 * moment, rel=0.02)
+
+
+def test_aperture_vanishes_where_a_whole_period_falls_on_the_pixel():
+    assert transfer.aperture(np.array([1.0]), 0.0)[0] == pytest.approx(0.0, abs=1e-12)
+    assert transfer.aperture(np.array([0.5]), 0.0, along_px=2.0)[0] == pytest.approx(0.0, abs=1e-12)
+    assert transfer.aperture(np.array([0.5]), 0.0)[0] == pytest.approx(2 / np.pi)
+
+
+def test_node_interpolation_is_exact_for_cubics():
+    grid, points = esf_from_mtf.nodes(fine=False), np.array([0.013, 0.21, 0.9, 3.3])
+    matrix = esf_from_mtf.interpolation(grid, points)
+    for power in range(4):
+        assert np.allclose(matrix @ grid**power, points**power)

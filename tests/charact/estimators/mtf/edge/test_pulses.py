@@ -1,0 +1,161 @@
+"""Edges of intensified cameras: the scene against plain statistics of its own, and what methods
+make of it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.studies.consistency_scenes import TrueCameraChain
+from charact.estimators import mtf
+from charact.estimators.mtf.edge.checks import _has_bow
+from charact.method import Context
+from charact.study.edge.scene import TrueBlur, edge_spread
+from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
+
+SCENE = PulseEdge(
+    blur=TrueBlur(form="exponential", frequency_cy_per_px=0.3, exponent=1.3),
+    pulse_px=0.7,
+    photoelectrons=4.0,
+    bright_dn=2400.0,
+    dark_share=0.25,
+    read_dn=3.0,
+    frames=60,
+    rows=48,
+    cols=64,
+    black_dn=200.0,
+    full_scale_dn=65535.0,
+    angle_deg=8.0,
+)
+
+
+def test_the_mean_is_the_edge_spread_of_the_whole_blur(seed):
+    """Blur, pulse and pixel in one, drawn by the other generator's transform: all pixels within
+    their scatter.
+    """
+    drawn = SCENE.frames_drawn(np.random.default_rng(seed)).data.astype(float) - SCENE.black_dn
+    angle = np.deg2rad(SCENE.angle_deg)
+    row, col = (np.arange(size) - (size - 1) / 2 for size in (SCENE.rows, SCENE.cols))
+    distance = col[None, :] * np.cos(angle) + row[:, None] * np.sin(angle)
+    spread = edge_spread(TrueCameraChain(SCENE.blur, SCENE.pulse_px), distance, SCENE.angle_deg)  # pyright: ignore
+    mean = SCENE.bright_dn * (SCENE.dark_share + (1.0 - SCENE.dark_share) * spread)
+    # Means along the edge, whose noise is tied: pulses are worth some three pixels either way.
+    cell = np.floor(distance).astype(int)
+    for place in range(-12, 13):
+        here = cell == place
+        error = drawn[:, here].mean(axis=1).std(ddof=1) / np.sqrt(len(drawn))
+        assert (drawn[:, here].mean() - mean[here].mean()) == pytest.approx(0.0, abs=4.5 * error)
+
+
+def test_the_noise_is_that_of_photoelectrons_and_their_heights(seed):
+    """Counts over a bright square far larger than a pulse: relative variance (1 + spread)/N, within
+    four errors.
+    """
+    scene = replace(SCENE, frames=200, dark_share=0.999, photoelectrons=0.5, read_dn=0.0)
+    drawn = (
+        scene.frames_drawn(np.random.default_rng(seed)).data[:, 4:-4, 4:-4].astype(float)
+        - scene.black_dn
+    )
+    light = drawn.sum(axis=(1, 2))
+    expected = (1.0 + scene.gain_spread) / (scene.photoelectrons * 40 * 56)
+    # What leaves and enters across the border is some 4 % of the square.
+    assert light.var(ddof=1) / light.mean() ** 2 == pytest.approx(
+        expected, rel=4.0 * np.sqrt(2.0 / 199) + 0.04
+    )
+
+
+def test_its_step_over_noise_is_that_of_single_pixels(seed):
+    scene = replace(SCENE, rows=40, cols=40, frames=100, angle_deg=0.0)
+    drawn = scene.frames_drawn(np.random.default_rng(seed)).data.astype(float)
+    half_way = drawn[:, :, 19:21].var(axis=0, ddof=1).mean()
+    step = scene.bright_dn * (1.0 - scene.dark_share)
+    assert step / np.sqrt(half_way / scene.frames) == pytest.approx(scene.snr, rel=0.05)
+
+
+@pytest.mark.parametrize("seed_of_scene", range(3))
+def test_noise_of_two_fields_is_not_taken_for_that_of_one(seed_of_scene, seed):
+    """Wide pulses before an interlaced camera: chi squared per bin was 2 to 3.4, its noise told too
+    small.
+    """
+    scene = PulseEdge(
+        blur=TrueBlur(sigma_px=1.2),
+        pulse_px=0.87,
+        photoelectrons=10.0,
+        bright_dn=150.0,
+        dark_share=0.2,
+        frames=8,
+        rows=80,
+        cols=80,
+        angle_deg=20.0 + 3.0 * seed_of_scene,
+        interlaced=True,
+    )
+    found = mtf.measure(
+        "edge",
+        scene.frames_drawn(np.random.default_rng([seed, seed_of_scene])),
+        method="edge-parametric",
+        context=Context(quick=True, interlaced=True),
+    )
+    shown = found.evidence["edge-spread"]
+    free = shown["degrees_of_freedom"]
+    assert shown["chi_squared"] / free == pytest.approx(1.0, abs=0.1 + 4.0 * np.sqrt(2.0 / free))
+
+
+@pytest.mark.parametrize("tied", [False, True], ids=["white", "tied"])
+def test_rows_that_share_noise_make_no_bow(tied, seed):
+    """Of 2,000 straight courses at most 0.6 % are bowed (1.5 % of tied ones before); a bow of 8
+    errors is.
+    """
+    rng = np.random.default_rng(seed)
+    course = rng.standard_normal((2000, 96))
+    if tied:
+        course = course + np.roll(course, 1, axis=1) + np.roll(course, 2, axis=1)
+    place = np.linspace(-1.0, 1.0, 96)
+    design = np.polynomial.legendre.legvander(place, 1)
+    course -= (course @ np.linalg.pinv(design).T) @ design.T
+    assert np.mean([_has_bow(one) for one in course]) <= 0.006
+    error = course.std() * np.sqrt((3.0 if tied else 1.0) / 96 * 5.0)
+    bow = 8.0 * error * np.polynomial.legendre.legval(place, [0.0, 0.0, 1.0])
+    assert np.mean([_has_bow(one + bow) for one in course[:200]]) > 0.95
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        PulseEdge(
+            blur=TrueBlur(form="moffat", moffat_px=2.11, moffat_exponent=1.73),
+            pulse_px=0.55,
+            photoelectrons=7.86,
+            bright_dn=34.5,
+            dark_share=0.396,
+            gain_spread=0.53,
+            read_dn=0.74,
+            row_noise_dn=10.7,
+            rows=119,
+            cols=95,
+            frames=16,
+            angle_deg=271.75,
+            interlaced=True,
+        ),
+        PulseEdge(
+            blur=TrueBlur(form="exponential", frequency_cy_per_px=0.304, exponent=1.95),
+            pulse_px=0.55,
+            photoelectrons=226.0,
+            bright_dn=1226.0,
+            dark_share=0.233,
+            gain_spread=0.68,
+            read_dn=1.9,
+            rows=107,
+            cols=111,
+            frames=8,
+            angle_deg=22.4,
+        ),
+    ],
+    ids=["noise of rows", "full scale"],
+)
+def test_rows_of_noise_and_a_side_of_nothing_but_full_scale_end_in_a_verdict(scene, seed):
+    """A profile too short for a slope, and a bright side without noise: a verdict, no traceback."""
+    frames = scene.frames_drawn(np.random.default_rng(seed))
+    context = Context(quick=True, interlaced=scene.interlaced, full_scale_dn=scene.full_scale_dn)
+    found = mtf.measure("edge", frames, method="edge-parametric", context=context).find("mtf50")
+    assert all(one.status != "ok" for one in found)

@@ -1,0 +1,130 @@
+"""What lowers a variance without showing in it is found, or is in the interval, or is said to be
+beyond the frames.
+"""
+
+import numpy as np
+import pytest
+
+from charact.estimators import noise
+from charact.estimators.noise.stack.pixels import (
+    lower_neighbour,
+    pixel_sums,
+    right_neighbour,
+    successor_correlation,
+)
+from charact.estimators.noise.stack.spectrum import NO_BINS
+from charact.estimators.noise.stack.temporal import order_of
+from labdata.frames import FrameStack
+from tests.charact.estimators.noise.scenes import METHODS, QUICK, errors, one
+
+ELECTRONS = (400.0, 1500.0, 4000.0)
+
+
+@pytest.fixture
+def ccd(pulses):
+    """A camera without intensifier, K = 0.5 DN."""
+    return lambda **more: pulses(gain_dn=0.0, electron_gain_dn=0.5, **more)
+
+
+@pytest.mark.parametrize("smoothing_px", [0.3, 0.7])
+def test_a_little_smoothing_lowers_the_variance_and_is_seen(ccd, series, seed, smoothing_px):
+    """At 0.3 px a neighbour holds 0.8 % of the noise, and the variance is 3 % low."""
+    session = series(ccd(smoothing_px=smoothing_px), np.random.default_rng(seed), ELECTRONS)
+    plain = one(noise.measure(session, method="variance", context=QUICK), "system_gain")
+    assert plain.value < 0.98 * 0.5
+    assert "correlated-noise" in plain.flags
+    summed = noise.measure(session, method="covariance-sum", context=QUICK)
+    # The gain of the standard is given as it is, with what it lacks and with the one that lacks
+    # nothing.
+    assert "correlated-noise" in one(summed, "system_gain").flags
+    assert one(summed, "system_gain").value < 0.98 * 0.5
+    assert abs(errors(one(summed, "covariance_gain"), 0.5)) < 4.5
+
+
+@pytest.mark.parametrize("frames", [2, 3, 8])
+def test_a_camera_that_hides_nothing_is_not_accused(ccd, series, seed, frames):
+    session = series(ccd(), np.random.default_rng(seed), (*ELECTRONS, 8000.0), frames=frames)
+    for method in METHODS:
+        gain = one(noise.measure(session, method=method, context=QUICK), "system_gain")
+        assert gain.status == "ok", method
+        assert abs(errors(gain, 0.5)) < 4.5
+        assert (gain.interval68[1] - gain.interval68[0]) / 2 < 0.04 * 0.5
+
+
+@pytest.mark.parametrize(("share", "frames"), [(0.05, 8), (0.2, 3), (0.2, 2), (0.8, 16)])
+def test_light_that_stays_in_the_next_frames_never_passes_unseen(
+    pulses, keeping, series, seed, share, frames
+):
+    session = series(
+        pulses(memory=keeping(share), shape=(144, 160)),
+        np.random.default_rng(seed),
+        (5.0, 15.0, 30.0),
+        frames=frames,
+    )
+    for method in METHODS:
+        result = noise.measure(session, method=method, context=QUICK)
+        gain = one(result, "system_gain")
+        assert gain.status == "refused" or "lag" in gain.flags, method
+        for found in result.find("covariance_gain"):
+            assert found.status != "ok" or abs(errors(found, pulses().covariance_gain_dn)) < 4.5
+
+
+def test_frames_that_come_twice_are_lag(ccd, series, in_memory, seed):
+    session = series(ccd(), np.random.default_rng(seed), ELECTRONS, frames=4)
+    twice = in_memory(
+        [
+            (s.label, s.kind, FrameStack(data=np.repeat(s.read().data, 2, axis=0)), s.conditions)
+            for s in session.stacks
+        ]
+    )
+    for method in METHODS:
+        assert "lag" in one(noise.measure(twice, method=method, context=QUICK), "system_gain").flags
+
+
+def test_what_a_handful_of_pixels_cannot_exclude_is_in_the_interval(ccd, series, seed):
+    session = series(ccd(shape=(6, 8)), np.random.default_rng(seed), ELECTRONS)
+    gain = one(noise.measure(session, method="variance", context=QUICK), "system_gain")
+    assert gain.status == "ok" and gain.interval95[0] < 0.5 < gain.interval95[1]
+    assert np.ptp(gain.interval95) > 0.1 * gain.value
+
+
+def test_codes_that_pile_up_are_the_end_of_the_range_though_nobody_told(
+    ccd, series, in_memory, seed
+):
+    """A camera of 12 bits in words of 16: the topmost level is cut at 4095."""
+    camera = ccd(full_scale_dn=4095.0)
+    session = series(
+        camera, np.random.default_rng(seed), (1500.0, 3000.0, 5000.0, 7930.0), frames=6
+    )
+    untold = in_memory(
+        [(s.label, s.kind, FrameStack(data=s.read().data), s.conditions) for s in session.stacks]
+    )
+    result = noise.measure(untold, method="variance", context=QUICK)
+    assert result.evidence["photon-transfer"]["fitted"] == [True, True, True, False]
+    assert abs(errors(one(result, "system_gain"), 0.5)) < 4.5
+
+
+def sums_of(image):
+    """Sums over the pixels of frames that follow one another."""
+    order = order_of(np.arange(len(image)), interlaced=False)
+    return pixel_sums(image, order, NO_BINS), order.parity
+
+
+def test_independent_noise_has_neither_neighbours_nor_successors(seed):
+    """All three statistics are unbiased however few frames the mean was taken from."""
+    rng = np.random.default_rng(seed)
+    for frames in (2, 3, 6):
+        sums, parity = sums_of(rng.standard_normal((frames, 96, 128), dtype=np.float32))
+        for value, sd in (right_neighbour(sums), lower_neighbour(sums)):
+            assert abs(value) < 4.5 * sd
+        value, sd = successor_correlation(sums, parity)
+        assert (np.isinf(sd) and frames == 2) or abs(value) < 4.5 * sd
+
+
+def test_successors_are_weighed_against_frames_further_apart(seed):
+    """A moving mean of two frames: neighbours in time share half, others nothing."""
+    rng = np.random.default_rng(seed)
+    white = rng.standard_normal((13, 96, 128), dtype=np.float32)
+    value, sd = successor_correlation(*sums_of((white[1:] + white[:-1]) / np.float32(np.sqrt(2.0))))
+    # Centring lowers the variance by the mean covariance of all pairs, 11 of 66 sharing a half.
+    assert abs(value - 0.5 / (1.0 - 0.5 * 11 / 66)) < 4.5 * sd

@@ -1,0 +1,108 @@
+"""Noise of the flats of a tube as the fit observes it: level by level, with the joint errors of
+gain and blur.
+"""
+
+import numpy as np
+import pytest
+
+from charact.fitting import predicted_quantities
+from charact.fitting.prior import values_of_description
+from charact.fitting.sensor import model_of
+from charact.fitting.tube_observations import SENSITIVITY, noise_observations
+from labdata.measurement import Posterior, Result, measurement_from_draws
+from labdata.sensor import Sensor
+
+SIGNAL_DN = np.array([5.0, 30.0, 120.0])
+POWER_SD, VARIANCE_SD = 0.01, 0.002
+
+
+def flats_of(sheet: Sensor, told, *, tested: bool = True, seed: int = 1) -> Result:
+    """Return measurements of the flats of a tube at the values of its description, with drawn
+    errors.
+    """
+    values, gate_s = values_of_description(sheet), told.levels[1].gate_s
+    gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
+    left = predicted_quantities.lag_noise_fraction(values, gate_s)
+    blur = predicted_quantities.noise_shape(values, gain)[0]
+    loaded = gain * (1.0 - predicted_quantities.gain_loss(values, SIGNAL_DN))
+    slope = blur * predicted_quantities.covariance_gain(values, left * loaded)
+    rng = np.random.default_rng(seed)
+    power = float((slope / blur).mean()) * (1.0 + POWER_SD * rng.standard_normal(2000))
+    lag = np.full(2000, 1.0 / float(left[0])) * (1.0 + 0.01 * rng.standard_normal(2000) * tested)
+    draws = np.stack([power * lag, slope.mean() / power, lag, power], axis=1)
+    posterior = Posterior(
+        names=("covariance_gain", "blur_factor", "lag_factor", "power"),
+        units=("DN", "1", "1", "DN"),
+        draws=draws,
+        sampler="laplace",
+    )
+    measured = tuple(
+        measurement_from_draws(name, unit, posterior[name], posterior=posterior, method="told")
+        for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))
+    )
+    transfer = {
+        "label": ["a", "b", "c"],
+        "signal_dn": SIGNAL_DN.tolist(),
+        "fitted": [True] * 3,
+        "variance_dn2": (slope * SIGNAL_DN + 1.0).tolist(),
+        "dark_variance_dn2": [1.0] * 3,
+        "variance_sd_dn2": (VARIANCE_SD * slope * SIGNAL_DN).tolist(),
+    }
+    lags = {"lag_exposures": [1, 2] if tested else []}
+    return Result(
+        measurements=measured, evidence={"photon-transfer": transfer, "autocorrelation": lags}
+    )
+
+
+def test_the_loss_of_gain_is_that_of_the_load_at_the_light_of_the_signal(sheet: Sensor) -> None:
+    values, lux, gate_s = values_of_description(sheet), 3e-4, 0.016
+    load = predicted_quantities.mcp_load(values, lux, gate_s, 800.0, 800.0)
+    gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
+    signal = gain * predicted_quantities.photoelectrons(values, lux, gate_s) / (1.0 + load)
+    assert 0.005 < load[0] < 0.5
+    assert predicted_quantities.gain_loss(values, signal) == pytest.approx(
+        load / (1.0 + load), rel=1e-12
+    )
+
+
+def test_variance_over_signal_is_known_better_than_gain_and_blur(
+    sheet: Sensor, told_of, seed: int
+) -> None:
+    told = told_of(seed)
+    (observed,) = noise_observations(told.session, sheet, flats_of(sheet, told), told.levels)
+    sd = np.sqrt(np.diag(observed.covariance)) / observed.value
+    assert observed.value.size == 2 + SIGNAL_DN.size
+    # Power has its measured error and that of the blur models; the brightest flat has its own and
+    # no other's.
+    assert sd[0] > POWER_SD
+    assert sd[-1] < 2.0 * VARIANCE_SD
+    # The description itself agrees.
+    assert observed.chi_squared(values_of_description(sheet))[0] < 5.0
+
+
+def test_the_ridge_is_a_plane(sheet: Sensor, told_of, seed: int) -> None:
+    """Points of equal straightened sensitivity have equal variance over signal, whatever the other
+    parameters.
+    """
+    told = told_of(seed)
+    observed = tuple(noise_observations(told.session, sheet, flats_of(sheet, told), told.levels))
+    model = model_of(sheet, observed)
+    points = model.prior.draw(np.random.default_rng(seed), 50)
+    place = model.prior.names.index(SENSITIVITY)
+    points[:, place] = model.prior.centre[place]
+    ridge = observed[0].ridge
+    assert ridge is not None
+    free, bent = (np.exp(ridge.number(model.values(one))) for one in (points, model.bend(points)))
+    assert free.std() / free.mean() > 0.1
+    # A trace of electrons per photoelectron, K, is not inversely proportional to the sensitivity.
+    assert bent.std() / bent.mean() < 2e-3
+
+
+def test_without_a_test_of_image_lag_gain_and_blur_stand_alone(
+    sheet: Sensor, told_of, seed: int
+) -> None:
+    told = told_of(seed)
+    result = flats_of(sheet, told, tested=False)
+    (observed,) = noise_observations(told.session, sheet, result, told.levels)
+    assert observed.value == pytest.approx([m.value for m in result.measurements])
+    assert observed.ridge is None
