@@ -22,8 +22,9 @@ from labdata.errors import BadInput
 class Study:
     """Where the cases of a quantity and a kind of target come from.
 
-    `kind`: kind of the methods; `axes`: the axes along which the methods break; `chart_cases`, `stability_cases`: functions of (seed, count) and
-    of (seed, repeats, axes) that return cases; `chart_count`, `quick_count`, `repeats`: how many
+    `kind`: kind of the methods; `axes`: the axes along which the methods break; `chart_cases`,
+    `stability_cases`: functions of (seed, count) and of (seed, repeats, axes) that return cases;
+    `chart_count`, `quick_count`, `repeats`: how many
     cases a chart holds, how many a first look, and how many draws a position of the stability map.
     """
 
