@@ -2,10 +2,9 @@
 second.
 
 `make study NAME=frontier` measures both and writes chart and tables into docs/simulator. Errors are
-those of flats of a camera
-like the case study's, without fixed patterns and finely digitised, against Campbell's theorem for
-pulses that fall anywhere; speed is that of the case study itself, 768 x 493, every stage on, an
-uneven scene, one thread.
+those of flats of a camera like the case study's, without fixed patterns and finely digitised,
+against Campbell's theorem for pulses that fall anywhere; speed is that of the case study itself,
+768 x 493, every stage on, an uneven scene, one thread.
 """
 
 import re

@@ -41,9 +41,8 @@ class CameraSettings:
     exposure_s: float | None = None  #: Exposure of one field or frame, s
     gain_db: float | None = None  #: Camera gain, dB (of a camera with a raw gain: its own steps)
     frame_rate_hz: float | None = None  #: Frames per second, Hz
-    trigger: str | None = (
-        None  #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
-    )
+    #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    trigger: str | None = None
     field_order: FieldOrder | None = None  #: Order of the two fields of a frame
     notes: tuple[str, ...] = ()  #: Remarks of the camera on its frames; read back, never set
 
@@ -59,9 +58,8 @@ class Frame:
     pixels: NDArray  #: Pixel values, shape (row, col), DN. Made read-only
     number: int  #: The camera's own running number; a gap is a lost frame
     time_s: float  #: The camera's own time stamp, s
-    field_order: FieldOrder | None = (
-        None  #: Order of its two fields; None where the camera does not report it
-    )
+    #: Order of its two fields; None where the camera does not report it
+    field_order: FieldOrder | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", read_only(self.pixels))

@@ -26,20 +26,16 @@ class Conditions:
     temperature_c: float | None = None  #: Temperature of the camera or tube, degrees Celsius
     wavelength_nm: float | None = None  #: Wavelength of the light where it is narrow, nm
     automatic_gain: bool | None = None  #: Whether the camera's automatic gain was on
-    brightness_control: bool | None = (
-        None  #: Whether automatic brightness control was lowering the MCP voltage
-    )
-    em_gain: float | None = (
-        None  #: Multiplication of an electron-multiplying register, dimensionless, at least 1
-    )
+    #: Whether automatic brightness control was lowering the MCP voltage
+    brightness_control: bool | None = None
+    #: Multiplication of an electron-multiplying register, dimensionless, at least 1
+    em_gain: float | None = None
     gain_control: float | None = None  #: Control word of the tube's gain, counts
     lamp_a: float | None = None  #: Current through the lamp of the bench, A
-    metered_w: float | None = (
-        None  #: Power on the head of the auxiliary light meter, W, zero offset not subtracted
-    )
-    metered_lux: float | None = (
-        None  #: Illuminance on the photocathode by that meter, lux, zero offset not subtracted
-    )
+    #: Power on the head of the auxiliary light meter, W, zero offset not subtracted
+    metered_w: float | None = None
+    #: Illuminance on the photocathode by that meter, lux, zero offset not subtracted
+    metered_lux: float | None = None
     metered_time_s: float | None = None  #: When meter and thermometer were read, s since 1970
     temperature_time_s: float | None = None  #: When meter and thermometer were read, s since 1970
     luminous_gain: float | None = None  #: Luminous gain of the tube by its calibration, lm/lm
@@ -49,9 +45,8 @@ class Conditions:
     # : Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind
     # the filter
     filter_density: float | None = None
-    blackbody_c: float | None = (
-        None  #: Temperature of the black body that fills the field of view, degrees Celsius
-    )
+    #: Temperature of the black body that fills the field of view, degrees Celsius
+    blackbody_c: float | None = None
     # : Temperature of the background of a black body or target: the room, or the plate around it,
     # degrees Celsius
     background_c: float | None = None

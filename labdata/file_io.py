@@ -87,9 +87,8 @@ def require_regular_parts(folder: Path, what: str) -> None:
 
 # A file of a megabyte may unpack to gigabytes, and a header of a few bytes may state any size.
 MOST_EXPANSION = 5000  # Largest compression ratio: deflate reaches 1032, LZW about 2700
-MOST_PICTURE_PX = (
-    2**28
-)  # Largest image, px: the largest camera sensors have 247 million pixels (Sony IMX811)
+# Largest image, px: the largest camera sensors have 247 million pixels (Sony IMX811)
+MOST_PICTURE_PX = 2**28
 # Largest fraction of the memory for the frames of a file; a measurement makes a copy as real
 # numbers
 MOST_OF_MEMORY = 0.5

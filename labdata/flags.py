@@ -57,9 +57,8 @@ class Finding:
 
     flag: str  #: A key of `FLAGS`
     effect: str  #: Size of the effect, with quantity and unit: "MTF50 may be up to 1.3 % high"
-    remedy: (
-        str  #: Option, frames or description that removes it: "--black-dn, or darks in the session"
-    )
+    #: Option, frames or description that removes it: "--black-dn, or darks in the session"
+    remedy: str
 
     def __post_init__(self) -> None:
         order_flags((self.flag,))

@@ -42,9 +42,8 @@ def write_frames(stack: FrameStack, path: str | Path) -> Path:
     write = WRITERS.get(path.suffix.lower())
     if write is None:
         raise BadInput(f"a file of frames must end in {', '.join(WRITERS)}, got {path.name!r}")
-    half = path.with_name(
-        f".{path.stem}.half{path.suffix}"
-    )  # a full disk leaves no half a file under the name
+    # a full disk leaves no half a file under the name
+    half = path.with_name(f".{path.stem}.half{path.suffix}")
     try:
         write(stack, half)
         half.replace(path)

@@ -48,14 +48,11 @@ class FrameStack:
     # : Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b",
     # "luminance"), or "mono"
     plane: str = "mono"
-    sample_pitch_px: int = (
-        1  #: Distance of neighbouring samples in pixels of the camera: 2 in a plane of a mosaic
-    )
+    #: Distance of neighbouring samples in pixels of the camera: 2 in a plane of a mosaic
+    sample_pitch_px: int = 1
     notes: tuple[str, ...] = ()  #: Remarks on how the frames were read
-    origin: tuple[int, int] = (
-        0,
-        0,
-    )  #: First row and column in the file: a non-finite border is cut off
+    #: First row and column in the file: a non-finite border is cut off
+    origin: tuple[int, int] = 0, 0
 
     def __post_init__(self) -> None:
         data = np.asarray(self.data)

@@ -36,9 +36,8 @@ class InfraredOptics:
     transmission: Parameter  #: of lens, window and filter within the band
     # : standard deviation of a Gaussian blur; beyond diffraction where diffraction_um is given
     blur_mrad: Parameter
-    diffraction_um: Parameter | None = (
-        None  #: wavelength of the diffraction; absent: blur_mrad holds it
-    )
+    #: wavelength of the diffraction; absent: blur_mrad holds it
+    diffraction_um: Parameter | None = None
     focal_length_mm: Parameter | None = None  #: of an array; a scanner has fields of view
 
     def __post_init__(self) -> None:
@@ -71,13 +70,11 @@ class Scanner:
     bandwidth_mhz: Parameter  #: 3 dB frequency of the electronics, one pole
     coupling_hz: Parameter  #: high-pass frequency of the coupling
     knee_hz: Parameter  #: frequency below which 1/f noise exceeds white noise
-    clamp_samples: (
-        int  #: samples of the turn whose mean sets the zero of the next line; 0 is a perfect zero
-    )
+    #: samples of the turn whose mean sets the zero of the next line; 0 is a perfect zero
+    clamp_samples: int
     reference_c: Parameter  #: temperature of the black body seen in the turn
-    narcissus_k: Parameter | None = (
-        None  #: by how much the detector, seeing itself, cools the axis over the corners
-    )
+    #: by how much the detector, seeing itself, cools the axis over the corners
+    narcissus_k: Parameter | None = None
     averaged_frames: int = 1  #: frames of which the imager gives the mean, one after the other
 
     def __post_init__(self) -> None:
@@ -148,9 +145,8 @@ class CooledArray(PixelArray):
     read_noise_e: Parameter
     correction_low_c: Parameter  #: lower black body of the two-point correction
     correction_high_c: Parameter
-    correction_residual: (
-        Parameter  #: fixed pattern midway between the two, over the temporal noise there
-    )
+    #: fixed pattern midway between the two, over the temporal noise there
+    correction_residual: Parameter
     pixel_pattern: Parameter  #: fixed pattern that no correction removes, over the temporal noise
 
     def __post_init__(self) -> None:
@@ -177,9 +173,8 @@ class InfraredVideo:
     field_rate_hz: Parameter  #: a progressive imager has one field a frame
     bit_depth: int
     level_c: Parameter | None = None  #: temperature in the middle of the span
-    span_k: Parameter | None = (
-        None  #: from black to full scale; both absent: full scale is 98 % of the full well
-    )
+    #: from black to full scale; both absent: full scale is 98 % of the full well
+    span_k: Parameter | None = None
 
     automatic_gain: ClassVar[bool] = False
 

@@ -35,16 +35,14 @@ class InstrumentConfig:
     bench: Literal["virtual", "in-process", "real"] = "virtual"
     #: Model of the gate generator; other packages can provide further models
     gate: str = "dg645"
-    supply: str = (
-        "ps350"  #: Model of the high-voltage supply; other packages can provide further models
-    )
+    #: Model of the high-voltage supply; other packages can provide further models
+    supply: str = "ps350"
     gate_port: str | None = None  #: Serial port of the gate generator, or of its adapter
     supply_port: str | None = None  #: Serial port of the supply, or of its adapter
     gate_address: int = 15  #: GPIB address of the gate generator behind an adapter
     supply_address: int = 14  #: GPIB address of the supply behind an adapter
-    light: str | None = (
-        None  #: Model of the light source; None: there is none, and the operator sets the light
-    )
+    #: Model of the light source; None: there is none, and the operator sets the light
+    light: str | None = None
     light_port: str | None = None  #: Serial port of the light source
     wheel: str | None = None  #: Model of the filter wheel; None: there is none
     wheel_port: str | None = None  #: Serial port of the filter wheel

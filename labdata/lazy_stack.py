@@ -24,9 +24,8 @@ class LazyStack:
     dtype: np.dtype  #: Type of the pixels
     time_s: NDArray  #: As in `labdata.frames.FrameStack`
     frame_number: NDArray  #: As in `labdata.frames.FrameStack`
-    full_scale_dn: (
-        float | None
-    )  #: Full scale where it is stated, DN; None where only the frames could show it
+    #: Full scale where it is stated, DN; None where only the frames could show it
+    full_scale_dn: float | None
     block: Callable[
         [int, int], NDArray
     ]  #: Returns the frames first..last-1, shape (frame, row, col)

@@ -20,9 +20,8 @@ _SIDES_95 = 2 * 1.96
 class TubeLoad:
     """Current through photocathode and MCP."""
 
-    luminous_sensitivity_ua_per_lm: (
-        float  #: Luminous sensitivity of the photocathode at 2856 K, uA/lm
-    )
+    #: Luminous sensitivity of the photocathode at 2856 K, uA/lm
+    luminous_sensitivity_ua_per_lm: float
     electron_gain: float  #: Electron gain of the MCP at reference_v
     reference_v: float  #: Voltage of that gain, V
     gain_exponent: float  #: m of G = G0 (V / V0)^m
@@ -221,9 +220,8 @@ class LimitsInForce:
 
 
 OVERRIDDEN = "The tube's limit"  # First words of the sentence on an overridden limit
-LIMITS = tuple(
-    item.name for item in fields(Limits)
-)  # Names of the limits that a plan can tighten or override
+# Names of the limits that a plan can tighten or override
+LIMITS = tuple(item.name for item in fields(Limits))
 
 
 def limits_in_force(

@@ -26,12 +26,10 @@ class FrameFormat:
     columns: int | None = None  #: Size of the image, px; by default the full sensor
     first_row: int | None = None  #: First row and column of the image on the sensor, px
     first_column: int | None = None  #: First row and column of the image on the sensor, px
-    pixel_format: str | None = (
-        None  #: Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16"
-    )
-    trigger: str | None = (
-        None  #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
-    )
+    #: Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16"
+    pixel_format: str | None = None
+    #: "off": free-running; else the camera's name of the trigger source, such as "Line1"
+    trigger: str | None = None
 
     def __post_init__(self) -> None:
         check(
@@ -124,9 +122,8 @@ class Step:
     frames: int  #: Frames to acquire; with `until`, the largest number
     conditions: Conditions  #: Set-points of the instruments
     target: Target = field(default_factory=Target)  #: Target in front of the camera
-    until: StopCriterion | None = (
-        None  #: Criterion to stop before all frames are acquired; None: no criterion
-    )
+    #: Criterion to stop before all frames are acquired; None: no criterion
+    until: StopCriterion | None = None
     #: Search for the light that saturates, one stack per level; None: a single stack
     search: SaturationSearch | None = None
     # : Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends
@@ -219,12 +216,10 @@ class PlanHead:
     tube: str | None = None  #: Name of the tube, such as its serial number; names its dose ledger
     seed: int = 0  #: Seed of the virtual bench
     scene: str | None = None  #: Lab scene of the virtual bench
-    wires: InstrumentConfig = field(
-        default_factory=InstrumentConfig
-    )  #: Models and ports of the instruments
-    limits: Limits = field(
-        default_factory=Limits
-    )  #: Limits of the plan, where tighter than those of the tube
+    #: Models and ports of the instruments
+    wires: InstrumentConfig = field(default_factory=InstrumentConfig)
+    #: Limits of the plan, where tighter than those of the tube
+    limits: Limits = field(default_factory=Limits)
     settle: SettleTimes = field(default_factory=SettleTimes)  #: Settle times after a change
     meters: Meters = field(default_factory=Meters)  #: Use of the auxiliary meters
     #: Trigger of the gate, and its synchronisation with the camera's fields
@@ -329,9 +324,8 @@ class Judge(Protocol):
 
 
 SETTABLE_V = 1.0  # Voltage step that every supply can set, V
-READ_V = (
-    2.0  # Settling tolerance of a supply: a read-back may exceed the end of the table by this, V
-)
+# Settling tolerance of a supply: a read-back may exceed the end of the table by this, V
+READ_V = 2.0
 
 
 def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:

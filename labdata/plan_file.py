@@ -28,10 +28,8 @@ _SHORT = {
     "filter_density": "nd{:g}",
     "illuminance_lux": "{:g}lux",
 }
-AXES = (
-    "target",
-    *_SHORT,
-)  # Settings that can be swept; the outermost is the slowest and stresses the tube most
+# Settings that can be swept; the outermost is the slowest and stresses the tube most
+AXES = "target", *_SHORT
 MOST_STEPS = 20_000  # Largest number of steps of a plan; more are an error of input
 
 
@@ -54,9 +52,8 @@ class SweepRecord:
     gate_ns: Numbers | None = None  #: Gate, ns; one or several
     exposure_s: Numbers | None = None  #: Exposure, s; one or several
     camera_gain_db: Numbers | None = None  #: Camera gain, dB; one or several
-    filter_density: Numbers | None = (
-        None  #: Optical density of the neutral filter in front of the lamp; one or several
-    )
+    #: Optical density of the neutral filter in front of the lamp; one or several
+    filter_density: Numbers | None = None
     illuminance_lux: Numbers | None = None  #: Light, lux; one or several
     illuminance_relative_sd: float | None = None  #: Relative standard uncertainty of the light
     repeats: int = 1  #: Number of passes through the sweep
@@ -197,9 +194,8 @@ class StepRecord(Conditions):
     frames: int  #: Number of frames to acquire; with `until`, the largest number
     target: Target = field(default_factory=Target)  #: The target, with the keys of its kind
     until: StopCriterion | None = None  #: Criterion to stop before all frames are acquired
-    search: SaturationSearch | None = (
-        None  #: A search for the light that saturates; it starts at the step's own light
-    )
+    #: A search for the light that saturates; it starts at the step's own light
+    search: SaturationSearch | None = None
     saturated_fraction: float | None = None  #: Fraction of a frame's pixels that may be saturated
 
     def step(self) -> Step:

@@ -50,21 +50,18 @@ class Photocathode:
     diameter_mm: Parameter
     gap_mm: Parameter
     gap_v: Parameter
-    bright_source_v: (
-        Parameter  #: across the gap once the supply protects the cathode from a bright source
-    )
+    #: across the gap once the supply protects the cathode from a bright source
+    bright_source_v: Parameter
     lateral_energy_ev: Parameter  #: mean energy of emission across the axis
     gap_resolution_lp_per_mm: Parameter  #: where the gap's own contrast is 3 %
     ebi_doubling_k: Parameter  #: warming that doubles the EBI
     ebi_temperature_c: Parameter  #: temperature at which the EBI is stated
     halo_fraction: Parameter  #: of the photoelectrons that land after an elastic or partial bounce
-    halo_elastic_share: (
-        Parameter  #: of the halo electrons, keep their energy (rim); others: uniform in energy
-    )
+    #: of the halo electrons, keep their energy (rim); others: uniform in energy
+    halo_elastic_share: Parameter
     gate_on_off_ratio: Parameter  #: light through the open gate over light through the shut one
-    bright_source_lux: (
-        Parameter  #: mean illuminance of the cathode that lowers gap_v to bright_source_v
-    )
+    #: mean illuminance of the cathode that lowers gap_v to bright_source_v
+    bright_source_lux: Parameter
 
     def __post_init__(self) -> None:
         must_be_an_efficiency_table(self.wavelength_nm, self.relative_quantum_efficiency)
@@ -90,9 +87,8 @@ class MicrochannelPlate:
     """
 
     detection_probability: Parameter
-    film_transmission: (
-        Parameter  #: the factors of the detection probability: T (OAR + (1 - OAR) recovery)
-    )
+    #: the factors of the detection probability: T (OAR + (1 - OAR) recovery)
+    film_transmission: Parameter
     open_area_ratio: Parameter
     web_recovery: Parameter
     pulse_height_shape: Parameter  #: Polya k; 1 is exponential
@@ -108,9 +104,8 @@ class MicrochannelPlate:
     ion_event_rate_per_s_cm2: Parameter
     ion_event_size_pe: Parameter
     stages: int  #: plates in the stack
-    gain_control_counts: (
-        Parameter  #: counts of the gain's control word that raise the gain by gain_control_ratio
-    )
+    #: counts of the gain's control word that raise the gain by gain_control_ratio
+    gain_control_counts: Parameter
     gain_control_ratio: Parameter
     gain_control_reference: Parameter  #: counts at which the tube has its nominal luminous gain
     pattern_contrast: Parameter  #: depth of the plate's multi-fibre boundaries
@@ -149,9 +144,8 @@ class Tube:
     post_gain_share: Parameter  #: share of the exponent (f/fc)^n that acts after the gain
     magnification: Parameter
     life_h: Parameter
-    brightness_control_lux: (
-        Parameter  #: illuminance at the cathode above which the supply lowers the plate's voltage
-    )
+    #: illuminance at the cathode above which the supply lowers the plate's voltage
+    brightness_control_lux: Parameter
     brightness_control_s: Parameter  #: its attack time
 
     def __post_init__(self) -> None:
@@ -234,9 +228,8 @@ class Ccd:
     dark_current_doubling_k: Parameter
     prnu: Parameter  #: relative standard deviation
     smear_fraction: Parameter  #: of the overexposed pixel, for a spot one tenth of the picture high
-    antibloom_ratio: (
-        Parameter  #: overexposure that the drain carries off, in full wells; 1 is no drain
-    )
+    #: overexposure that the drain carries off, in full wells; 1 is no drain
+    antibloom_ratio: Parameter
     dsnu_e: Parameter  #: standard deviation of the fixed dark pattern, per exposure at 25 C
 
     def __post_init__(self) -> None:
@@ -261,9 +254,8 @@ class Video:
     automatic_gain: bool  #: what the camera can do; whether it was on belongs to the session
     bit_depth: int
     black_level_dn: Parameter
-    conversion_gain_dn_per_e: (
-        Parameter  #: K, DN per electron at the output, behind any multiplication
-    )
+    #: K, DN per electron at the output, behind any multiplication
+    conversion_gain_dn_per_e: Parameter
     lines: int | None = None  #: of a frame, the blanked ones counted
     pixel_clock_mhz: Parameter | None = None
     bandwidth_mhz: Parameter | None = None

@@ -39,27 +39,22 @@ class StackRecord(Conditions):
 
     label: str  #: Name of the stack, unique in the session
     kind: Kind  #: Kind of target
-    frames: (
-        str | tuple[str, ...]
-    )  #: File or files of the frames, or a Zarr array, relative to the session's folder
-    axis: str | None = (
-        None  #: Number (from 0) or name of the frame axis of the files; by default the first
-    )
+    #: File or files of the frames, or a Zarr array, relative to the session's folder
+    frames: str | tuple[str, ...]
+    #: Number (from 0) or name of the frame axis of the files; by default the first
+    axis: str | None = None
     # : Plane to read of colour images, mosaics and files with more axes. Regions, lengths and
     # frequencies of targets : count its own samples
     plane: str | None = None
     asked: Conditions | None = None  #: Requested conditions, where they differ from those in force
     target: Target = field(default_factory=Target)  #: Target in front of the camera
-    sensor: str | None = (
-        None  #: Its sensor description, where a session has stacks of several; as the session's
-    )
+    #: Its sensor description, where a session has stacks of several; as the session's
+    sensor: str | None = None
     bit_depth: int | None = None  #: Bits of its digitiser, in place of the session's
-    finished: bool | None = (
-        None  #: False while the stack is being acquired, and after an interrupted acquisition
-    )
-    lost_frames: int | None = (
-        None  #: Number of frames that the camera numbered and that were not recorded
-    )
+    #: False while the stack is being acquired, and after an interrupted acquisition
+    finished: bool | None = None
+    #: Number of frames that the camera numbered and that were not recorded
+    lost_frames: int | None = None
     lost: tuple[LostFrames, ...] = ()  #: Their numbers and causes, where known
     # : Reason to doubt its frames, such as a bench that went to the safe state while they were
     # acquired
@@ -75,9 +70,8 @@ class SessionFile:
     #: Name of a shipped sensor description, or the path of one relative to the session's folder
     sensor: str | None = None
     bit_depth: int | None = None  #: Bits of the digitiser; full scale is 2^bits - 1
-    interlaced: bool | None = (
-        None  #: Whether the two fields of a frame were exposed one after the other
-    )
+    #: Whether the two fields of a frame were exposed one after the other
+    interlaced: bool | None = None
     notes: tuple[str, ...] = ()  #: Remarks
     stack: tuple[StackRecord, ...] = ()  #: The stacks
 
@@ -111,16 +105,13 @@ class StackEntry:
         # : Name of its sensor description, or a path relative to the folder; None: the session's
         None
     )
-    axis: str | None = (
-        None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
-    )
-    plane: str | None = (
-        None  #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
-    )
+    #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    axis: str | None = None
+    #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
+    plane: str | None = None
     folder: Path  #: The session's folder
-    view: "View | None" = (
-        None  #: How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
-    )
+    #: How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
+    view: "View | None" = None
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -237,9 +228,8 @@ class Session:
     folder: Path  #: The session's folder
     name: str  #: Its name
     stacks: tuple[StackEntry, ...]  #: Its stacks in the order of the manifest
-    camera: Camera | None = (
-        None  #: Description of the camera named in the manifest; None without a name
-    )
+    #: Description of the camera named in the manifest; None without a name
+    camera: Camera | None = None
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
     # : Whether the two fields of a frame were exposed one after the other; None: as in the sensor
     # description

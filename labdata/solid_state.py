@@ -27,9 +27,8 @@ class Register:
 
     em_gain: Parameter  #: at most; the session says what it was set to
     pulse_height_shape: Parameter  #: of one electron at high gain; 1 is exponential
-    clock_induced_e: (
-        Parameter  #: electrons that clocking sets free, per pixel and frame, before the gain
-    )
+    #: electrons that clocking sets free, per pixel and frame, before the gain
+    clock_induced_e: Parameter
     stages: int  #: of the register
 
     def __post_init__(self) -> None:

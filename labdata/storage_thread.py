@@ -17,9 +17,8 @@ from labdata.session_writer import SessionWriter, StackWriter
 # seconds
 CAPACITY_BYTES = 256 << 20
 
-TOGETHER_BYTES = (
-    12 << 20
-)  # Bytes per sync of the disk: more gain nothing and delay the acknowledgement
+# Bytes per sync of the disk: more gain nothing and delay the acknowledgement
+TOGETHER_BYTES = 12 << 20
 # Longest wait for space in the queue, s; a camera driver buffers two seconds at 30 frames/s
 PATIENCE_S = 0.4
 
@@ -29,9 +28,8 @@ PATIENCE_S = 0.4
 STALLED_S = 10.0
 
 LOOK_S = 0.1  # Polling interval of the progress of the disk, s
-RESERVE_BYTES = (
-    1 << 20
-)  # Bytes reserved on the session's disk for the last entries of manifest and log
+# Bytes reserved on the session's disk for the last entries of manifest and log
+RESERVE_BYTES = 1 << 20
 
 
 class Storage:

@@ -16,19 +16,16 @@ class Target:
     """Target in front of the camera; only the fields of the stack's kind are set."""
 
     bars: int | None = None  #: Number of bars of a bar target
-    frequency_cy_per_px: float | None = (
-        None  #: Frequency of the bars at the detector, cycles per column pitch
-    )
+    #: Frequency of the bars at the detector, cycles per column pitch
+    frequency_cy_per_px: float | None = None
     # : Direction across the bars or along the edge's normal, degrees from the row direction: 0 is
     # horizontal frequency : (vertical bars or edge), 90 is vertical frequency
     angle_deg: float | None = None
     pinhole_px: float | None = None  #: Diameter of the pinhole's image, column pitches
-    contrast: float | None = (
-        None  #: (bright - dark) / (bright + dark) of bars or edge, dimensionless
-    )
-    region: tuple[int, int, int, int] | None = (
-        None  #: ROW, COL, HEIGHT, WIDTH of the target in the frame, px
-    )
+    #: (bright - dark) / (bright + dark) of bars or edge, dimensionless
+    contrast: float | None = None
+    #: ROW, COL, HEIGHT, WIDTH of the target in the frame, px
+    region: tuple[int, int, int, int] | None = None
 
     def __post_init__(self) -> None:
         if self.bars is not None and self.bars < 2:

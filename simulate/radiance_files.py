@@ -138,9 +138,8 @@ def _write_exr(content: dict[str, Any], path: Path) -> None:
     # Values of a row lie channel by channel in the order of the names: (row, channel, col).
     data = np.stack([np.asarray(planes[name], "<f4") for name in channels], axis=1)
     rows, _, columns = data.shape
-    of_channel = pack(
-        "<iB3xii", 2, 0, 1, 1
-    )  # 32-bit float, not for perception, every column and row
+    # 32-bit float, not for perception, every column and row
+    of_channel = pack("<iB3xii", 2, 0, 1, 1)
     window = pack("<4i", 0, 0, columns - 1, rows - 1)
     radiance_unit = content["unit"].replace(" ", ".").replace("-", "^-")
     attributes = [
@@ -168,9 +167,8 @@ def _write_exr(content: dict[str, Any], path: Path) -> None:
         b"\0".join((name.encode(), kind.encode(), pack("<i", len(value)) + value))
         for name, kind, value in attributes
     )
-    before = (
-        pack("<2i", 20000630, 2) + header + b"\0"
-    )  # magic number, version of single scan-line images
+    # magic number, version of single scan-line images
+    before = pack("<2i", 20000630, 2) + header + b"\0"
     row_bytes = data[0].nbytes
     places = len(before) + 8 * rows + (8 + row_bytes) * np.arange(rows, dtype="<u8")
     blocks = np.empty(

@@ -4,10 +4,10 @@ frame.
 `make study NAME=effect-selection` writes the table; cases already in it are kept where the same
 sources of `simulate.radiance` made them, so that it goes on where it was interrupted. A case is a
 scene, a light and a camera (`benchmarks.studies.effect_selection_scenes`). The difference of its
-two frames without noise is taken over the temporal noise of
-each pixel, which is found by drawing frames; the root mean square over the frame is what the
-tolerance is for. A plan that its rays did not bring to the chance it promised says so: such cases
-are counted apart among those beyond the tolerance.
+two frames without noise is taken over the temporal noise of each pixel, which is found by drawing
+frames; the root mean square over the frame is what the tolerance is for. A plan that its rays did
+not bring to the chance it promised says so: such cases are counted apart among those beyond the
+tolerance.
 """
 
 import argparse

@@ -2,9 +2,8 @@
 declared scope.
 
 `make study NAME=gain-map` writes the table. A cell is one specimen of the intensified camera with a
-dark and some flats, lag,
-interlace and automatic gain off; in half of the cells one thing breaks it, from too little to
-matter to far too much.
+dark and some flats, lag, interlace and automatic gain off; in half of the cells one thing breaks
+it, from too little to matter to far too much.
 """
 
 import json

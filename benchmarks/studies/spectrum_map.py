@@ -1,9 +1,8 @@
 """Where noise spectra break: a thousand random cameras, half of them with one thing wrong.
 
 `make study NAME=spectrum-map` writes the table. A cell is a dark and flats whose pulses fall in
-continuous space before a camera
-that blurs after its gain: blur, light, noise, frames, levels; what breaks it goes from too little
-to matter to far too much.
+continuous space before a camera that blurs after its gain: blur, light, noise, frames, levels; what
+breaks it goes from too little to matter to far too much.
 """
 
 import json

@@ -152,9 +152,8 @@ def _misbehaviour(
             row, col = places[:, what == kind]
             size_e = amount[what == kind]
             if kind == 0:
-                out[:, row, col] = (
-                    10.0 * well * (size_e > 0.2 * well)
-                )  # stuck at the top, or without any charge
+                # stuck at the top, or without any charge
+                out[:, row, col] = 10.0 * well * (size_e > 0.2 * well)
             elif kind == 1:
                 out[:, row, col] += rng.poisson(size_e, (len(out), len(row)))
             elif kind == 2:

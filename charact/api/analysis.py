@@ -34,9 +34,8 @@ class Analysis(Result):
     """
 
     source: str = "array"  #: File or session measured
-    session: Session | None = (
-        None  #: The session measured, whose conditions `charact.compare` requires to be alike
-    )
+    #: The session measured, whose conditions `charact.compare` requires to be alike
+    session: Session | None = None
 
     @classmethod
     def of(cls, result: Result, source: str, session: Session | None = None) -> "Analysis":

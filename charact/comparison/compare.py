@@ -61,15 +61,12 @@ class Difference:
     a: Measurement  #: The measurement of the first result
     b: Measurement  #: The measurement of the second result
     difference: float  #: Value of B minus value of A, unit of both
-    interval68: (
-        Interval | None
-    )  #: Equal-tailed interval of the difference; None if a side has no interval
-    interval95: (
-        Interval | None
-    )  #: Equal-tailed interval of the difference; None if a side has no interval
-    probability_greater: (
-        float | None
-    )  #: Probability that B is greater than A; None if a side has no interval
+    #: Equal-tailed interval of the difference; None if a side has no interval
+    interval68: Interval | None
+    #: Equal-tailed interval of the difference; None if a side has no interval
+    interval95: Interval | None
+    #: Probability that B is greater than A; None if a side has no interval
+    probability_greater: float | None
     flags: tuple[str, ...] = ()  #: Flags of either side, and "unlike-conditions"
 
     @property

@@ -44,16 +44,13 @@ class Limit:
     """
 
     quantity: str  #: Name of the quantity, such as mtf50
-    unit: str | None = (
-        None  #: Unit of the quantity and of min and max; required for a quantity with several units
-    )
+    #: Unit of the quantity and of min and max; required for a quantity with several units
+    unit: str | None = None
     stack: str | None = None  #: Label of a stack; default: the whole session and every stack
-    frequency_cy_per_px: float | None = (
-        None  #: Frequency of an MTF value, cycles per pixel; default: all
-    )
-    orientation_deg: float | None = (
-        None  #: Direction within 10 degrees, 0 is horizontal frequency; default: all
-    )
+    #: Frequency of an MTF value, cycles per pixel; default: all
+    frequency_cy_per_px: float | None = None
+    #: Direction within 10 degrees, 0 is horizontal frequency; default: all
+    orientation_deg: float | None = None
     min: float | None = None  #: Smallest allowed value
     max: float | None = None  #: Largest allowed value
 

@@ -87,9 +87,8 @@ class Observation:
     predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
     is_bound: bool = False  # whether a prediction beyond the value agrees
     speaks_of: tuple[str, ...]  # paths of the sensor parameters that it depends on
-    ridge: "Ridge | None" = (
-        None  # the product that it determines far better than any of its parameters
-    )
+    # the product that it determines far better than any of its parameters
+    ridge: "Ridge | None" = None
 
     def chi_squared(self, values: Values) -> Array:
         """Return each draw's chi squared, shape (n,)."""

@@ -51,9 +51,8 @@ class ReadoutSpectrum:
     shape: tuple[int, int, int]  # frames, rows, columns
     # mean over frames, whole plane, shape (row, col), 1 for white noise of variance 1, DN^2
     power: Array
-    row_power: (
-        Array  # power of the rows' means times columns at the vertical frequencies above 0, DN^2
-    )
+    # power of the rows' means times columns at the vertical frequencies above 0, DN^2
+    row_power: Array
     row_frequency: Array  # those frequencies, cy/row
     interference: Interference | None
 

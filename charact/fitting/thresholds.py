@@ -85,9 +85,8 @@ class Sampling:
     # Steps of the chains: after 10 no coordinate keeps a correlation above 0.5 with its start.
     least_steps: int = 10
     most_steps: int = 320
-    most_change_se: float = (
-        5.0  # change of mean or spread over the second half of the steps, standard errors
-    )
+    # change of mean or spread over the second half of the steps, standard errors
+    most_change_se: float = 5.0
     least_variance: float = 1e-8  # of a direction of the parameters, each over its own
     least_angle: float = 1e-6  # bracket of a step, rad, below which a chain stays
     candidates: int = 400  # prior draws of a truncated parameter

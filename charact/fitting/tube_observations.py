@@ -59,9 +59,8 @@ class _Noise:
     covariance: Array  # shape (k, k)
     predict: Callable[[Values, Array, tuple[Array, Array]], Array]
     speaks_of: tuple[str, ...] = NOISE
-    ridge: int | None = (
-        None  # index of a number known far better than the parameters that it depends on
-    )
+    # index of a number known far better than the parameters that it depends on
+    ridge: int | None = None
 
 
 def noise_observations(

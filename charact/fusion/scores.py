@@ -20,9 +20,8 @@ Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
 
 CODES = 256
-CONTROL_NOISE_DN = (
-    10.0  # standard deviation of the noise control; raises entropy 6.9 -> 7.1 bits and gradients x3
-)
+# standard deviation of the noise control; raises entropy 6.9 -> 7.1 bits and gradients x3
+CONTROL_NOISE_DN = 10.0
 LEAST_PX = 16  # rows and columns: one block of Qcv; the SSIM window needs 11
 SOBEL_X = np.array([[-1.0, 0.0, 1.0], [-2.0, 0.0, 2.0], [-1.0, 0.0, 1.0]])
 # Qabf: ceiling, slope and midpoint of the sigmoids of strength and of orientation (Xydeas and

@@ -3,8 +3,7 @@ they did not.
 
 Moves are differential evolution and an independence proposal, a Student t of the covariance given:
 where the posterior is nearly Gaussian most steps are then nearly independent, and where it is not
-the other moves do
-the work. Both keep the posterior invariant.
+the other moves do the work. Both keep the posterior invariant.
 """
 
 from dataclasses import dataclass

@@ -2,8 +2,8 @@
 peaks.
 
 Sources: autocorrelation time averaged over walkers, Goodman & Weare 2010 and Foreman-Mackey et al.
-2013
-(doi 10.1086/670067); split R-hat, Gelman et al., Bayesian Data Analysis, 3rd edition, section 11.4.
+2013 (doi 10.1086/670067); split R-hat, Gelman et al., Bayesian Data Analysis, 3rd edition, section
+11.4.
 """
 
 import numpy as np
@@ -73,9 +73,8 @@ def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDA
     """
     steps = len(chain)
     padded = 2 ** int(np.ceil(np.log2(2 * steps)))
-    lines = np.ascontiguousarray(
-        np.moveaxis(chain - chain.mean(axis=(0, 1)), 0, -1)
-    )  # (walker, parameter, step)
+    # (walker, parameter, step)
+    lines = np.ascontiguousarray(np.moveaxis(chain - chain.mean(axis=(0, 1)), 0, -1))
     power = (np.abs(np.fft.rfft(lines, n=padded)) ** 2).mean(axis=0)
     covariance = np.fft.irfft(power, n=padded)[:, :steps]
     moving = np.ptp(chain, axis=0).any(axis=0)

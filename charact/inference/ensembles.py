@@ -39,8 +39,7 @@ class DifferentialEvolution:
     Notes
     -----
     x' = x + gamma (a - b), a and b two walkers of the other half, gamma = 2.38 / sqrt(2 d) (ter
-    Braak 2006,
-    doi 10.1007/s11222-006-8769-1); symmetric, since a - b is as likely as b - a.
+    Braak 2006, doi 10.1007/s11222-006-8769-1); symmetric, since a - b is as likely as b - a.
     """
 
     def __init__(self, ensembles: int) -> None:

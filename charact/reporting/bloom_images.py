@@ -334,12 +334,11 @@ def write_bloom_map(
     """Write the bloom map of a stack of a session.
 
     `session`, `result`: the session and its result by `charact.estimators.bloom.measure`;
-    `context`: seed,
-    full scale and pitches; `label`: stack; None: the scene, else the brightest point source;
-    `path`: a .png file with the frame, the map and its standard deviation, or an .npz file with the
-    arrays `signal_dn`, `fraction`, `sd`, `blooming_dn`, `clipped` and `near_border`, shape (row,
-    col), and the number `near_px`. Raises BadInput if the file is of another kind, there is no such
-    stack, or the result has no halo.
+    `context`: seed, full scale and pitches; `label`: stack; None: the scene, else the brightest
+    point source; `path`: a .png file with the frame, the map and its standard deviation, or an .npz
+    file with the arrays `signal_dn`, `fraction`, `sd`, `blooming_dn`, `clipped` and `near_border`,
+    shape (row, col), and the number `near_px`. Raises BadInput if the file is of another kind,
+    there is no such stack, or the result has no halo.
     """
     if path.suffix.lower() not in (".png", ".npz"):
         raise BadInput(f"--map must name a .png or .npz file, got {path.name!r}")

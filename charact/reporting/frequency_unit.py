@@ -40,9 +40,8 @@ class FrequencyUnit:
     rows: int | None = None  #: Rows of a frame
     focal_length_mm: float | None = None  #: Focal length, mm
     demagnification: float | None = None  #: Length at the photocathode over length at the detector
-    pitch_mrad: tuple[float, float] | None = (
-        None  #: Angle between rows and between columns, in place of lengths
-    )
+    #: Angle between rows and between columns, in place of lengths
+    pitch_mrad: tuple[float, float] | None = None
     two_way: bool = False  #: Whether edges are of every second line, of one direction of a scan
 
     def __post_init__(self) -> None:

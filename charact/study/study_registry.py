@@ -24,8 +24,8 @@ class Study:
 
     `kind`: kind of the methods; `axes`: the axes along which the methods break; `chart_cases`,
     `stability_cases`: functions of (seed, count) and of (seed, repeats, axes) that return cases;
-    `chart_count`, `quick_count`, `repeats`: how many
-    cases a chart holds, how many a first look, and how many draws a position of the stability map.
+    `chart_count`, `quick_count`, `repeats`: how many cases a chart holds, how many a first look,
+    and how many draws a position of the stability map.
     """
 
     kind: str

@@ -30,9 +30,8 @@ class FeatureGroup:
     cause: str
     least_sd: float = 0.0
     over_frame: bool = False
-    of_stacks: Callable[[StackView, list[StackView]], Numbers] | None = (
-        None  # None: of edge or point
-    )
+    # None: of edge or point
+    of_stacks: Callable[[StackView, list[StackView]], Numbers] | None = None
 
 
 GROUPS: dict[str, FeatureGroup] = {

@@ -12,9 +12,8 @@ from matplotlib import pyplot as plt
 import charact
 
 row, col = np.mgrid[0:1024, 0:1024]
-edge = 100.0 + 900.0 * np.clip(
-    0.5 + col - 512 + 0.1 * (row - 512), 0.0, 1.0
-)  # each pixel's own share
+# each pixel's own share
+edge = 100.0 + 900.0 * np.clip(0.5 + col - 512 + 0.1 * (row - 512), 0.0, 1.0)
 frames = charact.simulate(
     edge, sensor="gen3-digital-iccd", photoelectrons_per_dn=0.02, frames=4, seed=1
 )

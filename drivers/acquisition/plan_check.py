@@ -297,9 +297,8 @@ def _step(
 ) -> StepForecast:
     asked, point = step.brightest.conditions, step.kind == "point"
     settle_s = plan.settle.wait_s(None if before is None else before.conditions, step.conditions)
-    moving_s = 0.3 + _gain_moves_s(
-        before, step, limits
-    )  # Time to set gate, camera and light of a step, s
+    # Time to set gate, camera and light of a step, s
+    moving_s = 0.3 + _gain_moves_s(before, step, limits)
     lit_s = settle_s + (step.most_frames + DISCARDED_FRAMES) * _frame_s(step, sensor)
     lux, volts = asked.illuminance_lux or 0.0, asked.mcp_v or 0.0
     duty = min(1.0, (asked.gate_ns or 0.0) * 1e-9 * plan.gating.most_hz(field_hz(sensor)))

@@ -32,10 +32,8 @@ DISK_S = 1.2
 # set
 PROBE_SHARE, PROBE_NS = 0.01, 100.0
 
-SAME, SAME_LIGHT = (
-    1e-3,
-    0.02,
-)  # Largest relative difference of equal read-backs of an instrument, and of a light meter
+# Largest relative difference of equal read-backs of an instrument, and of a light meter
+SAME, SAME_LIGHT = 1e-3, 0.02
 
 # Measured conditions without set-point; they may differ between runs
 OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")

@@ -12,10 +12,8 @@ from types import FrameType
 LOOK_S = 0.05
 
 URGENT = (signal.SIGTERM, signal.SIGHUP)
-GRACE_S, STUCK_S = (
-    5.0,
-    15.0,
-)  # Time limits of a run ended by a signal, once the tube is safe and in total, s
+# Time limits of a run ended by a signal, once the tube is safe and in total, s
+GRACE_S, STUCK_S = 5.0, 15.0
 
 STOPPING = "stopping after this step; Ctrl-C again shuts the gate now"
 PAUSING = "pausing after this step; the same signal again goes on"

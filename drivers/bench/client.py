@@ -37,9 +37,8 @@ from drivers.serial_lines.port import InheritedPort
 from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
-SERVER_SILENCE_S = (
-    SILENCE_S + BEAT_S
-)  # Time without heartbeat of the server after which it is killed, s
+# Time without heartbeat of the server after which it is killed, s
+SERVER_SILENCE_S = SILENCE_S + BEAT_S
 
 # Longest duration of the safe action, s: wait for a lost port, then for the decay of the voltage
 SAFE_S = FALL_S + REOPEN_S + 5.0
@@ -324,9 +323,8 @@ class BenchClient:
             self.fault = self.fault or lost
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.process.pid, signal.SIGKILL)
-            until_s = (
-                time.monotonic() + 0.1
-            )  # Longest wait for a killed server to release its ports, s
+            # Longest wait for a killed server to release its ports, s
+            until_s = time.monotonic() + 0.1
             while self.process.poll() is None and time.monotonic() < until_s:
                 time.sleep(0.01)
             for waiting in list(self._replies.values()):

@@ -12,9 +12,8 @@ from labdata.errors import BadInput
 from labdata.instrument_config import Role
 
 BEAT_S = 0.1  # Heartbeat interval, s
-SILENCE_S = (
-    0.5  # Time without heartbeat after which the other side counts as hung, s: five intervals
-)
+# Time without heartbeat after which the other side counts as hung, s: five intervals
+SILENCE_S = 0.5
 LARGEST_BYTES = 1 << 17  # Largest message; a setup with calibrations has a few kilobytes
 
 

@@ -26,9 +26,8 @@ PROBE_DUTY = 0.01
 # Fraction of pixels that may be saturated beyond the limit of the step; lamps in view are smaller
 MAX_EXCESS_SATURATION = 0.05
 
-METER_TOLERANCE = (
-    1.25  # Factor by which a light reading may exceed its limit, for the calibration of the meter
-)
+# Factor by which a light reading may exceed its limit, for the calibration of the meter
+METER_TOLERANCE = 1.25
 
 
 @dataclass(frozen=True, kw_only=True)

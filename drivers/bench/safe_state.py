@@ -15,11 +15,8 @@ from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 
-DANGEROUS: tuple[Role, ...] = (
-    "gate",
-    "supply",
-    "light-source",
-)  # Roles that the safe action covers
+# Roles that the safe action covers
+DANGEROUS: tuple[Role, ...] = "gate", "supply", "light-source"
 
 Record = Callable[..., object]  # Called as record(step, **details) for each step; it must not block
 
@@ -40,12 +37,10 @@ class SafeStateReport:
 
     gate_shut: bool  #: Whether the gate read back no pulses and a shut idle level
     off_ordered: bool  #: Whether the command to switch the high voltage off was sent
-    residual_v: (
-        float | None
-    )  #: Last voltage measured at the output, V; None if none could be measured
-    light_dark: bool = (
-        True  #: Whether every lamp of the bench read back that it is off; true without lamps
-    )
+    #: Last voltage measured at the output, V; None if none could be measured
+    residual_v: float | None
+    #: Whether every lamp of the bench read back that it is off; true without lamps
+    light_dark: bool = True
     failures: tuple[
         str, ...
     ] = ()  #: One sentence for each failed step of an instrument that was not verified

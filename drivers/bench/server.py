@@ -1,9 +1,8 @@
 """Bench server: the process that owns ports, drivers and interlock, and outlives its client.
 
 A high-voltage supply has no watchdog. When the client ends (the kernel closes its socket), hangs or
-is
-silent, or an instrument fails, gate and high voltage are switched off at once. The main loop never
-blocks: commands, checks, the safe action, the log and the dose have separate threads.
+is silent, or an instrument fails, gate and high voltage are switched off at once. The main loop
+never blocks: commands, checks, the safe action, the log and the dose have separate threads.
 """
 
 import argparse
@@ -79,9 +78,8 @@ class BenchServer:
         self._client, self._setup, self._log, self._clock = connection, setup, log, clock
         self._bench: TubeBench | None = None
         self._is_open = False
-        self.orders: queue.SimpleQueue[Request] = (
-            queue.SimpleQueue()
-        )  # Queued commands of the client
+        # Queued commands of the client
+        self.orders: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self.to_make_safe: queue.SimpleQueue[SafeOrder] = queue.SimpleQueue()  # Queued safe actions
         self._over = threading.Event()
         self._stop_signal: int | None = None

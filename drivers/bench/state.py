@@ -22,25 +22,20 @@ class InterlockRefused(BadInput):
 class TubeState:
     """Worst case of gate, gain and light; a value is unknown until it is read."""
 
-    duty: float = (
-        1.0  #: Largest possible fraction of the time that the gate is open; 0: read back as shut
-    )
+    #: Largest possible fraction of the time that the gate is open; 0: read back as shut
+    duty: float = 1.0
     mcp_v: float = math.inf  #: Highest possible voltage across the MCP, V
     light_lux: float = math.inf  #: Highest possible illuminance, lux
     point: bool = False  #: Whether that light is inside a pinhole's image only
     target: Target | None = None  #: Target in front of the camera
-    filter_known: bool = (
-        True  #: Whether the filter in the light is known; always true without a filter wheel
-    )
-    dark_seen: bool = (
-        False  #: Whether a frame through the open gate at gain, with the light off, was dark
-    )
-    excess_saturation: float = (
-        0.0  #: Fraction of saturated pixels of the last frame beyond the limit of its step
-    )
-    probed: bool = (
-        False  #: Whether a frame in this light through an open gate at gain was not saturated
-    )
+    #: Whether the filter in the light is known; always true without a filter wheel
+    filter_known: bool = True
+    #: Whether a frame through the open gate at gain, with the light off, was dark
+    dark_seen: bool = False
+    #: Fraction of saturated pixels of the last frame beyond the limit of its step
+    excess_saturation: float = 0.0
+    #: Whether a frame in this light through an open gate at gain was not saturated
+    probed: bool = False
     surely_open: bool = False  #: Whether the gate was read back as open and not ordered shut since
     surely_v: float = 0.0  #: Voltage read across the MCP, V; 0 where it may have fallen since
     heard_s: float = -math.inf  #: Time of the last heartbeat, s of a monotonic clock

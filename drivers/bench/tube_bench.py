@@ -35,9 +35,8 @@ from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.instrument_config import InstrumentConfig, Role
 
-LOOK_EVERY_S = (
-    0.3  # Interval between checks of an instrument's settings, s; with the check itself below 0.5 s
-)
+# Interval between checks of an instrument's settings, s; with the check itself below 0.5 s
+LOOK_EVERY_S = 0.3
 
 # Roles not needed for the tube: a failure is reported, and the bench continues
 DISPENSABLE: tuple[Role, ...] = ("light-meter", "thermometer")

@@ -77,11 +77,8 @@ class IsegLine(EchoCheckedLine):
 class Iseg(Supply):
     """iseg NHQ or SHQ supply under remote control."""
 
-    off_commands = (
-        f"V1={FASTEST_V_PER_S}",
-        "D1=0",
-        "G1",
-    )  # There is no off command: the fastest ramp to 0 V
+    # There is no off command: the fastest ramp to 0 V
+    off_commands = f"V1={FASTEST_V_PER_S}", "D1=0", "G1"
 
     reading = "U1"
     lowest_v = 10.0  # Voltage at switching on, V, so that a set value of 0 reveals a loss of power

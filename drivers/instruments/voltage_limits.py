@@ -42,9 +42,8 @@ class Supply(Instrument):
         super().__init__(line)
         self.is_on = False  # Whether this driver switched it on and not off
         self._reached_v: float | None = None  # set-point that the output has reached
-        self._fallen_to_v: float | None = (
-            None  # lowest output seen since it was ordered off; None: nothing was set
-        )
+        # lowest output seen since it was ordered off; None: nothing was set
+        self._fallen_to_v: float | None = None
 
     def look(self) -> None:
         """Compare the output with the set-point: on, no trip and near it; off, not on again and not

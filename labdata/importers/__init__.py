@@ -81,8 +81,7 @@ def read_frames(
         does not count frames.
     axis
         Number or name of the frame axis, where the file does not state it or states another;
-        "frame": the
-        first axis, if the file does not name it.
+        "frame": the first axis, if the file does not name it.
     find_full_scale
         Whether to find full scale from the data where the file does not state it.
 

@@ -1,8 +1,7 @@
 """Axes of image arrays, non-finite borders, and the record of a reader.
 
 An axis counts frames if the file or the documented layout of its kind states it. Any other axis
-longer than
-1 is cut by a plane, renamed by the caller, or refused.
+longer than 1 is cut by a plane, renamed by the caller, or refused.
 """
 
 from collections.abc import Sequence
@@ -301,9 +300,8 @@ class Recorded:
 
     data: NDArray  #: Pixels, any number of axes
     names: Sequence[str]  #: Meaning of each axis
-    pattern: str | None = (
-        None  #: Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic
-    )
+    #: Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic
+    pattern: str | None = None
     #: Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown
     black_dn: tuple[float, ...] = ()
     full_scale_dn: float | None = None  #: Full scale, DN; None: not stated

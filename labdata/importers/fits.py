@@ -14,9 +14,8 @@ from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, Recorded, lossy_not
 
 GZIP_MAGIC = b"\x1f\x8b"
 BLOCK_BYTES = 2880
-MOST_HEADER_BYTES = (
-    1000 * BLOCK_BYTES
-)  # 36,000 cards; the longest headers of observatories have some thousands
+# 36,000 cards; the longest headers of observatories have some thousands
+MOST_HEADER_BYTES = 1000 * BLOCK_BYTES
 
 # Cards with the number of frames, as written by camera software
 FRAME_COUNTS = ("NFRAMES", "NUMFRAME", "NUMFRMS", "FRAMES", "NIMAGES", "NUMKIN")

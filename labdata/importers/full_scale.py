@@ -19,8 +19,8 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
     Full scale of 8-bit integers is 255. In wider types it can be found only if pixels are at full
     scale: the highest value is then 2^n - 1 quantisation steps, and several pixels must have it,
     since noise has a single highest pixel. The step is 1 in plain integers, a power of 2 where n
-    bits are the upper ones of a wider type, and
-    1 / (2^n - 1) in real numbers from 0 to 1. Frames below full scale do not need it.
+    bits are the upper ones of a wider type, and 1 / (2^n - 1) in real numbers from 0 to 1. Frames
+    below full scale do not need it.
     """
     if stack.full_scale_dn is not None:
         return stack

@@ -14,6 +14,5 @@ LEAST_BITS = 9  # Fewest bits of a digitiser in a wider type; 8 bits have their 
 MOST_BITS = 16  # Most bits of an image digitiser
 # Smallest relative checkerboard amplitude of a mosaic; the PRNU of sensors averages to less
 MOSAIC_LEVEL = 0.01
-MOSAIC_SIGNIFICANCE = (
-    8.0  # Smallest checkerboard amplitude of a mosaic in standard errors; chance 1e-15
-)
+# Smallest checkerboard amplitude of a mosaic in standard errors; chance 1e-15
+MOSAIC_SIGNIFICANCE = 8.0

@@ -83,8 +83,7 @@ def _names(file, series) -> tuple[str, ...]:
     """Return the axes from the letters of the series.
 
     Pages without a description are frames, unless their shape excludes it. ImageJ labels every
-    stack as
-    slices; only in a hyperstack these are focus positions.
+    stack as slices; only in a hyperstack these are focus positions.
     """
     names = [meaning(letter) for letter in series.axes]
     plain = (file.imagej_metadata or {}).get("hyperstack") is None and series.kind == "imagej"
@@ -97,9 +96,8 @@ def _names(file, series) -> tuple[str, ...]:
 
 def _pattern(page) -> str | None:
     """Return the colours of a mosaic's sites where the file states them."""
-    tag = page.tags.get(
-        33422
-    )  # Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)
+    # Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)
+    tag = page.tags.get(33422)
     if tag is None or len(sites := bytes(tag.value)) != 4 or not set(sites) <= {0, 1, 2}:
         return None
     return "".join("rgb"[site] for site in sites)

@@ -51,9 +51,8 @@ class ArrayWriter:
         self._require_same()
         journal = read_journal(path)
         self._frames, self._end = len(journal.frames), journal.end
-        self.notes = self._set_aside(
-            journal.array_frames
-        )  # One sentence on chunks that were set aside at the start
+        # One sentence on chunks that were set aside at the start
+        self.notes = self._set_aside(journal.array_frames)
         self._journal = open(path / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._journal_bytes = self._journal.seek(0, os.SEEK_END)
         self._mid_line = ends_mid_line(self._journal.fileno())

@@ -85,9 +85,8 @@ def dark_charge(camera: CameraFrame, conditions: Conditions) -> tuple[float, flo
 class Ccd(Stage, slot=Slot.CCD):
     """Interline CCD as it is read, one charge per frame pixel."""
 
-    quantum_efficiency: (
-        float  # electrons per photon on the pixel, fill factor included, dimensionless
-    )
+    # electrons per photon on the pixel, fill factor included, dimensionless
+    quantum_efficiency: float
     full_well_e: float  # charge that one pixel as read holds, e-
     antibloom_ratio: float = 1.0  # overexposure the drain carries off, in full wells
     # mean dark charge of one pixel as read, e-; the clamp subtracts its mean, its noise stays
@@ -102,13 +101,11 @@ class Ccd(Stage, slot=Slot.CCD):
     # amplifiers (`pattern.offset_map`). Of a charge that is multiplied all of it is dark charge:
     # offsets are behind the register.
     dsnu_e: float = 0.0
-    clamped: bool = (
-        True  # whether the clamp acts here; False where a register follows, behind which it does
-    )
+    # whether the clamp acts here; False where a register follows, behind which it does
+    clamped: bool = True
     multiplied: bool = False  # whether a register multiplies the charge
-    interlaced: bool = (
-        False  # whether odd and even rows are separate fields, which overflow each on their own
-    )
+    # whether odd and even rows are separate fields, which overflow each on their own
+    interlaced: bool = False
     pattern_seed: int = 0  # seed of the pixels' responses
     takes: str = "screen photons as read"
     emits: str = "charge"
@@ -268,16 +265,14 @@ class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="ch
     2003).
     """
 
-    gain: float = (
-        1.0  # mean electrons out per electron in; 1 is a plain register, which adds nothing
-    )
+    # mean electrons out per electron in; 1 is a plain register, which adds nothing
+    gain: float = 1.0
     stages: int = 500  # stages of the register, in each of which an electron may free another
     # Shape of the law of what one electron becomes at high gain; 1 is exponential, as impact
     # ionisation is.
     pulse_height_shape: float = 1.0
-    clock_induced_e: float = (
-        0.0  # electrons that clocking sets free, per pixel and frame, before the gain
-    )
+    # electrons that clocking sets free, per pixel and frame, before the gain
+    clock_induced_e: float = 0.0
     read_noise_e: float = 0.0  # standard deviation of reading, e- behind the gain
     # Mean dark charge in a pixel, e- before the gain, which the clamp subtracts together with that
     # of clocking.

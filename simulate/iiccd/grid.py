@@ -26,34 +26,27 @@ class Accuracy:
     # Resampling is exact up to this frequency and fades to nothing at 1 cy/px, so that a point does
     # not ring.
     resampling_exact_cy_per_px: float = 0.6
-    band_transfer_error: float = (
-        1e-4  # largest error of the transfer of a band where bands are sums of a few transfers
-    )
+    # largest error of the transfer of a band where bands are sums of a few transfers
+    band_transfer_error: float = 1e-4
     n_band_frequencies: int = 1500  # frequencies at which the transfers of bands are compared
-    max_distortion_radius: float = (
-        2.0  # distance from the axis, in corner radii, to which distortion is inverted
-    )
+    # distance from the axis, in corner radii, to which distortion is inverted
+    max_distortion_radius: float = 2.0
     n_distortion_steps: int = 4096  # radii of the table that inverts distortion
     min_replica_transfer: float = 1e-3  # spectral replicas with a smaller transfer are neglected
-    max_lag_fraction: float = (
-        1e-3  # fraction of the light, at most, that is emitted after the last lag field
-    )
+    # fraction of the light, at most, that is emitted after the last lag field
+    max_lag_fraction: float = 1e-3
     n_arrival_times: int = 2000  # arrival times over which decay fractions are averaged
-    max_near_wing_fraction: float = (
-        0.02  # fraction of a single pulse that may lie beyond its compact part
-    )
-    min_sharpened_transfer: float = (
-        0.05  # light is not sharpened where the squared kernel has a smaller transfer
-    )
-    separable_residual: float = (
-        2e-6  # fraction of the squared kernel that its separable parts may neglect
-    )
+    # fraction of a single pulse that may lie beyond its compact part
+    max_near_wing_fraction: float = 0.02
+    # light is not sharpened where the squared kernel has a smaller transfer
+    min_sharpened_transfer: float = 0.05
+    # fraction of the squared kernel that its separable parts may neglect
+    separable_residual: float = 2e-6
     # Relative error of the third moment of pulses on the lattice; one cell per column is then
     # enough.
     skewness_tolerance: float = 0.012
-    sparse_pe_per_px: float = (
-        0.8  # below this mean per pixel single pulses are resolved, and drawn one by one
-    )
+    # below this mean per pixel single pulses are resolved, and drawn one by one
+    sparse_pe_per_px: float = 0.8
     # Skewness of the shot noise of the charge, over all noise, above which electrons are counted.
     counted_skewness: float = 0.01
     # Above this mean the electrons of a pixel are drawn from a normal law with the skewness of a
@@ -63,20 +56,16 @@ class Accuracy:
     max_pe_per_cell: float = 1e9
     max_charge_sd: float = 8.0  # charge never exceeds its mean by more standard deviations
     min_filter_tap: float = 1e-6  # smaller taps of an impulse response are neglected
-    min_stored_fraction: float = (
-        1e-6  # decay components that store a smaller mean fraction are neglected
-    )
-    n_search_guides: int = (
-        2**20
-    )  # parts of the table that guides the search for the cell of a pulse
-    extreme_probability: float = (
-        0.1  # probability that the largest value of a fixed pattern exceeds the bound
-    )
+    # decay components that store a smaller mean fraction are neglected
+    min_stored_fraction: float = 1e-6
+    # parts of the table that guides the search for the cell of a pulse
+    n_search_guides: int = 2**20
+    # probability that the largest value of a fixed pattern exceeds the bound
+    extreme_probability: float = 0.1
     # A well may overflow if its charge lies within this many standard deviations of the full well.
     overflow_sd: float = 8.0
-    n_distortion_rings: int = (
-        6  # rings in which the displacement by the taper is bounded by that of their outer edge
-    )
+    # rings in which the displacement by the taper is bounded by that of their outer edge
+    n_distortion_rings: int = 6
 
 
 ACCURACY = Accuracy()

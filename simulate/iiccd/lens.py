@@ -23,9 +23,8 @@ class Optics(Stage, slot=Slot.OPTICS, takes="photons", emits="photons"):
     """Lens between the scene and the photocathode."""
 
     blur: StageBlur  # its blur
-    veiling_glare_fraction: (
-        float  # fraction of the light that is spread evenly over the image, dimensionless
-    )
+    # fraction of the light that is spread evenly over the image, dimensionless
+    veiling_glare_fraction: float
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -80,16 +79,14 @@ class RadiometricLens(Stage, slot=Slot.OPTICS, takes="radiance", emits="photons"
     detector_nm: tuple[float, ...]
     detector_efficiency: tuple[float, ...]
     grid: Grid  # cells on which the photons arrive
-    magnification: float = (
-        0.0  # size of the image over that of the scene, dimensionless; 0 for a distant scene
-    )
+    # size of the image over that of the scene, dimensionless; 0 for a distant scene
+    magnification: float = 0.0
     aberration_blur_um: float = 0.0  # s of exp(-2 (pi f s)^2), um
     # How far 925 nm focuses behind 500 nm, linear in wavelength, and the wavelength in focus.
     focal_shift_um: float = 0.0
     focus_nm: float = 700.0
-    veiling_glare_fraction: float = (
-        0.0  # fraction of the light that is spread evenly over the image
-    )
+    # fraction of the light that is spread evenly over the image
+    veiling_glare_fraction: float = 0.0
     # Fraction of the light lost at the image's corner beyond cos^4; it grows with the square of the
     # distance from the axis.
     vignetting_fraction: float = 0.0

@@ -40,9 +40,8 @@ class MicrochannelPlate(
     # 1/shape.
     pulse_height_shape: float
     gain: float  # electrons out per photoelectron in, the undetected counted, at low current
-    saturation_e_per_s_cm2: (
-        float  # output current at which the gain has halved, electrons per s and cm2
-    )
+    # output current at which the gain has halved, electrons per s and cm2
+    saturation_e_per_s_cm2: float
     # time from one exposure to the next, s; the strip current recharges the MCP all along
     field_s: float
     # Rate and mean size (detected photoelectrons) of ion pulses while the gate is open.

@@ -40,9 +40,8 @@ class Phosphor(Stage, slot=Slot.PHOSPHOR, takes="electrons", emits="screen photo
     photons_per_electron: float  # photons out of the window per electron that leaves the MCP
     # blur after the gain: whole pulses are spread, so that neighbouring pixels share their noise
     spread: StageBlur
-    gain_nonuniformity: float = (
-        0.0  # relative standard deviation of the phosphor's granularity, dimensionless
-    )
+    # relative standard deviation of the phosphor's granularity, dimensionless
+    gain_nonuniformity: float = 0.0
     pattern_seed: int = 0  # seed of the granularity: the same device always has the same
     effects: ClassVar = {"phosphor granularity": {"gain_nonuniformity": 0.0}}
 

@@ -26,9 +26,8 @@ class Collection(Stage, slot=Slot.PIXELS):
     `pixel_transfer`.
     """
 
-    row_pairs: (
-        bool  # true: every frame row sums two rows of the chip. False: it is one row of the chip
-    )
+    # true: every frame row sums two rows of the chip. False: it is one row of the chip
+    row_pairs: bool
     takes: str = "screen photons"
     emits: str = "screen photons on pixels"
 

@@ -18,9 +18,8 @@ class StageImage:
     """Image between two stages."""
 
     values: NDArray  # amount per cell or per pixel, shape (..., row, col)
-    grid: Grid | None = (
-        None  # the lattice of cells; None once the image stands on the image's own pixels
-    )
+    # the lattice of cells; None once the image stands on the image's own pixels
+    grid: Grid | None = None
     pending_blurs: tuple[StageBlur, ...] = ()  # blurs that are not yet applied to the values
 
     def with_values(self, values: NDArray) -> "StageImage":

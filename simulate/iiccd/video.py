@@ -104,12 +104,10 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
     black_level_dn: float  # level without charge, DN
     bit_depth: int  # bits of the digitiser, at most 16
     low_pass: VideoFilter | NoFilter = NoFilter()  # filter along lines
-    gamma: float = (
-        1.0  # exponent y = x^gamma of the signal above black, relative to full scale, dimensionless
-    )
-    gain: float = (
-        1.0  # factor of the automatic gain, which acts on signal and noise alike, dimensionless
-    )
+    # exponent y = x^gamma of the signal above black, relative to full scale, dimensionless
+    gamma: float = 1.0
+    # factor of the automatic gain, which acts on signal and noise alike, dimensionless
+    gain: float = 1.0
     sync_jitter_px: float = 0.0  # standard deviation of the start of a line, pixels
     line_noise_dn: float = 0.0  # standard deviation of an offset common to a line, DN
     # Of a digital read-out, see `labdata.solid_state.Readout`.

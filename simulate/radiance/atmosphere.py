@@ -176,20 +176,17 @@ class Atmosphere:
     loses contrast and not resolution. There is no refraction.
     """
 
-    visibility_km: float = (
-        23.0  # meteorological range: distance at which a black object has a contrast of 2 %, km
-    )
+    # meteorological range: distance at which a black object has a contrast of 2 %, km
+    visibility_km: float = 23.0
     relative_humidity: float = 0.5  # at the ground, 0 to 1, dimensionless
     # Of the air at the ground.
     temperature_c: float = 15.0
     pressure_hpa: float = SEA_LEVEL_HPA
     ozone_atm_cm: float = 0.3  # ozone overhead, atm cm
-    aerosol_scale_height_km: float = (
-        1.2  # height of a column of the haze at the ground that holds all of it, km
-    )
-    light: SkyLight | None = (
-        None  # light source of the path radiance, set by `NightSky.air`; None: no path radiance
-    )
+    # height of a column of the haze at the ground that holds all of it, km
+    aerosol_scale_height_km: float = 1.2
+    # light source of the path radiance, set by `NightSky.air`; None: no path radiance
+    light: SkyLight | None = None
 
     def __post_init__(self) -> None:
         clearest = KOSCHMIEDER / float(rayleigh_per_km(REFERENCE_NM))

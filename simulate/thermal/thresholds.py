@@ -95,9 +95,8 @@ class InfraredLimits:
     finer_bins_metal_mk: float = 100.0
     # Air of the paths of LOWTRAN7 to which its transmittance was fitted, C and relative humidity;
     # longest path that was compared with MODTRAN 5; elevation to which the sky is within 3 K of
-    # LOWTRAN7, and error at
-    # 2 degrees, K; elevation of the sun within which refraction, 0.6 degrees, and its radius, 0.3
-    # degrees, count.
+    # LOWTRAN7, and error at 2 degrees, K; elevation of the sun within which refraction, 0.6
+    # degrees, and its radius, 0.3 degrees, count.
     fitted_c: tuple[float, float] = (-10.0, 30.0)
     fitted_humidity: tuple[float, float] = (0.2, 1.0)
     farthest_km: float = 8.0

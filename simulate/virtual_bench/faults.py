@@ -20,9 +20,8 @@ class Faults:
     garbage: bool = False  #: Every byte of its answers arrives changed
     half_lines: bool = False  #: Only the first half of each answer arrives
     unplugged: bool = False  #: Its port is gone as long as this holds; its outputs stay as they are
-    power_cycles: int = (
-        0  #: How often it has lost its power for a moment; each rise is one more time
-    )
+    #: How often it has lost its power for a moment; each rise is one more time
+    power_cycles: int = 0
     stalled: bool = False  #: The camera answers, and sends no frame
     lost_packet_share: float = 0.0  #: Fraction of the camera's packets that get lost, dimensionless
     clock_jump_s: float = 0.0  #: How far the camera's clock is off its time, s
@@ -32,9 +31,8 @@ class Faults:
     disobedient: bool = False
     untriggered: bool = False  #: No pulses come to the delay generator's trigger input
     port_name: str = ""  #: Name under which its port stands now; empty: its own
-    room_light_lux: float = (
-        0.0  #: Of the surroundings: light that falls on the photocathode besides the source's, lux
-    )
+    #: Of the surroundings: light that falls on the photocathode besides the source's, lux
+    room_light_lux: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "panel", tuple(self.panel))  # JSON knows lists only

@@ -47,13 +47,11 @@ class Outputs:
     gate_trigger: Trigger = "clock"  #: See `GateOutput`
     gate_delay_ns: float = 0.0  #: See `GateOutput`
     lamp_a: float | None = None  #: Current through the lamp of the bench, A; None: it has no lamp
-    filter_position: int | None = (
-        None  #: Position of the wheel before the lamp; None: it turns, or there is none
-    )
+    #: Position of the wheel before the lamp; None: it turns, or there is none
+    filter_position: int | None = None
     has_wheel: bool = False  #: Whether there is a wheel before the lamp
-    temperature_c: float | None = (
-        None  #: Temperature of the tube, degrees Celsius; None: nobody measures it
-    )
+    #: Temperature of the tube, degrees Celsius; None: nobody measures it
+    temperature_c: float | None = None
     room_light_lux: float = 0.0  #: Light of the surroundings on the photocathode, lux
 
     def open_ns(self, exposure_s: float) -> float:
@@ -138,9 +136,8 @@ class VirtualOperator:
 
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
-        self.while_waiting: Callable[[], None] = lambda: (
-            None
-        )  # Never called: the virtual operator acts at once
+        # Never called: the virtual operator acts at once
+        self.while_waiting: Callable[[], None] = lambda: None
 
     def place(
         self,

@@ -15,9 +15,8 @@ from simulate.virtual_bench.instrument import SerialInstrument
 from simulate.virtual_bench.prologix import PrologixAdapter
 
 TICK_S = 0.02  # Longest time between two updates of an instrument's physics, s
-ORPHAN_S = (
-    5.0  # An instrument whose bench is gone switches itself off after this time without a byte, s
-)
+# An instrument whose bench is gone switches itself off after this time without a byte, s
+ORPHAN_S = 5.0
 
 
 class PseudoTerminal:
@@ -36,9 +35,8 @@ class PseudoTerminal:
         """Plug in: a new terminal behind the same link, or behind one of another name."""
         self._link = self.link.with_name(name) if name else self.link
         self._master, self._slave = os.openpty()
-        tty.setraw(
-            self._slave
-        )  # else the line echoes our own answers back to us until a client opens it
+        # else the line echoes our own answers back to us until a client opens it
+        tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self._link.unlink(missing_ok=True)
         self._link.symlink_to(os.ttyname(self._slave))
@@ -71,9 +69,8 @@ class PseudoTerminal:
 
     def seconds(self, characters: int) -> float:
         """Time that characters take on the line, s."""
-        return (
-            0.0 if self._baud is None else characters * 10 / self._baud
-        )  # start, eight data bits, stop
+        # start, eight data bits, stop
+        return 0.0 if self._baud is None else characters * 10 / self._baud
 
     def _as_heard(self, data: bytes) -> bytes:
         if self._baud is None:

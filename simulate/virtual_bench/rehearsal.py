@@ -85,9 +85,8 @@ class ScriptedFault:
 
     instrument: Place  #: Whose
     kind: Kind  #: What is wrong with it
-    at_step: str | None = (
-        None  #: Label of the step whose beginning starts the clock; None: the beginning of the run
-    )
+    #: Label of the step whose beginning starts the clock; None: the beginning of the run
+    at_step: str | None = None
     at_s: float = 0.0  #: How long after that it strikes, s
     for_s: float = 1.0  #: How long it lasts, s; a power cycle is over at once
     # : For late answers how late, s; for packet loss the fraction lost; for a clock jump how far,

@@ -85,9 +85,8 @@ class BenchTruth:
     sensor: Sensor  #: The device, every parameter exact
     seed: int  #: Seed of the device and of every frame
     light_per_reading: float  #: True illuminance over the meter's reading, dimensionless
-    lamp: LampCalibration | None = (
-        None  #: What the lamp of the bench truly makes of its currents; None: there is none
-    )
+    #: What the lamp of the bench truly makes of its currents; None: there is none
+    lamp: LampCalibration | None = None
 
     def illuminance_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
         """True illuminance on the photocathode, lux: room light plus lamp or, without a lamp, the

@@ -84,9 +84,8 @@ class Scene:
 
     placement: TargetPlacement
     conditions: Conditions
-    fields: Fields | None = (
-        None  #: How gate and fields run against one another, where they do not keep step
-    )
+    #: How gate and fields run against one another, where they do not keep step
+    fields: Fields | None = None
 
 
 class VirtualTube:
@@ -118,18 +117,16 @@ class VirtualTube:
         """
         placement, outputs = read_placement(self._folder), self._outputs()
         if outputs.room_light_lux:
-            placement = replace(
-                placement, kind="flat", target=Target()
-            )  # it falls on everything, darks included
+            # it falls on everything, darks included
+            placement = replace(placement, kind="flat", target=Target())
         field_hz = float(self.sensor.video.field_rate_hz)
         exposure_s = min(exposure_s, 1.0 / field_hz)
         fields = self._fields(outputs, field_hz, whole_field_s(exposure_s, field_hz))
         open_ns = outputs.open_ns(exposure_s) if fields is None else float(fields.open_ns(0, 1)[0])
         conditions = Conditions(
             exposure_s=exposure_s,
-            mcp_v=max(
-                round(outputs.mcp_v, 2), 1.0
-            ),  # an MCP without voltage multiplies by next to nothing
+            # an MCP without voltage multiplies by next to nothing
+            mcp_v=max(round(outputs.mcp_v, 2), 1.0),
             gate_ns=max(open_ns, exposure_s * 1e9 * GATE_EXTINCTION),
             illuminance_lux=self._truth.illuminance_lux(placement, outputs),
             camera_gain_db=gain_db,

@@ -130,14 +130,11 @@ class Laboratory:
 
     has_lamp: bool = True
     between: Callable[[], None] = lambda: None  # Called between two exchanges of a procedure
-    lasts: Callable[[float], None] = (
-        CLOCK.sleep
-    )  # Called as lasts(seconds) by procedures that take their time
+    # Called as lasts(seconds) by procedures that take their time
+    lasts: Callable[[float], None] = CLOCK.sleep
     hurts: list[str] = field(default_factory=list)
-    open: tuple[float, float] = (
-        1e6,
-        50.0,
-    )  # a bench that somebody left on: width in ns, rate in Hz
+    # a bench that somebody left on: width in ns, rate in Hz
+    open: tuple[float, float] = 1e6, 50.0
     volts: float = 700.0
     lamp_a: float = 0.0
     placed_lux: float = 1e-3  # light that a person set

@@ -17,9 +17,8 @@ from simulate.virtual_bench.camera import LOOPBACK, hold_loopback
 from tests.drivers.fake_video import luma
 
 ROWS, COLUMNS, PERIOD_US = 61, 84, 10_000
-PACKETS = (
-    4 + 2
-)  # Packets of a frame of 61 x 84 bytes: four of at most 1400 bytes or so, a leader and a trailer
+# Packets of a frame of 61 x 84 bytes: four of at most 1400 bytes or so, a leader and a trailer
+PACKETS = 4 + 2
 
 
 def main(folder: Path, serial: str, parent: int, lost_packet_share: float) -> None:

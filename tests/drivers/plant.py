@@ -51,10 +51,8 @@ LUX = (
     float("nan"),
 )
 TARGETS = (Target(), Target(angle_deg=5.0), Target(pinhole_px=1.0))
-FIELDS_HZ = (
-    59.94,
-    49.0,
-)  # a gate that is too wide at the second is not open for too much of the time
+# a gate that is too wide at the second is not open for too much of the time
+FIELDS_HZ = 59.94, 49.0
 DELAYS = (0, 1, 1, 1, 2, 2, 3, 4, 5, 7, 9, 11)  # exchanges of an order before something happens
 TROUBLES = ("silent", "mute", "wrong", "gone", "disobedient", "half")
 
@@ -141,9 +139,8 @@ class Plant:
         lab.demands.clear()
         lab.stopped_by = ""
         if self.number % 2:
-            lab.filter = len(
-                laboratory.DENSITIES
-            )  # somebody turned the wheel while the bench was off
+            # somebody turned the wheel while the bench was off
+            lab.filter = len(laboratory.DENSITIES)
         lab.beat_s = lab.stamp_s = self.stamp_s = CLOCK.now_s
         drivers = {"gate": lab.gate, "supply": lab.supply, "light-meter": lab.meter}
         if self.has_lamp:

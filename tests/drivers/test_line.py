@@ -173,9 +173,8 @@ def test_nothing_of_another_thread_follows_the_first_order_of_the_safe_action(ki
             line.order("HVOF")
 
     ordering, _ = in_a_thread(order)
-    ordering.join(
-        0.1
-    )  # the order waits for the exchange, which is past its check and has still to send
+    # the order waits for the exchange, which is past its check and has still to send
+    ordering.join(0.1)
     port.go.set()
     ordering.join(5.0)
     ramping.join(5.0)

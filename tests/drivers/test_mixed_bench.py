@@ -26,9 +26,8 @@ def somewhere_else(tmp_path):
 
 
 def test_a_real_thermometer_is_read_next_to_a_virtual_tube(somewhere_else, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        aravis_library, "is_available", lambda: False
-    )  # the camera has no part in this
+    # the camera has no part in this
+    monkeypatch.setattr(aravis_library, "is_available", lambda: False)
     told: list[str] = []
     wires = InstrumentConfig(thermometer="ctc100", thermometer_port=somewhere_else)
     with VirtualBench(

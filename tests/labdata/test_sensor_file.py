@@ -182,9 +182,8 @@ def test_draws_inside_the_ranges_are_cameras_that_see(sensor, seed):
         photons = float(drawn.tube.luminous_gain) / (float(efficacy) * float(energy)) / sensitivity
         electrons = photons * float(drawn.taper.transmission) * float(drawn.ccd.quantum_efficiency)
         filled_by = float(drawn.ccd.full_well_e) / electrons
-        assert (
-            10 < filled_by < 500
-        )  # photoelectrons that fill a field pixel; the reference says 40 to 160
+        # photoelectrons that fill a field pixel; the reference says 40 to 160
+        assert 10 < filled_by < 500
         at_64 = np.exp(
             -((64 / float(drawn.tube.mtf_frequency_lp_per_mm)) ** float(drawn.tube.mtf_exponent))
         )

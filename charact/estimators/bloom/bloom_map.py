@@ -296,8 +296,7 @@ def spread_from(
 
     `result`: result of `charact.estimators.bloom.measure`; `area_px`: pixels of a frame, the area
     of the veiling glare; `pitch_ratio`: row pitch over column pitch; `rng`: generator of the
-    glare's
-    draws. Raises BadInput if the result has no posterior of core and halo.
+    glare's draws. Raises BadInput if the result has no posterior of core and halo.
     """
     found = [one.posterior for one in result.find("halo_fraction") + result.find("halo_diameter")]
     posterior = next(

@@ -112,9 +112,8 @@ class SignalTransfer:
     residual_dn: Array  # mean less that law, shape (level,), DN
     chi2: float  # of the most probable law, for the stated errors
     parabola_chi2: float  # of that law with a quadratic term; infinite for fewer than four levels
-    parabola_slope: (
-        float  # change of the slope at the background by that term, fraction of the slope
-    )
+    # change of the slope at the background by that term, fraction of the slope
+    parabola_slope: float
 
     def slope_at(self, temperature_k: float | Array) -> Array:
         """Return the slope at a temperature, or at one of each draw, shape (draw,), DN/K."""

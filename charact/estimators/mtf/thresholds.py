@@ -14,22 +14,19 @@ class MtfLimits:
     min_crossing: float = 0.005  # Fraction of a pile's pixels that cross
     min_staying: float = 0.05  # Fraction that stays: 1.6 standard deviations below a plateau
     min_pile_pixels: int = 10  # Number of either
-    plateau_fraction: float = (
-        0.6  # Fraction of the brighter pixels at one value; normal noise of one step has 38 %
-    )
+    # Fraction of the brighter pixels at one value; normal noise of one step has 38 %
+    plateau_fraction: float = 0.6
     min_relative_noise: float = 1e-5  # Noise over the range; less is rounding of floats
     min_rounding_shift_dn: float = 1e-3  # Shift that matters, DN
     min_contrast: float = 0.05  # Contrast of two levels, at least
-    max_below_black: float = (
-        0.1  # A dark side may lie this fraction of the step below black, by noise or drift
-    )
+    # A dark side may lie this fraction of the step below black, by noise or drift
+    max_below_black: float = 0.1
     # Fall of the variance towards the light: factor, and standard uncertainties.
     falling_variance: tuple[float, float] = (1.15, 5.7)
     # Rise beyond the signals' ratio by PRNU and black level error, likewise.
     rising_variance: tuple[float, float] = (1.1, 4.0)
-    min_covariance_sd: float = (
-        8.0  # Significance of the covariance of neighbours, standard uncertainties
-    )
+    # Significance of the covariance of neighbours, standard uncertainties
+    min_covariance_sd: float = 8.0
     min_plateau_pixels: int = 50  # Pixels of a plateau
     min_smoothing_frames: int = 4  # Frames of the noise reduction check
     min_slope: float = 0.2  # Slope over the steepest one of pixels on a slope
@@ -37,9 +34,8 @@ class MtfLimits:
     # Noise on slopes over that of plateaus: factor, and standard uncertainties.
     slope_noise: tuple[float, float] = (1.25, 5.0)
     motion_p_value: float = 1e-4  # p-value of motion
-    max_motion_sd: float = (
-        0.5  # Effect of motion that needs no flag, standard uncertainties of the measurement
-    )
+    # Effect of motion that needs no flag, standard uncertainties of the measurement
+    max_motion_sd: float = 0.5
     min_line_power: float = 0.5  # Precision of a line's position over the median
 
 
@@ -47,10 +43,8 @@ class MtfLimits:
 class MtfAccuracy:
     """Sampling, iteration limits, tolerances and resolution of MTF methods."""
 
-    video_floors_dn: tuple[int, int] = (
-        0,
-        16,
-    )  # Lowest values of converters and of the video range, DN
+    # Lowest values of converters and of the video range, DN
+    video_floors_dn: tuple[int, int] = 0, 16
     rounding_offsets: int = 8  # Offsets of the black level between two steps
     sawtooth_terms: int = 6  # Terms of the sawtooth's series
     black_sd_dn: float = 0.2  # Standard uncertainty of a black level, DN
@@ -63,9 +57,8 @@ class MtfAccuracy:
     min_group_lines: int = 3  # The same, at least
     line_groups: int = 4  # Number of groups
     min_line_groups: int = 3  # The same, at least
-    wide_gap_lines: int = (
-        5  # Lines of a group from which two are left between groups, whose noise is correlated
-    )
+    # Lines of a group from which two are left between groups, whose noise is correlated
+    wide_gap_lines: int = 5
     profile_cells_per_px: int = 4  # Cells of the mean profile per px
     profile_smoothing_px: float = 0.5  # Its smoothing, px
 

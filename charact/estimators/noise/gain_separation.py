@@ -79,12 +79,10 @@ PULSES = "the heights of single photoelectrons in dark frames"
 class ResponsivityEstimate:
     """Responsivity and photoelectron gain from a known light."""
 
-    gain: Array | None = (
-        None  # draws of k, DN per photoelectron; None if the photocathode is unknown
-    )
-    per_lux_s: Array | None = (
-        None  # draws of the signal per lux and second, DN; None without illuminance and time
-    )
+    # draws of k, DN per photoelectron; None if the photocathode is unknown
+    gain: Array | None = None
+    # draws of the signal per lux and second, DN; None without illuminance and time
+    per_lux_s: Array | None = None
     note: str = ""  # note on the uncertainty of the light
     refusal_reason: str = ""  # reason for the absence of k
 

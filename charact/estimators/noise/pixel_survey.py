@@ -85,9 +85,8 @@ class PixelSurvey:
     # surrounding ones, or farther
     least: tuple[int, int] = (0, 0)
     most: tuple[int, int] = (0, 0)
-    sudden: Places = field(
-        default_factory=_no_places
-    )  # positions of pixels with outliers in some frames
+    # positions of pixels with outliers in some frames
+    sudden: Places = field(default_factory=_no_places)
     # departure_dn, times, frame: for each such pixel the largest deviation, DN, the number of
     # outlying frames (at most 4), and the most outlying frame, -1 if unknown (pair)
     departure_dn: Array

@@ -35,9 +35,8 @@ class LightNoise:
     pulse_dn: float  # mean pulse height, DN; 0: no intensifier
     height_variance: float  # relative variance of the pulse heights, dimensionless
     electron_gain_dn: float  # K, DN per electron of the CCD; 0: no electron noise
-    blur: NDArray[np.float64] | None = (
-        None  # parameters of `charact.estimators.noise.gain.model.transfer`; None: no blur
-    )
+    # parameters of `charact.estimators.noise.gain.model.transfer`; None: no blur
+    blur: NDArray[np.float64] | None = None
     reading: PixelReadoutModel = field(default_factory=PixelReadoutModel)  # pixel readout
     kept: float = 0.0  # fraction of the light left one exposure later, dimensionless
 
@@ -112,8 +111,7 @@ def pulse_noise(
 
     `posterior`, `index`: draws of `charact.estimators.noise.gain.model`, and the index of one;
     `share`: covariance over signal of this level over the pooled one, dimensionless; `reading`:
-    pixel
-    readout; `rng`: generator for the pulse-height variance.
+    pixel readout; `rng`: generator for the pulse-height variance.
 
     The spectrum gives k F^2; the relative variance of heights is drawn from its prior. Image lag
     that leaves the fraction r per exposure lowers the covariance of one exposure by (1 - r) / (1 +

@@ -14,16 +14,13 @@ class CheckLimits:
     significant_sd: float = 5.0  # standard errors of a significant drift, flicker or deviation
     drift_fraction: float = 0.02  # drift over signal
     flicker_fraction: float = 0.01  # flicker rms over signal
-    min_light_exponent: float = (
-        0.5  # smallest exponent of signal against light without automatic gain control
-    )
+    # smallest exponent of signal against light without automatic gain control
+    min_light_exponent: float = 0.5
     nonlinear_fraction: float = 0.05  # deviation of signal over light
-    coarse_signal_dn: float = (
-        4.0  # DN; below it a rounding bias of a third of a step exceeds several percent
-    )
-    coarse_variance_dn2: float = (
-        1.0  # DN^2; below it rare pulses may dominate noise much finer than a step
-    )
+    # DN; below it a rounding bias of a third of a step exceeds several percent
+    coarse_signal_dn: float = 4.0
+    # DN^2; below it rare pulses may dominate noise much finer than a step
+    coarse_variance_dn2: float = 1.0
     # accepted change of variance over signal: charge repulsion in CCDs gives several percent
     curvature: float = 0.08
     curvature_sd: float = 2.5  # standard errors of a significant change
@@ -42,22 +39,18 @@ class CorrelationLimits:
     significant_sd: float = 3.0  # standard errors of a detected effect
     negligible: float = 0.02  # undetected effects up to this size are neglected
     untestable: float = 0.1  # a test that cannot exclude this effect is void
-    max_fraction: float = (
-        0.4  # charge diffusion: each of four neighbours gets up to 5 % of the charge, twice
-    )
+    # charge diffusion: each of four neighbours gets up to 5 % of the charge, twice
+    max_fraction: float = 0.4
     few_frames: int = 3  # stacks up to this length cannot compare near with far pairs of frames
     max_condition: float = 1e12  # condition number of the fit over levels
     min_correlation: float = 0.02  # smallest detected correlation by processing
     processing_sd: float = 4.0  # standard errors of detected processing
-    inner_cy_per_px: tuple[float, float] = (
-        0.0,
-        0.08,
-    )  # cy/px; blur never raises the outer band over the inner one
+    # cy/px; blur never raises the outer band over the inner one
+    inner_cy_per_px: tuple[float, float] = 0.0, 0.08
     outer_cy_per_px: tuple[float, float] = (0.15, 0.25)  # cy/px
     min_rise: float = 0.1  # relative rise of power by sharpening
-    max_spatial_ratio: float = (
-        0.25  # spatial over temporal correlation: image lag also correlates pixels
-    )
+    # spatial over temporal correlation: image lag also correlates pixels
+    max_spatial_ratio: float = 0.25
     min_change: float = 0.05  # change of the neighbour correlation along the levels
     linear_exponents: tuple[float, float] = (0.85, 1.15)  # exponents that count as linear
     gamma_exponents: tuple[float, float] = (0.3, 3.0)  # exponents that count as gamma
@@ -82,21 +75,16 @@ class CubeLimits:
 
     min_frames: int = 8  # fewest frames of temporal components
     min_pixels: int = 16  # px; smallest side of a field with slow waves
-    alternating_power: float = (
-        30.0  # power of alternating rows of a mean image over that of other rows
-    )
+    # power of alternating rows of a mean image over that of other rows
+    alternating_power: float = 30.0
     alternating_sd: float = 8.0  # the same of many frames, standard errors
-    blocks: tuple[int, int] = (
-        8,
-        8,
-    )  # rows and columns of blocks that give the scatter of random noise power
+    # rows and columns of blocks that give the scatter of random noise power
+    blocks: tuple[int, int] = 8, 8
     spectra: int = 2  # frame differences that give the number of independent pixels
-    extrapolation_sd: float = (
-        0.25  # relative error of extrapolating waves of one and two periods to the mean
-    )
-    shrunk_variance: float = (
-        0.36  # mean square of a standard normal error after shrinkage by 1 - 1/z^2
-    )
+    # relative error of extrapolating waves of one and two periods to the mean
+    extrapolation_sd: float = 0.25
+    # mean square of a standard normal error after shrinkage by 1 - 1/z^2
+    shrunk_variance: float = 0.36
     significant_sd: float = 3.0  # standard errors of a significant excess
     chunk_frames: int = 8  # frames per pass; even, to keep pairs together
     pairs: int = 8  # pairs of successive frames for the scatter of the power
@@ -119,13 +107,10 @@ class StackLimits:
     false_alarm: float = 1e-4  # false-alarm probability of a flicker line or drift
     slow_noise_sd: float = 3.0  # standard errors of slow noise in near pairs of exposures
     slow_noise_fraction: float = 0.02  # slow noise over the pattern variance
-    max_slow_noise: float = (
-        0.1  # largest slow noise beyond the last pairs, fraction of the variance
-    )
-    blocks: tuple[int, int] = (
-        6,
-        8,
-    )  # rows and columns of blocks that give the error of the variance
+    # largest slow noise beyond the last pairs, fraction of the variance
+    max_slow_noise: float = 0.1
+    # rows and columns of blocks that give the error of the variance
+    blocks: tuple[int, int] = 6, 8
     spectra: int = 8  # exposures whose spectra give the number of independent pixels
     side_px: int = 128  # px; side of the image centre of these spectra
     band_pixels: int = 2**17  # pixels of all exposures per pass, which fit the processor's cache
@@ -148,9 +133,8 @@ class SurveyLimits:
     outlying_sd: float = 8.0  # robust standard deviations of a mean: 1e-14 of a normal distribution
     sudden_sd: float = 6.15  # standard deviations of a difference: 1e-9 of a normal distribution
     tail_decades: float = 4.0  # decades by which the tail is extrapolated from 1e-2 and 1e-3
-    max_pulse: float = (
-        25.0  # variances over signal; exponential heights of F^2 = 2 exceed it with e^-50
-    )
+    # variances over signal; exponential heights of F^2 = 2 exceed it with e^-50
+    max_pulse: float = 25.0
     blinking_fraction: float = 0.006  # outlying pixels of a dark before they count as its own tail
     max_fraction: float = 0.02  # outliers beyond which nothing is masked
     false_alarm: float = 0.05  # chance that a session has one valid pixel counted as blinking
@@ -240,14 +224,8 @@ class EventAccuracy:
     background_px: int = 8  # px; length of the background on each side
     model_relative_sd: float = 1e-3  # discretisation and shape of the spot
     start_widths_px: tuple[float, ...] = (0.3, 0.7, 1.3, 2.2)  # px; start values of the spot
-    start_heights: tuple[float, ...] = (
-        2.0,
-        5.0,
-        12.0,
-        30.0,
-        80.0,
-        200.0,
-    )  # start values of heights over pixel noise
+    # start values of heights over pixel noise
+    start_heights: tuple[float, ...] = 2.0, 5.0, 12.0, 30.0, 80.0, 200.0
     derivative_step: float = 4e-3  # step of numerical derivatives
     max_iterations: int = 60  # Gauss-Newton steps
     chi2_tolerance: float = 0.01  # decrease of chi2 that ends the optimisation
@@ -294,9 +272,8 @@ class GainLimits:
     min_bins: int = 24  # fewest frequency bins for five blur parameters
     min_blur_factor: float = 0.5  # below it charge diffusion (8 % per neighbour) is no explanation
     low_cy_per_px: float = 0.02  # cy/px; frequency of the filter's leading term
-    odd_lag_cy_per_row: float = (
-        0.08  # cycles per row; aliases of odd and even rows differ in sign beyond
-    )
+    # cycles per row; aliases of odd and even rows differ in sign beyond
+    odd_lag_cy_per_row: float = 0.08
     lag_false_alarm: float = 3e-6  # false-alarm probability of image lag: 4.5 standard errors
     open_lag: float = 0.02  # mean correlation at the last lags of unfinished image lag
     first_lag: int = 2  # exposures; earlier lags include fast decay
@@ -329,23 +306,16 @@ class GainPriors:
     tail_bounds: tuple[float, float] = (0.01, 3.0)
     tail: tuple[float, float] = (0.33, 0.33)  # 1/3 for exp(-r/a), 0 for a Gaussian
     electron_bounds: tuple[float, float] = (-0.5, 1.0)  # negative values avoid a bias at 0
-    electron_fraction: tuple[float, float] = (
-        0.0,
-        10.0,
-    )  # K / (K + k F^2), if a white floor can be measured
-    few_electrons: tuple[float, float] = (
-        0.003,
-        0.01,
-    )  # else: a photoelectron makes some hundred electrons
+    # K / (K + k F^2), if a white floor can be measured
+    electron_fraction: tuple[float, float] = 0.0, 10.0
+    # else: a photoelectron makes some hundred electrons
+    few_electrons: tuple[float, float] = 0.003, 0.01
     fall_bounds: tuple[float, float] = (-1.0, 6.0)
     strength_bounds: tuple[float, float] = (-1.5, 6.0)
     tail_strength_bounds: tuple[float, float] = (0.0, 20.0)  # widest blur separable from shading
     spread_bounds: tuple[float, float] = (0.0, 0.6)  # fraction of an extended component
-    spread_falls: tuple[float, ...] = (
-        1.0,
-        2.8,
-        8.0,
-    )  # falls of extended Gaussians of 1.6 to 4.5 px
+    # falls of extended Gaussians of 1.6 to 4.5 px
+    spread_falls: tuple[float, ...] = 1.0, 2.8, 8.0
     spread_step: float = 1.7  # ratio halfway to the next fall
     spread_sd: float = 3.0  # standard errors of a fraction whose fall is fitted too
     reference_cy_per_px: float = 0.1  # cy/px; frequency of the falls
@@ -362,9 +332,8 @@ class SnrLimits:
     max_factor_below: float = 100.0  # dimmest flat over light: refused beyond
     max_factor_above: float = 2.0  # light over brightest flat: refused beyond
     max_unreached: float = 0.01  # draws that reach the ratio at no light
-    nonlinearity_sd: float = (
-        0.1  # prior of the relative nonlinearity of shot noise at the brightest level
-    )
+    # prior of the relative nonlinearity of shot noise at the brightest level
+    nonlinearity_sd: float = 0.1
     min_p_value: float = 1e-4  # p-value of a misfit
     misfit_fraction: float = 0.03  # smallest misfit, fraction of the variance
     lit_sd: float = 5.0  # standard errors of an illuminated level
@@ -373,10 +342,8 @@ class SnrLimits:
     min_agreement: float = 0.01  # effective fraction of draws of consistent light and pulses
     bins: int = 24  # bins of the detection probability
     squares: int = 6  # smallest image side, squares
-    departure_range: tuple[float, float] = (
-        1e-3,
-        0.1,
-    )  # relative deviation of levels from linear, log-uniform prior
+    # relative deviation of levels from linear, log-uniform prior
+    departure_range: tuple[float, float] = 1e-3, 0.1
     departures: int = 41  # grid points of this prior
 
 
@@ -393,22 +360,18 @@ class SweepLimits:
     dark_model_sd: float = 0.02  # relative model error of the dark variance
     same_setting: float = 2e-3  # relative repeatability of settings
     same_setting_db: float = 0.05  # dB; repeatability of settings
-    departure: float = (
-        0.04  # median deviation of a setting in ln gain: supplies 1e-3, gain to the tenth power
-    )
+    # median deviation of a setting in ln gain: supplies 1e-3, gain to the tenth power
+    departure: float = 0.04
     departure_spread: float = 0.5  # standard deviation of its logarithm
     electron_fraction: float = 0.05  # electron noise over covariance gain, width of the prior
     max_electron_fraction: float = 0.9  # upper bound of the same
-    blur_relative_sd: float = (
-        0.02  # difference of blur between settings: blur arises behind the MCP
-    )
+    # difference of blur between settings: blur arises behind the MCP
+    blur_relative_sd: float = 0.02
     curvature: float = 0.03  # deviation of a parabola from its best line in ln gain
     curvature_sd: float = 3.0  # standard errors of the same
     light_sd: float = 0.03  # repeatability of lamps and filters in ln signal
-    loss_bounds: tuple[float, float] = (
-        -0.3,
-        0.95,
-    )  # gain loss at the brightest level, several lights at one setting
+    # gain loss at the brightest level, several lights at one setting
+    loss_bounds: tuple[float, float] = -0.3, 0.95
     loss_sd_single_light: float = 0.1  # prior width otherwise: degenerate with the gain law
     min_light_ratio: float = 1.5  # ratio of lights that measures the loss
     max_quantisation: float = 0.02  # unreported quantisation noise, fraction of the variance

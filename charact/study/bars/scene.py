@@ -95,14 +95,12 @@ class BarScene:
     gamma: float = 1.0  # Exponent of the response, on a scale from black to full scale
     gradient: float = 0.0  # Illumination at the right border over that at the left, minus 1
     motion_px: float = 0.0  # Horizontal displacement of odd rows, exposed in the later field, px
-    jitter_px: float = (
-        0.0  # Standard deviation of a horizontal displacement that each frame has for itself, px
-    )
+    # Standard deviation of a horizontal displacement that each frame has for itself, px
+    jitter_px: float = 0.0
     clip_share: float = 0.0  # Share of `level_dn` that lies above full scale
     hot_share: float = 0.0  # Share of pixels stuck at full scale
-    sharpening: float = (
-        0.0  # Share by which the camera raises fine detail, see `charact.study.sharpening_camera`
-    )
+    # Share by which the camera raises fine detail, see `charact.study.sharpening_camera`
+    sharpening: float = 0.0
     # Gap between the target and another of three quarters of its frequency along the bars, px;
     # infinite: none
     neighbour_px: float = np.inf

@@ -46,12 +46,10 @@ class StripScene:
     angle_deg: float = 4.0
     phase_px: float = 0.0
     turned: bool = False  # Whether rows and columns are exchanged: horizontal bars
-    snr: float = (
-        10.0  # Step of a wide bar over the standard deviation of one pixel's noise, dimensionless
-    )
-    noise_blur_px: float = (
-        0.0  # Gaussian blur of the noise behind the gain, px; the noise of a pixel stays what it is
-    )
+    # Step of a wide bar over the standard deviation of one pixel's noise, dimensionless
+    snr: float = 10.0
+    # Gaussian blur of the noise behind the gain, px; the noise of a pixel stays what it is
+    noise_blur_px: float = 0.0
     noise_sign: int = 1  # 1, or -1: the same draw with its noise upside down
     # pedestal_dn, level_dn, full_scale_dn: ground, step, and highest code, DN
     pedestal_dn: float = 400.0

@@ -61,9 +61,8 @@ class FlatScene:
     full_scale_dn: float = 4095.0
     lag: float = 0.0  # share of a frame's light that returns in the next, dimensionless
     flicker: float = 0.0  # relative standard deviation of the light from frame to frame
-    agc: bool = (
-        False  # whether an automatic gain holds the mean of every level at that of the brightest
-    )
+    # whether an automatic gain holds the mean of every level at that of the brightest
+    agc: bool = False
     # standard deviation of a Gaussian that smooths the frames as recorded, px: noise of the camera
     # shared afterwards
     resampling_px: float = 0.0

@@ -68,9 +68,8 @@ class ScintillatingFlats:
     # middle
     vignetting: float = 0.0
     flicker: float = 0.0  # relative standard deviation of the light from exposure to exposure
-    row_noise_dn: float = (
-        0.0  # standard deviation of an offset that each row of each frame has for itself, DN
-    )
+    # standard deviation of an offset that each row of each frame has for itself, DN
+    row_noise_dn: float = 0.0
     # ion_share, ion_photoelectrons: share of the pulses that an ion makes, and how many
     # photoelectrons' light such a one has
     ion_share: float = 0.0

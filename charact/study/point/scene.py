@@ -76,9 +76,8 @@ class PointScene:
     row_px: float = 0.0
     col_px: float = 0.0
     read_dn: float = 1.0  # Standard deviation of white read noise, DN
-    gain_spread: float = (
-        0.6  # Relative variance of the pulses' heights: 1 is exponential, 0 has none
-    )
+    # Relative variance of the pulses' heights: 1 is exponential, 0 has none
+    gain_spread: float = 0.6
     gamma: float = 1.0  # Exponent of the response, on a scale from black to full scale
     gradient: float = 0.0  # Background at the right border over that at the left, minus 1
     motion_px: float = 0.0  # Horizontal displacement of odd rows, exposed in the later field, px
@@ -92,9 +91,8 @@ class PointScene:
     neighbour_share: float = 0.5
     pinhole_px: float = 0.0  # Diameter of the source, px
     hot_share: float = 0.0  # Share of pixels stuck at full scale
-    sharpening: float = (
-        0.0  # Share by which the camera raises fine detail, see `charact.study.sharpening_camera`
-    )
+    # Share by which the camera raises fine detail, see `charact.study.sharpening_camera`
+    sharpening: float = 0.0
     # black_dn, full_scale_dn: codes at no light and at the top, DN
     black_dn: float = 12.0
     full_scale_dn: float = 255.0

@@ -115,9 +115,8 @@ class AravisCapture(FrameCapture):
         self._shape = (settings.rows or 0, settings.columns or 0)
         self._stream: int | None = None
         self._numbers = RunningNumbers(BLOCK_NUMBERS)
-        self.lost_packets = (
-            0  # Number of missing packets, after the end of the capture (GigE Vision)
-        )
+        # Number of missing packets, after the end of the capture (GigE Vision)
+        self.lost_packets = 0
         self.resent_packets = 0  # Number of packets received after a repeated request
 
     def _start(self) -> None:

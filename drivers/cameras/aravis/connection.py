@@ -223,9 +223,8 @@ def _companion(name: str) -> ctypes.CDLL:
 T = TypeVar("T")
 
 CONTROL_PORT = 3956
-SUSPICION_S = (
-    0.2  # Time without a frame or an answer after which the control port of a camera is queried, s
-)
+# Time without a frame or an answer after which the control port of a camera is queried, s
+SUSPICION_S = 0.2
 HEARTBEAT_S = 3.0  # time that a camera stays locked after its client died
 # GVCP discovery command: key, acknowledge required, command 0x0002, no payload, request number.
 _DISCOVERY = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 0x7FFF)

@@ -15,9 +15,8 @@ from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
-LONGEST_WAIT_S = (
-    600.0  # Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
-)
+# Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
+LONGEST_WAIT_S = 600.0
 
 
 class V4l2Camera:

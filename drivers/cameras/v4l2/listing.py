@@ -134,9 +134,8 @@ class OfferedFormat:
     """A pixel format of a device."""
 
     letters: str  #: FourCC of the format
-    name: (
-        str | None
-    )  #: Name as a camera setting; None for an unsupported format, such as a compressed one
+    #: Name as a camera setting; None for an unsupported format, such as a compressed one
+    name: str | None
     sizes: tuple[
         tuple[int, int], ...
     ]  #: Rows and columns of the images; empty where any size within bounds is offered

@@ -21,9 +21,8 @@ class Layout:
     kind: str = "u1"  #: NumPy type of one value
     first: int = 0  #: Position of the first value of a row, and distance to the next one, in values
     step: int = 1  #: Position of the first value of a row, and distance to the next one, in values
-    planes: float = (
-        1.0  #: Size of the complete image relative to the plane of grey values, dimensionless
-    )
+    #: Size of the complete image relative to the plane of grey values, dimensionless
+    planes: float = 1.0
 
     @property
     def is_video(self) -> bool:

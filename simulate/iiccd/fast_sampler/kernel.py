@@ -43,9 +43,8 @@ class Kernel:
     # Weights of coarse cells for what reaches farther than `REACH`, shape (coarse row, coarse col),
     # centre in the middle.
     wing: NDArray[np.float32]
-    blur_factor: (
-        float  # variance of the pulses' noise over its covariance sum, as read, dimensionless
-    )
+    # variance of the pulses' noise over its covariance sum, as read, dimensionless
+    blur_factor: float
     # its third moment over that of pulses that each fall into one pixel, as read, dimensionless
     third_factor: float
     # Third moment of the lattice's pulses, as read, over that of pulses that fall anywhere,

@@ -126,9 +126,8 @@ class Glossy(Facets):
     albedo.
     """
 
-    refractive_index: float = (
-        1.5  # of the coat, dimensionless; 1.5 of paint and plastic, 1.33 of water
-    )
+    # of the coat, dimensionless; 1.5 of paint and plastic, 1.33 of water
+    refractive_index: float = 1.5
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -181,9 +180,8 @@ class Retroreflector:
 
     share: Reflectance  # fraction of the light in the lobe, over wavelength
     reflectance: Reflectance  # of the base, over wavelength
-    half_width_deg: float = (
-        0.5  # angle between light and viewer at half of the lobe's maximum, degrees
-    )
+    # angle between light and viewer at half of the lobe's maximum, degrees
+    half_width_deg: float = 0.5
 
     def __post_init__(self) -> None:
         if not NARROWEST_DEG <= self.half_width_deg <= WIDEST_DEG:

@@ -27,9 +27,8 @@ class Hits:
     """First hits of rays."""
 
     face: NDArray[np.int64]  # triangle that each ray hits first, `NOTHING` for none, shape (ray,)
-    range_m: (
-        Array  # distance to it along a direction of unit length, infinite for none, shape (ray,), m
-    )
+    # distance to it along a direction of unit length, infinite for none, shape (ray,), m
+    range_m: Array
 
     @property
     def met(self) -> NDArray[np.int64]:

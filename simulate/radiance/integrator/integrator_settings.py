@@ -85,14 +85,12 @@ class IntegratorSettings:
     """Which light paths are followed."""
 
     # Most reflections by other surfaces between a source and the surface that the camera sees.
-    # Longer paths
-    # are neglected, so that the bias is never positive.
+    # Longer paths are neglected, so that the bias is never positive.
     max_bounces: int = 1
     # Whether objects occlude the sky; without this and without bounces there is no final gather.
     sky_shadowing: bool = True
-    path_air: bool = (
-        True  # whether air attenuates light between lamps and the surfaces that the camera sees
-    )
+    # whether air attenuates light between lamps and the surfaces that the camera sees
+    path_air: bool = True
     neglected: frozenset[str] = frozenset()  # names of neglected lamps and discs
     roulette_depth: int | None = None  # first bounce with Russian roulette; None: never
 
@@ -111,22 +109,19 @@ class SamplingSettings:
     """Number of rays."""
 
     # Fewest rays of a pixel (at least 2), of a pixel where objects or shadows meet, and most rays
-    # of any
-    # pixel.
+    # of any pixel.
     min_rays: int = 2
     edge: int = 8
     max_rays: int = 32
-    total_rays: int | None = (
-        None  # most rays of all pixels together, apart from the fewest of each; None: no limit
-    )
+    # most rays of all pixels together, apart from the fewest of each; None: no limit
+    total_rays: int | None = None
     gather_rays: int = 2  # final-gather rays of each point that a camera ray hits
     # First and most gather rays of each node of the irradiance cache; None: no cache, every ray
     # gathers for itself, which is slower and makes no smoothness assumption.
     cache_rays: int | None = 8
     max_cache_rays: int = 512
     # Whether the cache has one node per pixel instead of one per four, and pixels in which surfaces
-    # meet
-    # gather for themselves: for shadows narrower than two pixels, in twice the time. No effect
+    # meet gather for themselves: for shadows narrower than two pixels, in twice the time. No effect
     # where only sky shadowing is computed.
     refine: bool = False
     # Allowed Monte Carlo variance of a pixel's signal, as a function of the signal: rays are added
@@ -222,8 +217,7 @@ class RenderSensor:
     dark_variance: float
     variance_per_signal: float
     # Factor by which blur after the pixels reduces the standard deviation of noise that is
-    # independent
-    # between pixels.
+    # independent between pixels.
     noise_averaging_factor: float = 1.0
     name: str = "sensor"  # name of the sensor
 

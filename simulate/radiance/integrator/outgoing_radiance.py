@@ -81,9 +81,8 @@ class ShadingRequest:
     rng: np.random.Generator
     rays: int  # gather rays of each point
     depth: int = 0  # bounces between the points and the surface that the camera sees
-    even: SequenceSlice | None = (
-        None  # pairs from which directions of gather rays follow; None: drawn
-    )
+    # pairs from which directions of gather rays follow; None: drawn
+    even: SequenceSlice | None = None
 
     @property
     def reflections(self) -> bool:

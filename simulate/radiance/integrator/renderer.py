@@ -40,9 +40,8 @@ class Rendering:
 
     cube: RadianceCube  # spectral radiance
     # Sensor signal of each pixel, and its estimated variance from slices of the pixel's rays, shape
-    # (row,
-    # col): on average too large where objects meet; the variance of the irradiance cache is not
-    # included.
+    # (row, col): on average too large where objects meet; the variance of the irradiance cache is
+    # not included.
     signal: NDArray[np.float32]
     variance: NDArray[np.float32]
     rays: NDArray[np.int32]  # rays of each pixel, shape (row, col)

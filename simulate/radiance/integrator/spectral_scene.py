@@ -318,15 +318,12 @@ NODES, OCTAVES = 16, 20
 class Air:
     """Air of a scene, on bands."""
 
-    extinction_per_m: NDArray[np.float32] | None = (
-        None  # by haze and molecules, shape (band,); None: no air
-    )
-    gas_transmittance: NDArray[np.float32] | None = (
-        None  # over paths of 2^(n / `NODES`) m, shape (length, band)
-    )
-    endless: environment_map.EnvironmentMap | None = (
-        None  # radiance of an infinite path; None for unlit air
-    )
+    # by haze and molecules, shape (band,); None: no air
+    extinction_per_m: NDArray[np.float32] | None = None
+    # over paths of 2^(n / `NODES`) m, shape (length, band)
+    gas_transmittance: NDArray[np.float32] | None = None
+    # radiance of an infinite path; None for unlit air
+    endless: environment_map.EnvironmentMap | None = None
 
     @classmethod
     def of(cls, lit: "Atmosphere", wavelength_nm: Array) -> "Air":

@@ -93,8 +93,8 @@ class MeasuredDistribution:
     # outside.
     polar_deg: Array
     # Angles around it from the frame's x towards its y, ascending from 0, shape (azimuth,),
-    # degrees: one
-    # angle for a lamp that is the same all around, else up to 90 or 180 (mirrored) or 360.
+    # degrees: one angle for a lamp that is the same all around, else up to 90 or 180 (mirrored) or
+    # 360.
     azimuth_deg: Array
     candela: Array  # intensities in any unit, shape (azimuth, polar)
     _total: float = field(init=False, repr=False)
@@ -223,9 +223,8 @@ class Photometry:
     """Photometry of a lamp from a file."""
 
     table: MeasuredDistribution  # its intensities over direction
-    lumens: (
-        float  # its luminous flux: the integral of the intensities with all factors of the file, lm
-    )
+    # its luminous flux: the integral of the intensities with all factors of the file, lm
+    lumens: float
 
 
 def read_ies(path: str | Path) -> Photometry:

@@ -98,9 +98,8 @@ class RenderSettings:
     # Numbers of rays, and integrator settings.
     rays: SamplingSettings
     effort: IntegratorSettings
-    plan: (
-        EffectSelection  # retained and neglected components, influences relative to the noise floor
-    )
+    # retained and neglected components, influences relative to the noise floor
+    plan: EffectSelection
     sensor_name: str  # name of the sensor
     exact: bool = False  # whether nothing is neglected
 

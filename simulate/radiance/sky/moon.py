@@ -74,9 +74,8 @@ class Ephemeris:
     # Where they stand.
     sun: Body
     moon: Body
-    sun_selenographic_longitude_deg: (
-        float  # of the point on the moon under the sun: positive before full moon, degrees
-    )
+    # of the point on the moon under the sun: positive before full moon, degrees
+    sun_selenographic_longitude_deg: float
     # Libration: the point on the moon under the observer, degrees.
     observer_selenographic_latitude_deg: float
     observer_selenographic_longitude_deg: float

@@ -309,9 +309,8 @@ class DelayGenerator(LineInstrument, GateGenerator):
 
     def _cycle_s(self) -> float:
         """Time after a trigger in which the instrument is busy and another is lost, s."""
-        cycle_s = (
-            self._longest() * STEP_S + 100e-9
-        )  # the next trigger must come this much after the longest delay
+        # the next trigger must come this much after the longest delay
+        cycle_s = self._longest() * STEP_S + 100e-9
         if self._now("BURM"):
             cycle_s += self._now("BURD") + (self._now("BURC") - 1) * max(self._now("BURP"), cycle_s)
         return cycle_s

@@ -11,10 +11,8 @@ PROMPT = b"> "
 STEP_S = (0.45, 0.25)  # from one position to the next, slow and fast; recalled
 COMMAND_S = 2e-3
 BUFFER_LENGTH = 64
-UNKNOWN, BAD_ARGUMENT = (
-    "Command error CMD_NOT_DEFINED",
-    "Command error CMD_ARG_INVALID",
-)  # the second is recalled
+# the second is recalled
+UNKNOWN, BAD_ARGUMENT = "Command error CMD_NOT_DEFINED", "Command error CMD_ARG_INVALID"
 _NEW = {"pcount": 6, "trig": 0, "speed": 1, "sensors": 1, "baud": 1}
 _ALLOWED = {"pcount": (6, 12), "trig": (0, 1), "speed": (0, 1), "sensors": (0, 1), "baud": (0, 1)}
 

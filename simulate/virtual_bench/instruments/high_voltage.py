@@ -21,10 +21,8 @@ from simulate.virtual_bench.instrument import (
 from simulate.virtual_bench.prologix import PrologixAdapter
 
 IDENTITY = "StanfordResearchSystems,PS350,2067,1.40"
-FULL_SCALE_V, MINIMUM_V = (
-    5000.0,
-    50.0,
-)  # in steps of 1 V; below the minimum only 0 can be set; recalled
+# in steps of 1 V; below the minimum only 0 can be set; recalled
+FULL_SCALE_V, MINIMUM_V = 5000.0, 50.0
 FULL_SCALE_A = 5.25e-3
 RISE_V_PER_S = FULL_SCALE_V / 3.0  # full scale in about 3 s
 DECAY_S = 6.0 / math.log(100.0)  # unloaded, to a hundredth in about 6 s

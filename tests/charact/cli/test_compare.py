@@ -83,9 +83,8 @@ def test_the_text_fits_one_screen_and_all_shows_the_rest(days: tuple[Path, Path]
     ), lines
     assert any(line.startswith("snr flat-5 (of 5)") for line in lines)
     assert "Conditions: alike in 5 matched stacks" in lines
-    assert (
-        len(run("compare", *days, "--all").stdout.splitlines()) == len(lines) + 3
-    )  # 4 more rows, no count of them
+    # 4 more rows, no count of them
+    assert len(run("compare", *days, "--all").stdout.splitlines()) == len(lines) + 3
 
 
 def test_unlike_sessions_are_refused_in_a_sentence_and_compared_anyway(

@@ -201,9 +201,8 @@ def test_the_truth_adds_restoration_errors_in_its_zones(folder, tmp_path) -> Non
         if row["quantity"] == "fusion_error"
     }
     assert code == 0 and set(errors) == {"dark", "halo", "core"} and errors["dark"]["unit"] == "%"
-    assert (
-        10.0 < errors["dark"]["value"] < errors["halo"]["value"]
-    )  # without a description halos stay
+    # without a description halos stay
+    assert 10.0 < errors["dark"]["value"] < errors["halo"]["value"]
     bands = [tmp_path / "out" / f"{name}.png" for name in ("visible", "thermal", "fused")]
     code, text = run("score", *bands, "--truth", tmp_path / "truth.npz", "--json")
     rows = {row["quantity"]: row["value"] for row in json.loads(text)["scores"]}

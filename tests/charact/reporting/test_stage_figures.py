@@ -72,9 +72,8 @@ def labelled(axes) -> dict[str, tuple[str, np.ndarray]]:
 def test_identified_and_known_stages_are_solid_and_the_others_dashed():
     rows, columns = drawn(budget()).axes[:2]
     told = labelled(rows)
-    assert rows.child_axes[0].get_xlim() == pytest.approx(
-        (0.0, 0.5 / 0.018)
-    )  # lp/mm at the photocathode
+    # lp/mm at the photocathode
+    assert rows.child_axes[0].get_xlim() == pytest.approx((0.0, 0.5 / 0.018))
     assert {stage: told[stage][0] for stage in ("lens", "pixel", "video")} == {
         "lens": "-",
         "pixel": "-",

@@ -35,8 +35,7 @@ class Defect:
 
     `stacks`: labels of the stacks that have it; `groups`: groups of numbers that speak of it;
     `put`: changes frames (frame, row, col), or None where camera parameters are multiplied by
-    `factors`, by path;
-    `has_tube`: whether only cameras with, or without, a tube are meant.
+    `factors`, by path; `has_tube`: whether only cameras with, or without, a tube are meant.
     """
 
     name: str

@@ -37,11 +37,12 @@ def test_the_time_open_in_each_exposure_is_that_of_a_picture_of_it():
     [
         (Gating(), 1 / 59.94, None),  # one opening a field, wherever it falls
         (Gating(), 0.004, "100%"),  # an opening that may miss the exposure
+        # a field is 17 us longer than the mains' period
         (
             Gating(sync="line-locked"),
             1 / 59.94,
             "1.67%",
-        ),  # a field is 17 us longer than the mains' period
+        ),
         (Gating(sync="line-locked", line_hz=50.0), 1 / 59.94, "100%"),  # one field in six has none
         (Gating(sync="triggered"), 1 / 59.94, None),
         (Gating(sync="triggered", delay_ns=1.3e7), 0.004, None),

@@ -50,9 +50,8 @@ def delay_generator(bench, instruments):
 def supply(bench, instruments, ureg):
     comm = instruments.abstract_instruments.comm
     with serial.Serial(bench.supply_port, 9600, timeout=1.0) as port:
-        port.write(
-            b"++eot_enable 1\r++eot_char 13\r"
-        )  # this library ends an answer at a carriage return
+        # this library ends an answer at a carriage return
+        port.write(b"++eot_enable 1\r++eot_char 13\r")
         communicator = comm.GPIBCommunicator(comm.SerialCommunicator(port), 14, model="pl")
         communicator.timeout = 1 * ureg.second
         yield instruments.generic_scpi.SCPIInstrument(communicator)

@@ -23,9 +23,8 @@ class Amplitudes:
     covariance: Array  # Covariance of (light, fundamental), DN2, shape (2, 2)
     freedom: float  # Degrees of freedom of the covariance
     phase_rad: float  # Phase of the fundamental
-    zeros: (
-        float  # Largest modulus at the two zeros adjacent to the fundamental, over the fundamental
-    )
+    # Largest modulus at the two zeros adjacent to the fundamental, over the fundamental
+    zeros: float
     # Modulus half way to the lower zero, over that expected from the fundamental; more bars give
     # less
     flank: float

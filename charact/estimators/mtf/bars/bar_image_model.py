@@ -51,16 +51,14 @@ class BarShape:
     frequency: float  # Cycles per pixel across the bars, f = 1/P
     length_px: float  # Length of the bars; infinite: they cross the complete region
     reference: float  # Frequency at which the MTF is reported, cycles per pixel
-    log_attenuation: (
-        float  # ln(-ln c), c the core's transfer at the reference frequency, before the pixel
-    )
+    # ln(-ln c), c the core's transfer at the reference frequency, before the pixel
+    log_attenuation: float
     # form, form_one, form_two: blur model, and its two parameters
     form: BarBlurModel
     form_one: float
     form_two: float
-    departure: (
-        float  # Relative departure of the transfer from the blur model around the bar frequency
-    )
+    # Relative departure of the transfer from the blur model around the bar frequency
+    departure: float
     angle_rad: float  # Direction across the bars, for the pixel's aperture
 
     @property

@@ -8,25 +8,21 @@ class BarLimits:
     """Thresholds that decide about flags, refusals and candidates of bar targets."""
 
     length_over_width: float = 7.0  # Bar length over bar width of the standard target (STANAG 4349)
-    min_length_match: float = (
-        0.9  # The standard length is kept if it reaches this fraction of the best match
-    )
+    # The standard length is kept if it reaches this fraction of the best match
+    min_length_match: float = 0.9
     # Bars of the largest chart target (ISO 12233: 5 to 9, NBS 1963A: 15), with a factor of four
     max_bars: int = 60
     # Fraction of a profile's variance that N blurred bars must explain; an edge or a spot leaves
     # more than half.
     min_explained: float = 0.6
-    min_relative_explained: float = (
-        0.9  # Relative to the best explanation; side lobes occasionally explain as much
-    )
+    # Relative to the best explanation; side lobes occasionally explain as much
+    min_relative_explained: float = 0.9
     # Relative offset of a spectral peak from the stated frequency: the width f/N of three bars.
     max_frequency_offset: float = 0.15
-    patch_level: float = (
-        0.5  # Fraction of the maximum amplitude at the border of a uniform patch: one half
-    )
-    min_signal_sd: float = (
-        5.0  # Fundamental of a target, standard uncertainties; noise alone reaches about 5
-    )
+    # Fraction of the maximum amplitude at the border of a uniform patch: one half
+    patch_level: float = 0.5
+    # Fundamental of a target, standard uncertainties; noise alone reaches about 5
+    min_signal_sd: float = 5.0
     min_light_sd: float = 9.0  # Light of bars that cross the region, standard uncertainties
     max_zeros: float = 0.5  # Zeros adjacent to the fundamental, over it: above this another object
     max_zeros_sd: float = 3.5  # The same, standard uncertainties
@@ -34,50 +30,41 @@ class BarLimits:
     min_frequency_signal_sd: float = 30.0
     frequency_tolerance: float = 0.01  # Relative change of the frequency that is reported
     min_margin_px: float = 5.0  # A smaller margin cuts off the core's blur, not only a halo, px
-    max_rounding_sd: float = (
-        0.1  # Relative uncertainty of the MTF by quantisation; more is beyond first order
-    )
+    # Relative uncertainty of the MTF by quantisation; more is beyond first order
+    max_rounding_sd: float = 0.1
     max_other_light: float = 0.04  # Other light over the target's height
     hidden_noise_dn: float = 0.4  # Noise that quantisation hides, DN
-    hidden_noise_fraction: float = (
-        1e-3  # Noise over the bars' height below the error of the image's table
-    )
-    suspect_zeros: float = (
-        0.15  # Zeros adjacent to the fundamental, over it: above this another frequency
-    )
-    min_flank: float = (
-        0.6  # Modulus half way to the lower zero over that expected; twice as many bars have none
-    )
+    # Noise over the bars' height below the error of the image's table
+    hidden_noise_fraction: float = 1e-3
+    # Zeros adjacent to the fundamental, over it: above this another frequency
+    suspect_zeros: float = 0.15
+    # Modulus half way to the lower zero over that expected; twice as many bars have none
+    min_flank: float = 0.6
     max_field_offset_px: float = 0.04  # Displacement between fields, px
     max_upright_sine: float = 0.5  # Sine of the direction up to which bars count as upright
     significant_sd: float = 5.0  # Significance of a finding, standard uncertainties
     # Distance of fundamental and alias, in widths of either: two lobes that overlap by a tenth of
     # their rims.
     min_alias_distance: float = 1.8
-    min_travel_px: float = (
-        0.8  # Displacement of tilted bars over their rows that averages the alias, px
-    )
-    max_second_harmonic: float = (
-        0.006  # Second harmonic over the fundamental of slightly unequal bars and gaps
-    )
+    # Displacement of tilted bars over their rows that averages the alias, px
+    min_travel_px: float = 0.8
+    # Second harmonic over the fundamental of slightly unequal bars and gaps
+    max_second_harmonic: float = 0.006
     max_second_harmonic_sd: float = 3.5  # Its noise, standard uncertainties
     max_misfit: float = 0.02  # Residual profile over the bars' height
     max_departure_sd: float = 3.5  # Model departure over its prior
     # MTF in standard uncertainties, below which it is an upper limit; a limit of two passes too
     # many by chance.
     min_mtf_sd: float = 3.0
-    max_other_sd: float = (
-        6.0  # Other light above the smoothed background, robust standard deviations
-    )
-    min_model_preference_sd: float = (
-        3.0  # Preference for another model than the tube; it widens the intervals
-    )
+    # Other light above the smoothed background, robust standard deviations
+    max_other_sd: float = 6.0
+    # Preference for another model than the tube; it widens the intervals
+    min_model_preference_sd: float = 3.0
     max_mtf: float = 1.5  # Upper bound of a sampled MTF
     max_posterior_offset_sd: float = 2.0  # Distance of the draws from the fit, standard deviations
     min_modulation_sd: float = 6.0  # Modulation of the first-term method, standard uncertainties
-    min_contrast_sd: float = (
-        12.0  # Contrast of the profile method, standard uncertainties; noise has peaks below it
-    )
+    # Contrast of the profile method, standard uncertainties; noise has peaks below it
+    min_contrast_sd: float = 12.0
     min_group_p_value: float = 0.001  # p-value of chi squared of the groups
     max_direction_spread_deg: float = 15.0  # Directions of one curve, deg
     max_axis_angle_deg: float = 30.0  # Angle to the rows or columns of their curve, deg
@@ -87,29 +74,22 @@ class BarLimits:
     long_correlation: float = 0.2  # Correlation of neighbours from which that applies
     min_row_noise_sd: float = 6.0  # Significance of row noise, standard uncertainties
     max_background_height: float = 0.1  # Height of background pixels over that of the bars
-    max_count_chi2_ratio: float = (
-        2.0  # Chi squared over that of the fit beyond which another number is not fitted
-    )
-    min_count_chi2_gain: float = (
-        25.0  # Chi squared that another number must save, over the correlation sum
-    )
+    # Chi squared over that of the fit beyond which another number is not fitted
+    max_count_chi2_ratio: float = 2.0
+    # Chi squared that another number must save, over the correlation sum
+    min_count_chi2_gain: float = 25.0
     min_count_chi2_fraction: float = 1.0 / 3.0  # Or this fraction of all of it
     min_sharpening_sd: float = 3.5  # Significance of missing light, standard uncertainties
-    min_sharpening: float = (
-        3e-3  # Missing fraction of a copy; the image's table errs by a few ten-thousandths
-    )
-    min_independent_fraction: float = (
-        1e-5  # Squared fraction of a copy that the parameters do not absorb
-    )
-    min_strip_match_sd: float = (
-        6.0  # Match of a strip, standard uncertainties; noise alone does not reach it
-    )
-    min_end_light: float = (
-        0.6  # Light at both ends of a region over that in its centre, of bars that cross it
-    )
-    min_background_periods: float = (
-        0.0  # Background beyond the last gap that counting needs, periods
-    )
+    # Missing fraction of a copy; the image's table errs by a few ten-thousandths
+    min_sharpening: float = 3e-3
+    # Squared fraction of a copy that the parameters do not absorb
+    min_independent_fraction: float = 1e-5
+    # Match of a strip, standard uncertainties; noise alone does not reach it
+    min_strip_match_sd: float = 6.0
+    # Light at both ends of a region over that in its centre, of bars that cross it
+    min_end_light: float = 0.6
+    # Background beyond the last gap that counting needs, periods
+    min_background_periods: float = 0.0
     max_flat_height: float = 0.1  # Height of background pixels over that of the bars
     # Exponent of the covariance: standard uncertainties (stated a fifth too large) and tolerance.
     neighbour_power: tuple[float, float] = (2.3, 0.02)
@@ -137,19 +117,16 @@ class BarAccuracy:
     shape_step: float = 0.1  # Finite difference of the shape parameters
     rough_tolerance: float = 0.1  # The same for a rough fit
     min_model_weight: float = 0.01  # A model of less weight changes no interval
-    matched_range: tuple[float, float] = (
-        0.02,
-        3.0,
-    )  # Frequencies over the bar frequency at which models are matched
+    # Frequencies over the bar frequency at which models are matched
+    matched_range: tuple[float, float] = 0.02, 3.0
     # Variance over the squared bar height that corresponds to the error of the image's table.
     min_variance: float = 1e-8
     table_range_sd: float = 4.0  # Tabulated range of attenuation and exponent, standard deviations
     table_points: int = 7  # Points of the table along either
     table_degree: int = 4  # Degree of the interpolating polynomial
     image_table_sd: float = 3e-4  # Relative error of the MTF by interpolation in the image's table
-    extremum_periods: float = (
-        0.06  # Pixels this close to the centre of a bar or gap are averaged, periods
-    )
+    # Pixels this close to the centre of a bar or gap are averaged, periods
+    extremum_periods: float = 0.06
     inner_length: float = 0.3  # Fraction of the bars' length that is used
     row_step_px: float = 0.18  # Distance of the table's rows at the bars' ends, px
     row_step_growth: float = 0.08  # Growth of that distance per px from the ends

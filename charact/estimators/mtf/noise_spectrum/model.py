@@ -2,10 +2,9 @@
 folded by sampling.
 
 Photoelectrons arrive independently and the gain makes a pulse of each, so that the power of their
-noise is
-k F^2 mu |H|^2, H being the transfer of all that comes after the gain; electrons of the CCD add K
-mu, white. A pixel grid folds |H|^2 back into its band, whereas white noise stays white; a video
-filter acts on both.
+noise is k F^2 mu |H|^2, H being the transfer of all that comes after the gain; electrons of the CCD
+add K mu, white. A pixel grid folds |H|^2 back into its band, whereas white noise stays white; a
+video filter acts on both.
 """
 
 from collections.abc import Callable
@@ -397,9 +396,8 @@ class SpectrumOptimum:
     # point, covariance: peak and covariance there
     point: Array
     covariance: Array
-    log_evidence: (
-        float  # laplace's approximation of the evidence, up to a constant that all forms share
-    )
+    # laplace's approximation of the evidence, up to a constant that all forms share
+    log_evidence: float
 
     @property
     def log_weight(self) -> float:

@@ -9,24 +9,20 @@ from dataclasses import dataclass
 class SpectrumThresholds:
     """Decide flags, refusals and selections; set on simulated targets where no source is named."""
 
-    cosine_prior_sd: float = (
-        1.5  # prior standard deviation of amplitudes of the non-parametric blur
-    )
+    # prior standard deviation of amplitudes of the non-parametric blur
+    cosine_prior_sd: float = 1.5
     cosine_bound: float = 6.0  # bound of amplitudes of the non-parametric blur
     min_frames: int = 4  # frames that separate image lag from fixed pattern
     flicker: float = 0.05  # relative standard deviation of frame means that is flicker
-    max_nonlinearity: float = (
-        0.02  # change of power over signal along the levels of a linear response
-    )
+    # change of power over signal along the levels of a linear response
+    max_nonlinearity: float = 0.02
     max_mcp_saturation: float = 0.08  # the same of a described tube, whose MCP saturates
     nonlinearity_sd: float = 4.0  # its significance, standard errors
-    pulse_kurtosis: float = (
-        6.0  # fourth moment over the squared second of exponential pulse heights
-    )
+    # fourth moment over the squared second of exponential pulse heights
+    pulse_kurtosis: float = 6.0
     pulse_square: float = 2.0  # second moment over the squared mean of exponential pulse heights
-    scatter_ln_likelihood: float = (
-        5.0  # gain in ln likelihood of scattered light: chance below 0.01
-    )
+    # gain in ln likelihood of scattered light: chance below 0.01
+    scatter_ln_likelihood: float = 5.0
     max_exponent: float = 2.5  # exponent that screens, fibres and chips do not exceed
     exponent_sd: float = 1.5  # standard deviations beyond it that are flagged
     misfit_p_value: float = 0.002  # p-value of a misfit
@@ -39,13 +35,11 @@ class SpectrumThresholds:
     # Prior standard deviation of ln anisotropy of a described camera: tubes and fibres blur
     # isotropically.
     round_sd: float = 0.1
-    anisotropy_sd: float = (
-        0.4  # the same of an unknown camera, whose pitches and video filter are not known
-    )
+    # the same of an unknown camera, whose pitches and video filter are not known
+    anisotropy_sd: float = 0.4
     lag_sd: float = 4.0  # significance of image lag, standard errors
-    max_relative_sd: float = (
-        0.25  # relative uncertainty of MTF50 beyond which more frames are needed
-    )
+    # relative uncertainty of MTF50 beyond which more frames are needed
+    max_relative_sd: float = 0.25
     nyquist_cy_per_px: float = 0.5  # nyquist frequency: beyond it only the form determines the MTF
 
 
@@ -61,15 +55,12 @@ class SpectrumAccuracy:
     max_cells: int = 20  # cells of frequency on each axis
     modes_per_cell: int = 4  # modes of a cell along an axis
     min_modes: int = 8  # modes below which a cell is left out
-    axis_modes: int = (
-        2  # modes near an axis that are left out: row and column noise, and leakage of the taper
-    )
-    lag_band_cy_per_px: float = (
-        0.2  # frequencies in which image lag is estimated, cycles per column pitch
-    )
-    lag_row_band: float = (
-        0.08  # the same along columns, cycles per row of an exposure: fields do not alias there
-    )
+    # modes near an axis that are left out: row and column noise, and leakage of the taper
+    axis_modes: int = 2
+    # frequencies in which image lag is estimated, cycles per column pitch
+    lag_band_cy_per_px: float = 0.2
+    # the same along columns, cycles per row of an exposure: fields do not alias there
+    lag_row_band: float = 0.08
     white_quantile: float = 0.1  # quantile of a dark's power that is taken as its white part
     min_power_dn2: float = 1e-6  # floor of a flat's power in its weight, DN^2
     fraction_step: float = 1e-3  # step of a scattered fraction for derivatives

@@ -56,18 +56,15 @@ class BlurModel2D:
     # alone, with central obscuration, with defocus, with both
     core: Core
     round: bool = False  # Whether rows and columns are blurred alike
-    lens: bool = (
-        False  # Whether a Gaussian multiplies the core: a tube behind a lens, or before its fibres
-    )
+    # Whether a Gaussian multiplies the core: a tube behind a lens, or before its fibres
+    lens: bool = False
     # Whether horizontal and vertical blur multiply, T(fx, 0) T(0, fy), instead of being elliptical
     separable: bool = False
     wide: ExtendedComponent | None = None  # Extended component, round; None: none
-    pinhole_px: float | tuple[float, float] = (
-        0.0  # Diameter of the source, column pitches, or its bounds if unknown
-    )
-    departures: float = (
-        0.0  # Prior standard deviation of model departures, fraction of the transfer; 0: none
-    )
+    # Diameter of the source, column pitches, or its bounds if unknown
+    pinhole_px: float | tuple[float, float] = 0.0
+    # Prior standard deviation of model departures, fraction of the transfer; 0: none
+    departures: float = 0.0
     # Described parameters: name, mean and standard deviation. "ln_video_bandwidth", ln of the video
     # bandwidth over the described one, is a parameter only if it is among them
     known: tuple[tuple[str, float, float], ...] = ()

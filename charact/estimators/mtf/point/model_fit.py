@@ -102,9 +102,8 @@ class BlurModelFit2D:
     point: Array
     covariance: Array
     light: Array  # Light of each source, DN px^2
-    log_evidence: (
-        float  # ln evidence by Laplace's approximation, up to a constant common to all models
-    )
+    # ln evidence by Laplace's approximation, up to a constant common to all models
+    log_evidence: float
     cost: float  # -2 ln of likelihood and Gaussian priors at the optimum
     # chi2, free: chi squared of the pixels below full scale, and its degrees of freedom
     chi2: float

@@ -23,9 +23,8 @@ FINE_POWERS = np.linspace(POWERS[0], POWERS[-1], 421)
 class SpotNonlinearity:
     """Nonlinearity of a response from the noise of a spot."""
 
-    significance: (
-        float  # Root of twice the gain in ln likelihood over a linear response, standard deviations
-    )
+    # Root of twice the gain in ln likelihood over a linear response, standard deviations
+    significance: float
     power: float  # Likeliest extra power of the light in the noise
     exponents: tuple[
         float, float

@@ -19,9 +19,8 @@ class DetectedSource:
     # row, col: brightest smoothed pixel
     row: int
     col: int
-    significance: (
-        float  # Height above the background in standard deviations of the smoothed background
-    )
+    # Height above the background in standard deviations of the smoothed background
+    significance: float
     others: bool  # Whether other sources are detected too
     neighbours: tuple[
         tuple[int, int], ...

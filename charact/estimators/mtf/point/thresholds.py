@@ -7,44 +7,37 @@ from dataclasses import dataclass
 class PointLimits:
     """Thresholds that decide about flags, refusals and candidates of point sources."""
 
-    min_peak_distance_px: int = (
-        5  # Closer peaks belong to one spot: the smoothing leaves no saddle, px
-    )
+    # Closer peaks belong to one spot: the smoothing leaves no saddle, px
+    min_peak_distance_px: int = 5
     max_saddle: float = 0.5  # Light between two sources over the lower peak's height
     min_relative_height: float = 0.25  # Height of the intended source over the brightest one
     isolated_px: float = 6.0  # Distance at which the pixels of two sources do not touch, px
     neighbour_px: float = 3.0  # Radius of a neighbour's own pixels: three sigma of a spot of 1 px
     # Distance to which neighbours are modelled: core corner (9 px) plus their extent (7 px).
     max_neighbour_px: float = 16.0
-    clear_height: float = (
-        3.0  # A source this many times the required height is independent of its neighbours
-    )
+    # A source this many times the required height is independent of its neighbours
+    clear_height: float = 3.0
     min_crowd: int = 3  # Neighbours that make a dense field
     max_chi2: float = 1.8  # Reduced chi squared
     max_chi2_sd: float = 5.0  # Its noise, standard deviations
-    low_light_sd: float = (
-        10.0  # Light down to which intervals are validated, standard uncertainties
-    )
+    # Light down to which intervals are validated, standard uncertainties
+    low_light_sd: float = 10.0
     max_prior_sd: float = 3.0  # Distance of the cut-off from the description, standard deviations
-    max_negative_power: float = (
-        0.35  # Extra negative power of the noise that only a nonlinear response explains
-    )
+    # Extra negative power of the noise that only a nonlinear response explains
+    max_negative_power: float = 0.35
     min_region_px: int = 9  # Side of a region, px
     min_light_sd: float = 6.0  # Light of a source, standard uncertainties
     # -2 ln likelihood of the best model over the degrees of freedom: residuals of a hundred
     # standard deviations, where the likelihood is too steep to be explored.
     max_cost: float = 1e4
-    full_fraction: float = (
-        0.97  # Fraction of full scale at which frames clip or the wells of a sensor fill
-    )
+    # Fraction of full scale at which frames clip or the wells of a sensor fill
+    full_fraction: float = 0.97
     min_variance_dn2: float = 0.25  # Variance to which quantisation only adds its own, DN^2
     min_rounding_shift_dn: float = 0.02  # Quantisation shift of faint light that is reported, DN
-    max_departure_sd: float = (
-        4.5  # Chi squared of model departures, standard deviations of its noise
-    )
-    max_elongation: float = (
-        1.5  # Ratio of the half frequencies along rows and columns of a single source
-    )
+    # Chi squared of model departures, standard deviations of its noise
+    max_departure_sd: float = 4.5
+    # Ratio of the half frequencies along rows and columns of a single source
+    max_elongation: float = 1.5
     max_rounded_sd: float = 1.0  # Noise from which quantisation has no effect, DN
     motion_sd: float = 5.0  # Significance of motion, standard uncertainties
     max_field_offset_px: float = 0.15  # Displacement between fields, px
@@ -59,29 +52,24 @@ class PointLimits:
     # Fraction of the noise below the lowest grey value: MTF50 is then half a standard uncertainty
     # high.
     max_clipped_noise: float = 0.04
-    max_sd_ratio: float = (
-        1.25  # Ratio of the standard deviations between them; that of pulses grows upwards
-    )
-    nonlinear_sd: float = (
-        4.0  # Significance of a nonlinear response; few pulses scatter more than a Gaussian
-    )
+    # Ratio of the standard deviations between them; that of pulses grows upwards
+    max_sd_ratio: float = 1.25
+    # Significance of a nonlinear response; few pulses scatter more than a Gaussian
+    nonlinear_sd: float = 4.0
     min_nonlinear_power: float = 0.1  # Power of the light in the noise
     min_height_sd: float = 9.0  # Height of a source, standard deviations of the smoothed background
     min_steadiness_sd: float = 4.0  # Light over the frames, standard uncertainties
-    min_other_height: float = (
-        0.08  # Height of another source over the first, outside the inner halo
-    )
+    # Height of another source over the first, outside the inner halo
+    min_other_height: float = 0.08
     surroundings_px: float = 12.0  # Radius of a source's surroundings, px
     min_background_pixels: int = 60  # Background pixels
-    min_background_sd_dn: float = (
-        0.05  # Standard deviation of a smoothed background that quantisation hides, DN
-    )
+    # Standard deviation of a smoothed background that quantisation hides, DN
+    min_background_sd_dn: float = 0.05
     max_rms_radius_px: float = 3.2  # Rms radius of a spot that the disc holds, px
     min_transform_frames: int = 3  # Frames of the transform method
     max_border_light: float = 0.005  # Fraction of the light at the border
-    min_halo_excess_sd: float = (
-        3.0  # Excess of the background ring that indicates a halo, standard uncertainties
-    )
+    # Excess of the background ring that indicates a halo, standard uncertainties
+    min_halo_excess_sd: float = 3.0
     max_asymmetry: float = 0.02  # Odd part of the transform over the light
     max_asymmetry_sd: float = 5.0  # The same, standard uncertainties
     min_pinhole_mtf: float = 0.3  # Transfer of a pinhole that can be divided out
@@ -93,9 +81,8 @@ class PointAccuracy:
 
     # Quantiles of an image of which at least half is background.
     background_quantiles: tuple[float, float] = (0.05, 0.25)
-    background_quantile_sd: float = (
-        0.97  # Their distance in standard deviations (normal distribution)
-    )
+    # Their distance in standard deviations (normal distribution)
+    background_quantile_sd: float = 0.97
     # Factors of a single frame's residual noise in successive turns; misfit does not count as noise
     # at first.
     noise_factors: tuple[float, float] = (0.1, 1.0)
@@ -118,9 +105,8 @@ class PointAccuracy:
     draws: int = 1000  # Draws of the parametric method
     quick_draws: int = 500  # The same for a quick answer
     empty_rings: int = 2  # Rings that an extended component must leave empty
-    first_relative_sd: float = (
-        0.02  # Relative noise assumed for the first estimate, of the brightest pixel
-    )
+    # Relative noise assumed for the first estimate, of the brightest pixel
+    first_relative_sd: float = 0.02
     model_relative_sd: float = 3e-4  # Relative error of the model's tables
     noise_distance_px: float = 12.0  # Distance of the surroundings from a source, px
     pulse_step_px: float = 0.6  # Step of pulse positions, px
@@ -146,10 +132,8 @@ class PointPriors:
     tail_prior: tuple[float, float] = (1.3, 0.25)  # Its mean and standard deviation
     blur_px: tuple[float, float] = (0.05, 2.0)  # Standard deviation of that Gaussian, px
     wide_share_sd: float = 0.1  # Scattered fraction: half-normal, a few per cent
-    defocus_square: tuple[float, float] = (
-        0.0,
-        2.25,
-    )  # Square of the defocus, waves^2, in which a transfer is linear
+    # Square of the defocus, waves^2, in which a transfer is linear
+    defocus_square: tuple[float, float] = 0.0, 2.25
     defocus_square_sd: float = 0.5  # Its half-normal prior
     cut_off_sd: float = 0.12  # ln cut-off of a camera about its description
     exponent_sd: float = 0.08  # Its exponent

@@ -19,28 +19,23 @@ class SessionThresholds:
     # the blur model.
     min_component: float = 0.1
     model_sd: float = 0.002  # Standard deviation between the blur models of the methods at high SNR
-    min_model_weight: float = (
-        0.02  # Weight of a blur model below which it is left out of the average
-    )
-    inconsistent_p_value: float = (
-        0.05  # P-value below which a note names the target that deviates most
-    )
+    # Weight of a blur model below which it is left out of the average
+    min_model_weight: float = 0.02
+    # P-value below which a note names the target that deviates most
+    inconsistent_p_value: float = 0.05
     misfit_p_value: float = 0.01  # P-value below which the joint MTF is flagged
     near_axis_deg: float = 30.0  # Angle to an axis within which a target measures it, deg
-    min_compared: float = (
-        0.02  # Variance of a combination left by the others below which nothing is compared
-    )
-    stretch_sd: float = (
-        0.2  # Prior standard deviation of ln of the vertical over the horizontal half frequency
-    )
+    # Variance of a combination left by the others below which nothing is compared
+    min_compared: float = 0.02
+    # Prior standard deviation of ln of the vertical over the horizontal half frequency
+    stretch_sd: float = 0.2
     identified: float = 0.6  # Posterior over prior standard deviation of an identified stage
     product: float = 0.4  # Standard deviation of a product over that of independent members
     budget_p_value: float = 0.01  # P-value below which the stages do not describe the curves
     cascade_sd: float = 0.004  # Difference of a joint MTF and a product of stages
     cascade_correlation_cy_per_px: float = 0.08  # Frequency over which it is correlated, cy/px
-    unstated_sd: float = (
-        0.3  # Relative prior standard deviation where a description states no range
-    )
+    # Relative prior standard deviation where a description states no range
+    unstated_sd: float = 0.3
     wavelength_mm: float = 0.7e-3  # Wavelength in the middle of the photocathode's band, mm
 
 

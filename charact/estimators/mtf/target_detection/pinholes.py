@@ -25,9 +25,8 @@ SMOOTHING_PX = 1.2
 class SteadySpots:
     """Smoothed light over its ground."""
 
-    groups: (
-        Array  # Frames, or means of as many as make few enough groups, shape (group, row, col), DN
-    )
+    # Frames, or means of as many as make few enough groups, shape (group, row, col), DN
+    groups: Array
     # Their median over the median of the picture, shape (row, col), DN; of too few frames their
     # mean
     height: Array

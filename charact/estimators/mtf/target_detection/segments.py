@@ -20,13 +20,11 @@ class Segment:
     # row, col: its middle, px
     row: float
     col: float
-    normal_rad: (
-        float  # Direction from dark to bright, from the columns' direction towards higher rows, rad
-    )
+    # Direction from dark to bright, from the columns' direction towards higher rows, rad
+    normal_rad: float
     length_px: float  # Extent along the edge, px
-    width_px: (
-        float  # Standard deviation of the gradient's profile across, the smoothing included, px
-    )
+    # Standard deviation of the gradient's profile across, the smoothing included, px
+    width_px: float
     scale_px: float  # Smoothing it was found at, px
     slope_dn: float  # Median gradient along its middle, DN per px
     weight: float  # Sum of the significance of its pixels

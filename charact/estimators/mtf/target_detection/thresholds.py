@@ -17,26 +17,22 @@ class DetectionThresholds:
     min_bar_contrast: float = 0.01  # Modulation over the range of the frame
     min_bar_aspect: float = 3.5  # Length over width of a bar
     foreign_sd: float = 6.5  # Significance of a gradient that belongs to another object
-    own_tail: float = (
-        0.08  # Fraction of the edge's slope below which an aligned gradient is its tail
-    )
+    # Fraction of the edge's slope below which an aligned gradient is its tail
+    own_tail: float = 0.08
     own_direction_deg: float = 35.0  # Angle within which a gradient is aligned, deg
     min_plateau_px: float = 8.0  # Least plateau, px
     min_plateau_blurs: float = 4.0  # Least plateau, standard deviations of the blur
     min_edge_rows: int = 24  # Rows of a rectangle
-    one_piece: float = (
-        0.85  # Fraction of a segment's length that a finer scale must show in one piece
-    )
-    finer_scale_sd: float = (
-        8.0  # Significance along a segment at which a finer scale would have found it
-    )
+    # Fraction of a segment's length that a finer scale must show in one piece
+    one_piece: float = 0.85
+    # Significance along a segment at which a finer scale would have found it
+    finer_scale_sd: float = 8.0
     bar_aspect: float = 0.35  # Spacing over length below which alternating edges are bars
     bar_evenness: float = 0.35  # Relative difference of their spacings
     min_steady_frames: int = 3  # Frames that separate a source from a flash
     min_source: float = 0.02  # Height over that of the brightest source
-    min_neighbours: float = (
-        0.08  # Next-neighbour signal over the peak that every lens and pixel exceed
-    )
+    # Next-neighbour signal over the peak that every lens and pixel exceed
+    min_neighbours: float = 0.08
     max_axis_ratio: float = 2.5  # Axis ratio of a spot beyond which it is a line
     member_sd: float = 4.0  # Significance of a pixel of an edge
     seed_sd: float = 6.5  # Significance that one of its pixels must reach

@@ -31,9 +31,8 @@ class PulseDecay:
     # slow_exposures, fast_exposures: decay times of slow and fast light, exposures
     slow_exposures: float = 1.0
     fast_exposures: float = 0.0
-    open_share: float = (
-        1.0  # fraction of the exposure period, from its start, in which pulses begin
-    )
+    # fraction of the exposure period, from its start, in which pulses begin
+    open_share: float = 1.0
 
     @property
     def lasts(self) -> bool:

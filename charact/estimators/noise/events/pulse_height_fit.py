@@ -319,9 +319,8 @@ class PulseFit:
         NDArray[np.bool_]
     ]  # values far from ion feedback, for each parity, shape (exposure, row, col)
     frames: DarkFrames  # exposures, centred on the mean of those values
-    signal_to_noise: (
-        float  # output of the matched filter for a mean pulse in its own exposure, over its noise
-    )
+    # output of the matched filter for a mean pulse in its own exposure, over its noise
+    signal_to_noise: float
     ion_height_dn: Array  # heights of the ion feedback events, total light, shape (event,), DN
     gain_of_pulses: float  # decrease of chi2 by pulses in addition to noise
 

@@ -149,9 +149,8 @@ class GainSpectrumOptimum:
     point: Array
     covariance: Array
     log_probability: Callable[[Array], Array]
-    log_evidence: (
-        float  # laplace approximation of the evidence, up to a constant common to all models
-    )
+    # laplace approximation of the evidence, up to a constant common to all models
+    log_evidence: float
     # chi2, freedom, chance: squared residuals over their variance, degrees of freedom, and p-value
     chi2: float
     freedom: int

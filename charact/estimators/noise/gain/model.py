@@ -24,9 +24,8 @@ Array = NDArray[np.float64]
 class PixelReadoutModel:
     """Aperture and lattice of pixels, and the video filter."""
 
-    row_pitch: float = (
-        1.0  # row pitch of one exposure, and pixel height of a described camera, column pitches
-    )
+    # row pitch of one exposure, and pixel height of a described camera, column pitches
+    row_pitch: float = 1.0
     described: bool = False  # whether the camera is described; otherwise readout counts as blur
     video: VideoFilter | None = None  # video filter; None for none
 

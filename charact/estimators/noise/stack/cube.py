@@ -66,12 +66,10 @@ class FrameMeans:
     """Means of the exposures of one stack."""
 
     mean_dn: Array  # mean of each exposure about the mean of its parity, shape (exposure,), DN
-    frequency_cy_per_exposure: (
-        Array  # frequencies above zero, shape (frequency,), cycles per exposure
-    )
-    power_dn2: (
-        Array  # variance of the means at each frequency without drift, shape (frequency,), DN^2
-    )
+    # frequencies above zero, shape (frequency,), cycles per exposure
+    frequency_cy_per_exposure: Array
+    # variance of the means at each frequency without drift, shape (frequency,), DN^2
+    power_dn2: Array
     exposure_period_s: float | None  # exposure period, s; None without time stamps
     # drift_dn, drift_seen: linear change from first to last exposure, DN, and whether it is
     # significant

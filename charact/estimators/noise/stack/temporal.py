@@ -131,9 +131,8 @@ def runs_of(stack: Sized) -> list[tuple[int, int]]:
 class Order:
     """Times and parities of exposures."""
 
-    time: (
-        Whole  # in units of one exposure's period (a field of interlaced video), shape (exposure,)
-    )
+    # in units of one exposure's period (a field of interlaced video), shape (exposure,)
+    time: Whole
     # rows of the frame in each exposure: 0 even, 1 odd; 0 for progressive frames, shape (exposure,)
     parity: Whole
     row_step: int  # frame rows per image row

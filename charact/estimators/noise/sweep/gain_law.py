@@ -61,9 +61,8 @@ class GainLaw:
     # draws of the pulse part of every covariance gain from its own noise, shape (draw, setting), DN
     pulses: Array
     settings: Array  # draws of every covariance gain from its noise and the law, same shape, DN
-    electron_gain_dn: (
-        Array  # draws of the electron part of every covariance gain, shape (draw,), DN
-    )
+    # draws of the electron part of every covariance gain, shape (draw,), DN
+    electron_gain_dn: Array
 
 
 def departure_prior(log_departure: Array) -> Array:

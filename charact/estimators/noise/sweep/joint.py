@@ -34,9 +34,8 @@ STRAY = 1.5 * SWEEP.departure
 class SweepJointFit:
     """Joint fit of all settings."""
 
-    sweep: (
-        Sweep  # the settings, with gains corrected to small signals if MCP saturation was measured
-    )
+    # the settings, with gains corrected to small signals if MCP saturation was measured
+    sweep: Sweep
     axis: Axis  # positions of the settings
     law: GainLaw  # law of the covariance gain
     lit: tuple[int, ...]  # indices of settings with light in one unit

@@ -207,9 +207,8 @@ def test_plain_transform_agrees_with_the_forward_fit_where_nothing_deceives_it(s
         level(m(stack, context=QUICK), "mtf50", 0.0) for m in (point_spread, point_forward)
     )
     assert plain.status == "ok"
-    assert (
-        abs(standard_errors(plain, half_frequency(1.2))) < 6.0
-    )  # errors of 12 frames are themselves uncertain
+    # errors of 12 frames are themselves uncertain
+    assert abs(standard_errors(plain, half_frequency(1.2))) < 6.0
     assert plain.value == pytest.approx(forward.value, rel=0.05)
 
 
