@@ -123,8 +123,8 @@ class LampCalibration:
     relative_sd: tuple[
         float, ...
     ]  #: Relative standard uncertainty of each illuminance, dimensionless
-    # : Optical densities of the filters by wheel position; a bench without a wheel has the single
-    # density of its fixed : filter
+    #: Optical densities of the filters by wheel position; a bench without a wheel has the single
+    #: density of its fixed filter
     filter_density: tuple[float, ...] = (0.0,)
     filter_density_sd: float = 0.0  #: Standard uncertainty of a density that is not 0
 

@@ -18,8 +18,8 @@ class Conditions:
     gate_ns: float | None = None  #: Time that the gate is open in one exposure, ns
     #: Illuminance on the photocathode from the brightest large area of the target, 2856 K, lux
     illuminance_lux: float | None = None
-    # : Relative standard uncertainty of the illuminance, or of the photons on a pixel,
-    # dimensionless; one meter for the : whole session, so the error is common to all its stacks
+    #: Relative standard uncertainty of the illuminance, or of the photons on a pixel,
+    #: dimensionless; one meter for the whole session, so the error is common to all its stacks
     illuminance_relative_sd: float | None = None
     photons_per_px: float | None = None  #: Photons that fall on one pixel in one exposure
     camera_gain_db: float | None = None  #: Gain of the camera after the intensifier, dB
@@ -39,16 +39,16 @@ class Conditions:
     metered_time_s: float | None = None  #: When meter and thermometer were read, s since 1970
     temperature_time_s: float | None = None  #: When meter and thermometer were read, s since 1970
     luminous_gain: float | None = None  #: Luminous gain of the tube by its calibration, lm/lm
-    # : Relative standard uncertainty of that calibration, dimensionless; its error is common to all
-    # stacks
+    #: Relative standard uncertainty of that calibration, dimensionless; its error is common to all
+    #: stacks
     luminous_gain_relative_sd: float | None = None
-    # : Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind
-    # the filter
+    #: Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind
+    #: the filter
     filter_density: float | None = None
     #: Temperature of the black body that fills the field of view, degrees Celsius
     blackbody_c: float | None = None
-    # : Temperature of the background of a black body or target: the room, or the plate around it,
-    # degrees Celsius
+    #: Temperature of the background of a black body or target: the room, or the plate around it,
+    #: degrees Celsius
     background_c: float | None = None
 
     def __post_init__(self) -> None:

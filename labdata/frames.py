@@ -34,7 +34,7 @@ class FrameStack:
     finite, are BadInput.
     """
 
-    # : Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only
+    #: Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only
     data: NDArray
     unit: str = "DN"  #: Unit of the pixel values
     #: Time stamp of each frame, shape (frame,), s; empty if unknown
@@ -45,8 +45,8 @@ class FrameStack:
     #: Black level recorded with the frames, DN; None if unknown. Never subtracted on reading
     black_level_dn: float | None = None
     full_scale_dn: float | None = None  #: Full scale of the digitiser, DN; None if unknown
-    # : Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b",
-    # "luminance"), or "mono"
+    #: Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b",
+    #: "luminance"), or "mono"
     plane: str = "mono"
     #: Distance of neighbouring samples in pixels of the camera: 2 in a plane of a mosaic
     sample_pitch_px: int = 1

@@ -20,9 +20,9 @@ IN_STEP = 1e-3  # Largest relative difference of the open times of synchronous f
 class Gating:
     """Trigger of the gate."""
 
-    # : "free-running": the generator's own clock, set to the camera's field rate. "line-locked":
-    # the mains. "triggered": : the camera's field pulse at the generator's trigger input, one gate
-    # pulse per field
+    #: "free-running": the generator's own clock, set to the camera's field rate. "line-locked": the
+    #: mains. "triggered": the camera's field pulse at the generator's trigger input, one gate
+    #: pulse per field
     sync: Sync = "free-running"
     delay_ns: float = 0.0  #: Delay from the trigger to the gate pulse, ns
     line_hz: float = 60.0  #: Frequency of the mains, Hz

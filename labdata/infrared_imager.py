@@ -34,7 +34,7 @@ class InfraredOptics:
 
     f_number: Parameter
     transmission: Parameter  #: of lens, window and filter within the band
-    # : standard deviation of a Gaussian blur; beyond diffraction where diffraction_um is given
+    #: standard deviation of a Gaussian blur; beyond diffraction where diffraction_um is given
     blur_mrad: Parameter
     #: wavelength of the diffraction; absent: blur_mrad holds it
     diffraction_um: Parameter | None = None
@@ -59,7 +59,7 @@ class Scanner:
     samples: int  #: of an active line
     horizontal_field_deg: Parameter
     vertical_field_deg: Parameter
-    # : side of the detector's square footprint, the width of its slit response at 50 %
+    #: side of the detector's square footprint, the width of its slit response at 50 %
     ifov_mrad: Parameter
     detector_um: Parameter  #: side of the detector
     detectivity_cm_hz_per_w: Parameter  #: specific detectivity D*, cm Hz^(1/2) W^-1

@@ -28,10 +28,10 @@ class InstrumentConnection:
 class InstrumentConfig:
     """Models and connections of the instruments."""
 
-    # : "virtual": the processes of the virtual bench on pseudo-terminals. "in-process": its camera
-    # and lines inside this : process, where Aravis is not available. "real": the ports below. On a
-    # virtual bench an instrument whose port is : named, or a named camera, is a real one among
-    # virtual ones
+    #: "virtual": the processes of the virtual bench on pseudo-terminals. "in-process": its camera
+    #: and lines inside this process, where Aravis is not available. "real": the ports below. On a
+    #: virtual bench an instrument whose port is named, or a named camera, is a real one among
+    #: virtual ones
     bench: Literal["virtual", "in-process", "real"] = "virtual"
     #: Model of the gate generator; other packages can provide further models
     gate: str = "dg645"
@@ -50,9 +50,9 @@ class InstrumentConfig:
     light_meter_port: str | None = None  #: Serial port of the light meter
     thermometer: str | None = None  #: Model of the thermometer; None: there is none
     thermometer_port: str | None = None  #: Serial port of the thermometer
-    # : Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card);
-    # "replay:FOLDER" or : "replay:FOLDER#LABEL": a recorded session or one of its stacks. None: the
-    # only camera there is, or the virtual : bench's own
+    #: Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card);
+    #: "replay:FOLDER" or : "replay:FOLDER#LABEL": a recorded session or one of its stacks. None:
+    #: the only camera there is, or the virtual bench's own
     camera: str | None = None
 
     def __post_init__(self) -> None:
@@ -97,12 +97,12 @@ PORT_KEYS: dict[Role, str] = {role: f"{key}_port" for role, key in KEYS.items()}
 class Meters:
     """Use of the auxiliary meters."""
 
-    # : Illuminance on the photocathode per watt on the head of the light meter, lux/W; None: not
-    # calibrated, only watts : are recorded
+    #: Illuminance on the photocathode per watt on the head of the light meter, lux/W; None: not
+    #: calibrated, only watts are recorded
     lux_per_w: float | None = None
     wavelength_nm: float = 550.0  #: Wavelength of the light meter's sensitivity correction, nm
-    # : Whether a run ends if the meter does not answer; otherwise this is reported and noted with
-    # the stack
+    #: Whether a run ends if the meter does not answer; otherwise this is reported and noted with
+    #: the stack
     light_needed: bool = False
     temperature_needed: bool = False  #: Whether a run ends if the thermometer does not answer
 

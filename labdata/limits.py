@@ -137,8 +137,8 @@ class TubeLimits:
     point_illuminance_lux: Parameter = _cautious(
         10.0, "too small an area to strain the tube, but the cathode ages there"
     )
-    # : Largest mean MCP output current density at the present gain and duty, without saturation,
-    # nA/cm2
+    #: Largest mean MCP output current density at the present gain and duty, without saturation,
+    #: nA/cm2
     anode_na_per_cm2: Parameter = _cautious(
         100.0, "a tenth of a strip current of 1 uA/cm2 keeps the plate linear"
     )
@@ -146,8 +146,8 @@ class TubeLimits:
     point_anode_na_per_cm2: Parameter = _cautious(
         3e6, "what 10 lux ask of a gain of 1000; the plate gives its strip current"
     )
-    # : Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only
-    # a warning
+    #: Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a
+    #: warning
     screen_charge_c_per_cm2: Parameter = _cautious(
         0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2"
     )

@@ -99,8 +99,8 @@ class Measurement:
     notes: tuple[str, ...] = ()
     reason: str | None = None
     refusal: Refusal = "failed"  #: Of a refused measurement, its kind
-    # : Where applicable: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`;
-    # direction in degrees
+    #: Where applicable: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`;
+    #: direction in degrees
     stack: str | None = None
     region: tuple[int, int, int, int] | None = None
     frequency_cy_per_px: float | None = None
@@ -202,8 +202,8 @@ class Curve:
     interval68: NDArray[np.float64] | None = None  #: Lower and upper bounds, shape (2, n), or None
     interval95: NDArray[np.float64] | None = None  #: Lower and upper bounds, shape (2, n), or None
     stack: str | None = None  #: Label of the measured stack
-    # : Curves drawn from the posterior, shape (draw, n), for the correlation of errors between
-    # frequencies; None where : there are none. Not written to files
+    #: Curves drawn from the posterior, shape (draw, n), for the correlation of errors between
+    #: frequencies; None where there are none. Not written to files
     draws: NDArray[np.float64] | None = None
 
 
@@ -212,8 +212,8 @@ class Result:
     """Result of one analysis."""
 
     measurements: tuple[Measurement, ...] = ()  #: The quantities
-    # : Curves by name ("mtf", "mtf_vertical", ...). Curves of several stacks of a session have a
-    # suffix ":label"
+    #: Curves by name ("mtf", "mtf_vertical", ...). Curves of several stacks of a session have a
+    #: suffix ":label"
     curves: dict[str, Curve] = field(default_factory=dict)
     #: Figure data by name: JSON-ready mappings of lists and numbers (profiles, fits, residuals)
     evidence: dict[str, dict[str, Any]] = field(default_factory=dict)

@@ -48,7 +48,7 @@ class FrameFormat:
 class StopCriterion:
     """Criterion by which a step stops before it has all its frames."""
 
-    # : Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN
+    #: Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN
     mean_within_dn: float
     least_frames: int = 8  #: Smallest number of frames
 
@@ -126,8 +126,8 @@ class Step:
     until: StopCriterion | None = None
     #: Search for the light that saturates, one stack per level; None: a single stack
     search: SaturationSearch | None = None
-    # : Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends
-    # the run. None: 0, : for a point 0.3, for a search 1
+    #: Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends
+    #: the run. None: 0, for a point 0.3, for a search 1
     saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
@@ -238,8 +238,8 @@ class Plan(PlanHead):
     """An acquisition plan."""
 
     overrides: tuple[Override, ...] = ()  #: Overridden limits of the tube, with reasons
-    # : Gain calibration of the tube, needed for steps with a luminous gain; None: that of the
-    # sensor, if any
+    #: Gain calibration of the tube, needed for steps with a luminous gain; None: that of the
+    #: sensor, if any
     gain_table: GainTable | None = None
     #: Calibration of the light source and its filters; required if the wires name a light source
     lamp: LampCalibration | None = None

@@ -41,13 +41,13 @@ class SweepRecord:
 
     kind: Kind  #: Kind of target
     frames: int  #: Number of frames per stack
-    # : Prefix of every label; the varied values and the number of the repeat follow. Default: the
-    # kind
+    #: Prefix of every label; the varied values and the number of the repeat follow. Default: the
+    #: kind
     label: str | None = None
     target: Target | tuple[Target, ...] = field(default_factory=Target)  #: The target, or several
     mcp_v: Numbers | None = None  #: Voltage across the MCP, V; one or several
-    # : Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or
-    # several
+    #: Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or
+    #: several
     luminous_gain: Numbers | None = None
     gate_ns: Numbers | None = None  #: Gate, ns; one or several
     exposure_s: Numbers | None = None  #: Exposure, s; one or several
@@ -57,13 +57,13 @@ class SweepRecord:
     illuminance_lux: Numbers | None = None  #: Light, lux; one or several
     illuminance_relative_sd: float | None = None  #: Relative standard uncertainty of the light
     repeats: int = 1  #: Number of passes through the sweep
-    # : "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list
-    # alternately forwards : and backwards, so that no setting jumps. "randomised": every repeat
-    # shuffled separately
+    #: "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list
+    #: alternately forwards and backwards, so that no setting jumps. "randomised": every repeat
+    #: shuffled separately
     order: Order = "as-written"
     seed: int = 0  #: Seed of the shuffle
-    # : Number of stacks between darks, with one before the first and one after the last stack, at
-    # the settings of the : adjacent stack; 0: no darks
+    #: Number of stacks between darks, with one before the first and one after the last stack, at
+    #: the settings of the adjacent stack; 0: no darks
     dark_every: int = 0
     dark_frames: int | None = None  #: Frames per dark; None: as many as per stack
     #: Criterion to stop each stack but the darks before it has all its frames; None: no criterion
@@ -208,8 +208,8 @@ class PlanFile(PlanHead):
     """A plan file."""
 
     override: tuple[Override, ...] = ()  #: Overridden limits of the tube, with reasons
-    # : Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML
-    # file
+    #: Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML
+    #: file
     gain_table: GainTable | str | None = None
     #: Calibration of the light source and its filters, or the path of its TOML file
     lamp: LampCalibration | str | None = None

@@ -220,7 +220,7 @@ class Ccd:
     rows: int
     pitch_x_um: Parameter
     pitch_y_um: Parameter
-    # : fill factor included, at the phosphor's peak; without a tube, the table's highest
+    #: fill factor included, at the phosphor's peak; without a tube, the table's highest
     quantum_efficiency: Parameter
     full_well_e: Parameter  #: of one pixel as read
     read_noise_e: Parameter

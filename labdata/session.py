@@ -43,8 +43,8 @@ class StackRecord(Conditions):
     frames: str | tuple[str, ...]
     #: Number (from 0) or name of the frame axis of the files; by default the first
     axis: str | None = None
-    # : Plane to read of colour images, mosaics and files with more axes. Regions, lengths and
-    # frequencies of targets : count its own samples
+    #: Plane to read of colour images, mosaics and files with more axes. Regions, lengths and
+    #: frequencies of targets count its own samples
     plane: str | None = None
     asked: Conditions | None = None  #: Requested conditions, where they differ from those in force
     target: Target = field(default_factory=Target)  #: Target in front of the camera
@@ -56,8 +56,8 @@ class StackRecord(Conditions):
     #: Number of frames that the camera numbered and that were not recorded
     lost_frames: int | None = None
     lost: tuple[LostFrames, ...] = ()  #: Their numbers and causes, where known
-    # : Reason to doubt its frames, such as a bench that went to the safe state while they were
-    # acquired
+    #: Reason to doubt its frames, such as a bench that went to the safe state while they were
+    #: acquired
     doubt: str | None = None
     notes: tuple[str, ...] = ()  #: Remarks
 
@@ -87,8 +87,8 @@ class StackEntry:
 
     label: str  #: Name, unique in the session
     kind: Kind  #: Kind of target
-    # : Path of the frames relative to the session folder: a file, an array of the session's store,
-    # or several
+    #: Path of the frames relative to the session folder: a file, an array of the session's store,
+    #: or several
     #: consecutive files
     frames: str | tuple[str, ...]
     #: Conditions in force: read-backs where an instrument can be read, else the set-points
@@ -102,7 +102,7 @@ class StackEntry:
     record_notes: tuple[str, ...] = ()  #: Damage and gaps in the record of the frames
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
     sensor: str | None = (
-        # : Name of its sensor description, or a path relative to the folder; None: the session's
+        #: Name of its sensor description, or a path relative to the folder; None: the session's
         None
     )
     #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
@@ -231,8 +231,8 @@ class Session:
     #: Description of the camera named in the manifest; None without a name
     camera: Camera | None = None
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
-    # : Whether the two fields of a frame were exposed one after the other; None: as in the sensor
-    # description
+    #: Whether the two fields of a frame were exposed one after the other; None: as in the sensor
+    #: description
     interlaced: bool | None = None
     notes: tuple[str, ...] = ()
 

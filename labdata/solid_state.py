@@ -62,8 +62,8 @@ class Readout:
     row_noise_exponent: Parameter = field(default_factory=lambda: Parameter(value=0.0))
     #: a of the density's law f^-a down the rows; 0 is white, 1 is 1/f noise
     fine_noise_ratio: Parameter = field(default_factory=lambda: Parameter(value=1.0))
-    # : density of read noise along a row at 0.5 cy/px over that at 0; above 1 neighbours differ
-    # more than by white noise
+    #: density of read noise along a row at 0.5 cy/px over that at 0; above 1 neighbours differ more
+    #: than by white noise
     interference_dn2: Parameter = field(default_factory=lambda: Parameter(value=0.0))
     #: variance of a sinusoid over the frame whose phase changes from frame to frame
     interference_x_cy_per_px: Parameter = field(default_factory=lambda: Parameter(value=0.5))

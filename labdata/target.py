@@ -18,8 +18,8 @@ class Target:
     bars: int | None = None  #: Number of bars of a bar target
     #: Frequency of the bars at the detector, cycles per column pitch
     frequency_cy_per_px: float | None = None
-    # : Direction across the bars or along the edge's normal, degrees from the row direction: 0 is
-    # horizontal frequency : (vertical bars or edge), 90 is vertical frequency
+    #: Direction across the bars or along the edge's normal, degrees from the row direction: 0 is
+    #: horizontal frequency : (vertical bars or edge), 90 is vertical frequency
     angle_deg: float | None = None
     pinhole_px: float | None = None  #: Diameter of the pinhole's image, column pitches
     #: (bright - dark) / (bright + dark) of bars or edge, dimensionless

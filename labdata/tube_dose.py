@@ -26,8 +26,8 @@ class Dose:
     #: Charge through the images of pinholes, as if all fell on one point, C/cm2
     point_c_per_cm2: float = 0.0
     hours_at_gain: float = 0.0  #: Time with high voltage across the MCP, h
-    # : Standard uncertainty of the logarithm of both charges, from those of photocathode
-    # sensitivity and MCP gain
+    #: Standard uncertainty of the logarithm of both charges, from those of photocathode sensitivity
+    #: and MCP gain
     log_sd: float = 0.0
 
     def __post_init__(self) -> None:

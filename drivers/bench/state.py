@@ -39,10 +39,8 @@ class TubeState:
     surely_open: bool = False  #: Whether the gate was read back as open and not ordered shut since
     surely_v: float = 0.0  #: Voltage read across the MCP, V; 0 where it may have fallen since
     heard_s: float = -math.inf  #: Time of the last heartbeat, s of a monotonic clock
-    fault: str | None = (
-        # : Sentence on the first failure since the bench was opened; cleared only by reopening it
-        None
-    )
+    #: Sentence on the first failure since the bench was opened; cleared only by reopening it
+    fault: str | None = None
 
     @property
     def shut(self) -> bool:

@@ -42,8 +42,8 @@ class InstrumentModel:
     """One model of instrument."""
 
     name: str  #: Name in a plan, such as "dg645"
-    # : Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or
-    # `Supply`
+    #: Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or
+    #: `Supply`
     role: Role
     title: str  #: Name in messages, such as "delay generator"
     #: Makes a line on a port; the second argument is the address on a bus, if any

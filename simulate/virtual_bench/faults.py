@@ -14,8 +14,8 @@ class Faults:
     silent: bool = False  #: It hears nothing and says nothing
     mute: bool = False  #: It obeys, but none of its answers arrives
     late_s: float = 0.0  #: Extra time before each answer, s
-    # : A short circuit of the load: a supply trips on current, a lamp goes out, as long as this
-    # holds
+    #: A short circuit of the load: a supply trips on current, a lamp goes out, as long as this
+    #: holds
     tripped: bool = False
     garbage: bool = False  #: Every byte of its answers arrives changed
     half_lines: bool = False  #: Only the first half of each answer arrives

@@ -51,14 +51,14 @@ class VirtualModel:
     """One model of virtual instrument."""
 
     name: str  #: Name of the model, such as "dg645"
-    # : Where it stands at the bench, such as "delay_generator": the name of its port and of its
-    # faults
+    #: Where it stands at the bench, such as "delay_generator": the name of its port and of its
+    #: faults
     place: str
     #: Makes it, from its address on a bus and how much faster than life it moves
     make: Callable[[int, float], SerialInstrument]
     baud: int | None  #: Rate set on it, baud; None: a USB adapter, which has none
-    # : Commands that do what a hand at its panel does, by setting: of a gate "source", "idle
-    # level", "width" and "busy" : (every second trigger is lost), of a supply "voltage" and "on"
+    #: Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level",
+    #: "width" and "busy" : (every second trigger is lost), of a supply "voltage" and "on"
     panel: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 

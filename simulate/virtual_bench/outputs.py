@@ -27,11 +27,11 @@ class GateOutput:
     """What the delay generator's AB output does to the gate unit."""
 
     gate_open: bool = False  #: Whether the gate opens at all
-    # : Width of one opening, ns; infinite where the output idles in the state that opens the gate
+    #: Width of one opening, ns; infinite where the output idles in the state that opens the gate
     gate_ns: float = 0.0
     gate_hz: float = 0.0  #: Openings per second, Hz
-    # : What triggers them: the generator's own clock, the mains, or the camera's field pulse at its
-    # input
+    #: What triggers them: the generator's own clock, the mains, or the camera's field pulse at its
+    #: input
     gate_trigger: Trigger = "clock"
     gate_delay_ns: float = 0.0  #: From trigger to opening, ns
 

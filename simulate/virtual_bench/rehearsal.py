@@ -89,8 +89,8 @@ class ScriptedFault:
     at_step: str | None = None
     at_s: float = 0.0  #: How long after that it strikes, s
     for_s: float = 1.0  #: How long it lasts, s; a power cycle is over at once
-    # : For late answers how late, s; for packet loss the fraction lost; for a clock jump how far,
-    # s; for room light the : illuminance on the photocathode, lux
+    #: For late answers how late, s; for packet loss the fraction lost; for a clock jump how far, s;
+    #: for room light the illuminance on the photocathode, lux
     value: float | None = None
     panel: tuple[
         str, ...

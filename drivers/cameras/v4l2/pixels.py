@@ -56,8 +56,8 @@ class BufferImage:
     columns: int  #: Size of the image, px
     row_bytes: int  #: Bytes from one row to the next
     layout: Layout  #: Position of the grey values
-    # : First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other;
-    # None for interleaved : rows
+    #: First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other;
+    #: None for interleaved rows
     first_field: int | None = None
 
     def __post_init__(self) -> None:

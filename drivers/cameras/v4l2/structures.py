@@ -108,8 +108,8 @@ class Request:
     """One kind of ioctl."""
 
     name: str  #: Name in the kernel, without VIDIOC_
-    # : Number: direction, size of the structure, the letter V, and a running number
-    # (asm-generic/ioctl.h)
+    #: Number: direction, size of the structure, the letter V, and a running number
+    #: (asm-generic/ioctl.h)
     code: int
     structure: Any  #: Structure passed to the kernel and filled in by it
 
