@@ -65,6 +65,7 @@ def _with_findings(result: Result, notes: tuple[str, ...] = ()) -> Result:
         else {}
     )
     out = (
-        add_findings(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements
+        add_findings(measurement.with_(notes=(*measurement.notes, *notes)), effects)
+        for measurement in result.measurements
     )
     return replace(result, measurements=tuple(out))

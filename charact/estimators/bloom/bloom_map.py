@@ -130,9 +130,14 @@ def bloom_map(
             image, clipped, spread, grid, noise_dn=noise, clip_dn=clip_dn, rng=rng
         )
     count, mean, square, bloom = 0, 0.0, 0.0, 0.0
-    for far, total in _draws(image, clipped, clip_dn, sources, spread, grid, near_px):
-        share = np.clip(far / np.maximum(total, 1e-6), 0.0, 1.0)
-        count, mean, square, bloom = count + 1, mean + share, square + share * share, bloom + far
+    for blooming_dn, total in _draws(image, clipped, clip_dn, sources, spread, grid, near_px):
+        draw_fraction = np.clip(blooming_dn / np.maximum(total, 1e-6), 0.0, 1.0)
+        count, mean, square, bloom = (
+            count + 1,
+            mean + draw_fraction,
+            square + draw_fraction * draw_fraction,
+            bloom + blooming_dn,
+        )
     mean, bloom = mean / count, bloom / count
     of_noise = np.where(clipped, 0.0, mean * noise / np.maximum(image, noise))
     # Signal is counted pixel by pixel, so that no fraction is known better than 0.003.
@@ -166,8 +171,8 @@ def _check(signal: NDArray, *, clip_dn: float | None, **positive: float) -> None
             f"a bloom map needs a frame of at least 8 rows and columns, got shape "
             f"{np.shape(signal)}"
         )
-    given = positive if clip_dn is None else {**positive, "clip_dn": clip_dn}
-    for name, value in given.items():
+    positive_numbers = positive if clip_dn is None else {**positive, "clip_dn": clip_dn}
+    for name, value in positive_numbers.items():
         if not value > 0:
             raise BadInput(f"{name} must be positive, got {value:g}")
 
@@ -212,14 +217,15 @@ def _draws(
     nears = spread.transfer(nodes()[0]) @ _near_transform(grid.frequency, near_px)
     known = [source for source in sources if source.has_known_signal]
     windows = [
-        grid.around(one.row, one.col) if one.shape == "point" else np.s_[:, :] for one in known
+        grid.around(source.row, source.col) if source.shape == "point" else np.s_[:, :]
+        for source in known
     ]
     radii = [
-        grid.distance(one.row, one.col)[window].astype(np.float32)
-        for one, window in zip(known, windows, strict=True)
+        grid.distance(source.row, source.col)[window].astype(np.float32)
+        for source, window in zip(known, windows, strict=True)
     ]
     area = spread.glare_area_px or float(image.size)
-    for draw, (whole, near, table, glare) in enumerate(
+    for draw, (psf_transfer, near_transfer, table, glare) in enumerate(
         zip(wholes, nears, tables, glares, strict=True)
     ):
         hidden, hidden_near = np.zeros_like(image), np.zeros_like(image)
@@ -229,20 +235,27 @@ def _draws(
                 near_of = image_of * (radius <= near_px)
             else:
                 image_of, near_of = (
-                    grid.patch(source.illuminated_pixels, one) for one in (whole, near)
+                    grid.patch(source.illuminated_pixels, transfer)
+                    for transfer in (psf_transfer, near_transfer)
                 )
             amount = np.float32(source.light_dn_px[draw])
             hidden[window] += amount * image_of
             hidden_near[window] += amount * near_of
-        rest = np.where(clipped, np.float32(0.0), image - np.float32(background) - hidden)
+        unclipped_signal = np.where(
+            clipped, np.float32(0.0), image - np.float32(background) - hidden
+        )
         # Veiling glare per pixel, for the signals outside and inside of clipped sources.
         light = sum(float(source.light_dn_px[draw]) for source in known) / (1.0 - glare)
-        outside = float(rest.sum()) + background * image.size
+        unclipped_light = float(unclipped_signal.sum()) + background * image.size
         veil = (
-            glare * (outside / (1.0 - glare + glare * min(1.0, image.size / area)) + light) / area
+            glare
+            * (unclipped_light / (1.0 - glare + glare * min(1.0, image.size / area)) + light)
+            / area
         )
-        ratio = (near * whole + LEAST_TRANSFER**2) / (whole**2 + LEAST_TRANSFER**2)
-        belongs = grid.blur(rest, ratio) + np.float32(ratio[0] * (background - veil))
+        ratio = (near_transfer * psf_transfer + LEAST_TRANSFER**2) / (
+            psf_transfer**2 + LEAST_TRANSFER**2
+        )
+        belongs = grid.blur(unclipped_signal, ratio) + np.float32(ratio[0] * (background - veil))
         total = image
         if clipped.any():
             total = np.where(
@@ -266,27 +279,37 @@ def _near_transform(frequency: Array, near_px: float) -> Array:
 
 
 def _pixels_of_unknown_source(
-    source: ClippedSource, image: NDArray, one: PosteriorPsf, grid: FrameGrid, halo_px: float
+    source: ClippedSource, image: NDArray, psf: PosteriorPsf, grid: FrameGrid, halo_px: float
 ) -> Mask:
     """Pixels in which a source of unknown signal may exceed 5 % of the total."""
-    away = grid.distance(source.row, source.col)
-    veil = float(np.asarray(one.glare_fraction)[0]) / (one.glare_area_px or float(image.size))
+    distance = grid.distance(source.row, source.col)
+    veil = float(np.asarray(psf.glare_fraction)[0]) / (psf.glare_area_px or float(image.size))
     if source.shape == "point":
-        profile, margin = profiles(one)[0] * grid.pitch_ratio, SMALLER_PX + 1.0
+        profile, margin = profiles(psf)[0] * grid.pitch_ratio, SMALLER_PX + 1.0
         # A smaller halo would contain more light for the same signal.
-        share, least = radial(away, profile), radial(away + SMALLER_PX, profile)
+        unit_signal, smallest_unit_signal = (
+            radial(distance, profile),
+            radial(distance + SMALLER_PX, profile),
+        )
     else:
-        share = least = grid.patch(source.illuminated_pixels, one.transfer(grid.frequency)[0])
+        unit_signal = smallest_unit_signal = grid.patch(
+            source.illuminated_pixels, psf.transfer(grid.frequency)[0]
+        )
         margin = PATCH_MARGIN_PX
-    share, least = np.maximum(share, 0.0) + veil, np.maximum(least, 0.0) + veil
-    ring = (away / 2.0).astype(int).ravel()
+    unit_signal, smallest_unit_signal = (
+        np.maximum(unit_signal, 0.0) + veil,
+        np.maximum(smallest_unit_signal, 0.0) + veil,
+    )
+    ring = (distance / 2.0).astype(int).ravel()
     count = np.bincount(ring)
     signal, of_unit = (
-        np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, least)
+        np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, smallest_unit_signal)
     )
     complete = np.bincount(ring, grid.within(source.region, margin).ravel()) == 0
-    most = (signal[complete] / np.maximum(of_unit[complete], 1e-12)).min(initial=np.inf)
-    return grid.within(source.region, halo_px) | (most * share > 0.05 * np.maximum(image, 1e-6))
+    light_limit = (signal[complete] / np.maximum(of_unit[complete], 1e-12)).min(initial=np.inf)
+    return grid.within(source.region, halo_px) | (
+        light_limit * unit_signal > 0.05 * np.maximum(image, 1e-6)
+    )
 
 
 def spread_from(
@@ -298,9 +321,13 @@ def spread_from(
     of the veiling glare; `pitch_ratio`: row pitch over column pitch; `rng`: generator of the
     glare's draws. Raises BadInput if the result has no posterior of core and halo.
     """
-    found = [one.posterior for one in result.find("halo_fraction") + result.find("halo_diameter")]
+    posteriors = [
+        measurement.posterior
+        for measurement in result.find("halo_fraction") + result.find("halo_diameter")
+    ]
     posterior = next(
-        (one for one in found if one is not None and "halo_fraction" in one.names), None
+        (draws for draws in posteriors if draws is not None and "halo_fraction" in draws.names),
+        None,
     )
     if posterior is None:
         reasons = "; ".join(str(m.reason) for m in result.find("halo_diameter") if m.reason)
@@ -308,10 +335,12 @@ def spread_from(
             f"a bloom map needs the halo of a point series: {reasons or 'none was measured'}"
         )
     glare = np.zeros(len(posterior.draws))
-    for one in result.find("veiling_glare")[:1]:
-        if one.value is not None and one.interval68 is not None:
-            low, high = one.interval68
-            glare = 0.01 * np.clip(rng.normal(one.value, 0.5 * (high - low), len(glare)), 0.0, 99.0)
+    for measurement in result.find("veiling_glare")[:1]:
+        if measurement.value is not None and measurement.interval68 is not None:
+            low, high = measurement.interval68
+            glare = 0.01 * np.clip(
+                rng.normal(measurement.value, 0.5 * (high - low), len(glare)), 0.0, 99.0
+            )
     return spread_of(
         posterior, pitch_ratio=pitch_ratio, glare_fraction=glare, glare_area_px=area_px
     )
@@ -351,7 +380,7 @@ def map_of(
     )
     # Above 2 % of clipped frames the mean of a pixel underestimates its signal.
     clipped = (stack.data >= full).mean(axis=0) > 0.02
-    found = bloom_map(
+    frame_map = bloom_map(
         signal,
         spread,
         clip_dn=full - dark,
@@ -359,37 +388,37 @@ def map_of(
         pitch_ratio=context.pitch_ratio,
         rng=rng,
     )
-    return found, signal
+    return frame_map, signal
 
 
 def _entry(session: Session, label: str | None) -> StackEntry:
     """The requested stack, or the default one."""
     if label is not None:
-        found = [entry for entry in session.stacks if entry.label == label]
-        if not found:
+        candidates = [entry for entry in session.stacks if entry.label == label]
+        if not candidates:
             names = ", ".join(entry.label for entry in session.stacks)
             raise BadInput(f"the stack of a map must be one of {names}, got {label!r}")
-        return found[0]
-    found = session.of_kind("scene") or session.of_kind("point")
-    if not found:
+        return candidates[0]
+    candidates = session.of_kind("scene") or session.of_kind("point")
+    if not candidates:
         raise BadInput("a bloom map needs a stack of kind scene or point")
     return max(
-        found,
+        candidates,
         key=lambda entry: (
             (entry.conditions.illuminance_lux or 0.0) * (entry.conditions.gate_ns or 1.0)
         ),
     )
 
 
-def evidence_of(found: BloomMap, signal: NDArray) -> dict[str, Any]:
+def evidence_of(frame_map: BloomMap, signal: NDArray) -> dict[str, Any]:
     """Figure data of a map for `charact.reporting.bloom_images.bloom_map`."""
     return {
         "figure": "bloom-map",
         "signal_dn": signal,
-        "fraction": found.fraction,
-        "sd": found.sd,
-        "clipped": found.clipped,
-        "near_px": found.near_px,
+        "fraction": frame_map.fraction,
+        "sd": frame_map.sd,
+        "clipped": frame_map.clipped,
+        "near_px": frame_map.near_px,
         "sources": [
             {
                 "row": s.row,
@@ -399,6 +428,6 @@ def evidence_of(found: BloomMap, signal: NDArray) -> dict[str, Any]:
                 "reason": s.reason,
                 "light_dn_px": float(np.median(s.light_dn_px)),
             }
-            for s in found.sources
+            for s in frame_map.sources
         ],
     }

@@ -50,7 +50,7 @@ class Surroundings:
     as lower limits.
     """
 
-    places: Pixels
+    pixels: Pixels
     signal: Array
     sd: Array
     floor: Mask
@@ -88,20 +88,25 @@ def find_clipped_sources(
     from scipy.spatial.distance import cdist
 
     regions = _regions(clipped)
-    reach = 0.5 * float(np.median(spread.halo_diameter_px)) + 8.0
+    reach_px = 0.5 * float(np.median(spread.halo_diameter_px)) + 8.0
     middles = np.array([grid.middle(region) for region in regions]) * (grid.pitch_ratio, 1.0)
-    count, group = connected_components(cdist(middles, middles) < 2 * reach, directed=False)
+    count, group = connected_components(cdist(middles, middles) < 2 * reach_px, directed=False)
     out: list[ClippedSource] = []
-    for one in range(count):
-        own, found = [regions[number] for number in np.flatnonzero(group == one)], []
+    for group_number in range(count):
+        group_regions, group_sources = (
+            [regions[number] for number in np.flatnonzero(group == group_number)],
+            [],
+        )
         # First without the steep flank, where the core width matters; if the halo is too faint,
         # with all but noisy pixels.
         for margin in (4, 1):
-            around = _surroundings(own, signal, clipped, grid, reach, margin, noise_dn, clip_dn)
-            found = _sources(own, spread, grid, around, rng)
-            if all(source.has_known_signal for source in found):
+            around = _surroundings(
+                group_regions, signal, clipped, grid, reach_px, margin, noise_dn, clip_dn
+            )
+            group_sources = _sources(group_regions, spread, grid, around, rng)
+            if all(source.has_known_signal for source in group_sources):
                 break
-        out += found
+        out += group_sources
     return tuple(out)
 
 
@@ -110,10 +115,12 @@ def _regions(clipped: Mask) -> list[Pixels]:
     from scipy import ndimage
 
     # Noise splits the rim of a clipped region: pixels within 2 px belong to one source.
-    wide = ndimage.binary_dilation(clipped, np.ones((5, 5), bool))
-    labels = np.where(clipped, np.asarray(ndimage.label(wide)[0]), 0)  # pyright: ignore[reportIndexIssue]
-    found = ndimage.value_indices(labels, ignore_value=0)
-    return [np.ravel_multi_index(place, clipped.shape) for _, place in sorted(found.items())]  # pyright: ignore
+    dilated = ndimage.binary_dilation(clipped, np.ones((5, 5), bool))
+    labels = np.where(clipped, np.asarray(ndimage.label(dilated)[0]), 0)  # pyright: ignore[reportIndexIssue]
+    pixels_by_label = ndimage.value_indices(labels, ignore_value=0)
+    return [
+        np.ravel_multi_index(region, clipped.shape) for _, region in sorted(pixels_by_label.items())
+    ]  # pyright: ignore
 
 
 def _surroundings(
@@ -121,7 +128,7 @@ def _surroundings(
     signal: NDArray,
     clipped: Mask,
     grid: FrameGrid,
-    reach: float,
+    reach_px: float,
     margin: int,
     noise_dn: NDArray,
     clip_dn: float,
@@ -137,17 +144,20 @@ def _surroundings(
     for region in regions:
         spoilt[:, np.abs(np.arange(signal.shape[1]) - grid.middle(region)[1]) <= 2] = True
     shut = np.concatenate(regions)
-    near = np.flatnonzero(grid.within(shut, reach * (1.0 - 1e-12)) & ~spoilt)
-    step = max(1, -(-len(near) // MOST_PIXELS))
-    near, shut = near[::step], shut[:: max(1, len(shut) // (MOST_PIXELS // 4))]
-    places = np.concatenate([near, shut])
-    floor = np.arange(len(places)) >= len(near)
-    values = np.asarray(signal, float).ravel()[places]
-    steep = np.where(floor, 0.0, np.hypot(*np.gradient(np.asarray(signal, float))).ravel()[places])
+    unclipped_pixels = np.flatnonzero(grid.within(shut, reach_px * (1.0 - 1e-12)) & ~spoilt)
+    step = max(1, -(-len(unclipped_pixels) // MOST_PIXELS))
+    unclipped_pixels, shut = (
+        unclipped_pixels[::step],
+        shut[:: max(1, len(shut) // (MOST_PIXELS // 4))],
+    )
+    pixels = np.concatenate([unclipped_pixels, shut])
+    floor = np.arange(len(pixels)) >= len(unclipped_pixels)
+    values = np.asarray(signal, float).ravel()[pixels]
+    steep = np.where(floor, 0.0, np.hypot(*np.gradient(np.asarray(signal, float))).ravel()[pixels])
     # Relative PSF error well above the noise, 5 %, and position error on steep flanks, 0.25 px.
-    sd = np.sqrt(noise_dn.ravel()[places] ** 2 + (0.05 * values) ** 2 + (0.25 * steep) ** 2)
+    sd = np.sqrt(noise_dn.ravel()[pixels] ** 2 + (0.05 * values) ** 2 + (0.25 * steep) ** 2)
     return Surroundings(
-        places=places, signal=np.where(floor, clip_dn, values), sd=sd, floor=floor, subsampling=step
+        pixels=pixels, signal=np.where(floor, clip_dn, values), sd=sd, floor=floor, subsampling=step
     )
 
 
@@ -184,26 +194,26 @@ def _sources(
     fits = [
         _fit(_templates(sources, known, draw, grid, around), around) for draw in range(len(spread))
     ]
-    light = np.array([one.light + one.sd * rng.standard_normal(len(one.light)) for one in fits])
-    clear = np.median([one.light / np.maximum(one.sd, 1e-12) for one in fits], axis=0)
+    light = np.array([fit.light + fit.sd * rng.standard_normal(len(fit.light)) for fit in fits])
+    clear = np.median([fit.light / np.maximum(fit.sd, 1e-12) for fit in fits], axis=0)
     return [
         replace(source, light_dn_px=np.maximum(of, 0.0))
-        if seen >= SEEN
+        if significance >= SEEN
         else replace(
             source,
             reason=(
-                f"its halo is {seen:.1f} standard errors above its surroundings, at least "
+                f"its halo is {significance:.1f} standard errors above its surroundings, at least "
                 f"{SEEN:g} needed"
             ),
         )
-        for source, of, seen in zip(sources, light.T, clear, strict=True)
+        for source, of, significance in zip(sources, light.T, clear, strict=True)
     ]
 
 
 def _possible_shape(region: Pixels, around: Surroundings, grid: FrameGrid, halo_px: float) -> str:
     """Possible shape: a point if its halo is visible, a patch if it is wider than a halo."""
-    inside = grid.distance(*grid.middle(region), around.places[~around.floor]) < halo_px - 2.0
-    if inside.sum() * around.subsampling >= LEAST_PIXELS:
+    within_halo = grid.distance(*grid.middle(region), around.pixels[~around.floor]) < halo_px - 2.0
+    if within_halo.sum() * around.subsampling >= LEAST_PIXELS:
         return "point"
     from scipy import ndimage
 
@@ -233,18 +243,18 @@ def _choose_shapes(
     """
     known, reason = (profiles(centre), centre.transfer(grid.frequency)), ""
     best = _fit(_templates(sources, known, 0, grid, around), around)
-    for one, source in enumerate(sources):
+    for index, source in enumerate(sources):
         point = best if source.shape == "point" else None
         for patch in _patches(source, grid):
-            other = [*sources[:one], patch, *sources[one + 1 :]]
-            found = _fit(_templates(other, known, 0, grid, around), around)
-            if point is not None and _alike(point, found, one):
+            other = [*sources[:index], patch, *sources[index + 1 :]]
+            patch_fit = _fit(_templates(other, known, 0, grid, around), around)
+            if point is not None and _alike(point, patch_fit, index):
                 reason = (
                     "its surroundings fit a point source with halo and a uniform patch about "
                     "equally well"
                 )
-            if found.rms < best.rms:
-                sources, best = other, found
+            if patch_fit.rms < best.rms:
+                sources, best = other, patch_fit
     if best.misfit > 2.5:
         reason = (
             f"its surroundings deviate from the PSF by {best.misfit:.1f} times the noise and "
@@ -253,9 +263,9 @@ def _choose_shapes(
     return sources, reason
 
 
-def _alike(point: ClippedSourceFit, patch: ClippedSourceFit, one: int) -> bool:
+def _alike(point: ClippedSourceFit, patch: ClippedSourceFit, index: int) -> bool:
     """Whether two shapes fit about equally well but differ in the source's signal."""
-    low, high = sorted((point.light[one], patch.light[one]))
+    low, high = sorted((point.light[index], patch.light[index]))
     better, worse = sorted((point.rms, patch.rms))
     return high > 1.3 * low and worse < 1.6 * max(better, 1.0)
 
@@ -266,7 +276,7 @@ def _patches(source: ClippedSource, grid: FrameGrid) -> Iterator[ClippedSource]:
     """
     from scipy import ndimage
 
-    mask, (first, left) = _mask_of(source.region, grid, 1)
+    mask, (first, first_col) = _mask_of(source.region, grid, 1)
     for smaller in range(3):
         down, across = np.nonzero(
             ndimage.binary_erosion(mask, iterations=smaller) if smaller else mask
@@ -274,17 +284,19 @@ def _patches(source: ClippedSource, grid: FrameGrid) -> Iterator[ClippedSource]:
         if len(down) < 9:
             return
         yield replace(
-            source, shape="patch", illuminated_pixels=(down + first) * grid.shape[1] + across + left
+            source,
+            shape="patch",
+            illuminated_pixels=(down + first) * grid.shape[1] + across + first_col,
         )
 
 
 def _mask_of(region: Pixels, grid: FrameGrid, margin: int) -> tuple[Mask, tuple[int, int]]:
     """Mask of a region's bounding box with a margin, and its first row and column."""
     rows, cols = np.divmod(region, grid.shape[1])
-    first, left = int(rows.min()) - margin, int(cols.min()) - margin
+    first, first_col = int(rows.min()) - margin, int(cols.min()) - margin
     mask = np.zeros((np.ptp(rows) + 1 + 2 * margin, np.ptp(cols) + 1 + 2 * margin), bool)
-    mask[rows - first, cols - left] = True
-    return mask, (first, left)
+    mask[rows - first, cols - first_col] = True
+    return mask, (first, first_col)
 
 
 def _templates(
@@ -296,10 +308,11 @@ def _templates(
 ) -> Array:
     """Signal of one unit of every source in the surrounding pixels, shape (pixel, source)."""
     laid = [
-        radial(grid.distance(one.row, one.col, around.places), tables[0][draw]) * grid.pitch_ratio
-        if one.shape == "point"
-        else grid.patch(one.illuminated_pixels, tables[1][draw]).ravel()[around.places]
-        for one in sources
+        radial(grid.distance(source.row, source.col, around.pixels), tables[0][draw])
+        * grid.pitch_ratio
+        if source.shape == "point"
+        else grid.patch(source.illuminated_pixels, tables[1][draw]).ravel()[around.pixels]
+        for source in sources
     ]
     return np.stack(laid, axis=1).astype(np.float64)
 

@@ -54,24 +54,32 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
     from scipy import ndimage
 
     mask = np.zeros(spot.image.shape, bool)
-    found = compare_columns(spot, context)
-    (above, up), (below, down) = (_reach(found, side) for side in (-1, 1))
+    columns = compare_columns(spot, context)
+    (above_px, up), (below_px, down) = (_reach(columns, side) for side in (-1, 1))
     # Smear is equal above and below; if one side is outside the frame, the other must be more
     # significant.
-    both = np.isfinite(up).all() and np.isfinite(down).all()
-    smeared = (np.minimum(up, down) if both else np.fmax(up, down)) > (3.0 if both else 6.0)
-    far = np.abs(found.row_offset)[:, None]
-    reach = np.stack([np.where(smeared, far.max() + 1.0, one) for one in (above, below)])
-    seen = _around(reach.max(axis=0) > 0, round(spot.col) - found.first_col)
-    if not seen.any():
+    has_both_sides = np.isfinite(up).all() and np.isfinite(down).all()
+    smeared = (np.minimum(up, down) if has_both_sides else np.fmax(up, down)) > (
+        3.0 if has_both_sides else 6.0
+    )
+    row_distance = np.abs(columns.row_offset)[:, None]
+    streak_px = np.stack(
+        [np.where(smeared, row_distance.max() + 1.0, side_px) for side_px in (above_px, below_px)]
+    )
+    streaked_cols = _around(streak_px.max(axis=0) > 0, round(spot.col) - columns.first_col)
+    if not streaked_cols.any():
         return mask
-    wide = ndimage.maximum_filter1d(np.where(seen, reach, 0), 3, axis=-1, mode="constant")
-    inside = far <= wide[np.where(found.row_offset < 0, 0, 1)]
-    beyond = inside & (far >= FIRST_ROW_PX)
-    level = np.where(beyond, found.excess_dn, 0.0).sum(axis=0) / np.maximum(beyond.sum(axis=0), 1)
+    widened_px = ndimage.maximum_filter1d(
+        np.where(streaked_cols, streak_px, 0), 3, axis=-1, mode="constant"
+    )
+    within_streak = row_distance <= widened_px[np.where(columns.row_offset < 0, 0, 1)]
+    beyond_core = within_streak & (row_distance >= FIRST_ROW_PX)
+    level = np.where(beyond_core, columns.excess_dn, 0.0).sum(axis=0) / np.maximum(
+        beyond_core.sum(axis=0), 1
+    )
     # Column signal below 1/30 of the source's is harmless.
-    inside &= found.round_dn < 30.0 * ndimage.maximum_filter1d(level, 3, mode="constant")
-    mask[:, found.first_col : found.first_col + inside.shape[1]] = inside
+    within_streak &= columns.round_dn < 30.0 * ndimage.maximum_filter1d(level, 3, mode="constant")
+    mask[:, columns.first_col : columns.first_col + within_streak.shape[1]] = within_streak
     return mask
 
 
@@ -89,11 +97,11 @@ def compare_columns(
     first, last = max(0, round(spot.col) - half), min(cols, round(spot.col) + half + 1)
     radius = np.hypot(dx[None, :], dy[:, None])
     mean, sd = _horizontal_profile(spot.image, dx, dy, radius)
-    near = radius[:, first:last]
+    column_radius = radius[:, first:last]
     grid = np.arange(len(mean), dtype=float)
-    light, noise = np.interp(near, grid, mean), np.interp(near, grid, sd)
+    light, noise = np.interp(column_radius, grid, mean), np.interp(column_radius, grid, sd)
     floor = float(mean.min())
-    far = np.abs(dx) > max(2.0 * _half_width(spot), 0.3 * cols)
+    far_cols = np.abs(dx) > max(2.0 * _half_width(spot), 0.3 * cols)
     # Cameras may deviate from rotational symmetry by 5 % of the source's signal.
     return ColumnArtefacts(
         first_col=first,
@@ -101,7 +109,7 @@ def compare_columns(
         round_dn=light - floor,
         excess_dn=spot.image[:, first:last] - light,
         sd_dn=np.hypot(noise, 0.05 * (light - floor)),
-        block_factor=_block_factor(spot.image[:, far]),
+        block_factor=_block_factor(spot.image[:, far_cols]),
     )
 
 
@@ -110,14 +118,14 @@ def _half_width(spot: PointStack) -> int:
     margin.
     """
     row, col = round(spot.row), round(spot.col)
-    near = spot.image[max(0, row - 1) : row + 2].mean(axis=0)
-    bright = near - spot.dark_dn > 0.5 * min(
-        near.max() - spot.dark_dn, 0.5 * (spot.full_scale_dn - spot.dark_dn)
+    source_rows_mean = spot.image[max(0, row - 1) : row + 2].mean(axis=0)
+    bright = source_rows_mean - spot.dark_dn > 0.5 * min(
+        source_rows_mean.max() - spot.dark_dn, 0.5 * (spot.full_scale_dn - spot.dark_dn)
     )
     run = np.flatnonzero(_around(bright, col))
-    reach = int(np.abs(run - col).max()) if len(run) else 0
+    bright_half_px = int(np.abs(run - col).max()) if len(run) else 0
     # Video filter or smear carry the signal into at least 5 columns, 3 beyond the bright ones.
-    return max(5, reach + 3)
+    return max(5, bright_half_px + 3)
 
 
 def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tuple[Array, Array]:
@@ -127,27 +135,27 @@ def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tu
     Only pixels closer in rows than in columns count, outside the columns of the source.
     """
     lateral = np.abs(dx)[None, :] > np.abs(dy)[:, None]
-    reach = int(radius.max()) + 2
-    mean, sd, count = np.zeros((3, 2, reach))
+    rings = int(radius.max()) + 2
+    mean, sd, count = np.zeros((3, 2, rings))
     for side, sign in enumerate((-1, 1)):
         take = lateral & (np.sign(dx) == sign)[None, :]
         ring, value = np.rint(radius[take]).astype(int), image[take]
-        count[side] = np.bincount(ring, minlength=reach)
-        mean[side] = np.bincount(ring, value, minlength=reach) / np.maximum(count[side], 1)
-        square = np.bincount(ring, (value - mean[side][ring]) ** 2, minlength=reach)
+        count[side] = np.bincount(ring, minlength=rings)
+        mean[side] = np.bincount(ring, value, minlength=rings) / np.maximum(count[side], 1)
+        square = np.bincount(ring, (value - mean[side][ring]) ** 2, minlength=rings)
         sd[side] = np.sqrt(square / np.maximum(count[side] - 1, 1))
     full = count >= 4
     error = np.sqrt((sd**2 / np.maximum(count, 1)).sum(axis=0))
     differ = np.abs(mean[0] - mean[1]) > 6.0 * np.maximum(error, 1e-9)
-    both = np.where(
+    sides_mean = np.where(
         differ, mean.min(axis=0), (mean * count).sum(axis=0) / np.maximum(count.sum(axis=0), 1)
     )
-    light = np.where(full.all(axis=0), both, np.where(full[0], mean[0], mean[1]))
+    light = np.where(full.all(axis=0), sides_mean, np.where(full[0], mean[0], mean[1]))
     scatter = np.where(full.all(axis=0), sd.max(axis=0), np.where(full[0], sd[0], sd[1]))
-    grid, known = np.arange(reach), np.flatnonzero(full.any(axis=0))
-    least = max(0.5 * float(np.median(scatter[known])) if len(known) else 0.5, ROUNDED_DN)
+    grid, known = np.arange(rings), np.flatnonzero(full.any(axis=0))
+    least_sd = max(0.5 * float(np.median(scatter[known])) if len(known) else 0.5, ROUNDED_DN)
     return np.interp(grid, known, light[known]), np.maximum(
-        np.interp(grid, known, scatter[known]), least
+        np.interp(grid, known, scatter[known]), least_sd
     )
 
 
@@ -157,33 +165,38 @@ def _block_factor(image: Array) -> float:
     if rows < 4 * BLOCK_ROWS or image.shape[1] < 4:
         return 2.0
     # Columns are compared within a row, since common variations, such as a gradient, are not noise.
-    even = image[:rows] - np.median(image[:rows], axis=1, keepdims=True)
-    blocks = even.reshape(-1, BLOCK_ROWS, image.shape[1]).mean(axis=1)
-    single, block = (float(np.median(np.abs(one - np.median(one)))) for one in (even, blocks))
+    row_residuals = image[:rows] - np.median(image[:rows], axis=1, keepdims=True)
+    blocks = row_residuals.reshape(-1, BLOCK_ROWS, image.shape[1]).mean(axis=1)
+    single, block = (
+        float(np.median(np.abs(values - np.median(values)))) for values in (row_residuals, blocks)
+    )
     return float(np.clip(BLOCK_ROWS * block**2 / single**2, 1.0, BLOCK_ROWS)) if single > 0 else 2.0
 
 
-def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
+def _reach(columns: ColumnArtefacts, side: int) -> tuple[Array, Array]:
     """Distance over which each column stays brighter than its surroundings on one side, px, and its
     significance.
 
     The significance is that of the mean over the outer half of its rows; NaN with too few rows.
     """
-    rows = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
+    rows = np.flatnonzero(columns.row_offset * side >= FIRST_ROW_PX)[::side]
     count = len(rows) // BLOCK_ROWS
-    out = np.zeros(found.excess_dn.shape[1])
+    out = np.zeros(columns.excess_dn.shape[1])
     if count < 4:
         return out, np.full(out.shape, np.nan)
     rows = rows[: count * BLOCK_ROWS]
     blocks = rows.reshape(count, BLOCK_ROWS)
-    excess, variance = found.excess_dn[blocks].mean(axis=1), (found.sd_dn[blocks] ** 2).mean(axis=1)
-    error = np.sqrt(variance * found.block_factor / BLOCK_ROWS)
+    excess, variance = (
+        columns.excess_dn[blocks].mean(axis=1),
+        (columns.sd_dn[blocks] ** 2).mean(axis=1),
+    )
+    error = np.sqrt(variance * columns.block_factor / BLOCK_ROWS)
     # A streak fills all its rows; a single pulse among dark pixels does not.
-    filled = np.partition(found.excess_dn[blocks], 1, axis=1)[:, 1] > 1.5 * np.sqrt(variance)
-    ends = np.abs(found.row_offset)[blocks].max(axis=1)
-    for place in range(out.size):
-        bright = np.flatnonzero((excess[:, place] > 5.0 * error[:, place]) & filled[:, place])
-        out[place] = ends[bright[-1]] + BLOCK_ROWS if len(bright) else 0.0
+    filled = np.partition(columns.excess_dn[blocks], 1, axis=1)[:, 1] > 1.5 * np.sqrt(variance)
+    ends = np.abs(columns.row_offset)[blocks].max(axis=1)
+    for col in range(out.size):
+        bright = np.flatnonzero((excess[:, col] > 5.0 * error[:, col]) & filled[:, col])
+        out[col] = ends[bright[-1]] + BLOCK_ROWS if len(bright) else 0.0
     outer = slice(count // 2, None)
     noise = np.sqrt(
         np.maximum((error[outer] ** 2).mean(axis=0), excess[outer].var(axis=0))
@@ -192,13 +205,17 @@ def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
     return out, excess[outer].mean(axis=0) / noise
 
 
-def _around(bright: Mask, place: int) -> Mask:
+def _around(bright: Mask, position: int) -> Mask:
     """The run of true values through a position, which may be off by one."""
     from scipy import ndimage
 
     labels = np.asarray(ndimage.label(bright)[0])  # pyright: ignore[reportIndexIssue]
-    near = [one for one in (place, place - 1, place + 1) if 0 <= one < len(bright) and bright[one]]
-    return labels == labels[near[0]] if near else np.zeros(bright.shape, bool)
+    candidates = [
+        index
+        for index in (position, position - 1, position + 1)
+        if 0 <= index < len(bright) and bright[index]
+    ]
+    return labels == labels[candidates[0]] if candidates else np.zeros(bright.shape, bool)
 
 
 # Side of the patches whose means have the same noise with or without blur after the gain, px.
@@ -241,14 +258,16 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     patches = tiles.mean(axis=(1, 3))
     along = np.abs(PATCH_PX * (np.arange(patches.shape[1]) + 0.5) - col)
     # The 60 % of columns closest to the source contain its halo and its column.
-    far = np.flatnonzero(along >= np.quantile(along, 0.6))
+    far_patches = np.flatnonzero(along >= np.quantile(along, 0.6))
     # Differences of adjacent patches exclude gradients, medians exclude other sources.
-    pairs = far[:-1][np.diff(far) == 1]
-    apart = np.abs(patches[:, pairs + 1] - patches[:, pairs])
-    patch = 0.5 * (1.4826 * float(np.median(apart))) ** 2 if apart.size else 0.0
-    single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far])) + patch
+    pairs = far_patches[:-1][np.diff(far_patches) == 1]
+    patch_differences = np.abs(patches[:, pairs + 1] - patches[:, pairs])
+    patch = (
+        0.5 * (1.4826 * float(np.median(patch_differences))) ** 2 if patch_differences.size else 0.0
+    )
+    single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far_patches])) + patch
     floor = max(single, 0.1 * (1.0 / 12.0))
-    background = float(np.median(patches[:, far])) - dark_dn
+    background = float(np.median(patches[:, far_patches])) - dark_dn
     # Below 0.5 DN the noise is not photon noise.
     measurable = background > 0.5
     return MeanFrameNoise(
@@ -294,15 +313,15 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     mean is above the threshold. In interlaced frames the two fields overflow separately, so that
     every second row counts near the ends.
     """
-    found = compare_columns(spot, context)
+    columns = compare_columns(spot, context)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
     length, sd = _rows_above(spot, grain, round(spot.col))
     other = round(spot.col) + (1 if spot.col > round(spot.col) else -1)
     # Near the middle between two columns either may be the source's.
     if 0.5 - abs(spot.col - round(spot.col)) < 0.15 and 0 <= other < spot.image.shape[1]:
         sd = float(np.hypot(sd, 0.5 * abs(length - _rows_above(spot, grain, other)[0])))
-    above, below = (_full_rows(spot, found, side) for side in (-1, 1))
-    full = np.concatenate([above, below])
+    rows_above, rows_below = (_full_rows(spot, columns, side) for side in (-1, 1))
+    full = np.concatenate([rows_above, rows_below])
     rows = spot.image.shape[0]
     meets = bool(len(full)) and bool(full.min() == 0 or full.max() == rows - 1)
     level = spot.image[full, round(spot.col)] - spot.dark_dn if len(full) else np.full(1, np.nan)
@@ -310,7 +329,8 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     spread = robust.robust_sd(level)
     error = 1.25 * max(spread, 1.0 / np.sqrt(12.0 * spot.frames)) / np.sqrt(len(level))
     ends = [
-        float(np.abs(found.row_offset[side]).max()) if len(side) else 0.0 for side in (above, below)
+        float(np.abs(columns.row_offset[side]).max()) if len(side) else 0.0
+        for side in (rows_above, rows_below)
     ]
     return Streak(
         length_px=length,
@@ -332,23 +352,25 @@ def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[floa
     from scipy.special import ndtr
 
     half = 0.5 * (spot.full_scale_dn - spot.dark_dn)
-    share = ndtr((spot.image[:, col] - spot.dark_dn - half) / np.sqrt(grain.pixel_variance(half)))
-    rows = float(share.sum())
-    counted = float((share * (1.0 - share)).sum()) * grain.neighbours
+    above_probability = ndtr(
+        (spot.image[:, col] - spot.dark_dn - half) / np.sqrt(grain.pixel_variance(half))
+    )
+    rows = float(above_probability.sum())
+    counted = float((above_probability * (1.0 - above_probability)).sum()) * grain.neighbours
     # The column's total signal determines the streak's length and its scatter.
     spilled = float(grain.sum_variance(half * rows)) / (2.0 * half) ** 2 if rows > 12 else 0.0
     frames = spot.frame_streak_px
-    seen = float(frames.var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
+    frame_variance = float(frames.var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
     return rows, float(
-        np.sqrt(max(counted, spilled, seen) + (2.0 / np.sqrt(12.0) / np.sqrt(2.0)) ** 2)
+        np.sqrt(max(counted, spilled, frame_variance) + (2.0 / np.sqrt(12.0) / np.sqrt(2.0)) ** 2)
     )
 
 
-def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[np.int64]:
+def _full_rows(spot: PointStack, columns: ColumnArtefacts, side: int) -> NDArray[np.int64]:
     """Rows above (-1) or below (1) the source with full wells; partly filled ends excluded."""
-    outward = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
-    place = int(np.clip(round(spot.col) - found.first_col, 0, found.sd_dn.shape[1] - 1))
-    excess, light = found.excess_dn[outward, place], found.round_dn[outward, place]
+    outward = np.flatnonzero(columns.row_offset * side >= FIRST_ROW_PX)[::side]
+    col = int(np.clip(round(spot.col) - columns.first_col, 0, columns.sd_dn.shape[1] - 1))
+    excess, light = columns.excess_dn[outward, col], columns.round_dn[outward, col]
     if len(outward) < LEAST_ROWS + 1:
         return outward[:0]
     top = float(np.sort(excess)[-2])
@@ -356,10 +378,10 @@ def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[n
         return outward[:0]
     # Smear is uniform along the column: the last rows are no streak, unless they are bright enough
     # for full wells.
-    even = float(np.median(excess[-max(4, len(excess) // 8) :]))
-    if even > 0.5 * top and even < FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
+    column_level = float(np.median(excess[-max(4, len(excess) // 8) :]))
+    if column_level > 0.5 * top and column_level < FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
         return outward[:0]
-    floor = even if even <= 0.5 * top else 0.0
+    floor = column_level if column_level <= 0.5 * top else 0.0
     bright = (excess - floor > 0.8 * (top - floor)) & (light < 0.15 * top)
     return outward[bright]
 

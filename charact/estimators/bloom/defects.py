@@ -51,9 +51,12 @@ def with_sound_pixels(session: Session) -> tuple[Session, int]:
             bad = hot if hot.shape == image.shape else np.zeros(image.shape, bool)
             bad = bad | lone_pixels(replace_bad_pixels(image[None], bad)[0])
             if bad.any():
-                every |= {tuple(place) for place in np.argwhere(bad).tolist()}
-                given = {one.name: getattr(entry, one.name) for one in fields(StackEntry)}
-                entry = SoundEntry(**given, entry=entry, bad=bad)
+                every |= {tuple(row_col) for row_col in np.argwhere(bad).tolist()}
+                entry_fields = {
+                    entry_field.name: getattr(entry, entry_field.name)
+                    for entry_field in fields(StackEntry)
+                }
+                entry = SoundEntry(**entry_fields, entry=entry, bad=bad)
         entries.append(entry)
     return (replace(session, stacks=tuple(entries)), len(every)) if every else (session, 0)
 
@@ -94,14 +97,14 @@ def lone_pixels(image: Array) -> Mask:
     out = np.zeros(image.shape, bool)
     padded = np.pad(excess, 1)
     for row, col in np.argwhere(np.abs(excess) > max(DEFECT_SD * sd, LEAST_DEFECT_DN)):
-        own = abs(excess[row, col])
+        height = abs(excess[row, col])
         adjacent = np.sort(np.abs(np.delete(padded[row : row + 3, col : col + 3], 4)))
         # Two defects may touch.
         lit = adjacent[:-1].sum()
-        near = excess[max(0, row - 3) : row + 4, max(0, col - 3) : col + 4]
-        local = 1.4826 * float(np.median(np.abs(near)))
+        neighbourhood = excess[max(0, row - 3) : row + 4, max(0, col - 3) : col + 4]
+        local = 1.4826 * float(np.median(np.abs(neighbourhood)))
         out[row, col] = (
-            own > DEFECT_SD * local and lit < LIT_NEIGHBOURS * own + NEIGHBOUR_SD * local
+            height > DEFECT_SD * local and lit < LIT_NEIGHBOURS * height + NEIGHBOUR_SD * local
         )
     # Single bright pixels all over a frame are unblurred pulses, photon noise.
     return out if out.mean() < MOST_DEFECTS else np.zeros(image.shape, bool)
@@ -121,15 +124,16 @@ def replace_bad_pixels(data: NDArray, bad: Mask) -> NDArray:
         return data
     out = data.copy()
     for row, col in np.argwhere(bad):
-        reach = 1
+        half_width = 1
         while True:
             window = np.s_[
-                max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1
+                max(0, row - half_width) : row + half_width + 1,
+                max(0, col - half_width) : col + half_width + 1,
             ]
             sound = ~bad[window]
             if sound.any():
                 break
-            reach += 1
+            half_width += 1
         mean = data[:, window[0], window[1]][:, sound].mean(axis=1)
         out[:, row, col] = np.rint(mean) if np.issubdtype(data.dtype, np.integer) else mean
     return out

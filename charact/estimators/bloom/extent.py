@@ -94,8 +94,10 @@ def fit_contour(
     basis = _basis(x, y, terms)
     if len(value) < basis.shape[1] + 1:
         return None
-    beta, above = np.zeros(basis.shape[1]), level - base
-    linear = np.log(np.clip(start - base, 0.05 * above, 20.0 * above) / above)
+    beta, threshold_height = np.zeros(basis.shape[1]), level - base
+    linear = np.log(
+        np.clip(start - base, 0.05 * threshold_height, 20.0 * threshold_height) / threshold_height
+    )
     if clear.sum() > 2 * basis.shape[1]:
         # Clipped pixels are extrapolated from the others, since clipping resembles a plateau.
         lever = np.exp(linear[clear])[:, None]
@@ -103,22 +105,24 @@ def fit_contour(
             basis
             @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
         )
-    weight, own, working, normal = (
+    weight, pixel_scores, working, normal = (
         np.ones(len(value)),
         np.ones(len(value)),
         linear,
         np.eye(len(beta)),
     )
     for _ in range(4):
-        mean = above * np.exp(np.clip(linear, -4.0, 4.0))
-        expected, share = mean_with_clipping(base + mean, noise, top)
-        lever = share * mean
+        mean = threshold_height * np.exp(np.clip(linear, -4.0, 4.0))
+        expected, unclipped_fraction = mean_with_clipping(base + mean, noise, top)
+        lever = unclipped_fraction * mean
         variance = noise.sd(base + mean) ** 2 / noise.frames
         weight = lever**2 / (variance + (0.05 * mean) ** 2)
-        working = linear + (value - expected) * lever / np.maximum(lever**2, 1e-3 * above**2)
-        weighted, own = (
+        working = linear + (value - expected) * lever / np.maximum(
+            lever**2, 1e-3 * threshold_height**2
+        )
+        weighted, pixel_scores = (
             basis * weight[:, None],
-            weight**2 * variance / np.maximum(lever**2, 1e-3 * above**2),
+            weight**2 * variance / np.maximum(lever**2, 1e-3 * threshold_height**2),
         )
         normal = np.asarray(np.linalg.pinv(weighted.T @ basis, hermitian=True), np.float64)
         beta = normal @ (weighted.T @ working)
@@ -126,17 +130,23 @@ def fit_contour(
     scores = basis * (weight * (working - linear))[:, None]
     # Noise correlated over an area is correlated along a line by its square root; scatter gives a
     # second estimate.
-    noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
+    noisy = (
+        np.sqrt(noise.correlation_factor)
+        * normal
+        @ (basis * pixel_scores[:, None]).T
+        @ basis
+        @ normal
+    )
     # Up to a radius of 2 px the contour is so short that its noise is that of an area.
-    analytic = noise.tied * normal if radius <= 2.0 else noisy
-    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + analytic)
+    analytic = noise.correlation_factor * normal if radius <= 2.0 else noisy
+    covariance = 0.5 * (normal @ _scatter(scores, noise.correlation_factor) @ normal + analytic)
     return _solve_contour(beta, covariance, radius, terms)
 
 
 def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> float:
     """Signal just outside the contour, DN above dark: halo or background."""
-    outside = (profile[0] > radius) & (profile[0] < radius + 4.0)
-    return float(np.clip(0.97 * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
+    outer_ring = (profile[0] > radius) & (profile[0] < radius + 4.0)
+    return float(np.clip(0.97 * profile[1][outer_ring].min(initial=level), 0.0, 0.8 * level))
 
 
 def _near(
@@ -149,11 +159,13 @@ def _near(
 ) -> NDArray[np.bool_]:
     """Pixels with a ring near the radius and a signal near the threshold."""
     (level, base), (width, nearest) = levels, widths
-    apart = np.abs(polar.radius - radius)
-    pixels = (apart < max(width * 2.0, width * 0.08 * radius, nearest)) & sectors[polar.sector]
-    above = np.interp(polar.radius[pixels], *profile) - base
-    logs = np.log(np.maximum(above, 1e-3 * level) / (level - base))
-    pixels[pixels] = (np.abs(logs) < width * 1.2) | (apart[pixels] < nearest)
+    radial_offset = np.abs(polar.radius - radius)
+    pixels = (radial_offset < max(width * 2.0, width * 0.08 * radius, nearest)) & sectors[
+        polar.sector
+    ]
+    ring_height = np.interp(polar.radius[pixels], *profile) - base
+    logs = np.log(np.maximum(ring_height, 1e-3 * level) / (level - base))
+    pixels[pixels] = (np.abs(logs) < width * 1.2) | (radial_offset[pixels] < nearest)
     return pixels
 
 
@@ -184,10 +196,10 @@ def _basis(x: Array, y: Array, terms: tuple[str, ...]) -> Array:
     return np.stack([known[term] for term in terms], axis=-1)
 
 
-def _scatter(scores: Array, tied: float) -> Array:
+def _scatter(scores: Array, correlation_factor: float) -> Array:
     """Covariance of the sum of scores of pixels with correlated noise."""
     spare = max(len(scores) - min(scores.shape[1], len(scores) - 1), 1)
-    return scores.T @ scores * tied * len(scores) / spare
+    return scores.T @ scores * correlation_factor * len(scores) / spare
 
 
 def _solve_contour(
@@ -212,7 +224,7 @@ def _solve_contour(
         np.pi * shifts.mean(axis=0),
         *((shifts * wave[:, None]).mean(axis=0) for wave in waves),
     ]
-    sds = [float(np.sqrt(max(one @ covariance @ one, 0.0))) for one in toward]
+    sds = [float(np.sqrt(max(gradient @ covariance @ gradient, 0.0))) for gradient in toward]
     oval = (float((squared * waves[0]).mean()), float((squared * waves[1]).mean()))
     # Neglected higher harmonics may reach 5 % of the second.
     return Contour(
@@ -227,8 +239,8 @@ def _solve_contour(
 
 def _along(t: Array, terms: tuple[str, ...]) -> Array:
     """Terms in every direction at squared distances t, shape (direction, term)."""
-    reach = np.sqrt(np.maximum(1.0 + t, 0.05))
-    return _basis(reach * np.cos(DIRECTIONS), reach * np.sin(DIRECTIONS), terms)
+    radius = np.sqrt(np.maximum(1.0 + t, 0.05))
+    return _basis(radius * np.cos(DIRECTIONS), radius * np.sin(DIRECTIONS), terms)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,11 +284,11 @@ def extent_at(
     """
     level = level_dn - view.dark_dn
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
-    near = float(view.signal[view.polar.radius < 1.5].max(initial=-np.inf))
+    peak = float(view.signal[view.polar.radius < 1.5].max(initial=-np.inf))
     radius, profile = view.profile
     # A ring counts if 30 % of it lie inside the frame.
-    usable = int(np.argmin(np.append(view.rings.whole, 0.0) > 0.3))
-    if near < visible or visible <= 0:
+    usable = int(np.argmin(np.append(view.rings.inside_fraction, 0.0) > 0.3))
+    if peak < visible or visible <= 0:
         return None
     first = _crossings(radius[:usable], profile[None, :usable], visible)[0]
     sectors = ~_find_pulled_sectors(view, visible, first)
@@ -314,10 +326,10 @@ def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
     sectors = ~_find_pulled_sectors(view, visible, first)
     if sectors.sum() < SECTORS // 3:
         return None
-    found = fit_contour(
+    contour = fit_contour(
         view.signal, view.polar, view.profile, level, max(first, 0.7), view.noise, view.top, sectors
     )
-    return None if found is None else (found, bool(sectors.all()))
+    return None if contour is None else (contour, bool(sectors.all()))
 
 
 def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
@@ -325,34 +337,38 @@ def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
     does.
     """
     level = np.broadcast_to(np.asarray(level, float).reshape(-1, 1), (len(means), 1))
-    below = means < level
-    never = ~below.any(axis=1)
-    last = np.argmax(below, axis=1)
+    is_below = means < level
+    never = ~is_below.any(axis=1)
+    last = np.argmax(is_below, axis=1)
     rows, inner = np.arange(len(means)), np.maximum(last - 1, 0)
     logs = [
         np.log(np.maximum(means[rows, at], 1e-3) / level[:, 0].clip(1e-3)) for at in (inner, last)
     ]
-    share = np.clip(logs[0] / np.maximum(logs[0] - logs[1], 1e-9), 0.0, 1.0)
-    out = radius[inner] + share * (radius[last] - radius[inner])
+    step_fraction = np.clip(logs[0] / np.maximum(logs[0] - logs[1], 1e-9), 0.0, 1.0)
+    out = radius[inner] + step_fraction * (radius[last] - radius[inner])
     return np.where(never, np.inf, np.where(last == 0, 0.7 * radius[0], out))
 
 
-def _component(view: SourceView, above: Mask) -> Mask:
+def _component(view: SourceView, region: Mask) -> Mask:
     """The connected part of a mask that contains the source."""
     from scipy import ndimage
 
-    labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
-    near = labels[(view.polar.radius < 2.5) & above]
-    return labels == np.bincount(near).argmax() if len(near) else np.zeros_like(above)
+    labels = np.asarray(ndimage.label(region)[0])  # pyright: ignore[reportIndexIssue]
+    source_labels = labels[(view.polar.radius < 2.5) & region]
+    return (
+        labels == np.bincount(source_labels).argmax()
+        if len(source_labels)
+        else np.zeros_like(region)
+    )
 
 
 def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask:
     """Find the sectors in which the region extends clearly beyond its rings, shape (sector,)."""
     if np.isinf(first):
         return np.zeros(SECTORS, bool)
-    sure = visible + 2.0 * float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
+    clear_level = visible + 2.0 * float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
     picture = view.smooth if first > NARROW_PX else view.signal
-    region = _component(view, picture >= min(sure, 0.5 * (visible + view.top)))
+    region = _component(view, picture >= min(clear_level, 0.5 * (visible + view.top)))
     margin = max(min(2.0, 0.4 * first), 0.1 * first, 1.0)
     pixels = np.bincount(
         view.polar.sector[region & (view.polar.radius > first + margin)], minlength=SECTORS
@@ -364,12 +380,12 @@ def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask
     return pulled | (np.roll(pulled, 1) & (pixels > 0)) | (np.roll(pulled, -1) & (pixels > 0))
 
 
-def _along_columns(view: SourceView, visible: float, beyond: float) -> Mask:
+def _along_columns(view: SourceView, visible: float, outer_radius: float) -> Mask:
     """Sectors with columns near the source that are mostly above the threshold, shape (sector,)."""
     out = np.zeros(SECTORS, bool)
     for col in np.flatnonzero(np.abs(view.polar.dx[0]) < 6.0):
         for side in (-1.0, 1.0):
-            rows = (side * view.polar.dy[:, col] > 0) & (view.polar.radius[:, col] > beyond)
+            rows = (side * view.polar.dy[:, col] > 0) & (view.polar.radius[:, col] > outer_radius)
             if rows.any() and np.median(view.signal[rows, col]) >= visible:
                 out[view.polar.sector[rows, col]] = True
     return out
@@ -377,7 +393,7 @@ def _along_columns(view: SourceView, visible: float, beyond: float) -> Mask:
 
 def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask) -> Contour | None:
     """Fit the contour at the rings' crossing, then again at the radius of the fit."""
-    found, width = None, 1.0
+    contour, width = None, 1.0
     for _ in range(4):
         fitted = fit_contour(
             view.signal,
@@ -391,20 +407,20 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
             width=width,
         )
         if fitted is None:
-            return found
+            return contour
         again = float(np.sqrt(fitted.area / np.pi))
         # If the radius is known to 0.04 px, half the annulus suffices and suits a polynomial
         # better.
         narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < 0.04
-        if width < 1.0 and found is not None:
+        if width < 1.0 and contour is not None:
             # A quarter of the difference between the two annuli is a systematic uncertainty.
-            apart = 0.25 * abs(fitted.area - found.area)
-            fitted = replace(fitted, area_sd=float(np.hypot(fitted.area_sd, apart)))
+            area_difference = 0.25 * abs(fitted.area - contour.area)
+            fitted = replace(fitted, area_sd=float(np.hypot(fitted.area_sd, area_difference)))
         settled = abs(again - radius) < 0.05 and not narrow
-        found, radius, width = fitted, again, 0.5 if narrow else width
+        contour, radius, width = fitted, again, 0.5 if narrow else width
         if settled or (width < 1.0 and not narrow):
             break
-    return found
+    return contour
 
 
 def _extent_from_contour(
@@ -416,24 +432,24 @@ def _extent_from_contour(
     level_sd: float,
 ) -> Extent:
     """Area inside the contour, with pixels counted in the sectors that extend beyond it."""
-    inside = contour.inside(view.polar)
-    area, variance, region = contour.area, contour.area_sd**2, inside
+    within_contour = contour.inside(view.polar)
+    area, variance, region = contour.area, contour.area_sd**2, within_contour
     if not sectors.all():
         pulled = ~sectors[view.polar.sector]
-        parts = _component(view, inside | (view.signal >= visible))
-        extra = np.where(pulled & ~inside, parts, 0.0)
+        parts = _component(view, within_contour | (view.signal >= visible))
+        extra = np.where(pulled & ~within_contour, parts, 0.0)
         area += float(extra.sum()) * view.polar.row_pitch
         noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
         open_ = (extra > 0) & (np.abs(view.signal - visible) < noise)
         variance += view.polar.row_pitch**2 * (
             0.25 * open_.sum() + (0.5 * (extra > 0).sum() ** 0.5) ** 2
         )
-        region = inside | (extra > 0.5)
+        region = within_contour | (extra > 0.5)
     radius = float(np.sqrt(area / np.pi))
     # Model error of a contour, px; larger where clipping hides the inner side.
     off = 0.0225 if level_dn - view.dark_dn > CUT_SHARE * view.top else 0.004
     sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * off)
-    moved = (
+    level_radius_sd = (
         2.0
         * np.pi
         * radius
@@ -441,7 +457,7 @@ def _extent_from_contour(
         / max(level_dn - view.dark_dn, 1e-6)
         / max(contour.slope, 1e-3)
     )
-    areas = area + float(np.hypot(sd, moved)) * NORMAL
+    areas = area + float(np.hypot(sd, level_radius_sd)) * NORMAL
     return Extent(
         level_dn=level_dn,
         area=float(area),

@@ -49,9 +49,9 @@ def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, I
         return value, (low68, high68), (low95, high95)
     from skimage import measure
 
-    found = measure.regionprops(extent.region.astype(np.uint8), spacing=(row_pitch, 1.0))[0]
-    major = float(found.axis_major_length)
-    value = float(found.axis_minor_length) / major if major > 0 else 1.0
+    region = measure.regionprops(extent.region.astype(np.uint8), spacing=(row_pitch, 1.0))[0]
+    major = float(region.axis_major_length)
+    value = float(region.axis_minor_length) / major if major > 0 else 1.0
     # Uncertainty of one row of pixels at either end.
     sd = (0.5 + value * 0.5) / max(major, 1.0)
     low, high = ((value - k * sd, min(value + k * sd, 1.0)) for k in (0.994, 1.96))
@@ -81,16 +81,16 @@ def bloom_measurements(
     notes = ("the row pitch is unknown: pixels are assumed square",) if square else ()
     notes += () if all(spot.dark_known for spot in spots) else (NO_DARKS,)
     # Where blooms have merged, only fainter stacks show that there are two sources.
-    sources = tuple(place for spot in spots for place in spot.others)
+    sources = tuple(source for spot in spots for source in spot.other_sources)
     out: list[Measurement] = []
-    for spot in (replace(spot, others=sources) for spot in spots):
+    for spot in (replace(spot, other_sources=sources) for spot in spots):
         common = {"stack": spot.label, "notes": notes, **fields}
-        found = {
+        extents = {
             "bloom_diameter": spot.half,
             "bloom_diameter_background": spot.background,
             "bloom_diameter_clip": spot.clip,
         }
-        out += [_diameter(name, spot, extent, **common) for name, extent in found.items()]
+        out += [_diameter(name, spot, extent, **common) for name, extent in extents.items()]
         out += [_ellipticity(spot, **common), *_areas_at_full_scale(spot, sensor, **common)]
         out += streak_measurements(spot, Context(sensor=sensor), **common)
     return out
@@ -100,17 +100,19 @@ def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
     """Return the quality flags of a bloom extent."""
     flags = quantisation_flags(spot)
     flags += ("window-too-small",) if extent.touches_border else ()
-    wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(
+    is_uncertain = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(
         3.0, 0.3 * extent.diameter_px
     )
-    flags += ("low-signal",) if wide or not (extent.has_contour or extent.pulled) else ()
+    flags += ("low-signal",) if is_uncertain or not (extent.has_contour or extent.pulled) else ()
     rows, cols = extent.region.shape
-    within = [(round(one.row), round(one.col)) for one in spot.others]
-    inside = [extent.region[row, col] for row, col in within if row < rows and col < cols]
-    flags += ("several-targets",) if any(inside) else ()
+    source_pixels = [(round(source.row), round(source.col)) for source in spot.other_sources]
+    contains_source = [
+        extent.region[row, col] for row, col in source_pixels if row < rows and col < cols
+    ]
+    flags += ("several-targets",) if any(contains_source) else ()
     # A background below the dark level indicates different conditions.
-    below = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)
-    return flags + (("unlike-conditions",) if below else ())
+    is_below_dark = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)
+    return flags + (("unlike-conditions",) if is_below_dark else ())
 
 
 def quantisation_flags(spot: PointStack) -> tuple[str, ...]:
@@ -127,7 +129,7 @@ def _reason(spot: PointStack, name: str) -> str:
         return f"the source stays below {LEVELS[name]}, {level:.4g} DN"
     if not spot.dark_known:
         return "the dark level and the background above it are unknown: a dark frame is needed"
-    if not spot.light.even:
+    if not spot.light.is_uniform:
         return "the signal still falls at the border of the frame: the background is not visible"
     if not spot.light.is_illuminated:
         return f"no measurable background: {spot.light.level_dn:.2g} DN above dark"
@@ -144,7 +146,7 @@ def _refusal(spot: PointStack, name: str) -> Refusal:
         return "not-applicable"
     if not spot.dark_known:
         return "missing"
-    return "not-applicable" if spot.light.even else "failed"
+    return "not-applicable" if spot.light.is_uniform else "failed"
 
 
 def _below_level(
@@ -184,8 +186,8 @@ def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
         return make_refusal(
             "bloom_ellipticity", "1", "the noise prevents a contour of the region", **common
         )
-    found = ellipticity(spot.half, row_pitch=spot.row_pitch)
-    if found is None:
+    estimate = ellipticity(spot.half, row_pitch=spot.row_pitch)
+    if estimate is None:
         return make_refusal(
             "bloom_ellipticity",
             "1",
@@ -194,7 +196,7 @@ def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
             **common,
         )
     return make_measurement(
-        "bloom_ellipticity", "1", *found, flags=flags_of(spot, spot.half), **common
+        "bloom_ellipticity", "1", *estimate, flags=flags_of(spot, spot.half), **common
     )
 
 
@@ -224,7 +226,7 @@ def _areas_at_full_scale(
         )
     # Standard deviation of the number of pixels inside a randomly placed circle, over the root of
     # its radius.
-    whole = (
+    pixel_count_error = (
         0.84 * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
     )
     flags = flags_of(spot, spot.clip)
@@ -232,12 +234,12 @@ def _areas_at_full_scale(
         _measurement_around(
             "saturated_area",
             unit,
-            value * one,
-            np.maximum(draws + whole, 0.0) * one,
+            value * pixel_area,
+            np.maximum(draws + pixel_count_error, 0.0) * pixel_area,
             flags=flags,
             **common,
         )
-        for unit, one in units.items()
+        for unit, pixel_area in units.items()
     ]
 
 
@@ -262,7 +264,7 @@ def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
     ]
     if not clear:
         return [None] * len(spots)
-    spot = max(clear, key=lambda one: one.exposure_lux_ns or 0.0)
+    spot = max(clear, key=lambda stack: stack.exposure_lux_ns or 0.0)
     peak = float(
         spot.image[
             round(spot.row) - 3 : round(spot.row) + 4, round(spot.col) - 3 : round(spot.col) + 4
@@ -272,7 +274,8 @@ def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
         (peak - spot.dark_dn) / (spot.full_scale_dn - spot.dark_dn) / (spot.exposure_lux_ns or 1.0)
     )
     return [
-        None if one.exposure_lux_ns is None else one.exposure_lux_ns * per_light for one in spots
+        None if stack.exposure_lux_ns is None else stack.exposure_lux_ns * per_light
+        for stack in spots
     ]
 
 
@@ -320,13 +323,17 @@ def add_common_measurements(
         spots, square=context.sensor is None, sensor=context.sensor, **fields
     )
     flagged = [
-        one
-        if one.status == "refused"
-        else one.with_(flags=steady.flags.get(one.stack or "", steady.halo_flags))
-        for one in (*of_series, smear, *extents)
+        measurement
+        if measurement.status == "refused"
+        else measurement.with_(flags=steady.flags.get(measurement.stack or "", steady.halo_flags))
+        for measurement in (*of_series, smear, *extents)
     ]
-    own = evidence.get("halo-constancy")
-    halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
+    halo_evidence = evidence.get("halo-constancy")
+    halos = (
+        dict(zip(halo_evidence["label"], halo_evidence["halo_diameter_px"], strict=True))
+        if halo_evidence
+        else {}
+    )
     drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
     return Result(measurements=(*flagged, *steady.measurements), evidence=drawn)
 
@@ -366,8 +373,8 @@ def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = N
         f"{measurement.quantity} may be wrong by more than its half interval of "
         f"{0.5 * (high - low):.3g}{unit}"
     )
-    found = [
+    findings = [
         Finding(flag=flag, effect=(effects or {}).get(flag, half), remedy=REMEDIES[flag])
         for flag in measurement.flags
     ]
-    return measurement.with_(findings=found)
+    return measurement.with_(findings=findings)

@@ -18,14 +18,14 @@ class Profile:
     """Ring means of one stack.
 
     `radius_px`: mean radius of each ring, column pitches; `mean_dn`, `sd_dn`: ring means and their
-    standard errors, DN; `used`: rings neither saturated nor next to a saturated one; shape (ring,)
-    each.
+    standard errors, DN; `usable`: rings neither saturated nor next to a saturated one; shape
+    (ring,) each.
     """
 
     radius_px: Array
     mean_dn: Array
     sd_dn: Array
-    used: NDArray[np.bool_]
+    usable: NDArray[np.bool_]
 
 
 def profile_of(spot: PointStack, *, context: Context) -> Profile:
@@ -36,7 +36,7 @@ def profile_of(spot: PointStack, *, context: Context) -> Profile:
     of pixels and successive frames, and are smoothed over rings.
     """
     rows, cols = spot.image.shape
-    reach = int(max(8, min(60, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
+    reach_px = int(max(8, min(60, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
     dx, dy = np.arange(cols) - spot.col, (np.arange(rows)[:, None] - spot.row) * context.pitch_ratio
     column = (np.abs(dx) <= 2.5) & (np.hypot(dx, dy) >= 6.0)
     geometry = geometry_of(
@@ -45,24 +45,24 @@ def profile_of(spot: PointStack, *, context: Context) -> Profile:
         spot.col,
         pitch_ratio=context.pitch_ratio,
         spoiled=column,
-        reach_px=reach,
+        reach_px=reach_px,
     )
     pixels = geometry.pixels(spot.image[None])[0]
     mean, brightest = geometry.means(pixels), geometry.largest(pixels)
     raw = np.nansum((geometry.sector_means(pixels) - mean) ** 2, axis=0) / (SECTORS * (SECTORS - 1))
     # Rings outside the saturated core, and inside any saturated outer ring.
-    used = np.ones(len(mean), bool)
+    usable = np.ones(len(mean), bool)
     over = np.flatnonzero(
         (mean > spot.dark_dn + LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn))
         | (brightest > 0.95 * spot.full_scale_dn)
     )
-    inner, outer = over[over < reach // 2], over[over >= reach // 2]
-    used[: int(inner[-1]) + 3 if len(inner) else 0] = False
-    used[int(outer[0]) if len(outer) else len(used) :] = False
+    inner, outer = over[over < reach_px // 2], over[over >= reach_px // 2]
+    usable[: int(inner[-1]) + 3 if len(inner) else 0] = False
+    usable[int(outer[0]) if len(outer) else len(usable) :] = False
     return Profile(
         radius_px=geometry.radius_px,
         mean_dn=mean,
-        used=used,
+        usable=usable,
         sd_dn=np.maximum(
             np.sqrt(smooth_variance(raw * geometry.count, 0.06) / geometry.count), 1e-3
         ),
@@ -83,11 +83,11 @@ def step_significance(profile: Profile) -> Array:
     mean, variance, half = profile.mean_dn, profile.sd_dn**2, 2
     out = np.zeros(len(mean))
     for ring in range(FIRST_RING, len(mean) - 3 * half):
-        places = ring + half * np.array([-3, -1, 1, 3])
-        if not profile.used[places[0] : places[3] + 1].all():
+        rings = ring + half * np.array([-3, -1, 1, 3])
+        if not profile.usable[rings[0] : rings[3] + 1].all():
             continue
         weight = np.array([-0.5, 1.5, -1.5, 0.5])
-        out[ring] = weight @ mean[places] / np.sqrt(weight**2 @ variance[places])
+        out[ring] = weight @ mean[rings] / np.sqrt(weight**2 @ variance[rings])
     return out
 
 
@@ -97,13 +97,13 @@ def edge_radius(profile: Profile) -> tuple[float, float]:
     top = int(np.argmax(score))
     if score[top] <= 0:
         return float("nan"), 0.0
-    near = np.arange(max(FIRST_RING, top - 4), min(len(score) - 2, top + 5))
-    near = near[profile.used[near - 1] & profile.used[near + 1]]
-    fall = profile.mean_dn[near - 1] - profile.mean_dn[near + 1]
+    rings = np.arange(max(FIRST_RING, top - 4), min(len(score) - 2, top + 5))
+    rings = rings[profile.usable[rings - 1] & profile.usable[rings + 1]]
+    fall = profile.mean_dn[rings - 1] - profile.mean_dn[rings + 1]
     best = int(np.argmax(fall))
-    if not 0 < best < len(near) - 1:
-        return float(profile.radius_px[near[best]]), float(score[top])
-    left, middle, right = fall[best - 1 : best + 2]
-    bend = left - 2 * middle + right
-    shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    return float(profile.radius_px[near[best]] + np.clip(shift, -0.5, 0.5)), float(score[top])
+    if not 0 < best < len(rings) - 1:
+        return float(profile.radius_px[rings[best]]), float(score[top])
+    inner_fall, middle_fall, outer_fall = fall[best - 1 : best + 2]
+    bend = inner_fall - 2 * middle_fall + outer_fall
+    shift = 0.5 * (inner_fall - outer_fall) / bend if bend < 0 else 0.0
+    return float(profile.radius_px[rings[best]] + np.clip(shift, -0.5, 0.5)), float(score[top])

@@ -53,7 +53,7 @@ class EdgeHaloLikelihood:
     @cached_property
     def parameters(self) -> tuple[ModelParameter, ...]:
         """Parameters in the order of a point's coordinates."""
-        offset = (-10.0, 1.0) if all(one.cut for one in self.strips) else (-1.5, 1.5)
+        offset = (-10.0, 1.0) if all(strips.cut for strips in self.strips) else (-1.5, 1.5)
         # Elastic shares slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo
         # without rim.
         bounds = {
@@ -75,7 +75,7 @@ class EdgeHaloLikelihood:
     @cached_property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([[one.low, one.high] for one in self.parameters])
+        return np.array([[parameter.low, parameter.high] for parameter in self.parameters])
 
     @cached_property
     def _of_strips(self) -> tuple[tuple[Array, Array, Array], ...]:
@@ -83,32 +83,37 @@ class EdgeHaloLikelihood:
         all of them.
         """
         out = []
-        for one in self.strips:
-            above = one.mean_dn[one.used] - np.median(one.mean_dn[one.used][-8:])
+        for strips in self.strips:
+            signal = strips.mean_dn[strips.unclipped] - np.median(
+                strips.mean_dn[strips.unclipped][-8:]
+            )
             # A model of straight edges has a relative error of 0.4 % of the signal above
             # background.
-            covariance = one.covariance() + np.diag((0.004 * above) ** 2)
-            turn = 2.0 * np.pi * np.outer(nodes()[0], one.distance_px)
+            covariance = strips.covariance() + np.diag((0.004 * signal) ** 2)
+            turn = 2.0 * np.pi * np.outer(nodes()[0], strips.distance_px)
             out.append((np.linalg.inv(np.linalg.cholesky(covariance)), np.sin(turn), np.cos(turn)))
         return tuple(out)
 
     def log_probability(self, points: Array) -> Array:
         """Log-posterior with the optimum signal and background of every stack, shape (point,)."""
-        inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
-        safe = np.where(inside[:, None], points, self.bounds.mean(axis=1))
-        return np.where(inside, -0.5 * (self.residuals(safe) ** 2).sum(axis=1), -np.inf)
+        within_bounds = np.all(
+            (points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1
+        )
+        safe = np.where(within_bounds[:, None], points, self.bounds.mean(axis=1))
+        return np.where(within_bounds, -0.5 * (self.residuals(safe) ** 2).sum(axis=1), -np.inf)
 
     def residuals(self, points: Array) -> Array:
         """Normalised residuals, those of the prior first, shape (point, number)."""
         mean, sd = (
-            np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd")
+            np.array([getattr(parameter, name) for parameter in self.parameters])
+            for name in ("mean", "sd")
         )
         out = [(points - mean) / sd]
         for number, strips in enumerate(self.strips):
-            left, amplitudes = self.fit_level(number, points)
+            stack_residuals, amplitudes = self.fit_level(number, points)
             # A clipped side below full scale.
             short = np.maximum(strips.least_light_dn - amplitudes[:, :1], 0.0)
-            out += [left, short / max(0.03 * strips.least_light_dn, 1e-9)]
+            out += [stack_residuals, short / max(0.03 * strips.least_light_dn, 1e-9)]
         return np.concatenate(out, axis=1)
 
     def fit_level(self, number: int, points: Array) -> tuple[Array, Array]:
@@ -116,8 +121,8 @@ class EdgeHaloLikelihood:
         (point, 2).
         """
         strips, white = self.strips[number], self._of_strips[number][0]
-        light = self.shape(number, points)[:, strips.used] @ white.T
-        data, flat = white @ strips.mean_dn[strips.used], white.sum(axis=1)
+        light = self.shape(number, points)[:, strips.unclipped] @ white.T
+        data, flat = white @ strips.mean_dn[strips.unclipped], white.sum(axis=1)
         aa, ab, bb = (light**2).sum(axis=1), light @ flat, float(flat @ flat)
         ad, bd = light @ data, float(flat @ data)
         determinant = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb)
@@ -139,10 +144,10 @@ class EdgeHaloLikelihood:
         if self.halo:
             profile = np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
             blur = blur * transfer.mix(1.0, fraction, transfer.disc(frequency, diameter, profile))
-        near = self._step(number, blur, offset)
+        edge_profile = self._step(number, blur, offset)
         if not np.isfinite(self.line.width_px):
-            return near
-        return near - self._step(number, blur, -self.line.width_px - offset)
+            return edge_profile
+        return edge_profile - self._step(number, blur, -self.line.width_px - offset)
 
     def _step(self, number: int, blur: Array, at: Array) -> Array:
         """Step response at given offsets: 1/2 - integral of T sin(2 pi f (x - x0)) / pi f."""
@@ -167,12 +172,15 @@ class EdgeHaloOptimum:
     def bic(self) -> float:
         """-2 log P + k ln N."""
         free = len(self.point) - (0 if self.problem.halo else 3)
-        number = sum(one.used.sum() for one in self.problem.strips)
+        number = sum(strips.unclipped.sum() for strips in self.problem.strips)
         return free * float(np.log(number)) - 2.0 * self.log_probability
 
     def posterior(self, context: Context) -> Posterior:
         """Posterior draws of the parameters."""
-        names, units = zip(*((one.name, one.unit) for one in self.problem.parameters), strict=True)
+        names, units = zip(
+            *((parameter.name, parameter.unit) for parameter in self.problem.parameters),
+            strict=True,
+        )
         return (laplace if context.quick else importance_sample)(
             self.problem.log_probability,
             names=names,
@@ -198,7 +206,7 @@ def optimise_edge_halo(
     )
     if diameter_px is not None:
         diameters = np.array([diameter_px])
-    offset, core = 0.5 * problem.bounds[3].sum(), [one.first for one in CORES[problem.core]]
+    offset, core = 0.5 * problem.bounds[3].sum(), [index.first for index in CORES[problem.core]]
     points = np.array(
         [[d, w, 0.1, offset, s, *core] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)]
     )
@@ -207,7 +215,7 @@ def optimise_edge_halo(
     free[0] = problem.halo and diameter_px is None
     free[1:3] = problem.halo
     return max(
-        (_optimise_from(problem, points[one], free) for one in order[:2]),
+        (_optimise_from(problem, points[index], free) for index in order[:2]),
         key=lambda peak: peak.log_probability,
     )
 
@@ -229,13 +237,13 @@ def _optimise_from(
     def slopes(point: Array) -> Array:
         # Inside the bounds on either side.
         sign = np.where(point + step > high, -1.0, 1.0)
-        left = problem.residuals(
+        residuals = problem.residuals(
             all_parameters(np.concatenate([point[None], point + np.diag(sign * step)]))
         )
-        return ((left[1:] - left[0]) / (sign * step)[:, None]).T
+        return ((residuals[1:] - residuals[0]) / (sign * step)[:, None]).T
 
     first = np.clip(start[free], low + step, high - step)
-    found = least_squares(
+    optimum = least_squares(
         lambda point: problem.residuals(all_parameters(point[None]))[0],
         first,
         jac=slopes,  # pyright: ignore[reportArgumentType]
@@ -243,10 +251,10 @@ def _optimise_from(
         x_scale=high - low,
         max_nfev=40,
     )
-    point = all_parameters(found.x[None])[0]
+    point = all_parameters(optimum.x[None])[0]
     covariance = np.zeros((len(start), len(start)))
     covariance[np.ix_(free, free)] = np.linalg.pinv(
-        found.jac.T @ found.jac + np.diag(((high - low) / 2.0) ** -2.0)
+        optimum.jac.T @ optimum.jac + np.diag(((high - low) / 2.0) ** -2.0)
     )
     value = float(problem.log_probability(point[None])[0])
     return EdgeHaloOptimum(
@@ -287,7 +295,7 @@ def _measure(
     session: Session, context: Context, fields: dict[str, Any], evidence: dict[str, Any]
 ) -> list[Measurement]:
     line, strips = _levels(session, context)
-    if min(int(one.used.sum()) for one in strips) < LEAST_STRIPS:
+    if min(int(stack_strips.unclipped.sum()) for stack_strips in strips) < LEAST_STRIPS:
         raise Unmeasurable(f"fewer than {LEAST_STRIPS} px next to the edge are unclipped")
     fits = {
         halo: [
@@ -296,7 +304,7 @@ def _measure(
         ]
         for halo in (True, False)
     }
-    best, without = (min(found, key=lambda one: one.bic) for found in fits.values())
+    best, without = (min(optima, key=lambda optimum: optimum.bic) for optima in fits.values())
     evidence["lit-edge"] = {**_evidence(best), "bic_gain_of_halo": without.bic - best.bic}
     if without.bic - best.bic < 20.0:
         raise Unmeasurable(
@@ -322,7 +330,7 @@ def _measure(
     )
     common = {"flags": flags, "notes": notes, "posterior": posterior, **fields}
     out = [measurement_from_draws("halo_diameter", "px", diameter, **common)]
-    if all(one.cut for one in strips):
+    if all(stack_strips.cut for stack_strips in strips):
         reason = "every stack is clipped: the signal of the bright side is unknown"
         return [*out, make_refusal("halo_fraction", "1", reason, **fields)]
     return [*out, measurement_from_draws("halo_fraction", "1", fraction, **common)]
@@ -336,23 +344,31 @@ def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Stri
     order = sorted(entries, key=lambda entry: entry.conditions.illuminance_lux or 0.0)
     first = order[-1].target.region
     frames = [_frame(entry, session, context) for entry in order if entry.target.region == first]
-    kept = [
-        one for one in frames if np.percentile(one[0], 99.0) - one[2] > 0.03 * (one[3] - one[2])
+    lit_frames = [
+        frame
+        for frame in frames
+        if np.percentile(frame[0], 99.0) - frame[2] > 0.03 * (frame[3] - frame[2])
     ]
-    if not kept:
+    if not lit_frames:
         raise Unmeasurable("no stack exceeds its dark frames by 3 % of full scale")
     # The brightest unclipped stack locates the edge best, else the faintest one.
-    whole = [one for one in kept if np.percentile(one[0], 99.0) < one[2] + 0.75 * (one[3] - one[2])]
-    image, _, dark, full = whole[-1] if whole else kept[0]
+    unclipped_frames = [
+        frame
+        for frame in lit_frames
+        if np.percentile(frame[0], 99.0) < frame[2] + 0.75 * (frame[3] - frame[2])
+    ]
+    image, _, dark, full = unclipped_frames[-1] if unclipped_frames else lit_frames[0]
     level = (
-        0.5 * float(sum(np.percentile(image, (2.0, 98.0)))) if whole else dark + 0.5 * (full - dark)
+        0.5 * float(sum(np.percentile(image, (2.0, 98.0))))
+        if unclipped_frames
+        else dark + 0.5 * (full - dark)
     )
     line = edge_line(image, level, context.pitch_ratio)
     return line, tuple(
         strips_of(
             image, line, label=label, dark_dn=dark, full_dn=full, pitch_ratio=context.pitch_ratio
         )
-        for image, label, dark, full in kept
+        for image, label, dark, full in lit_frames
     )
 
 
@@ -394,15 +410,15 @@ def _check_edge_of_halo(best: EdgeHaloOptimum) -> None:
 
 
 def _average_models(
-    best: EdgeHaloOptimum, fits: list[EdgeHaloOptimum], own: Posterior, context: Context
+    best: EdgeHaloOptimum, fits: list[EdgeHaloOptimum], best_posterior: Posterior, context: Context
 ) -> tuple[Array, Array]:
     """Draws of the halo's diameter and fraction, averaged over cores by weight, shape (draw,)."""
-    rivals = [one for one in fits if one.bic < best.bic + 10.0]
-    weight = np.exp([-0.5 * (one.bic - best.bic) for one in rivals])
-    count = np.rint(len(own.draws) * weight / weight.sum()).astype(int)
+    rivals = [optimum for optimum in fits if optimum.bic < best.bic + 10.0]
+    weight = np.exp([-0.5 * (optimum.bic - best.bic) for optimum in rivals])
+    count = np.rint(len(best_posterior.draws) * weight / weight.sum()).astype(int)
     parts = [
-        (own if one is best else one.posterior(context)).draws[:number]
-        for number, one in zip(count, rivals, strict=True)
+        (best_posterior if optimum is best else optimum.posterior(context)).draws[:number]
+        for number, optimum in zip(count, rivals, strict=True)
     ]
     draws = np.concatenate([part[:, [0, 2]] for part in parts])
     return draws[:, 0], draws[:, 1]
@@ -413,9 +429,10 @@ def _misfit(best: EdgeHaloOptimum) -> tuple[str, ...]:
 
     problem, point = best.problem, best.point[None]
     total = sum(
-        float((problem.fit_level(one, point)[0] ** 2).sum()) for one in range(len(problem.strips))
+        float((problem.fit_level(number, point)[0] ** 2).sum())
+        for number in range(len(problem.strips))
     )
-    freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(best.point)
+    freedom = sum(int(strips.unclipped.sum()) - 2 for strips in problem.strips) - len(best.point)
     return ("model-misfit",) if chdtrc(max(freedom, 1), total) < 1e-4 else ()
 
 
@@ -426,12 +443,17 @@ def _evidence(best: EdgeHaloOptimum) -> dict[str, Any]:
         light, ground = best.problem.fit_level(number, point)[1][0]
         model.append((light * best.problem.shape(number, point)[0] + ground).tolist())
     of_strips = {
-        name: [getattr(one, name).tolist() for one in strips]
-        for name in ("distance_px", "mean_dn", "sd_dn", "used")
+        name: [getattr(stack_strips, field).tolist() for stack_strips in strips]
+        for name, field in (
+            ("distance_px", "distance_px"),
+            ("mean_dn", "mean_dn"),
+            ("sd_dn", "sd_dn"),
+            ("used", "unclipped"),
+        )
     }
     return {
         "figure": "lit-edge",
-        "label": [one.label for one in strips],
+        "label": [stack_strips.label for stack_strips in strips],
         **of_strips,
         "model_dn": model,
         "edge_px": float(best.point[3]),

@@ -62,9 +62,9 @@ class Strips:
     `label`: label of the stack. `distance_px`: mean distance of each strip from the line, positive
     on the dark side, column pitches, shape (strip,). `mean_dn`, `sd_dn`: mean and its standard
     error, shape (strip,), DN. `correlation`: correlation of strips 1, 2, ... apart, shape (lag,).
-    `used`: strips that are not clipped, shape (strip,). `cut`: whether the illuminated side reaches
-    full scale. `least_light_dn`: minimum signal of the illuminated side, DN above dark: full scale
-    where it is clipped, else 0.
+    `unclipped`: strips that are not clipped, shape (strip,). `cut`: whether the illuminated side
+    reaches full scale. `least_light_dn`: minimum signal of the illuminated side, DN above dark:
+    full scale where it is clipped, else 0.
     """
 
     label: str
@@ -72,17 +72,19 @@ class Strips:
     mean_dn: Array
     sd_dn: Array
     correlation: Array
-    used: NDArray[np.bool_]
+    unclipped: NDArray[np.bool_]
     cut: bool
     least_light_dn: float = 0.0
 
     def covariance(self) -> Array:
-        """Covariance of the used strips, shape (used, used), DN^2."""
-        place = np.flatnonzero(self.used)
-        padded = np.concatenate([[1.0], self.correlation, np.zeros(len(self.used))])
-        values, vectors = np.linalg.eigh(padded[np.abs(np.subtract.outer(place, place))])
+        """Covariance of the unclipped strips, shape (unclipped, unclipped), DN^2."""
+        strip_numbers = np.flatnonzero(self.unclipped)
+        padded = np.concatenate([[1.0], self.correlation, np.zeros(len(self.unclipped))])
+        values, vectors = np.linalg.eigh(
+            padded[np.abs(np.subtract.outer(strip_numbers, strip_numbers))]
+        )
         lifted = (vectors * np.maximum(values, 0.05)) @ vectors.T
-        sd = self.sd_dn[self.used]
+        sd = self.sd_dn[self.unclipped]
         return lifted * np.outer(sd, sd)
 
 
@@ -96,16 +98,16 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
     if not labels.any():
         raise Unmeasurable("no area of the frame is illuminated")
     lit = labels == np.bincount(labels[labels > 0]).argmax()
-    found = [
+    sides = [
         _side(frame, mask, level_dn, upright=upright, side=side, pitch_ratio=pitch_ratio)
         for upright, frame, mask in ((True, image, lit), (False, image.T, lit.T))
         for side in (1, -1)
     ]
-    straight = [line for line in found if line is not None]
-    if not straight:
+    lines = [line for line in sides if line is not None]
+    if not lines:
         raise Unmeasurable(f"the illuminated area has no straight edge of {LEAST_ROWS} px or more")
     return max(
-        straight, key=lambda line: min(line.room_px, line.ends_px, 1.0 * (line.last - line.first))
+        lines, key=lambda line: min(line.room_px, line.ends_px, 1.0 * (line.last - line.first))
     )
 
 
@@ -124,19 +126,22 @@ def _side(
     if len(rows) < LEAST_ROWS:
         return None
     slope, at = _line(rows.astype(float), crossing[rows])
-    good = rows[np.abs(crossing[rows] - at - slope * rows) < 1.0]
-    if len(good) < max(LEAST_ROWS, 0.6 * len(rows)):
+    line_rows = rows[np.abs(crossing[rows] - at - slope * rows) < 1.0]
+    if len(line_rows) < max(LEAST_ROWS, 0.6 * len(rows)):
         return None
-    slope, at = np.polyfit(good.astype(float), crossing[good], 1)
+    slope, at = np.polyfit(line_rows.astype(float), crossing[line_rows], 1)
     across, along = (1.0, pitch_ratio) if upright else (pitch_ratio, 1.0)
     height, width = image.shape
-    inside = [good[0] > 2, good[-1] < height - 3]
+    is_end_inside = [line_rows[0] > 2, line_rows[-1] < height - 3]
     # Near an end inside the frame, the halo receives less than half a plane: a quarter is omitted.
-    left_out = int(0.25 * (good[-1] - good[0]))
-    first, last = good[0] + inside[0] * left_out, good[-1] - inside[1] * left_out
-    places = at + slope * np.array([first, last])
-    room = float((width - 1 - places.max()) if side > 0 else places.min())
-    wide = side * (crossing[good] - opposite[good])
+    left_out = int(0.25 * (line_rows[-1] - line_rows[0]))
+    first, last = (
+        line_rows[0] + is_end_inside[0] * left_out,
+        line_rows[-1] - is_end_inside[1] * left_out,
+    )
+    end_positions = at + slope * np.array([first, last])
+    room = float((width - 1 - end_positions.max()) if side > 0 else end_positions.min())
+    widths = side * (crossing[line_rows] - opposite[line_rows])
     cosine = 1.0 / np.hypot(1.0, slope * across / along)
     return LitEdgeLine(
         upright=upright,
@@ -146,9 +151,9 @@ def _side(
         first=int(first),
         last=int(last),
         room_px=room * across * cosine,
-        ends_px=left_out * along if any(inside) else float("inf"),
-        width_px=float(np.median(wide)) * across * cosine
-        if np.isfinite(wide).mean() > 0.5
+        ends_px=left_out * along if any(is_end_inside) else float("inf"),
+        width_px=float(np.median(widths)) * across * cosine
+        if np.isfinite(widths).mean() > 0.5
         else float("inf"),
     )
 
@@ -192,38 +197,38 @@ def strips_of(
     distance = line.distance((image.shape[0], image.shape[1]), pitch_ratio)
     along = np.indices(image.shape)[0 if line.upright else 1]
     lit = min(70, 0.5 * line.width_px)
-    inside = (
+    within_strips = (
         (along >= line.first) & (along <= line.last) & (distance > -lit) & (distance < line.dark_px)
     )
-    strip = np.floor(distance[inside]).astype(int)
+    strip = np.floor(distance[within_strips]).astype(int)
     strip -= strip.min()
     part = np.minimum(
-        (along[inside] - line.first) * PARTS // (line.last - line.first + 1), PARTS - 1
+        (along[within_strips] - line.first) * PARTS // (line.last - line.first + 1), PARTS - 1
     )
-    value, count, cell = image[inside].astype(float), strip.max() + 1, strip * PARTS + part
+    value, count, cell = image[within_strips].astype(float), strip.max() + 1, strip * PARTS + part
     cells = np.bincount(cell, minlength=count * PARTS).reshape(count, PARTS)
     sums = np.bincount(cell, value, minlength=count * PARTS).reshape(count, PARTS)
     top = np.zeros(count)
     np.maximum.at(top, strip, value)
-    whole = cells.min(axis=1) >= 1
-    span = slice(int(np.argmax(whole)), count - int(np.argmax(whole[::-1])))
+    is_complete = cells.min(axis=1) >= 1
+    span = slice(int(np.argmax(is_complete)), count - int(np.argmax(is_complete[::-1])))
     cells, sums = np.maximum(cells[span], 1), sums[span]
     total = cells.sum(axis=1)
     mean = sums.sum(axis=1) / total
-    where = np.bincount(strip, distance[inside], minlength=count)[span] / total
-    rest = sums / cells - mean[:, None]
-    variance = smooth_variance((rest**2).sum(axis=1) / (PARTS - 1) / PARTS, 0.08)
+    where = np.bincount(strip, distance[within_strips], minlength=count)[span] / total
+    part_residuals = sums / cells - mean[:, None]
+    variance = smooth_variance((part_residuals**2).sum(axis=1) / (PARTS - 1) / PARTS, 0.08)
     over = (mean > dark_dn + 0.75 * (full_dn - dark_dn)) | (top[span] > 0.95 * full_dn)
-    used = np.ones(len(mean), bool)
+    unclipped = np.ones(len(mean), bool)
     if over.any():
-        used[: int(np.flatnonzero(over)[-1]) + 1] = False
+        unclipped[: int(np.flatnonzero(over)[-1]) + 1] = False
     return Strips(
         label=label,
         distance_px=where,
         mean_dn=mean,
         sd_dn=np.maximum(np.sqrt(variance), 1e-3),
-        correlation=_correlation(rest, where),
-        used=used,
+        correlation=_correlation(part_residuals, where),
+        unclipped=unclipped,
         cut=bool(over.any()),
         least_light_dn=full_dn - dark_dn if over.any() else 0.0,
     )
@@ -237,9 +242,9 @@ def smooth_variance(variance: Array, bias: float) -> Array:
     return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + bias)
 
 
-def _correlation(rest: Array, distance: Array) -> Array:
+def _correlation(part_residuals: Array, distance: Array) -> Array:
     """Correlation of the parts' residuals between strips on the dark side."""
-    outer = rest[distance > 4.0]
+    outer = part_residuals[distance > 4.0]
     outer = outer / np.maximum(np.sqrt((outer**2).mean(axis=1, keepdims=True)), 1e-12)
     if len(outer) <= LAGS + 4:
         return np.zeros(LAGS)

@@ -89,10 +89,13 @@ def _tiles(image: NDArray) -> Array:
 
 def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
     """Tiles far from the source and its columns that contain only background."""
-    far, level = _tiles(radius), _tiles(mean)
+    tile_radius, level = _tiles(radius), _tiles(mean)
     off_column = _tiles(along) > 16
-    take = off_column & (far >= np.quantile(far[off_column] if off_column.any() else far, 0.6))
-    take = take if take.any() else far >= np.median(far)
+    take = off_column & (
+        tile_radius
+        >= np.quantile(tile_radius[off_column] if off_column.any() else tile_radius, 0.6)
+    )
+    take = take if take.any() else tile_radius >= np.median(tile_radius)
     spread = robust.robust_sd(level[take])
     return take & (np.abs(level - np.median(level[take])) <= 4.0 * max(spread, 1e-3))
 
@@ -103,34 +106,39 @@ def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> A
     """
     row, col = round(spot.row), round(spot.col)
     span = spot.full_scale_dn - spot.dark_dn
-    near = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
+    source_window = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
     floor = float(np.median(mean))
     threshold = max(
-        min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + 5.0 * noise_dn
+        min(0.5 * (floor + float(source_window.max())), spot.dark_dn + 0.5 * span),
+        floor + 5.0 * noise_dn,
     )
     # A moving source may be far from the mean contour.
     half = int(np.ceil(0.5 * spot.bloom_px)) + 24
-    found = _middles(data, threshold, 0.2 * span, row - half, col - half, 2 * half + 1)
+    centres = _middles(data, threshold, 0.2 * span, row - half, col - half, 2 * half + 1)
     # A source that no frame shows near its position is switched off or elsewhere.
     return (
-        found
-        if np.isfinite(found).all()
+        centres
+        if np.isfinite(centres).all()
         else _middles(data, threshold, 0.2 * span, 0, 0, max(mean.shape))
     )
 
 
-def _middles(data: NDArray, threshold: float, most: float, row: int, col: int, side: int) -> Array:
+def _middles(
+    data: NDArray, threshold: float, height_limit: float, row: int, col: int, side: int
+) -> Array:
     """Centre of the signal above a threshold inside a window of each frame; NaN where there is
     none.
     """
-    first, left = max(0, row), max(0, col)
+    first, first_col = max(0, row), max(0, col)
     weight = np.clip(
-        data[:, first : row + side, left : col + side].astype(np.float64) - threshold, 0.0, most
+        data[:, first : row + side, first_col : col + side].astype(np.float64) - threshold,
+        0.0,
+        height_limit,
     )
     total = weight.sum(axis=(1, 2))
     total = np.where(total > 0, total, np.nan)
     rows = (weight.sum(axis=2) @ (first + np.arange(weight.shape[1]))) / total
-    cols = (weight.sum(axis=1) @ (left + np.arange(weight.shape[2]))) / total
+    cols = (weight.sum(axis=1) @ (first_col + np.arange(weight.shape[2]))) / total
     return np.stack([rows, cols], axis=1)
 
 
@@ -142,9 +150,9 @@ def _light(
     """
     over = mean - (float(background.mean()) + spot.dark_dn)
     cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
-    near = radius < max(12.0, spot.bloom_px)
-    quiet = robust.robust_sd(over[~near]) if (~near).any() else 1.0
-    lit = near & ~cut & (over > max(5.0 * quiet, 1.0))
+    within_source = radius < max(12.0, spot.bloom_px)
+    quiet = robust.robust_sd(over[~within_source]) if (~within_source).any() else 1.0
+    lit = within_source & ~cut & (over > max(5.0 * quiet, 1.0))
     if lit.sum() < 4:
         return np.full(len(data), np.nan), float("nan")
     weight = over[lit] / (over[lit] ** 2).sum()
@@ -172,26 +180,30 @@ def _noise(
     by_ring = np.bincount(ring.ravel(), mean.ravel()) / count - spot.dark_dn
     small = _tiles(variance)[tiles]
     floor = float(_tiles(mean)[tiles].mean()) - spot.dark_dn
-    found = [(floor, float(small.mean()), float(small.std(ddof=1)) / np.sqrt(small.size))]
+    levels = [(floor, float(small.mean()), float(small.std(ddof=1)) / np.sqrt(small.size))]
     cut = data.max(axis=0) >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)
     # Where some pixels are clipped, the unclipped ones are a biased sample.
     cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
     # Blur spreads variance less far than signal, so that variance is too small near a steep edge.
     cut |= (np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - floor))[ring]
-    above, sector = (
+    ring_height, sector = (
         (by_ring - floor)[ring],
         ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS,
     )
     for low, high in pairwise((3.0, 6.0, 12.0, 24.0, 48.0)):
-        take = (above >= low) & (above < high) & (radius > 8.0) & ~cut
-        held = np.bincount(sector[take], minlength=SECTORS)
-        full = held >= 6
+        take = (ring_height >= low) & (ring_height < high) & (radius > 8.0) & ~cut
+        sector_counts = np.bincount(sector[take], minlength=SECTORS)
+        full = sector_counts >= 6
         if full.sum() < SECTORS // 2:
             continue
-        by_sector = np.bincount(sector[take], variance[take], minlength=SECTORS)[full] / held[full]
+        by_sector = (
+            np.bincount(sector[take], variance[take], minlength=SECTORS)[full] / sector_counts[full]
+        )
         error = float(by_sector.std(ddof=1)) / np.sqrt(full.sum())
-        found.append((float(mean[take].mean()) - spot.dark_dn, float(variance[take].mean()), error))
-    return np.array(found).T
+        levels.append(
+            (float(mean[take].mean()) - spot.dark_dn, float(variance[take].mean()), error)
+        )
+    return np.array(levels).T
 
 
 def drift_of(watched: FrameSeries) -> tuple[float, float]:
@@ -206,7 +218,7 @@ def drift_of(watched: FrameSeries) -> tuple[float, float]:
     return travel, max(dim, _trend(watched.light_by_frame, LEAST_CHANGE))
 
 
-def _trend(values: Array, least: float) -> float:
+def _trend(values: Array, least_change: float) -> float:
     """Change of a straight-line fit over successive values; 0 if not significant or below the
     limit.
     """
@@ -215,15 +227,19 @@ def _trend(values: Array, least: float) -> float:
     count = len(values)
     if count < 3 or not np.isfinite(values).all():
         return 0.0
-    place, off = np.arange(count) - 0.5 * (count - 1), values - values.mean()
-    slope = float(place @ off) / float(place @ place)
+    frame_offset, off = np.arange(count) - 0.5 * (count - 1), values - values.mean()
+    slope = float(frame_offset @ off) / float(frame_offset @ frame_offset)
     # Student's t of the slope; `scipy.stats` would take longer to import than all fits.
-    error = np.sqrt(float(np.sum((off - slope * place) ** 2)) / (count - 2) / float(place @ place))
+    error = np.sqrt(
+        float(np.sum((off - slope * frame_offset) ** 2))
+        / (count - 2)
+        / float(frame_offset @ frame_offset)
+    )
     chance, run = (
         2.0 * float(stdtr(count - 2, -abs(slope) / max(error, 1e-300))),
         abs(slope) * (count - 1),
     )
-    return run if chance < 1e-4 and run > least else 0.0
+    return run if chance < 1e-4 and run > least_change else 0.0
 
 
 def frames_before_switch_off(watched: FrameSeries) -> int | None:
@@ -242,8 +258,8 @@ def frames_before_switch_off(watched: FrameSeries) -> int | None:
         return None
     # Frames at the start of the decay are excluded.
     early = light[: max(LEAST_ON, count // 2)]
-    least = early.mean() - 4.0 * max(float(early.std(ddof=1)), 0.005 * float(early.mean()))
-    while count > LEAST_ON and light[count - 1] < least:
+    least_light = early.mean() - 4.0 * max(float(early.std(ddof=1)), 0.005 * float(early.mean()))
+    while count > LEAST_ON and light[count - 1] < least_light:
         count -= 1
     return count
 
@@ -255,44 +271,59 @@ def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> li
     Switch-off happens between two frames, which the interval includes. Between frames the decay is
     exponential. Pixels saturated by the source are excluded.
     """
-    found = [
-        (one, count) for one in watched if (count := frames_before_switch_off(one)) is not None
+    switched = [
+        (series, count)
+        for series in watched
+        if (count := frames_before_switch_off(series)) is not None
     ]
-    if not found:
+    if not switched:
         reason = (
             "no stack shows a switch-off: the source must be on in at least two frames and "
             "off in all later ones"
         )
         return [make_refusal(name, "s", reason, refusal="missing", **fields) for name in SHARES]
-    return [_recovery(one, count, name, seed, **fields) for one, count in found for name in SHARES]
+    return [
+        _recovery(series, count, name, seed, **fields)
+        for series, count in switched
+        for name in SHARES
+    ]
 
 
 def _recovery(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any) -> Measurement:
     """Time from switch-off to a fraction of the signal."""
     common = {"stack": watched.spot.label, **fields}
-    share, lit, times = SHARES[name], float(watched.light_by_frame[:count].mean()), watched.time_s
-    noise, left = watched.light_noise / lit, watched.light_by_frame[count:] / lit
+    fraction, lit, times = (
+        SHARES[name],
+        float(watched.light_by_frame[:count].mean()),
+        watched.time_s,
+    )
+    noise, remaining_light = watched.light_noise / lit, watched.light_by_frame[count:] / lit
     reason = ""
     if len(times) == 0:
         reason = "the times of the frames are unknown"
-    elif noise > 0.35 * share:
+    elif noise > 0.35 * fraction:
         reason = (
-            f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % is below it"
+            f"noise is {100 * noise:.2g} % of the source's light: {100 * fraction:g} % is below it"
         )
-    elif left[-1] > share - 2.0 * noise:
-        reason = f"at the end of the stack {100 * max(left[-1], 0.0):.2g} % of the light is left"
+    elif remaining_light[-1] > fraction - 2.0 * noise:
+        percent = 100 * max(remaining_light[-1], 0.0)
+        reason = f"at the end of the stack {percent:.2g} % of the light is left"
     if reason:
         return make_refusal(name, "s", reason, **common)
     rng, draws = np.random.default_rng(seed), []
     for _ in range(2000):
         out = float(rng.uniform(times[count - 1], times[count]))
-        light = np.concatenate([[1.0], left + noise * rng.standard_normal(len(left))])
-        last = int(np.argmax(light < share))
+        light = np.concatenate(
+            [[1.0], remaining_light + noise * rng.standard_normal(len(remaining_light))]
+        )
+        last = int(np.argmax(light < fraction))
         if last == 0:
             continue
         begin = out if last == 1 else times[count + last - 2]
-        high, low = np.log(light[last - 1]), np.log(max(light[last], 0.1 * share))
+        high, low = np.log(light[last - 1]), np.log(max(light[last], 0.1 * fraction))
         draws.append(
-            begin + (high - np.log(share)) / (high - low) * (times[count + last - 1] - begin) - out
+            begin
+            + (high - np.log(fraction)) / (high - low) * (times[count + last - 1] - begin)
+            - out
         )
     return measurement_from_draws(name, "s", np.array(draws), **common)

@@ -71,18 +71,20 @@ def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourceP
     """
     from scipy import ndimage
 
-    found = contrast_of(image)
+    contrast = contrast_of(image)
     window = np.zeros(image.shape, bool)
     if region is None:
         window[:] = True
     else:
         row, col, height, width = region
         window[row : row + height, col : col + width] = True
-    top = np.unravel_index(int(np.argmax(np.where(window, found.difference, -np.inf))), image.shape)
-    significance = float(found.difference[top] / found.spread)
+    top = np.unravel_index(
+        int(np.argmax(np.where(window, contrast.difference, -np.inf))), image.shape
+    )
+    significance = float(contrast.difference[top] / contrast.spread)
     floor = float(np.median(image[::THIN, ::THIN]))
-    above = found.smooth > floor + 0.5 * (found.smooth[top] - floor)
-    labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
+    is_bright = contrast.smooth > floor + 0.5 * (contrast.smooth[top] - floor)
+    labels = np.asarray(ndimage.label(is_bright)[0])  # pyright: ignore[reportIndexIssue]
     rows, cols = (
         np.nonzero(labels == labels[top])
         if labels[top]
@@ -104,71 +106,76 @@ def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool
     profile = view.profile[1]
     floor = float(np.median(profile))
     level = floor + 0.5 * (min(float(profile[:2].max()), view.top) - floor)
-    found = contour_at(view, level) if level > 0 else None
-    if found is None:
+    contour_fit = contour_at(view, level) if level > 0 else None
+    if contour_fit is None:
         return None
-    contour, whole = found
+    contour, has_all_sectors = contour_fit
     down, along = contour.shift()
     # Maximum distance of a contour's centre from the detected position, px.
     if np.hypot(down, along) > 10.0:
         return None
-    return row + down / view.polar.row_pitch, col + along, whole
+    return row + down / view.polar.row_pitch, col + along, has_all_sectors
 
 
-def is_bright_at(image: Array, own: SourcePosition, other: SourcePosition) -> bool:
+def is_bright_at(image: Array, source: SourcePosition, other: SourcePosition) -> bool:
     """Whether another position is within a pixel or two, or as bright as the source detected
     here.
     """
-    if np.hypot(own.row - other.row, own.col - other.col) < NEAR_PX or own.significance < 16.0:
+    if (
+        np.hypot(source.row - other.row, source.col - other.col) < NEAR_PX
+        or source.significance < 16.0
+    ):
         return True
-    places = ((round(place.row), round(place.col)) for place in (own, other))
-    here, there = (
-        image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean() for row, col in places
+    positions = ((round(position.row), round(position.col)) for position in (source, other))
+    source_mean, other_mean = (
+        image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean() for row, col in positions
     )
     floor = float(np.median(image[::THIN, ::THIN]))
-    return bool(there - floor > 0.7 * (here - floor))
+    return bool(other_mean - floor > 0.7 * (source_mean - floor))
 
 
-def others(
-    image: Array, place: SourcePosition, span_dn: float, row_pitch: float
+def further_sources(
+    image: Array, source: SourcePosition, span_dn: float, row_pitch: float
 ) -> tuple[SourcePosition, ...]:
     """Return further sources in a frame, brightest first; they fall off in every direction, unlike
     streaks.
 
-    `image`: mean frame, shape (row, col), DN; `place`: the known source; `span_dn`: full scale
+    `image`: mean frame, shape (row, col), DN; `source`: the known source; `span_dn`: full scale
     above dark, DN; `row_pitch`: row pitch over column pitch.
     """
     from skimage.feature import peak_local_max
 
-    found = contrast_of(image)
-    least = max(0.04 * span_dn, 16.0 * found.spread)
+    contrast = contrast_of(image)
+    least_height = max(0.04 * span_dn, 16.0 * contrast.spread)
     peaks = peak_local_max(
-        found.difference, min_distance=APART_PX, threshold_abs=least, exclude_border=False
+        contrast.difference, min_distance=APART_PX, threshold_abs=least_height, exclude_border=False
     )
-    own = np.hypot((peaks[:, 0] - place.row) * row_pitch, peaks[:, 1] - place.col)
-    held = [
+    source_distance = np.hypot((peaks[:, 0] - source.row) * row_pitch, peaks[:, 1] - source.col)
+    detected = [
         SourcePosition(
             row=float(row),
             col=float(col),
-            significance=float(found.difference[row, col] / found.spread),
+            significance=float(contrast.difference[row, col] / contrast.spread),
         )
-        for (row, col), apart in zip(peaks, own, strict=True)
-        if apart > APART_PX
+        for (row, col), distance in zip(peaks, source_distance, strict=True)
+        if distance > APART_PX
         and _falls_off(
-            found.smooth, int(row), int(col), float(found.difference[row, col]), row_pitch
+            contrast.smooth, int(row), int(col), float(contrast.difference[row, col]), row_pitch
         )
     ]
-    return tuple(sorted(held, key=lambda one: -one.significance))
+    return tuple(sorted(detected, key=lambda position: -position.significance))
 
 
 def _falls_off(smooth: Array, row: int, col: int, height: float, row_pitch: float) -> bool:
     """Whether the signal around a peak is lower in every direction."""
     angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    reach = 4.0 + SMOOTHING_PX
-    rows = np.rint(row + reach * np.sin(angle) / row_pitch).astype(int)
-    cols = np.rint(col + reach * np.cos(angle)).astype(int)
-    inside = (rows >= 0) & (rows < smooth.shape[0]) & (cols >= 0) & (cols < smooth.shape[1])
-    return bool(np.all(smooth[row, col] - smooth[rows[inside], cols[inside]] > 0.4 * height))
+    distance_px = 4.0 + SMOOTHING_PX
+    rows = np.rint(row + distance_px * np.sin(angle) / row_pitch).astype(int)
+    cols = np.rint(col + distance_px * np.cos(angle)).astype(int)
+    within_frame = (rows >= 0) & (rows < smooth.shape[0]) & (cols >= 0) & (cols < smooth.shape[1])
+    return bool(
+        np.all(smooth[row, col] - smooth[rows[within_frame], cols[within_frame]] > 0.4 * height)
+    )
 
 
 # Standard errors by which the smoothed source must exceed its surroundings.
@@ -190,8 +197,8 @@ class PointStack:
     `frame_streak_px`: streak length of single frames, shape (frame,), px; `row_pitch`: row pitch
     over column pitch; `half`, `background`, `clip`: region at or above half of full scale, twice
     the background above dark, and full scale; None where the source stays below the threshold or
-    the background is not measurable; `light`: the background; `others`: further sources in the
-    frame.
+    the background is not measurable; `light`: the background; `other_sources`: further sources in
+    the frame.
     """
 
     label: str
@@ -210,9 +217,9 @@ class PointStack:
     background: Extent | None = None
     clip: Extent | None = None
     light: Background = field(
-        default_factory=lambda: Background(level_dn=0.0, sd_dn=0.0, even=False)
+        default_factory=lambda: Background(level_dn=0.0, sd_dn=0.0, is_uniform=False)
     )
-    others: tuple[SourcePosition, ...] = ()
+    other_sources: tuple[SourcePosition, ...] = ()
 
     @property
     def why_undetected(self) -> str:
@@ -266,25 +273,25 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
         None if (d := session.dark_like(entry.conditions)) is None else levels[d.label]
         for entry in entries
     ]
-    places = []
+    positions = []
     for entry, dark in zip(entries, darks, strict=True):
         stack = entry.read()
         level = black_level_of(stack, dark)[0]
-        places.append(
+        positions.append(
             place_of(stack, entry.target.region, level, full_scale_of(stack, context), context)
         )
     spots: list[PointStack] = []
     behind: list[tuple[Conditions, Background]] = []
-    for done, (entry, dark, place) in enumerate(zip(entries, darks, places, strict=True)):
+    for done, (entry, dark, position) in enumerate(zip(entries, darks, positions, strict=True)):
         context.progress(f"blooming of {entry.label}", done / len(entries))
         same = [
             other
-            for other, one in zip(places, entries, strict=True)
-            if one.target.region == entry.target.region
+            for other, other_entry in zip(positions, entries, strict=True)
+            if other_entry.target.region == entry.target.region
         ]
         stack = entry.read()
-        place = common_position(place, same, stack.data.mean(axis=0, dtype=np.float64))
-        spots.append(spot_of(entry, stack, dark, place, context, behind))
+        position = common_position(position, same, stack.data.mean(axis=0, dtype=np.float64))
+        spots.append(spot_of(entry, stack, dark, position, context, behind))
         behind.append((entry.conditions, spots[-1].light))
     return tuple(spots)
 
@@ -293,10 +300,10 @@ def place_of(
     stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context
 ) -> SourcePosition:
     """Locate the source of a stack, at the centre of its contour where it has one."""
-    found = brightest(stack.data.mean(axis=0, dtype=np.float64), region)
-    if found.significance < DETECTED:
-        return found
-    row, col = found.row, found.col
+    position = brightest(stack.data.mean(axis=0, dtype=np.float64), region)
+    if position.significance < DETECTED:
+        return position
+    row, col = position.row, position.col
     view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
     # Fraction of full scale above which a peak counts as clipped.
     cut = float(view.signal[view.polar.radius < 1.5].max(initial=0.0)) > 0.9 * view.top
@@ -308,18 +315,18 @@ def place_of(
             not -0.5 <= at < n - 0.5 for at, n in zip(better, view.signal.shape, strict=False)
         ):
             break
-        moved = float(np.hypot(better[0] - row, better[1] - col))
+        shift_px = float(np.hypot(better[0] - row, better[1] - col))
         row, col, settled = better
-        if moved < 0.4:
+        if shift_px < 0.4:
             break
         view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
     return SourcePosition(
-        row=row, col=col, significance=found.significance, cut=cut, settled=settled
+        row=row, col=col, significance=position.significance, cut=cut, settled=settled
     )
 
 
 def common_position(
-    own: SourcePosition, places: list[SourcePosition], image: Array
+    source: SourcePosition, positions: list[SourcePosition], image: Array
 ) -> SourcePosition:
     """Return the position common to the stacks, unless this stack's source is elsewhere.
 
@@ -328,14 +335,18 @@ def common_position(
     Positions are ordered by illuminance: two sources at full scale look alike, and the faintest
     stack identifies the brighter one.
     """
-    clear = [place for place in places if place.significance > 2 * DETECTED]
-    whole = [place for place in clear if not place.cut]
-    anchor = max(whole or clear[:1] or places, key=lambda place: place.significance)
-    same = [one for one in places if np.hypot(one.row - anchor.row, one.col - anchor.col) < NEAR_PX]
-    best = max(same, key=lambda place: (place.settled, place.significance))
-    if best.significance <= 2 * DETECTED or not is_bright_at(image, own, best):
-        return own
-    return SourcePosition(row=best.row, col=best.col, significance=own.significance)
+    clear = [position for position in positions if position.significance > 2 * DETECTED]
+    unclipped = [position for position in clear if not position.cut]
+    anchor = max(unclipped or clear[:1] or positions, key=lambda position: position.significance)
+    same = [
+        candidate
+        for candidate in positions
+        if np.hypot(candidate.row - anchor.row, candidate.col - anchor.col) < NEAR_PX
+    ]
+    best = max(same, key=lambda position: (position.settled, position.significance))
+    if best.significance <= 2 * DETECTED or not is_bright_at(image, source, best):
+        return source
+    return SourcePosition(row=best.row, col=best.col, significance=source.significance)
 
 
 def full_scale_of(stack: FrameStack, context: Context) -> float:
@@ -360,47 +371,47 @@ def spot_of(
     entry: StackEntry,
     stack: FrameStack,
     dark: float | None,
-    place: SourcePosition,
+    position: SourcePosition,
     context: Context,
     behind: list[tuple[Conditions, Background]],
 ) -> PointStack:
     """Measure position, extents and background of one stack.
 
-    `entry`, `stack`: the stack and its frames. `dark`: black level from dark frames, DN. `place`:
-    position of the source. `behind`: conditions and backgrounds of the previous stacks, the
-    faintest first. The background of the faintest stack with the same conditions is used, since a
-    bright source illuminates the whole frame.
+    `entry`, `stack`: the stack and its frames. `dark`: black level from dark frames, DN.
+    `position`: position of the source. `behind`: conditions and backgrounds of the previous stacks,
+    the faintest first. The background of the faintest stack with the same conditions is used, since
+    a bright source illuminates the whole frame.
     """
     full, (level, known) = full_scale_of(stack, context), black_level_of(stack, dark)
-    view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)
-    own = background_of(view)
-    alike = [
+    view = view_of(stack.data, level, full, position.row, position.col, context.pitch_ratio)
+    own_background = background_of(view)
+    earlier_backgrounds = [
         light
         for conditions, light in behind
-        if has_same_settings(conditions, entry.conditions) and light.even
+        if has_same_settings(conditions, entry.conditions) and light.is_uniform
     ]
-    light = alike[0] if alike else own
+    light = earlier_backgrounds[0] if earlier_backgrounds else own_background
     half = level + 0.5 * (full - level)
-    found: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
-    if place.significance >= DETECTED:
-        found["half"] = extent_at(view, half, seed=context.seed)
-        if not known and found["half"] is not None:
+    extents: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
+    if position.significance >= DETECTED:
+        extents["half"] = extent_at(view, half, seed=context.seed)
+        if not known and extents["half"] is not None:
             # An unknown black level lies between 0 and the median of the frame.
             lowest = extent_at(view, 0.5 * full, seed=context.seed)
             draws = (
-                found["half"].draws
+                extents["half"].draws
                 if lowest is None
-                else np.concatenate([found["half"].draws, lowest.draws])
+                else np.concatenate([extents["half"].draws, lowest.draws])
             )
-            found["half"] = replace(found["half"], draws=draws)
-        found["clip"] = extent_at(view, full - HALF_STEP_DN, seed=context.seed)
-        if light.is_illuminated and light.even:
-            found["background"] = extent_at(
+            extents["half"] = replace(extents["half"], draws=draws)
+        extents["clip"] = extent_at(view, full - HALF_STEP_DN, seed=context.seed)
+        if light.is_illuminated and light.is_uniform:
+            extents["background"] = extent_at(
                 view, level + 2.0 * light.level_dn, level_sd=2.0 * light.sd_dn, seed=context.seed
             )
     image = view.signal + level
-    col = int(np.clip(round(place.col), 0, image.shape[1] - 1))
-    clear = place.significance >= DETECTED
+    col = int(np.clip(round(position.col), 0, image.shape[1] - 1))
+    clear = position.significance >= DETECTED
     return PointStack(
         label=entry.label,
         conditions=entry.conditions,
@@ -409,20 +420,22 @@ def spot_of(
         dark_dn=level,
         full_scale_dn=full,
         dark_known=known,
-        row=place.row,
-        col=place.col,
-        significance=place.significance,
+        row=position.row,
+        col=position.col,
+        significance=position.significance,
         frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
         row_pitch=context.pitch_ratio,
-        half=found["half"],
-        background=found["background"],
-        clip=found["clip"],
+        half=extents["half"],
+        background=extents["background"],
+        clip=extents["clip"],
         light=light,
-        others=others(image, place, full - level, context.pitch_ratio) if clear else (),
+        other_sources=further_sources(image, position, full - level, context.pitch_ratio)
+        if clear
+        else (),
     )
 
 
-def has_same_settings(one: Conditions, other: Conditions) -> bool:
+def has_same_settings(conditions: Conditions, other: Conditions) -> bool:
     """Whether two stacks were taken at the same gain, gate and exposure."""
     names = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "gain_control", "em_gain")
-    return all(getattr(one, name) == getattr(other, name) for name in names)
+    return all(getattr(conditions, name) == getattr(other, name) for name in names)

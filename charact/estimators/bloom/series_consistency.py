@@ -63,22 +63,24 @@ def check_consistency(
     watched = tuple(
         frame_series(spot, session.stack(spot.label).read(), context.pitch_ratio) for spot in shown
     )
-    flags = {spot.label: () for spot in spots} | {one.spot.label: _in_time(one) for one in watched}
+    flags = {spot.label: () for spot in spots} | {
+        series.spot.label: _in_time(series) for series in watched
+    }
     for label, own_flags in _between(watched, flags, _dark_variance(session)).items():
         flags[label] += own_flags
     # A source that moves away has not been switched off.
-    still = tuple(one for one in watched if "lag" in flags[one.spot.label])
+    still = tuple(series for series in watched if "lag" in flags[series.spot.label])
     out = [*_depressions(watched, flags, **fields), *recoveries(still, context.seed, **fields)]
     evidence = {
         "figure": "bloom-constancy",
-        "label": [one.spot.label for one in watched],
-        "flags": [list(flags[one.spot.label]) for one in watched],
-        "background_dn": [one.background_dn for one in watched],
-        "background_sd_dn": [one.background_sd_dn for one in watched],
-        "time_s": [one.time_s.tolist() for one in watched],
-        "row_px": [_finite_or_none(one.centre_px[:, 0]) for one in watched],
-        "col_px": [_finite_or_none(one.centre_px[:, 1]) for one in watched],
-        "light": [_finite_or_none(one.light_by_frame) for one in watched],
+        "label": [series.spot.label for series in watched],
+        "flags": [list(flags[series.spot.label]) for series in watched],
+        "background_dn": [series.background_dn for series in watched],
+        "background_sd_dn": [series.background_sd_dn for series in watched],
+        "time_s": [series.time_s.tolist() for series in watched],
+        "row_px": [_finite_or_none(series.centre_px[:, 0]) for series in watched],
+        "col_px": [_finite_or_none(series.centre_px[:, 1]) for series in watched],
+        "light": [_finite_or_none(series.light_by_frame) for series in watched],
     }
     return SeriesConsistency(
         flags=flags, measurements=tuple(out), evidence={"bloom-constancy": evidence}
@@ -103,29 +105,39 @@ def _between(
     """Flags of each stack by comparison with the others."""
     out: dict[str, tuple[str, ...]] = {}
     # Motion in one stack may occur less clearly in others, and varies like noise.
-    rest = not any("drift" in own_flags for own_flags in flags.values())
-    for one in watched:
-        reference = _faintest(watched, one)
+    is_steady = not any("drift" in own_flags for own_flags in flags.values())
+    for stack in watched:
+        reference = _faintest(watched, stack)
         # Stacks with the same dark level have the same error.
         same = tuple(
-            o for o in watched if o.spot.dark_dn == one.spot.dark_dn and not flags[o.spot.label]
+            o for o in watched if o.spot.dark_dn == stack.spot.dark_dn and not flags[o.spot.label]
         )
-        misfit = dark_level_error(same, dark_variance) if one.spot.dark_known and rest else None
-        wrong = one.spot.dark_known and one.background_dn < -max(4.0 * one.background_sd_dn, 0.3)
+        misfit = (
+            dark_level_error(same, dark_variance) if stack.spot.dark_known and is_steady else None
+        )
+        is_dark_wrong = stack.spot.dark_known and stack.background_dn < -max(
+            4.0 * stack.background_sd_dn, 0.3
+        )
         if misfit is not None:
             # A dark is wrong by more than its error, and by enough to move a contour.
-            wrong |= abs(misfit[0]) > max(SEEN * misfit[1], 0.3, 0.1 * abs(reference.background_dn))
-        fallen = _has_background_fallen(reference, one)
-        out[one.spot.label] = (("agc",) if fallen else ()) + (("dark-mismatch",) if wrong else ())
+            is_dark_wrong |= abs(misfit[0]) > max(
+                SEEN * misfit[1], 0.3, 0.1 * abs(reference.background_dn)
+            )
+        fallen = _has_background_fallen(reference, stack)
+        out[stack.spot.label] = (("agc",) if fallen else ()) + (
+            ("dark-mismatch",) if is_dark_wrong else ()
+        )
     return out
 
 
 def _faintest(watched: tuple[FrameSeries, ...], stack: FrameSeries) -> FrameSeries:
     """The stack of least illuminance at the same settings."""
-    alike = (
-        one for one in watched if has_same_settings(one.spot.conditions, stack.spot.conditions)
+    same_settings = (
+        series
+        for series in watched
+        if has_same_settings(series.spot.conditions, stack.spot.conditions)
     )
-    return min(alike, key=lambda one: one.spot.conditions.illuminance_lux or 0.0)
+    return min(same_settings, key=lambda series: series.spot.conditions.illuminance_lux or 0.0)
 
 
 def _has_background_fallen(reference: FrameSeries, stack: FrameSeries) -> bool:
@@ -147,15 +159,15 @@ def _depressions(
     alone, and the value is refused.
     """
     out: list[Measurement] = []
-    for one in watched:
-        reference = _faintest(watched, one)
-        common: dict[str, Any] = {"stack": one.spot.label, **fields}
-        if one is reference:
+    for stack in watched:
+        reference = _faintest(watched, stack)
+        common: dict[str, Any] = {"stack": stack.spot.label, **fields}
+        if stack is reference:
             continue
         dim = [
-            each
-            for each in (reference, one)
-            if each.background_dn < max(10.0 * each.background_sd_dn, 0.2)
+            series
+            for series in (reference, stack)
+            if series.background_dn < max(10.0 * series.background_sd_dn, 0.2)
         ]
         reason = ""
         if dim:
@@ -163,7 +175,7 @@ def _depressions(
                 f"the background of {dim[0].spot.label} is {dim[0].background_dn:.3g} DN above dark"
             )
             reason = f"{level}: too faint to detect a fall"
-        elif _has_background_fallen(one, reference):
+        elif _has_background_fallen(stack, reference):
             reason = (
                 "the background is brighter than that of the faintest stack: it contains the "
                 "source's own light"
@@ -175,12 +187,12 @@ def _depressions(
                 )
             )
             continue
-        value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
-        relative = [each.background_sd_dn / each.background_dn for each in (reference, one)]
+        value = DECIBEL * float(np.log(reference.background_dn / stack.background_dn))
+        relative = [series.background_sd_dn / series.background_dn for series in (reference, stack)]
         sd = DECIBEL * float(np.hypot(relative[0], relative[1]))
         # This quantity measures the fall itself, which is no reason to flag it.
-        own_flags = tuple(flag for flag in flags.get(one.spot.label, ()) if flag != "agc")
-        own_flags += () if one.spot.dark_known else ("no-darks",)
+        own_flags = tuple(flag for flag in flags.get(stack.spot.label, ()) if flag != "agc")
+        own_flags += () if stack.spot.dark_known else ("no-darks",)
         common["notes"] = (*common.get("notes", ()), BOUND)
         out.append(
             measurement_from_sd("background_depression", "dB", value, sd, flags=own_flags, **common)
@@ -201,18 +213,18 @@ def dark_level_error(
     """
     if dark_variance is None or dark_variance < 0.24:
         return None
-    found = []
-    for light, variance, error in (one.noise for one in stacks if one.noise.shape[1] > 1):
+    levels = []
+    for light, variance, error in (stack.noise for stack in stacks if stack.noise.shape[1] > 1):
         sd = np.hypot(error, 0.03 * variance)
         design = np.stack([light, np.ones_like(light)], axis=1) / sd[:, None]
         covariance = np.linalg.inv(design.T @ design)
         slope, offset = covariance @ design.T @ ((variance - dark_variance) / sd)
         if slope > 5.0 * np.sqrt(covariance[0, 0]):
             gradient = np.array([offset / slope**2, -1.0 / slope])
-            found.append((-offset / slope, np.sqrt(gradient @ covariance @ gradient)))
-    if not found:
+            levels.append((-offset / slope, np.sqrt(gradient @ covariance @ gradient)))
+    if not levels:
         return None
-    level, sd = np.array(found).T
+    level, sd = np.array(levels).T
     weight = 1.0 / sd**2
     mean = float(weight @ level / weight.sum())
     scatter = float(np.sqrt(weight @ (level - mean) ** 2 / max(len(level) - 1, 1)))

@@ -50,7 +50,11 @@ def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
     """Ring means of all stacks with the selected model, normalised residuals, and each stack's own
     halo.
     """
-    problem, point, own = fit.best.problem, fit.best.peak.point[None], fit.own
+    problem, point, stack_diameters = (
+        fit.best.problem,
+        fit.best.peak.point[None],
+        fit.stack_diameters,
+    )
     series = problem.series
     model, solved = problem.rings(point)[..., 0], problem.solve_amplitudes(point)
     sd = np.sqrt(np.diagonal(series.covariance(problem.misfit), axis1=1, axis2=2))
@@ -67,29 +71,34 @@ def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
         "light_dn_px2": solved.amplitudes[:, 0, 0].tolist(),
         "background_dn": solved.amplitudes[:, 1, 0].tolist(),
         "form": fit.best.name,
-        "model_share": problem.misfit.share,
+        "model_share": problem.misfit.outer,
         "core_share": problem.misfit.core,
         "chi2": float(solved.chi2.sum()),
         "freedom": int(series.data.size - 2 * len(series.data) - point.size),
         "halo_diameter_px": None,
     }
-    if own is None:
+    if stack_diameters is None:
         return {"point-profile": data}
     names = ("halo_diameter", "elastic_share", "halo_fraction")
-    joint, elastic, share = (float(np.median(fit.posterior[name])) for name in names)
+    joint, elastic, fraction = (float(np.median(fit.posterior[name])) for name in names)
     data |= {
         "halo_diameter_px": joint,
         "elastic_share": elastic,
-        "halo_share": [share] * len(series.labels),
+        "halo_share": [fraction] * len(series.labels),
     }
-    seen = np.isfinite(own[0])
-    diameter, sd = own[0][seen], np.maximum(own[1][seen], 1e-6)
+    is_measured = np.isfinite(stack_diameters[0])
+    diameter, sd = (
+        stack_diameters[0][is_measured],
+        np.maximum(stack_diameters[1][is_measured], 1e-6),
+    )
     uniformity = {
         "figure": "halo-constancy",
-        "label": [label for label, one in zip(series.labels, seen, strict=True) if one],
+        "label": [
+            label for label, measured in zip(series.labels, is_measured, strict=True) if measured
+        ],
         "halo_diameter_px": diameter.tolist(),
         "interval95_px": np.stack([diameter - 1.96 * sd, diameter + 1.96 * sd], axis=1).tolist(),
-        "significance": own[2][seen].tolist(),
+        "significance": stack_diameters[2][is_measured].tolist(),
         "joint_px": joint,
         "joint_elastic_share": elastic,
         "chi2_of_constancy": float((((diameter - joint) / sd) ** 2).sum()),
@@ -103,20 +112,20 @@ def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, An
     foretold = (
         [None] * len(forms)
         if quick
-        else [cross_validate(one) for one in forms[:3]] + [None] * len(forms)
+        else [cross_validate(model) for model in forms[:3]] + [None] * len(forms)
     )
-    least = forms[0].bic
+    least_bic = forms[0].bic
     rows = [
         {
-            "form": one.name,
-            "parameters": len(one.form.names),
-            "log_likelihood": one.log_likelihood,
-            "bic_over_best": one.bic - least,
-            "off_percent": 100.0 * one.problem.misfit.share,
-            "core_off_percent": 100.0 * one.problem.misfit.core,
+            "form": model.name,
+            "parameters": len(model.form.names),
+            "log_likelihood": model.log_likelihood,
+            "bic_over_best": model.bic - least_bic,
+            "off_percent": 100.0 * model.problem.misfit.outer,
+            "core_off_percent": 100.0 * model.problem.misfit.core,
             "foretold_chi2_per_ring": value,
         }
-        for one, value in zip(forms, foretold, strict=False)
+        for model, value in zip(forms, foretold, strict=False)
     ]
     return {"bloom-forms": {"table": rows}}
 
@@ -133,12 +142,12 @@ def cross_validate(candidate: FittedHaloModel) -> float | None:
         return None
     total = 0.0
     for fold in (0, 1):
-        seen = np.arange(count) % 2 == fold
+        in_fold = np.arange(count) % 2 == fold
         peak = optimise(
-            replace(candidate.problem, series=select_levels(series, seen)), candidate.peak.point
+            replace(candidate.problem, series=select_levels(series, in_fold)), candidate.peak.point
         )
         total += float(
-            replace(candidate.problem, series=select_levels(series, ~seen))
+            replace(candidate.problem, series=select_levels(series, ~in_fold))
             .solve_amplitudes(peak.point[None])
             .chi2.sum()
         )
@@ -170,33 +179,39 @@ def series_forward(session: Session, *, context: Context) -> Result:
     """
     spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    fit, said, evidence = None, [], {}
+    fit, measurements, evidence = None, [], {}
     try:
         fit = _fit_series(session, spots, context, fields)
-        said = halo_measurements(fit) if fit.reason is None else _refuse_halo(fit.reason, fields)
-        said += energy_radius_measurements(fit) + glare_measurements(fit)
-        said += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
+        measurements = (
+            halo_measurements(fit) if fit.reason is None else _refuse_halo(fit.reason, fields)
+        )
+        measurements += energy_radius_measurements(fit) + glare_measurements(fit)
+        measurements += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
         evidence = profile_evidence(fit) | forms_evidence(fit.forms, quick=context.quick)
     except Unmeasurable as refusal:
-        said = _refuse_halo(str(refusal), fields)
-    result = add_common_measurements(session, spots, said, evidence, context=context, **fields)
+        measurements = _refuse_halo(str(refusal), fields)
+    result = add_common_measurements(
+        session, spots, measurements, evidence, context=context, **fields
+    )
     if fit is None:
         return result
     # Measured extents are compared with the fitted signal, or flagged where the fit is poor.
-    if fit.best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(fit.best.problem.series):
+    if fit.best.problem.misfit.outer <= MISFIT_SHARE and not is_uneven(fit.best.problem.series):
         return replace(
             result, measurements=compare_extents(fit.best, fit.group, result.measurements)
         )
-    labels = {one.label for one in fit.group}
+    labels = {spot.label for spot in fit.group}
     flagged = (
-        one.with_(flags=MISFIT) if one.quantity in EXTENTS and one.stack in labels else one
-        for one in result.measurements
+        measurement.with_(flags=MISFIT)
+        if measurement.quantity in EXTENTS and measurement.stack in labels
+        else measurement
+        for measurement in result.measurements
     )
     return replace(result, measurements=tuple(flagged))
 
 
 def _has_tube(group: tuple[PointStack, ...], context: Context) -> bool:
-    return context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
+    return context.sensor is not None or any(spot.conditions.mcp_v is not None for spot in group)
 
 
 def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
@@ -214,25 +229,25 @@ def _fit_series(
     context.progress("blur models of the source", 0.9)
     # The stack that shows the halo's edge most significantly.
     edges = [edge_radius(profile_of(spot, context=context)) for spot in group]
-    radius, seen = max(edges, key=lambda one: one[1])
+    radius, significance = max(edges, key=lambda edge: edge[1])
     forms = candidates(
         series,
         pitch_ratio=context.pitch_ratio,
         sensor=context.sensor,
         has_tube=_has_tube(group, context),
-        first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"),
+        first_diameter_px=2 * radius if significance > STEP_SEEN else float("nan"),
     )
     context.progress("posterior of the series", 0.95)
     posterior = _posterior(forms[0], context)
     reason = halo_refusal_reason(forms)
-    own = own_diameters(forms[0]) if reason is None else None
-    flags = _flags(forms[0], posterior, own)
-    flags += quantisation_flags(min(group, key=lambda one: one.full_scale_dn - one.dark_dn))
+    stack_diameters = own_diameters(forms[0]) if reason is None else None
+    flags = _flags(forms[0], posterior, stack_diameters)
+    flags += quantisation_flags(min(group, key=lambda spot: spot.full_scale_dn - spot.dark_dn))
     return FittedSeries(
         forms=forms,
         reason=reason,
         posterior=posterior,
-        own=own,
+        stack_diameters=stack_diameters,
         group=group,
         flags=flags,
         notes=_notes(context, group, spots),
@@ -266,29 +281,29 @@ def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
         loss = best.peak.log_probability - best.problem.log_probability(gaussian.draws[:100])
         return float(np.median(loss)) > 2.0 * len(best.form.names)
     diameter = gaussian["halo_diameter"]
-    away = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(
+    diameter_offset = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(
         np.median(diameter)
     )
-    return abs(away) > CUT_SD * float(np.std(diameter))
+    return abs(diameter_offset) > CUT_SD * float(np.std(diameter))
 
 
 def _flags(
-    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None
+    best: FittedHaloModel, posterior: Posterior, stack_diameters: tuple[Array, Array, Array] | None
 ) -> tuple[str, ...]:
     """Flags of the series; bounds of nuisance parameters are ignored."""
     from scipy.special import chdtrc
 
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
     series = best.problem.series
-    if best.problem.misfit.share > MISFIT_SHARE or is_uneven(series):
+    if best.problem.misfit.outer > MISFIT_SHARE or is_uneven(series):
         flags += ("model-misfit",)
-    if own is None:
+    if stack_diameters is None:
         return flags
     diameter = float(np.median(posterior["halo_diameter"]))
     if diameter / 2.0 > 0.92 * series.radius_px[-1]:
         flags += ("window-too-small",)
-    apart, freedom = levels_apart(own)
-    return flags + (("model-misfit",) if freedom and chdtrc(freedom, apart) < 1e-4 else ())
+    chi2, freedom = levels_apart(stack_diameters)
+    return flags + (("model-misfit",) if freedom and chdtrc(freedom, chi2) < 1e-4 else ())
 
 
 def _notes(

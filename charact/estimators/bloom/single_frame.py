@@ -61,7 +61,7 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
             "the source's core is clipped, so that its total signal is unknown: a fainter stack "
             "is needed"
         )
-    if not background.even:
+    if not background.is_uniform:
         raise Unmeasurable(
             "the signal still falls at the border of the frame: a larger frame is needed"
         )
@@ -75,17 +75,22 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     mean = view.rings.mean()[:rings]
     noise = view.rings.draws(sd, DRAWS, rng, np.ones(SECTORS, bool))[:, :rings] - mean
     noise -= background.sd_dn * rng.standard_normal((DRAWS, 1))
-    radius, held = _cumulative_light(view, mean - background.level_dn, area, background.level_dn)
+    radius, encircled = _cumulative_light(
+        view, mean - background.level_dn, area, background.level_dn
+    )
     off = np.concatenate([np.zeros((DRAWS, 1)), np.cumsum(noise * area, axis=1)], axis=1)
-    draws = held + np.array([np.interp(radius, np.arange(rings + 1.0), one) for one in off])
-    whole = draws[:, -1]
-    if np.std(whole) > 0.1 * np.mean(whole):
-        error = np.std(whole) / abs(np.mean(whole))
+    draws = encircled + np.array(
+        [np.interp(radius, np.arange(rings + 1.0), light) for light in off]
+    )
+    total_light = draws[:, -1]
+    if np.std(total_light) > 0.1 * np.mean(total_light):
+        error = np.std(total_light) / abs(np.mean(total_light))
         raise Unmeasurable(
             f"the source's signal is uncertain by {error:.0%}: more frames are needed"
         )
     return {
-        share: np.array([_first(one / one[-1], radius, share) for one in draws]) for share in SHARES
+        fraction: np.array([_first(light / light[-1], radius, fraction) for light in draws])
+        for fraction in SHARES
     }
 
 
@@ -95,31 +100,32 @@ def _cumulative_light(
     """Radii and encircled signal: by spline interpolation near the source, by rings beyond."""
     from scipy import ndimage
 
-    near = min(12, len(light))
-    fine = np.arange(0.0, near + STEP_PX / 2, STEP_PX)
+    near_rings = min(12, len(light))
+    fine = np.arange(0.0, near_rings + STEP_PX / 2, STEP_PX)
     angle = 2.0 * np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
     middle = fine[1:] - 0.5 * STEP_PX
     row, col = -view.polar.dy[0, 0] / view.polar.row_pitch, -view.polar.dx[0, 0]
-    places = [
+    positions = [
         row + middle[:, None] * np.sin(angle) / view.polar.row_pitch,
         col + middle[:, None] * np.cos(angle),
     ]
     profile = (
-        ndimage.map_coordinates(view.signal, places, order=3, mode="nearest").mean(axis=1) - floor
+        ndimage.map_coordinates(view.signal, positions, order=3, mode="nearest").mean(axis=1)
+        - floor
     )
     inner = np.concatenate([[0.0], np.cumsum(2.0 * np.pi * middle * STEP_PX * profile)])
-    outer = inner[-1] + np.cumsum((light * area)[near:])
-    return np.concatenate([fine, np.arange(near + 1.0, len(light) + 1.0)]), np.concatenate(
+    outer = inner[-1] + np.cumsum((light * area)[near_rings:])
+    return np.concatenate([fine, np.arange(near_rings + 1.0, len(light) + 1.0)]), np.concatenate(
         [inner, outer]
     )
 
 
-def _first(held: Array, radius: Array, share: float) -> float:
+def _first(encircled: Array, radius: Array, fraction: float) -> float:
     """Radius at which the encircled signal first reaches a fraction; between radii it grows with
     the area.
     """
-    at = max(int(np.argmax(held >= share)), 1)
-    part = (share - held[at - 1]) / max(held[at] - held[at - 1], 1e-12)
+    at = max(int(np.argmax(encircled >= fraction)), 1)
+    part = (fraction - encircled[at - 1]) / max(encircled[at] - encircled[at - 1], 1e-12)
     return float(
         np.sqrt(
             radius[at - 1] ** 2 + np.clip(part, 0.0, 1.0) * (radius[at] ** 2 - radius[at - 1] ** 2)
@@ -192,15 +198,15 @@ def measure_frame(session: Session, *, context: Context) -> Result:
         make_refusal(quantity, unit, reason, refusal="missing", **of_spot)
         for quantity, unit, reason in BEYOND_ONE_FRAME
     ]
-    if spot.others:
+    if spot.other_sources:
         out = [m.with_(region=_box(spot)) for m in out]
     first = SourcePosition(row=spot.row, col=spot.col, significance=spot.significance)
-    for other in spot.others[:8]:
+    for other in spot.other_sources[:8]:
         dark = spot.dark_dn if spot.dark_known else None
-        second = replace(spot_of(entry, stack, dark, other, context, []), others=(first,))
+        second = replace(spot_of(entry, stack, dark, other, context, []), other_sources=(first,))
         out += [m.with_(region=_box(second)) for m in extents((second,))]
     return Result(
-        measurements=tuple(add_findings(one) for one in out),
+        measurements=tuple(add_findings(measurement) for measurement in out),
         evidence={"bloom-series": series_evidence((spot,))},
     )
 
@@ -219,25 +225,25 @@ def _box(spot: PointStack) -> tuple[int, int, int, int]:
 def _energy_radii(
     spot: PointStack, stack: FrameStack, context: Context, common: dict[str, Any]
 ) -> list[Measurement]:
-    names = [f"encircled_radius_{100 * share:.0f}" for share in SHARES]
+    names = [f"encircled_radius_{100 * fraction:.0f}" for fraction in SHARES]
     try:
         if spot.significance < DETECTED:
             raise Unmeasurable("no point source is detected")
         view = view_of(
             stack.data, spot.dark_dn, spot.full_scale_dn, spot.row, spot.col, context.pitch_ratio
         )
-        found = ring_energy_radii(view, spot.light, seed=context.seed)
+        radii = ring_energy_radii(view, spot.light, seed=context.seed)
     except Unmeasurable as refusal:
         return [make_refusal(name, "px", str(refusal), **common) for name in names]
     (rows, cols), ratio = spot.image.shape, context.pitch_ratio
-    reach = min(
+    reach_px = min(
         REACH_PX, spot.row * ratio, (rows - 1 - spot.row) * ratio, spot.col, cols - 1 - spot.col
     )
-    given = {"flags": ("several-targets",) if spot.others else (), **common}
-    given["notes"] = (f"the total signal is that within {reach:.0f} px of the source",)
+    radius_fields = {"flags": ("several-targets",) if spot.other_sources else (), **common}
+    radius_fields["notes"] = (f"the total signal is that within {reach_px:.0f} px of the source",)
     return [
-        measurement_from_draws(name, "px", found[share], **given)
-        for name, share in zip(names, SHARES, strict=True)
+        measurement_from_draws(name, "px", radii[fraction], **radius_fields)
+        for name, fraction in zip(names, SHARES, strict=True)
     ]
 
 
@@ -245,8 +251,8 @@ def _halo(spot: PointStack, context: Context, common: dict[str, Any]) -> Measure
     """Diameter of the halo where the ring profile has a clear step."""
     if spot.significance < DETECTED:
         return make_refusal("halo_diameter", "px", "no point source is detected", **common)
-    radius, seen = edge_radius(profile_of(spot, context=context))
-    if seen >= STEP_SEEN:
+    radius, significance = edge_radius(profile_of(spot, context=context))
+    if significance >= STEP_SEEN:
         notes = (
             (
                 "the steepest step of the rings; only a series of stacks distinguishes it from "

@@ -80,7 +80,7 @@ def smear_measurement(
     smear it is refused with an upper limit that assumes linearity.
     """
     clear = [spot for spot in spots if spot.significance > DETECTED]
-    found, reasons = [], []
+    smears, reasons = [], []
     try:
         core = _core_of(clear, context)
     except Unmeasurable as refusal:
@@ -88,23 +88,23 @@ def smear_measurement(
     for spot in clear:
         if (spot.exposure_lux_ns or 0.0) > LEAST_RATIO * core.light:
             try:
-                found.append(_smear_of(spot, core, context))
+                smears.append(_smear_of(spot, core, context))
             except Unmeasurable as refusal:
                 reasons.append(str(refusal))
-    if not found:
+    if not smears:
         reason = reasons[0] if reasons else "no stack is brighter than the unsaturated one"
         return make_refusal("smear_fraction", "1", reason, **fields), {}
     rows = clear[0].image.shape[0]
     evidence = {
         "figure": "bloom-smear",
-        "label": [one.label for one in found],
-        "light_per_row_dn": [one.light * core.light_dn / rows for one in found],
-        "level_dn": [one.level_dn for one in found],
-        "level_sd_dn": [one.level_sd_dn for one in found],
+        "label": [smear.label for smear in smears],
+        "light_per_row_dn": [smear.light * core.light_dn / rows for smear in smears],
+        "level_dn": [smear.level_dn for smear in smears],
+        "level_sd_dn": [smear.level_sd_dn for smear in smears],
         "core_stack": core.stack,
         "core_columns": 2 * core.half_width_px + 1,
     }
-    return _fraction(found, core, rows, **fields), {"bloom-smear": evidence}
+    return _fraction(smears, core, rows, **fields), {"bloom-smear": evidence}
 
 
 def _core_of(spots: list[PointStack], context: Context) -> Core:
@@ -116,18 +116,18 @@ def _core_of(spots: list[PointStack], context: Context) -> Core:
     linear = [spot for spot in spots if spot.exposure_lux_ns and _is_linear(spot)]
     if not linear:
         raise Unmeasurable("every stack saturates the core: the signal of its columns is unknown")
-    spot = max(linear, key=lambda one: one.exposure_lux_ns or 0.0)
-    near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= 24
-    sums = spot.image[near].sum(axis=0)
+    spot = max(linear, key=lambda stack: stack.exposure_lux_ns or 0.0)
+    near_rows = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= 24
+    sums = spot.image[near_rows].sum(axis=0)
     col = round(spot.col)
-    wide = sums[max(0, col - 6) : col + 7] - np.median(sums)
-    over = np.flatnonzero(wide > 0.25 * wide.max())
+    column_excess = sums[max(0, col - 6) : col + 7] - np.median(sums)
+    over = np.flatnonzero(column_excess > 0.25 * column_excess.max())
     half = int(np.clip(np.abs(over - min(6, col)).max(), 1, 6))
-    value, sd = _contrast(spot.image, near, half, col)
+    value, sd = _contrast(spot.image, near_rows, half, col)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
-    light, value = spot.exposure_lux_ns or 1.0, value * near.sum()
+    light, value = spot.exposure_lux_ns or 1.0, value * near_rows.sum()
     noise = np.hypot(
-        sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1)
+        sd * near_rows.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1)
     )
     if not value > 0 or noise > 0.25 * value:
         raise Unmeasurable(
@@ -156,26 +156,28 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
     correlated noise.
     """
     along = image[rows].mean(axis=0)
-    reach = half + 3 + FLANK_PX
-    weight = np.zeros(2 * reach + 1)
+    half_span = half + 3 + FLANK_PX
+    weight = np.zeros(2 * half_span + 1)
     weight[:FLANK_PX], weight[-FLANK_PX:] = -0.5 / FLANK_PX, -0.5 / FLANK_PX
-    weight[reach - half : reach + half + 1] = 1.0 / (2 * half + 1)
-    padded = np.pad(along, reach, mode="reflect")
+    weight[half_span - half : half_span + half + 1] = 1.0 / (2 * half + 1)
+    padded = np.pad(along, half_span, mode="reflect")
     everywhere = np.correlate(padded, weight, mode="valid")
-    places = np.arange(len(along))
-    inside = (
-        (places >= reach) & (places < len(along) - reach) & (np.abs(places - col) > reach + half)
+    cols = np.arange(len(along))
+    clear_cols = (
+        (cols >= half_span)
+        & (cols < len(along) - half_span)
+        & (np.abs(cols - col) > half_span + half)
     )
-    others = (
-        everywhere[inside]
-        if inside.sum() >= 4 * reach
-        else everywhere[np.abs(places - col) > reach + half]
+    other_contrasts = (
+        everywhere[clear_cols]
+        if clear_cols.sum() >= 4 * half_span
+        else everywhere[np.abs(cols - col) > half_span + half]
     )
-    if len(others) < reach:
+    if len(other_contrasts) < half_span:
         raise Unmeasurable(
             "the frame is too narrow: there are no columns far from the source for comparison"
         )
-    spread = max(1.4826 * float(np.median(np.abs(others))), float(np.std(others)))
+    spread = max(1.4826 * float(np.median(np.abs(other_contrasts))), float(np.std(other_contrasts)))
     return float(everywhere[col]), max(spread, ROUNDED_DN / np.sqrt(rows.sum()))
 
 
@@ -183,28 +185,32 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear:
     """Uniform column signal of one stack."""
     col, half = round(spot.col), core.half_width_px
     # The round profile is subtracted first, since its curvature resembles a faint column.
-    found = compare_columns(spot, context, half_width_px=spot.image.shape[1])
+    columns = compare_columns(spot, context, half_width_px=spot.image.shape[1])
     middle = slice(max(0, col - half), col + half + 1)
-    far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
-    above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
-    if far.sum() < 16:
+    far_rows = _far_rows(columns, middle, grain_of(spot.image, spot.col, spot.dark_dn))
+    far_above, far_below = far_rows & (columns.row_offset < 0), far_rows & (columns.row_offset > 0)
+    if far_rows.sum() < 16:
         raise Unmeasurable(
             "the source's streak or halo extends to the frame's top and bottom: smear is not "
             "separable from them"
         )
     # One full column is sufficient, since a streak's columns differ in length.
-    even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
-    if even > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
+    column_level = float(np.median(spot.image[far_rows, middle], axis=0).max()) - spot.dark_dn
+    if column_level > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
         raise Unmeasurable(
             "the columns are bright from top to bottom: smear is not separable from a streak"
         )
-    level, sd = _contrast(found.excess_dn, far, half, col)
+    level, sd = _contrast(columns.excess_dn, far_rows, half, col)
     # Halo and wing add noise to these columns.
-    sd *= float(np.sqrt((found.sd_dn[far, middle] ** 2).mean() / np.median(found.sd_dn[far]) ** 2))
+    sd *= float(
+        np.sqrt(
+            (columns.sd_dn[far_rows, middle] ** 2).mean() / np.median(columns.sd_dn[far_rows]) ** 2
+        )
+    )
     uneven = False
-    if min(above.sum(), below.sum()) >= LEAST_SIDE:
+    if min(far_above.sum(), far_below.sum()) >= LEAST_SIDE:
         (up, up_sd), (down, down_sd) = (
-            _contrast(found.excess_dn, rows, half, col) for rows in (above, below)
+            _contrast(columns.excess_dn, rows, half, col) for rows in (far_above, far_below)
         )
         uneven = abs(up - down) > APART * np.hypot(up_sd, down_sd)
     return Smear(
@@ -216,77 +222,79 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear:
     )
 
 
-def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> Mask:
+def _far_rows(columns: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> Mask:
     """Rows beyond the streak and outside the noisy part of the halo."""
-    excess = found.excess_dn[:, middle].max(axis=1)
+    excess = columns.excess_dn[:, middle].max(axis=1)
     noise = np.sqrt(grain.floor_variance)
-    quiet = found.sd_dn[:, middle].max(axis=1) < 1.3 * max(
-        noise, float(np.median(found.sd_dn[[0, -1]]))
+    quiet = columns.sd_dn[:, middle].max(axis=1) < 1.3 * max(
+        noise, float(np.median(columns.sd_dn[[0, -1]]))
     )
     out = np.zeros(len(excess), bool)
     for side in (-1, 1):
-        rows = np.flatnonzero(found.row_offset * side > 0)[::side]
-        held = rows[quiet[rows]]
-        if len(held) < LEAST_SIDE:
+        rows = np.flatnonzero(columns.row_offset * side > 0)[::side]
+        quiet_rows = rows[quiet[rows]]
+        if len(quiet_rows) < LEAST_SIDE:
             continue
-        last = excess[held[-max(LEAST_SIDE, len(held) // 4) :]]
+        last = excess[quiet_rows[-max(LEAST_SIDE, len(quiet_rows) // 4) :]]
         level = float(np.median(last))
         spread = max(noise, 1.4826 * float(np.median(np.abs(last - level))))
         over = excess[rows] > level + 6.0 * spread
         run = np.flatnonzero(over[:-1] & over[1:])
         # The last pixels of a streak are partly filled: two rows more.
-        beyond = rows[run[-1] + 4 :] if len(run) else rows
-        out[beyond[quiet[beyond]]] = True
+        outer_rows = rows[run[-1] + 4 :] if len(run) else rows
+        out[outer_rows[quiet[outer_rows]]] = True
     return out
 
 
-def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measurement:
+def _fraction(smears: list[Smear], core: Core, rows: int, **fields: Any) -> Measurement:
     """Combine stacks; scatter beyond their errors widens the interval."""
-    light, level, error = np.array([(one.light, one.level_dn, one.level_sd_dn) for one in found]).T
-    share, sd = rows * level / (light * core.light_dn), rows * error / (light * core.light_dn)
-    seen = level > 4.0 * error
-    weight = 1.0 / (sd**2 + (LIGHT_SD * float(np.average(share, weights=sd**-2))) ** 2)
+    light, level, error = np.array(
+        [(smear.light, smear.level_dn, smear.level_sd_dn) for smear in smears]
+    ).T
+    fraction, sd = rows * level / (light * core.light_dn), rows * error / (light * core.light_dn)
+    is_visible = level > 4.0 * error
+    weight = 1.0 / (sd**2 + (LIGHT_SD * float(np.average(fraction, weights=sd**-2))) ** 2)
     weight /= weight.sum()
-    mean = float(weight @ share)
-    between = max(LIGHT_SD, min(_between(share[seen], sd[seen]), 0.3)) * mean
+    mean = float(weight @ fraction)
+    scatter_sd = max(LIGHT_SD, min(_between(fraction[is_visible], sd[is_visible]), 0.3)) * mean
     # The light of the unsaturated stack has the same uncertainty.
-    known = float(np.hypot(mean * core.light_sd_dn / core.light_dn, between))
-    total = float(np.sqrt(weight**2 @ (sd**2 + between**2) + known**2))
-    if not seen.any():
-        most = max(mean, 0.0) + 2.0 * total
+    known = float(np.hypot(mean * core.light_sd_dn / core.light_dn, scatter_sd))
+    total = float(np.sqrt(weight**2 @ (sd**2 + scatter_sd**2) + known**2))
+    if not is_visible.any():
+        upper_limit = max(mean, 0.0) + 2.0 * total
         reason = (
-            f"no stack shows smear: it is at most {most:.2g} of a column's signal, if the "
+            f"no stack shows smear: it is at most {upper_limit:.2g} of a column's signal, if the "
             f"light is as stated"
         )
         return make_refusal("smear_fraction", "1", reason, refusal="not-applicable", **fields)
     flags = ()
-    if light[seen].max() < LEAST_RATIO * light[seen].min():
+    if light[is_visible].max() < LEAST_RATIO * light[is_visible].min():
         flags += ("extrapolated",)
-    if _bends(light[seen], share[seen], sd[seen]):
+    if _bends(light[is_visible], fraction[is_visible], sd[is_visible]):
         flags += ("nonlinear",)
-    if any(one.uneven for one, here in zip(found, seen, strict=True) if here):
+    if any(smear.uneven for smear, visible in zip(smears, is_visible, strict=True) if visible):
         flags += ("model-misfit",)
     return measurement_from_sd("smear_fraction", "1", mean, total, flags=flags, **fields)
 
 
-def _between(share: Array, sd: Array) -> float:
+def _between(fraction: Array, sd: Array) -> float:
     """Relative scatter of stacks beyond their errors (DerSimonian and Laird, Control. Clin. Trials
     7, 177, 1986).
     """
-    if len(share) < 2:
+    if len(fraction) < 2:
         return 0.0
     weight = 1.0 / sd**2
-    mean = float(weight @ share / weight.sum())
-    excess = float(weight @ (share - mean) ** 2) - (len(share) - 1)
+    mean = float(weight @ fraction / weight.sum())
+    excess = float(weight @ (fraction - mean) ** 2) - (len(fraction) - 1)
     variance = max(0.0, excess / float(weight.sum() - (weight**2).sum() / weight.sum()))
     return float(np.sqrt(variance)) / abs(mean)
 
 
-def _bends(light: Array, share: Array, sd: Array) -> bool:
+def _bends(light: Array, fraction: Array, sd: Array) -> bool:
     """Whether the fraction changes with the light: the column signal is then nonlinear."""
-    if len(share) < 2:
+    if len(fraction) < 2:
         return False
     order = np.argsort(light)
     low, high = order[0], order[-1]
-    apart = abs(share[high] - share[low]) > APART * np.hypot(sd[high], sd[low])
-    return bool(apart and abs(share[high] / share[low] - 1.0) > 0.15)
+    differ = abs(fraction[high] - fraction[low]) > APART * np.hypot(sd[high], sd[low])
+    return bool(differ and abs(fraction[high] / fraction[low] - 1.0) > 0.15)

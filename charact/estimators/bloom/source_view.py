@@ -53,14 +53,14 @@ class Rings:
     """Sums over ring and sector cells of an image.
 
     `total`, `count`: sum and number of pixels of each cell, shape (ring, sector); `radius`: mean
-    radius of each ring, column pitches, shape (ring,); `whole`: fraction of each ring that lies
-    inside the frame, shape (ring,).
+    radius of each ring, column pitches, shape (ring,); `inside_fraction`: fraction of each ring
+    that lies inside the frame, shape (ring,).
     """
 
     total: Array
     count: Array
     radius: Array
-    whole: Array
+    inside_fraction: Array
 
     def mean(self, sectors: NDArray[np.bool_] | None = None) -> Array:
         """Ring means over the selected sectors, shape (ring,)."""
@@ -90,12 +90,16 @@ class Rings:
         frames. `pixel_sd` is the noise of a pixel of the mean frame in each ring, shape (ring,).
         """
         mean, number = self.mean(sectors), np.maximum(self.count[:, sectors].sum(axis=1), 1.0)
-        apart = (self.total - mean[:, None] * self.count)[:, sectors] / number[:, None]
-        weights = rng.standard_normal((count, apart.shape[1])) * np.sqrt(
-            apart.shape[1] / max(apart.shape[1] - 1, 1)
+        sector_deviations = (self.total - mean[:, None] * self.count)[:, sectors] / number[:, None]
+        weights = rng.standard_normal((count, sector_deviations.shape[1])) * np.sqrt(
+            sector_deviations.shape[1] / max(sector_deviations.shape[1] - 1, 1)
         )
-        near = np.where(self.radius < 4, pixel_sd / np.sqrt(number), 0.0)
-        return mean + weights @ apart.T + near * rng.standard_normal((count, len(mean)))
+        innermost_sd = np.where(self.radius < 4, pixel_sd / np.sqrt(number), 0.0)
+        return (
+            mean
+            + weights @ sector_deviations.T
+            + innermost_sd * rng.standard_normal((count, len(mean)))
+        )
 
 
 def rings_of(image: Array, polar: Polar) -> Rings:
@@ -108,7 +112,7 @@ def rings_of(image: Array, polar: Polar) -> Rings:
     pixels = np.maximum(count.sum(axis=1), 1.0)
     radius = np.bincount(polar.ring.ravel(), polar.radius.ravel(), minlength=rings) / pixels
     full = np.pi * (2.0 * np.arange(rings) + 1.0) / polar.row_pitch
-    return Rings(total=total, count=count, radius=radius, whole=count.sum(axis=1) / full)
+    return Rings(total=total, count=count, radius=radius, inside_fraction=count.sum(axis=1) / full)
 
 
 # Range of signal, fractions of full scale, in which photon noise is measured.
@@ -125,13 +129,14 @@ class PixelNoise:
     """Variance of a pixel in one frame, `floor + slope * signal`, DN^2, and the number of averaged
     frames.
 
-    `tied` is the variance of a sum of many pixels over that of as many independent ones.
+    `correlation_factor` is the variance of a sum of many pixels over that of as many independent
+    ones.
     """
 
     floor: float
     slope: float
     frames: int
-    tied: float = 1.0
+    correlation_factor: float = 1.0
 
     def sd(self, signal: Array | float) -> Array:
         """Return the standard deviation of a pixel in one frame, DN."""
@@ -146,9 +151,11 @@ def mean_with_clipping(mean: Array, noise: PixelNoise, top: float) -> tuple[Arra
 
     sd = noise.sd(np.minimum(mean, top))
     z = np.clip((top - mean) / sd, -30.0, 30.0)
-    below = ndtr(z)
+    unclipped_fraction = ndtr(z)
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
-    return np.where(z >= 30.0, mean, mean * below - sd * density + top * (1.0 - below)), below
+    return np.where(
+        z >= 30.0, mean, mean * unclipped_fraction - sd * density + top * (1.0 - unclipped_fraction)
+    ), unclipped_fraction
 
 
 def noise_of(
@@ -175,14 +182,20 @@ def noise_of(
         around = 0.5 * (np.roll(signal, APART_ROWS, axis=0) + np.roll(signal, -APART_ROWS, axis=0))
         variance = np.where(level, (signal - around) ** 2 / 1.5, np.nan)
     faint = (signal <= np.median(signal[::2, ::2]))[::2, ::2]
-    spread = [float(np.median(np.abs(one - expected)[::2, ::2][faint])) for one in (smooth, signal)]
-    tied = max(1.0, (spread[0] / max(spread[1], 1e-6)) ** 2 * 4.0 * np.pi * SMOOTHING_PX**2)
+    spread = [
+        float(np.median(np.abs(image - expected)[::2, ::2][faint])) for image in (smooth, signal)
+    ]
+    correlation_factor = max(
+        1.0, (spread[0] / max(spread[1], 1e-6)) ** 2 * 4.0 * np.pi * SMOOTHING_PX**2
+    )
     # In a single frame, selection by the pixel's own value would bias its noise.
     of = signal if len(frames) > 1 else expected
-    return _line(variance.ravel(), of.ravel(), top, len(frames), tied)
+    return _line(variance.ravel(), of.ravel(), top, len(frames), correlation_factor)
 
 
-def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) -> PixelNoise:
+def _line(
+    variance: Array, signal: Array, top: float, frames: int, correlation_factor: float
+) -> PixelNoise:
     """Fit variance against signal from the faint half of the pixels and from well exposed ones."""
     known = np.isfinite(variance)
     variance, signal = variance[known], signal[known]
@@ -192,18 +205,26 @@ def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) 
     if lit.sum() < 8:
         # Noise of intensified cameras is mostly photon noise.
         slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, 1.0)
-        return PixelNoise(floor=ROUNDING, slope=slope, frames=frames, tied=tied)
+        return PixelNoise(
+            floor=ROUNDING, slope=slope, frames=frames, correlation_factor=correlation_factor
+        )
     # Medians, since pixels at the end of a streak or under a moving source vary by more than their
     # noise.
     at_lit = float(np.median(signal[lit]))
     of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
     if at_lit < 1.5 * at_faint:
         return PixelNoise(
-            floor=ROUNDING, slope=max(of_lit - ROUNDING, 0.0) / at_lit, frames=frames, tied=tied
+            floor=ROUNDING,
+            slope=max(of_lit - ROUNDING, 0.0) / at_lit,
+            frames=frames,
+            correlation_factor=correlation_factor,
         )
     slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
     return PixelNoise(
-        floor=max(of_faint - slope * at_faint, ROUNDING), slope=slope, frames=frames, tied=tied
+        floor=max(of_faint - slope * at_faint, ROUNDING),
+        slope=slope,
+        frames=frames,
+        correlation_factor=correlation_factor,
     )
 
 
@@ -268,7 +289,7 @@ class Background:
 
     level_dn: float
     sd_dn: float
-    even: bool
+    is_uniform: bool
 
     @property
     def is_illuminated(self) -> bool:
@@ -285,8 +306,8 @@ def background_of(view: SourceView) -> Background:
     inner, outer = _level(view, slice(first, half)), _level(view, slice(half, None))
     level, sd = _level(view, slice(first, None))
     falls = inner[0] - outer[0]
-    even = falls < max(4.0 * float(np.hypot(inner[1], outer[1])), 0.05 * abs(level), 0.1)
-    return Background(level_dn=level, sd_dn=sd, even=bool(even))
+    is_uniform = falls < max(4.0 * float(np.hypot(inner[1], outer[1])), 0.05 * abs(level), 0.1)
+    return Background(level_dn=level, sd_dn=sd, is_uniform=bool(is_uniform))
 
 
 def _level(view: SourceView, rings: slice) -> tuple[float, float]:

@@ -52,31 +52,40 @@ def compare_extents(
 
     series, light = best.problem.series, best.problem.light_at(best.peak.point[None])[..., 0]
     streaked = {
-        one.stack for one in extents if one.quantity == "streak_level" and one.status != "refused"
+        extent.stack
+        for extent in extents
+        if extent.quantity == "streak_level" and extent.status != "refused"
     }
     spots = {spot.label: spot for spot in group}
-    out, apart = [], []
-    for one in extents:
-        if one.quantity in READ and one.interval95 is not None and one.stack in spots:
-            spot = spots[one.stack]
-            (level, read), curve = READ[one.quantity](spot), light[series.labels.index(spot.label)]
+    out, differences = [], []
+    for extent in extents:
+        if extent.quantity in READ and extent.interval95 is not None and extent.stack in spots:
+            spot = spots[extent.stack]
+            (level, read), curve = (
+                READ[extent.quantity](spot),
+                light[series.labels.index(spot.label)],
+            )
             joined = spot.label in streaked and _stands_apart(curve, level)
-            off = joined or _is_off(series.node_px, curve, level, one.interval95)
+            off = joined or _is_off(series.node_px, curve, level, extent.interval95)
             alone = off or read is None or read.pulled or read.contour is None
             diameter = _diameter(series.node_px, curve, level)
-            if one.quantity == JUDGED and not alone and np.isfinite(diameter):
+            if extent.quantity == JUDGED and not alone and np.isfinite(diameter):
                 # Difference of both without noise or model error, px.
-                apart.append((cast(float, one.value) - diameter) / np.hypot(_sd(one), 0.02))
-            one = _combine_diameters(one, diameter, alone=alone, frames=spot.frames)
-            one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
-        out.append(one)
+                differences.append(
+                    (cast(float, extent.value) - diameter) / np.hypot(_sd(extent), 0.02)
+                )
+            extent = _combine_diameters(extent, diameter, alone=alone, frames=spot.frames)
+            extent = (
+                extent.with_(flags=MISFIT) if off and extent.quantity in CONTRADICTED else extent
+            )
+        out.append(extent)
     # Normalised differences between contours and model over the stacks exceed noise.
-    differ = chdtrc(max(len(apart), 1), np.sum(np.square(apart))) < 1e-4
+    differ = chdtrc(max(len(differences), 1), np.sum(np.square(differences))) < 1e-4
     return tuple(
-        one.with_(flags=MISFIT)
-        if differ and one.quantity == JUDGED and one.status != "refused"
-        else one
-        for one in out
+        extent.with_(flags=MISFIT)
+        if differ and extent.quantity == JUDGED and extent.status != "refused"
+        else extent
+        for extent in out
     )
 
 
@@ -98,16 +107,16 @@ def _combine_diameters(
     mean = value if alone else 0.5 * (value + diameter_px)
     # Part of the difference charged as a standard error, so that the 95 % interval of the mean
     # covers both values.
-    kept, charged = (1.0, 0.4) if alone else (_error_factor(extent, mean, frames), 0.3)
+    own_error_factor, charged = (1.0, 0.4) if alone else (_error_factor(extent, mean, frames), 0.3)
     sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else 0.004))
-    wide = [
+    intervals = [
         tuple(
-            mean + way * float(np.hypot(kept * (value - ends[at]), times * sd))
+            mean + way * float(np.hypot(own_error_factor * (value - ends[at]), times * sd))
             for at, way in enumerate((-1, 1))
         )
         for ends, times in ((low68, 1.0), (low95, 1.96))
     ]
-    return replace(extent, value=mean, interval68=wide[0], interval95=wide[1])
+    return replace(extent, value=mean, interval68=intervals[0], interval95=intervals[1])
 
 
 def _error_factor(extent: Measurement, diameter_px: float, frames: int) -> float:
@@ -116,8 +125,8 @@ def _error_factor(extent: Measurement, diameter_px: float, frames: int) -> float
     """
     name, half = extent.quantity, extent.quantity == "bloom_diameter"
     long = LONG[name] + (0.35 * half) / (1.0 + (0.06 / max(_sd(extent), 1e-9)) ** 2)
-    kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / 6.0) ** 4)
-    return kept * (1.0 + 3.0 * half / frames)
+    factor = long + (SHORT[name] - long) / (1.0 + (diameter_px / 6.0) ** 4)
+    return factor * (1.0 + 3.0 * half / frames)
 
 
 def _is_off(
@@ -125,29 +134,29 @@ def _is_off(
 ) -> bool:
     """Whether the model, allowances made, crosses the threshold outside an interval."""
     floor = float(light_dn[-1])
-    near = [floor + (light_dn - floor) * (1.0 + off) for off in (-LIGHT_SHARE, LIGHT_SHARE)]
-    found = [_diameter(node_px, one, level_dn) for one in near]
-    if not np.isfinite(found).all():
+    light_limits = [floor + (light_dn - floor) * (1.0 + off) for off in (-LIGHT_SHARE, LIGHT_SHARE)]
+    diameters = [_diameter(node_px, light, level_dn) for light in light_limits]
+    if not np.isfinite(diameters).all():
         return False
-    allowed = max(1.0, 0.05 * max(found))
-    return interval[1] < min(found) - allowed or interval[0] > max(found) + allowed
+    allowed = max(1.0, 0.05 * max(diameters))
+    return interval[1] < min(diameters) - allowed or interval[0] > max(diameters) + allowed
 
 
 def _diameter(node_px: Array, light_dn: Array, level_dn: float) -> float:
     """Diameter at which the signal first falls through a threshold; NaN where it does not within
     the rings.
     """
-    below = np.flatnonzero(light_dn < level_dn)
-    if not len(below):
+    nodes_below = np.flatnonzero(light_dn < level_dn)
+    if not len(nodes_below):
         return float("nan")
-    if below[0] == 0:
+    if nodes_below[0] == 0:
         return 0.0
-    one = int(below[0])
-    share = (light_dn[one - 1] - level_dn) / (light_dn[one - 1] - light_dn[one])
-    return 2.0 * float(node_px[one - 1] + share * (node_px[one] - node_px[one - 1]))
+    node = int(nodes_below[0])
+    step_fraction = (light_dn[node - 1] - level_dn) / (light_dn[node - 1] - light_dn[node])
+    return 2.0 * float(node_px[node - 1] + step_fraction * (node_px[node] - node_px[node - 1]))
 
 
 def _stands_apart(light_dn: Array, level_dn: float) -> bool:
     """Whether the signal rises above the threshold again farther out."""
-    below = np.flatnonzero(light_dn < level_dn)
-    return bool(len(below)) and bool((light_dn[below[0] :] >= level_dn).any())
+    nodes_below = np.flatnonzero(light_dn < level_dn)
+    return bool(len(nodes_below)) and bool((light_dn[nodes_below[0] :] >= level_dn).any())

@@ -28,11 +28,11 @@ class Misfit:
     """Relative model error of the rings, the same in every model, since cameras are not
     rotationally symmetric.
 
-    `share`: relative error of rings beyond the core, dimensionless; `core`: relative error of rings
+    `outer`: relative error of rings beyond the core, dimensionless; `core`: relative error of rings
     near the core, at least that of the others, dimensionless.
     """
 
-    share: float
+    outer: float
     core: float
 
     def of_rings(self, radius_px: Array) -> Array:
@@ -70,17 +70,17 @@ def modes_of(covariance: Array) -> Modes:
     return Modes(variance=np.maximum(variance, 0.0), modes=modes)
 
 
-def most_likely_misfit(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
+def most_likely_misfit(of_core: Array, of_outer: Array) -> tuple[Misfit, float]:
     """Return the most likely relative errors near the core and beyond, and the log-likelihood of
     both.
 
-    `of_core`, `beyond`: log-likelihoods for each trial error, shape (share,).
+    `of_core`, `of_outer`: log-likelihoods for each trial error, shape (share,).
     """
-    share = int(np.argmax(beyond))
+    outer = int(np.argmax(of_outer))
     # Few rings near the core, to which the core was fitted, would underestimate the error.
-    core = share + int(np.argmax(of_core[share:]))
-    return Misfit(share=float(SHARES[share]), core=float(SHARES[core])), float(
-        beyond[share] + of_core[core]
+    core = outer + int(np.argmax(of_core[outer:]))
+    return Misfit(outer=float(SHARES[outer]), core=float(SHARES[core])), float(
+        of_outer[outer] + of_core[core]
     )
 
 
@@ -135,8 +135,10 @@ class RingSeries:
         """Eigenmodes of the relative noise of the rings near the core, and of those beyond."""
         light = np.maximum(self.light, LEAST_LIGHT_DN)
         relative = self.own_covariance / (light[:, :, None] * light[:, None, :])
-        near = about_core(self.radius_px)
-        return modes_of(relative[:, near][:, :, near]), modes_of(relative[:, ~near][:, :, ~near])
+        is_core = about_core(self.radius_px)
+        return modes_of(relative[:, is_core][:, :, is_core]), modes_of(
+            relative[:, ~is_core][:, :, ~is_core]
+        )
 
     @cached_property
     def parts_of_rings(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -161,7 +163,9 @@ PER_LEVEL = ("data", "cut", "own_covariance", "node_sd", "sector_sd", "averages"
 
 def select_levels(series: RingSeries, which: NDArray[np.bool_]) -> RingSeries:
     """Return some stacks of a series."""
-    labels = tuple(label for label, one in zip(series.labels, which, strict=True) if one)
+    labels = tuple(
+        label for label, is_selected in zip(series.labels, which, strict=True) if is_selected
+    )
     return replace(
         series, labels=labels, **{name: getattr(series, name)[which] for name in PER_LEVEL}
     )
@@ -171,15 +175,15 @@ def series_of(
     levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: float, rings: int
 ) -> RingSeries:
     """Combine the innermost rings of all stacks into a series."""
-    within = {id(level.geometry): level.geometry.within(rings) for level in levels}
-    geometries = [within[id(level.geometry)] for level in levels]
+    inner_geometries = {id(level.geometry): level.geometry.within(rings) for level in levels}
+    geometries = [inner_geometries[id(level.geometry)] for level in levels]
     first = geometries[0]
     data = np.array([level.mean_dn[:rings] for level in levels])
     covariances = [
-        noise.covariance(one, of.count, level.frames) + np.diag(np.where(of.lost, 1e5**2, 0.0))
-        for one, level, of in zip(data, levels, geometries, strict=True)
+        noise.covariance(means, of.count, level.frames) + np.diag(np.where(of.lost, 1e5**2, 0.0))
+        for means, level, of in zip(data, levels, geometries, strict=True)
     ]
-    nodes = np.array([np.interp(first.node_px, first.radius_px, one) for one in data])
+    nodes = np.array([np.interp(first.node_px, first.radius_px, means) for means in data])
     return RingSeries(
         labels=tuple(level.label for level in levels),
         data=data,
@@ -187,7 +191,7 @@ def series_of(
         own_covariance=np.array(covariances),
         node_sd=noise.pixel_sd(nodes),
         sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
-        averages=np.array([one.averages for one in geometries]),
+        averages=np.array([geometry.averages for geometry in geometries]),
         node_px=first.node_px,
         radius_px=first.radius_px,
         full_dn=full_dn,
@@ -218,12 +222,12 @@ class AmplitudeSolution:
 class ModelParts:
     """Model of unit signal at some points, before the amplitudes.
 
-    `straight`: signal at the nodes of a source of one DN px^2, shape (node, point); `white`,
+    `unclipped`: signal at the nodes of a source of one DN px^2, shape (node, point); `white`,
     `uncut`: its ring means, whitened and weighted by the unclipped rings' precision, shape (level,
     ring, point).
     """
 
-    straight: Array
+    unclipped: Array
     white: Array
     uncut: Array
 
@@ -238,7 +242,7 @@ class SeriesLikelihood:
 
     series: RingSeries
     form: HaloModel
-    misfit: Misfit = Misfit(share=0.02, core=0.02)
+    misfit: Misfit = Misfit(outer=0.02, core=0.02)
     steps: int = 2
 
     @cached_property
@@ -275,33 +279,33 @@ class SeriesLikelihood:
         """Reciprocal standard error of each unclipped ring, 0 of the others, shape (level, ring),
         1/DN.
         """
-        own = np.diagonal(self.series.covariance(self.misfit), axis1=1, axis2=2)
-        return ~self.series.cut / np.sqrt(own)
+        variance = np.diagonal(self.series.covariance(self.misfit), axis1=1, axis2=2)
+        return ~self.series.cut / np.sqrt(variance)
 
     def log_probability(self, points: Array) -> Array:
         """Log-posterior with the optimum amplitudes of every stack, shape (point,)."""
         prior = self.form.log_prior(points)
-        inside = np.isfinite(prior)
+        within_bounds = np.isfinite(prior)
         out = np.full(len(points), -np.inf)
-        if inside.any():
-            out[inside] = prior[inside] - 0.5 * self.solve_amplitudes(points[inside]).chi2.sum(
-                axis=0
-            )
+        if within_bounds.any():
+            out[within_bounds] = prior[within_bounds] - 0.5 * self.solve_amplitudes(
+                points[within_bounds]
+            ).chi2.sum(axis=0)
         return out
 
     def parts(self, points: Array) -> ModelParts:
         """Return the model of unit signal at points."""
         return ModelParts(
-            **self.straight_parts((self.form.transform(points) @ self.series.onto_nodes).T)
+            **self.unclipped_parts((self.form.transform(points) @ self.series.onto_nodes).T)
         )
 
-    def straight_parts(self, straight: Array) -> dict[str, Array]:
+    def unclipped_parts(self, unclipped: Array) -> dict[str, Array]:
         """Average signal at the nodes, shape (node, point), over rings."""
         rings = self.series.ring_means(
-            np.broadcast_to(straight, (len(self.series.labels), *straight.shape))
+            np.broadcast_to(unclipped, (len(self.series.labels), *unclipped.shape))
         )
         white, uncut = whiten_rings(rings, self.whitener), self.uncut_weight[..., None] * rings
-        return {"straight": straight, "white": white, "uncut": uncut}
+        return {"unclipped": unclipped, "white": white, "uncut": uncut}
 
     def solve_amplitudes(self, points: Array) -> AmplitudeSolution:
         """Find the optimum amplitudes of all stacks at points."""
@@ -321,11 +325,11 @@ class SeriesLikelihood:
 
     def _of_uncut_rings(self, uncut: Array) -> Array:
         """Initial amplitudes from the unclipped rings, correlations neglected."""
-        even, data = (
-            np.broadcast_to(one[..., None], uncut.shape)
-            for one in (self.uncut_even, self.uncut_data)
+        unit_background, data = (
+            np.broadcast_to(rings[..., None], uncut.shape)
+            for rings in (self.uncut_even, self.uncut_data)
         )
-        return best_step(uncut, even, data)[0]
+        return best_step(uncut, unit_background, data)[0]
 
     def whiten(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
         """Whitened residuals, shape (level, ring, point), and their slopes, (amplitude, level,
@@ -345,12 +349,12 @@ class SeriesLikelihood:
         The nodes end beyond the last clipped one.
         """
         return lost_at_top(
-            parts.straight, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP
+            parts.unclipped, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP
         )
 
     def light(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Signal at the nodes, shape (level, node, point), DN."""
-        return parts.straight * amplitudes[:, :1] + amplitudes[:, 1:]
+        return parts.unclipped * amplitudes[:, :1] + amplitudes[:, 1:]
 
     def read(self, light_dn: Array, sd_dn: Array) -> tuple[Array, Array]:
         """Mean grey value and its slope at nodes, shape (level, node, point)."""
@@ -359,12 +363,14 @@ class SeriesLikelihood:
         full = self.series.full_dn
         z = (full - light_dn) / sd_dn[..., None]
         read, slope = np.minimum(light_dn, full), (z > 0).astype(float)
-        near = np.abs(z) < NEAR_TOP
-        if near.any():
-            at, sd = z[near], np.broadcast_to(sd_dn[..., None], z.shape)[near]
-            below = ndtr(at)
-            slope[near] = below
-            read[near] = full - sd * (at * below + np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi))
+        near_full_scale = np.abs(z) < NEAR_TOP
+        if near_full_scale.any():
+            at, sd = z[near_full_scale], np.broadcast_to(sd_dn[..., None], z.shape)[near_full_scale]
+            below_probability = ndtr(at)
+            slope[near_full_scale] = below_probability
+            read[near_full_scale] = full - sd * (
+                at * below_probability + np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi)
+            )
         return read, slope
 
     def rings(self, points: Array) -> Array:
@@ -380,9 +386,9 @@ class SeriesLikelihood:
         """Return the most likely relative model errors at a point, and the log-likelihood."""
         light = np.maximum(self.series.light, LEAST_LIGHT_DN)
         residual = (self.series.data - self.rings(point[None])[..., 0]) / light
-        near = about_core(self.series.radius_px)
-        core, beyond = self.series.own_modes
+        is_core = about_core(self.series.radius_px)
+        core, outer = self.series.own_modes
         misfit, value = most_likely_misfit(
-            core.log_likelihoods(residual[:, near]), beyond.log_likelihoods(residual[:, ~near])
+            core.log_likelihoods(residual[:, is_core]), outer.log_likelihoods(residual[:, ~is_core])
         )
         return misfit, value - float(np.log(light).sum())

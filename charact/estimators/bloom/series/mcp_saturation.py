@@ -30,23 +30,25 @@ class SaturatingHaloModel(HaloModel):
     @cached_property
     def parameters(self) -> tuple[ModelParameter, ...]:
         """Parameters in the order of a point's coordinates."""
-        share = POST_GAIN_SHARE
+        post_gain_share = POST_GAIN_SHARE
         if self.sensor is not None:
-            share = replace(share, mean=float(self.sensor.tube.post_gain_share), sd=0.15)
-        return (*self._core_parameters(), *self._halo_parameters(), PLATE_LOAD, share)
+            post_gain_share = replace(
+                post_gain_share, mean=float(self.sensor.tube.post_gain_share), sd=0.15
+            )
+        return (*self._core_parameters(), *self._halo_parameters(), PLATE_LOAD, post_gain_share)
 
     def behind(self, points: Array) -> Array:
         """Transfer function of the blur after the gain, pixel included, shape (draw, frequency)."""
-        share = self.at(points)["post_gain_share"][:, None]
-        return self.blur_transform(points) ** share * pixel_of(self.pitch_ratio)
+        post_gain_share = self.at(points)["post_gain_share"][:, None]
+        return self.blur_transform(points) ** post_gain_share * pixel_of(self.pitch_ratio)
 
     def before(self, points: Array) -> Array:
         """Transfer function of the light at the MCP, halo and wing included, shape (draw,
         frequency).
         """
-        share = self.at(points)["post_gain_share"][:, None]
+        post_gain_share = self.at(points)["post_gain_share"][:, None]
         return self.add_wing(
-            self.blur_transform(points) ** (1.0 - share), points
+            self.blur_transform(points) ** (1.0 - post_gain_share), points
         ) * self.halo_factor(points)
 
     @property
@@ -87,10 +89,10 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
             frequencies(), np.full(len(points), self.form.neighbourhood_px**2)
         )
         recorded, arriving, loading = (
-            (one @ self.series.onto_nodes).T for one in (before * behind, before, load)
+            (transform @ self.series.onto_nodes).T for transform in (before * behind, before, load)
         )
         return SaturatingModelParts(
-            **self.straight_parts(recorded),
+            **self.unclipped_parts(recorded),
             arriving=arriving,
             loading=loading * self.form.at(points)["plate_load"],
             behind=behind.T,
@@ -102,13 +104,17 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
 
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point)."""
-        straight, (loss, follows) = (
+        linear_light, (loss, follows) = (
             super().light(parts, amplitudes),
             self._light_loss(parts, amplitudes),
         )
-        read, slope = self.read(straight - loss, self.series.node_sd)
+        read, slope = self.read(linear_light - loss, self.series.node_sd)
         return np.stack(
-            [straight - read, parts.straight - slope * (parts.straight - follows), 1.0 - slope],
+            [
+                linear_light - read,
+                parts.unclipped - slope * (parts.unclipped - follows),
+                1.0 - slope,
+            ],
             axis=2,
         )
 
@@ -172,8 +178,8 @@ def fit_mcp_saturation(
         ),
         misfit=problem.misfit,
     )
-    share = tiring.form.parameters[-1].mean
-    starts = np.array([[*peak.point, load, share] for load in (0.0, *(1e-5, 1e-4, 1e-3))])
+    post_gain_share = tiring.form.parameters[-1].mean
+    starts = np.array([[*peak.point, load, post_gain_share] for load in (0.0, *(1e-5, 1e-4, 1e-3))])
     values = tiring.log_probability(starts)
     best = starts[int(np.argmax(values[1:])) + 1]
     first = optimise(tiring, best, iterations=5)
@@ -181,10 +187,10 @@ def fit_mcp_saturation(
         return None
     # Without load the model differs only in the position of the blur: it must improve on that as
     # well.
-    rest = max(float(values[0]), peak.log_probability)
-    near = optimise(tiring, first.point, iterations=12)
-    if near.log_probability < rest:
+    unsaturated_log_probability = max(float(values[0]), peak.log_probability)
+    refined = optimise(tiring, first.point, iterations=12)
+    if refined.log_probability < unsaturated_log_probability:
         return None
-    last = optimise(tiring, near.point)
+    last = optimise(tiring, refined.point)
     # Minimum gain in log-probability of the two additional parameters.
-    return None if last.log_probability - rest < 10.0 else (tiring, last)
+    return None if last.log_probability - unsaturated_log_probability < 10.0 else (tiring, last)

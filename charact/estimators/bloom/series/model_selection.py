@@ -72,49 +72,58 @@ def candidates(
     description, None if unknown; `has_tube`: whether the camera has a tube, whose MCP may saturate;
     `first_diameter_px`: diameter of the clearest step of the rings; NaN where there is none.
     """
-    reach = float(series.radius_px[-1])
+    reach_px = float(series.radius_px[-1])
 
     def form(core: Core, halo: Halo) -> HaloModel:
         return HaloModel(
-            core=core, halo=halo, reach_px=reach, pitch_ratio=pitch_ratio, sensor=sensor
+            core=core, halo=halo, reach_px=reach_px, pitch_ratio=pitch_ratio, sensor=sensor
         )
 
     out: list[FittedHaloModel] = []
     for core in CORES_OF_TUBES if has_tube else CORES:
         bare = fit_model(series, form(core, "none"), [])
-        found = [one for one in out if one.form.halo == "disc"]
+        disc_models = [model for model in out if model.form.halo == "disc"]
         out += [
             bare,
             fit_model(
                 series,
                 form(core, "disc"),
-                _discs(form(core, "disc"), first_diameter_px, bare, found),
+                _discs(form(core, "disc"), first_diameter_px, bare, disc_models),
             ),
         ]
-    likeliest = min(out, key=lambda one: one.bic)
+    likeliest = min(out, key=lambda model: model.bic)
     out.append(fit_model(series, form(likeliest.form.core, "gaussian"), []))
-    least = min(one.bic for one in out)
+    least_bic = min(model.bic for model in out)
     out = [
-        refit_from_other_profiles(one)
-        if one.form.halo == "disc" and one.bic < least + WORTHWHILE
-        else one
-        for one in out
+        refit_from_other_profiles(model)
+        if model.form.halo == "disc" and model.bic < least_bic + WORTHWHILE
+        else model
+        for model in out
     ]
     out = sorted(
-        (refit_with_misfit(one) if one.bic < least + WORTHWHILE else one for one in out),
-        key=lambda one: one.bic,
+        (
+            refit_with_misfit(model) if model.bic < least_bic + WORTHWHILE else model
+            for model in out
+        ),
+        key=lambda model: model.bic,
     )
     if not has_tube:
         return out
     # Saturation changes which core fits best, so that each core is tried with it; a described
     # tube's core is known.
-    near = [one for one in reversed(out) if one.bic < least + WORTHWHILE]
-    cores = {one.form.core: one for one in near if sensor is None or one.form.core == "tube"}
-    tiring = [found for one in cores.values() for found in _saturating_candidates(one, out[0].bic)]
-    return sorted([*out, *tiring], key=lambda one: one.bic)
+    plausible = [model for model in reversed(out) if model.bic < least_bic + WORTHWHILE]
+    cores = {
+        model.form.core: model for model in plausible if sensor is None or model.form.core == "tube"
+    }
+    tiring = [
+        saturating
+        for model in cores.values()
+        for saturating in _saturating_candidates(model, out[0].bic)
+    ]
+    return sorted([*out, *tiring], key=lambda model: model.bic)
 
 
-def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHaloModel]:
+def _saturating_candidates(best: FittedHaloModel, least_bic: float) -> list[FittedHaloModel]:
     """Fit a core's best model with a saturating MCP, where several stacks can constrain it.
 
     It must be clearly better than any model without saturation. If the core is clipped in every
@@ -123,14 +132,17 @@ def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHa
     series = best.problem.series
     if best.form.halo != "disc" or len(series.labels) < 3 or series.cut[:, 0].all():
         return []
-    found = fit_mcp_saturation(best.problem, best.peak)
-    first = _candidate(*found) if found else best
+    saturating_fit = fit_mcp_saturation(best.problem, best.peak)
+    first = _candidate(*saturating_fit) if saturating_fit else best
     fitted_on = [refit_with_misfit(first)] if first.bic < best.bic else []
-    return [one for one in fitted_on if one.bic < least - 15.0]
+    return [model for model in fitted_on if model.bic < least_bic - 15.0]
 
 
 def _discs(
-    form: HaloModel, first_diameter_px: float, bare: FittedHaloModel, found: list[FittedHaloModel]
+    form: HaloModel,
+    first_diameter_px: float,
+    bare: FittedHaloModel,
+    disc_models: list[FittedHaloModel],
 ) -> list[Array]:
     """Start points of a disc: those of other cores, the observed step, and a range of diameters.
 
@@ -142,13 +154,15 @@ def _discs(
     if np.isfinite(first_diameter_px):
         diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
     halos = [
-        *(one.peak.point[-HALO:] for one in found),
+        *(model.peak.point[-HALO:] for model in disc_models),
         *([diameter, *(0.3, 0.3, 0.0, 0.0, 0.08)] for diameter in diameters),
     ]
     cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
-    out = [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
+    out = [
+        np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(disc_models) else 1]
+    ]
     if form.core in WINGS:
-        plain = found[0].peak.point
+        plain = disc_models[0].peak.point
         out.append(np.array([plain[0], *cores[1][1:], *plain[-HALO:]]))
     return out
 
@@ -158,8 +172,10 @@ def fit_model(series: RingSeries, form: HaloModel, starts: list[Array]) -> Fitte
     problem = SeriesLikelihood(series=series, form=form)
     tried = np.array(starts or [form.first])
     order = np.argsort(problem.log_probability(tried))[::-1][:2]
-    peaks = [optimise(problem, tried[one], iterations=FIRST_STEPS, tolerance=0.2) for one in order]
-    return _candidate(problem, max(peaks, key=lambda one: one.log_probability))
+    peaks = [
+        optimise(problem, tried[index], iterations=FIRST_STEPS, tolerance=0.2) for index in order
+    ]
+    return _candidate(problem, max(peaks, key=lambda peak: peak.log_probability))
 
 
 def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
@@ -167,16 +183,16 @@ def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
     form, point = candidate.form, candidate.peak.point
     at, core = form.names.index("elastic_share"), len(point) - HALO
     starts = [point]
-    for share in (0.15, 0.6):
+    for elastic_fraction in (0.15, 0.6):
         for first in (point[:core], form.first[:core]):
             start = np.concatenate([first, point[core:]])
-            start[at] = share
+            start[at] = elastic_fraction
             starts.append(start)
     as_it_is, *peaks = [
         optimise(candidate.problem, start, iterations=FIRST_STEPS, tolerance=0.2)
         for start in starts
     ]
-    best = max(peaks, key=lambda one: one.log_probability)
+    best = max(peaks, key=lambda peak: peak.log_probability)
     return (
         _candidate(candidate.problem, best)
         if best.log_probability > as_it_is.log_probability + 1.0
@@ -208,12 +224,14 @@ MISFIT_SHARE = 0.12
 UNEVEN_RINGS = 3
 
 
-def halo_refusal_reason(found: list[FittedHaloModel]) -> str | None:
+def halo_refusal_reason(models: list[FittedHaloModel]) -> str | None:
     """Refusal reason of the halo; None where it is accepted."""
-    best = found[0]
+    best = models[0]
     if best.form.halo != "disc":
         return f"the data favour a {best.name}: no halo with an edge is visible"
-    rival = min((one for one in found if one.form.halo != "disc"), key=lambda one: one.bic)
+    rival = min(
+        (model for model in models if model.form.halo != "disc"), key=lambda model: model.bic
+    )
     if rival.bic - best.bic < 15.0:
         return (
             f"the data fit a {rival.name} nearly as well as a halo with an edge: no halo is "
@@ -233,7 +251,7 @@ def edge_is_tied(best: FittedHaloModel) -> bool:
     for factor in (0.8, 1.25):
         start = best.peak.point.copy()
         start[at] = np.clip(factor * start[at], low, high)
-        other = optimise(problem, start, held=(at,), iterations=8)
+        other = optimise(problem, start, fixed=(at,), iterations=8)
         if best.peak.log_probability - other.log_probability < 12.5:
             return False
     return True
@@ -246,31 +264,31 @@ def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
     Returns shape (level,) each; NaN for a stack without visible halo.
     """
     names = best.form.names
-    held = tuple(
+    fixed = tuple(
         i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction")
     )
-    at, share = names.index("halo_diameter"), names.index("halo_fraction")
+    at, fraction_index = names.index("halo_diameter"), names.index("halo_fraction")
     number = np.arange(len(best.problem.series.data))
     out = np.full((3, len(number)), np.nan)
-    for one in number:
-        alone = replace(best.problem, series=select_levels(best.problem.series, number == one))
-        seen = _significance(alone, best.peak.point, share)
-        out[2, one] = seen
-        if seen > 8.0:
-            peak = optimise(alone, best.peak.point, held=held, iterations=6)
-            free = [i for i in range(len(names)) if i not in held]
+    for level in number:
+        alone = replace(best.problem, series=select_levels(best.problem.series, number == level))
+        significance = _significance(alone, best.peak.point, fraction_index)
+        out[2, level] = significance
+        if significance > 8.0:
+            peak = optimise(alone, best.peak.point, fixed=fixed, iterations=6)
+            free = [i for i in range(len(names)) if i not in fixed]
             covariance = np.linalg.pinv(peak.normal[np.ix_(free, free)])
-            out[0, one], out[1, one] = (
+            out[0, level], out[1, level] = (
                 peak.point[at],
                 np.sqrt(max(covariance[free.index(at), free.index(at)], 0.0)),
             )
     return out[0], out[1], out[2]
 
 
-def _significance(alone: SeriesLikelihood, point: Array, share: int) -> float:
+def _significance(alone: SeriesLikelihood, point: Array, fraction_index: int) -> float:
     """Square root of twice the loss in log-probability of a stack without halo."""
     bare = point.copy()
-    bare[share] = alone.form.bounds[share, 0]
+    bare[fraction_index] = alone.form.bounds[fraction_index, 0]
     with_halo, without = alone.log_probability(np.array([point, bare]))
     return float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
 
@@ -281,5 +299,5 @@ def is_uneven(series: RingSeries) -> bool:
     excess = np.maximum(series.sector_sd**2 - variance, 0.0)
     clear = (excess > 4.0**2 * variance) & (excess > (0.5 * series.light) ** 2)
     clear &= ~series.cut & (series.radius_px > 6.0)
-    on_end = np.array([np.convolve(one, np.ones(UNEVEN_RINGS)) for one in clear])
+    on_end = np.array([np.convolve(is_clear, np.ones(UNEVEN_RINGS)) for is_clear in clear])
     return bool(on_end.max() >= UNEVEN_RINGS)

@@ -36,23 +36,24 @@ def optimise(
     problem: SeriesLikelihood,
     start: Array,
     *,
-    held: tuple[int, ...] = (),
+    fixed: tuple[int, ...] = (),
     iterations: int = 50,
     tolerance: float = 1e-2,
 ) -> SeriesOptimum:
-    """Find the optimum near a start; parameters `held` stay fixed."""
+    """Find the optimum near a start; parameters `fixed` stay fixed."""
     bounds = problem.form.bounds.copy()
-    for one in held:
-        bounds[one] = start[one]
+    for index in fixed:
+        bounds[index] = start[index]
     mean, sd = (
-        np.array([getattr(one, name) for one in problem.form.parameters]) for name in ("mean", "sd")
+        np.array([getattr(parameter, name) for parameter in problem.form.parameters])
+        for name in ("mean", "sd")
     )
 
     def linearise(point: Array):
         residual, slopes = whitened(problem, point)
         return linearise_residual(residual, slopes.T, mean - point, sd**-2.0)
 
-    found = least_squares(
+    optimum = least_squares(
         linearise,
         start,
         bounds,
@@ -63,7 +64,10 @@ def optimise(
     )
     width = np.ptp(problem.form.bounds, axis=1)
     return SeriesOptimum(
-        point=found.point, normal=found.at.normal, width=width, log_probability=-0.5 * found.at.cost
+        point=optimum.point,
+        normal=optimum.at.normal,
+        width=width,
+        log_probability=-0.5 * optimum.at.cost,
     )
 
 
@@ -78,16 +82,16 @@ def whitened(problem: SeriesLikelihood, point: Array) -> tuple[Array, Array]:
     low, high = problem.form.bounds.T
     step = 1e-5 * (high - low)
     step = np.where(point + step > high, -step, step)
-    there, _ = problem.whiten(
+    shifted_residual, _ = problem.whiten(
         problem.parts(point + np.diag(step)), np.repeat(solved.amplitudes, len(point), axis=2)
     )
-    fall = (solved.residual - there) / step
+    fall = (solved.residual - shifted_residual) / step
     first, second = solved.slopes
-    for one in (
+    for slope in (
         first,
         second - first * (first * second).sum(axis=1, keepdims=True) / _square(first),
     ):
-        fall = fall - one * (one * fall).sum(axis=1, keepdims=True) / _square(one)
+        fall = fall - slope * (slope * fall).sum(axis=1, keepdims=True) / _square(slope)
     return solved.residual.ravel(), fall.reshape(-1, len(point))
 
 

@@ -53,28 +53,33 @@ def whiten_rings(rings: Array, whitener: Array) -> Array:
 
 @njit(cache=True)
 def residuals_and_slopes(
-    white: Array, even: Array, data: Array, amplitudes: Array, lost: Array, whitener: Array
+    white: Array,
+    unit_background: Array,
+    data: Array,
+    amplitudes: Array,
+    lost: Array,
+    whitener: Array,
 ) -> tuple[Array, Array]:
-    """Return what light leaves of the measured rings, and how that falls with source and
+    """Return the whitened residuals of the rings, and minus their derivatives by source and
     background.
 
-    `white`: whitened ring means of one DN px^2 of source, shape (level, ring, point); `even`,
-    `data`: those of an even light of 1 DN, and those measured, shape (level, ring); `amplitudes`:
-    source and background of each level, shape (level, 2, point); `lost`: ring means of the light
-    that is not read and of what it follows the amplitudes by, shape (level, ring, 3, point); rings
-    end where nothing is lost any more; `whitener`: makes residuals independent and of unit
-    variance, shape (level, ring, ring). Returns shape (level, ring, point). Shape (amplitude,
-    level, ring, point).
+    `white`: whitened ring means of one DN px^2 of source, shape (level, ring, point);
+    `unit_background`, `data`: those of a uniform background of 1 DN, and those measured, shape
+    (level, ring); `amplitudes`: source and background of each level, shape (level, 2, point);
+    `lost`: ring means of the signal lost by clipping and of its derivatives by the amplitudes,
+    shape (level, ring, 3, point), up to the last ring that is clipped; `whitener`: makes residuals
+    independent and of unit variance, shape (level, ring, ring). Returns shapes (level, ring, point)
+    and (amplitude, level, ring, point).
     """
     levels, rings, points = white.shape
     residual, slopes = np.empty((levels, rings, points)), np.empty((2, levels, rings, points))
     for level in range(levels):
         for ring in range(rings):
-            flat = even[level, ring]
+            flat = unit_background[level, ring]
             for point in range(points):
-                source, given = white[level, ring, point], amplitudes[level, :, point]
+                source, source_background = white[level, ring, point], amplitudes[level, :, point]
                 residual[level, ring, point] = (
-                    data[level, ring] - source * given[0] - flat * given[1]
+                    data[level, ring] - source * source_background[0] - flat * source_background[1]
                 )
                 slopes[0, level, ring, point], slopes[1, level, ring, point] = source, flat
             for other in range(min(ring + 1, lost.shape[1])):
@@ -87,60 +92,63 @@ def residuals_and_slopes(
 
 
 @njit(cache=True)
-def lost_at_top(straight: Array, amplitudes: Array, sd: Array, full: float, near: float) -> Array:
-    """Light that codes cut at the top do not show, and how it follows source and background.
+def lost_at_top(
+    unclipped: Array, amplitudes: Array, sd: Array, full: float, near_sd: float
+) -> Array:
+    """Signal lost by clipping at full scale, and its derivatives by source and background.
 
-    `straight`: light at the nodes of one DN px^2 of source, shape (node, point); `amplitudes`:
+    `unclipped`: signal at the nodes of a source of 1 DN px^2, shape (node, point); `amplitudes`:
     source and background of each level, shape (level, 2, point); `sd`: standard deviation of a
-    pixel, shape (level, node), DN; `full`: highest code, DN; `near`: standard deviations below the
-    highest code within which codes are cut. Returns shape (level, node, 3, point); nodes end where
-    nothing is lost any more.
+    pixel, shape (level, node), DN; `full`: full scale, DN; `near_sd`: standard deviations around
+    full scale within which clipping is partial. Returns shape (level, node, 3, point), up to the
+    last clipped node.
     """
     levels, _, points = amplitudes.shape
-    out = np.zeros((levels, _last_cut(straight, amplitudes, sd, full, near), 3, points))
+    out = np.zeros((levels, _last_cut(unclipped, amplitudes, sd, full, near_sd), 3, points))
     for level in range(levels):
         for node in range(out.shape[1]):
             for point in range(points):
-                source = straight[node, point]
+                source = unclipped[node, point]
                 light = source * amplitudes[level, 0, point] + amplitudes[level, 1, point]
                 z = (full - light) / sd[level, node]
-                if z >= near:
+                if z >= near_sd:
                     continue
-                lost, share = light - full, 1.0
-                if z > -near:
-                    below = 0.5 * math.erfc(-z / math.sqrt(2.0))
+                lost, clipped_fraction = light - full, 1.0
+                if z > -near_sd:
+                    below_probability = 0.5 * math.erfc(-z / math.sqrt(2.0))
                     lost += sd[level, node] * (
-                        z * below + math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+                        z * below_probability + math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
                     )
-                    share = 1.0 - below
+                    clipped_fraction = 1.0 - below_probability
                 out[level, node, 0, point] = lost
-                out[level, node, 1, point] = share * source
-                out[level, node, 2, point] = share
+                out[level, node, 1, point] = clipped_fraction * source
+                out[level, node, 2, point] = clipped_fraction
     return out
 
 
 @njit(cache=True)
-def _last_cut(straight: Array, amplitudes: Array, sd: Array, full: float, near: float) -> int:
-    """Number of nodes up to the last one at which some level loses light."""
+def _last_cut(unclipped: Array, amplitudes: Array, sd: Array, full: float, near_sd: float) -> int:
+    """Number of nodes up to the last one at which the signal of some level is clipped."""
     levels, _, points = amplitudes.shape
-    for node in range(len(straight) - 1, -1, -1):
+    for node in range(len(unclipped) - 1, -1, -1):
         for level in range(levels):
             for point in range(points):
                 light = (
-                    straight[node, point] * amplitudes[level, 0, point]
+                    unclipped[node, point] * amplitudes[level, 0, point]
                     + amplitudes[level, 1, point]
                 )
-                if light > full - near * sd[level, node]:
+                if light > full - near_sd * sd[level, node]:
                     return node + 1
     return 0
 
 
 @njit(cache=True)
-def best_step(source: Array, even: Array, residual: Array) -> tuple[Array, float]:
-    """Step of source and background that whitened rings ask for by least squares.
+def best_step(source: Array, background: Array, residual: Array) -> tuple[Array, float]:
+    """Least-squares step of source and background from whitened rings.
 
-    `source`, `even`, `residual`: slopes of the rings and what is left of them, shape (level, ring,
-    point). Returns shape (level, 2, point). Most that it promises of any level's chi squared.
+    `source`, `background`, `residual`: derivatives and residuals of the rings, shape (level, ring,
+    point). Returns shape (level, 2, point) and the largest predicted fall of any level's chi
+    squared.
     """
     levels, rings, points = residual.shape
     step, promise = np.empty((levels, 2, points)), -np.inf
@@ -148,16 +156,16 @@ def best_step(source: Array, even: Array, residual: Array) -> tuple[Array, float
         for point in range(points):
             a = b = d = right = level_right = 0.0
             for ring in range(rings):
-                one, other, left = (
+                source_slope, background_slope, ring_residual = (
                     source[level, ring, point],
-                    even[level, ring, point],
+                    background[level, ring, point],
                     residual[level, ring, point],
                 )
-                a += one * one
-                b += one * other
-                d += other * other
-                right += one * left
-                level_right += other * left
+                a += source_slope * source_slope
+                b += source_slope * background_slope
+                d += background_slope * background_slope
+                right += source_slope * ring_residual
+                level_right += background_slope * ring_residual
             determinant = max(a * d - b * b, 1e-12 * a * d + 1e-300)
             first, second = (
                 (d * right - b * level_right) / determinant,

@@ -79,8 +79,8 @@ def _step(
             geometry.pixel_radius_px, geometry.radius_px, np.gradient(mean, geometry.radius_px)
         )
         light = np.interp(geometry.pixel_radius_px, geometry.radius_px, mean)
-        whole = geometry.largest(value) < 0.9 * full_dn
-        use = np.repeat(whole, geometry.count.astype(int))
+        is_unclipped = geometry.largest(value) < 0.9 * full_dn
+        use = np.repeat(is_unclipped, geometry.count.astype(int))
         # Averages over a pixel's width hide the curvature of the innermost rings.
         weight = use / (1.0 + np.maximum(light - floor, 0.0))
         design = -slope * direction
@@ -103,12 +103,14 @@ def one_place(spots: tuple[PointStack, ...]) -> tuple[PointStack, ...]:
     equally common.
     """
 
-    def near(spot: PointStack) -> tuple[PointStack, ...]:
-        return tuple(one for one in spots if np.hypot(one.row - spot.row, one.col - spot.col) < 2.0)
+    def neighbours(spot: PointStack) -> tuple[PointStack, ...]:
+        return tuple(
+            other for other in spots if np.hypot(other.row - spot.row, other.col - spot.col) < 2.0
+        )
 
     return max(
-        (near(spot) for spot in spots),
-        key=lambda group: (len(group), max(one.significance for one in group)),
+        (neighbours(spot) for spot in spots),
+        key=lambda group: (len(group), max(other.significance for other in group)),
     )
 
 
@@ -119,45 +121,45 @@ def build_ring_series(
     Unmeasurable.
     """
     group = one_place(spots)
-    clearest = max(group, key=lambda one: one.significance)
-    shapes = {one.image.shape for one in group}
+    clearest = max(group, key=lambda spot: spot.significance)
+    shapes = {spot.image.shape for spot in group}
     if len(shapes) > 1:
         raise Unmeasurable(
             f"stacks of one source must have frames of one size, got {sorted(shapes)}"
         )
-    full = min(one.full_scale_dn for one in group)
+    full = min(spot.full_scale_dn for spot in group)
     aside = nearer_to_others(group, clearest, context.pitch_ratio)
-    masks = [column_artefact_mask(one, context) | aside for one in group]
-    bad = [bad_pixels(session.stack(one.label), one.image.shape) for one in group]
+    masks = [column_artefact_mask(spot, context) | aside for spot in group]
+    bad = [bad_pixels(session.stack(spot.label), spot.image.shape) for spot in group]
     row, col = refine_centre(
-        [one.image for one in group],
+        [spot.image for spot in group],
         clearest.row,
         clearest.col,
         pitch_ratio=context.pitch_ratio,
         full_dn=full,
-        spoiled=[one | other for one, other in zip(masks, bad, strict=True)],
+        spoiled=[mask | defects for mask, defects in zip(masks, bad, strict=True)],
     )
     levels = _levels(session, group, masks, bad, (row, col), full, context)
-    whole = min(len(level.mean_dn) for level in levels)
-    if whole < LEAST_RINGS:
+    ring_count = min(len(level.mean_dn) for level in levels)
+    if ring_count < LEAST_RINGS:
         raise Unmeasurable(
-            f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}"
+            f"the source must lie {LEAST_RINGS} px or more inside the frame, got {ring_count}"
         )
-    noise = noise_of(levels, dark_dn=min(one.dark_dn for one in group))
-    series = series_of(levels, noise, full_dn=full, rings=min(64, whole))
-    return series, tuple(replace(one, row=row, col=col) for one in group)
+    noise = noise_of(levels, dark_dn=min(spot.dark_dn for spot in group))
+    series = series_of(levels, noise, full_dn=full, rings=min(64, ring_count))
+    return series, tuple(replace(spot, row=row, col=col) for spot in group)
 
 
-def nearer_to_others(group: tuple[PointStack, ...], own: PointStack, pitch_ratio: float) -> Mask:
+def nearer_to_others(group: tuple[PointStack, ...], source: PointStack, pitch_ratio: float) -> Mask:
     """Pixels closer to another source of any stack than to this one, shape (row, col)."""
-    rows, cols = np.indices(own.image.shape)
+    rows, cols = np.indices(source.image.shape)
 
     def apart(row: float, col: float) -> Array:
         return np.hypot((rows - row) * pitch_ratio, cols - col)
 
-    mask, here = np.zeros(own.image.shape, bool), apart(own.row, own.col)
-    for other in (other for one in group for other in one.others):
-        mask |= apart(other.row, other.col) < here
+    mask, source_distance = np.zeros(source.image.shape, bool), apart(source.row, source.col)
+    for other in (other for spot in group for other in spot.other_sources):
+        mask |= apart(other.row, other.col) < source_distance
     return mask
 
 
@@ -166,34 +168,34 @@ def _levels(
     group: tuple[PointStack, ...],
     masks: list[Mask],
     bad: list[Mask],
-    place: tuple[float, float],
+    centre: tuple[float, float],
     full_dn: float,
     context: Context,
 ) -> tuple[LevelRings, ...]:
     """Rings of every stack without contaminated pixels."""
     entries = {entry.label: entry for entry in session.of_kind("point")}
-    of_place = partial(geometry_of, group[0].image.shape, *place, pitch_ratio=context.pitch_ratio)
-    whole = of_place(spoiled=None)
+    of_place = partial(geometry_of, group[0].image.shape, *centre, pitch_ratio=context.pitch_ratio)
+    full_geometry = of_place(spoiled=None)
     out = []
-    for one, mask, defects in zip(group, masks, bad, strict=True):
+    for spot, mask, defects in zip(group, masks, bad, strict=True):
         lost = mask | defects
-        geometry = of_place(spoiled=lost) if lost.any() else whole
-        level = level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn)
-        upright = _upright_px(one.image, place, full_dn, context.pitch_ratio)
+        geometry = of_place(spoiled=lost) if lost.any() else full_geometry
+        level = level_of(spot.label, entries[spot.label].read().data, geometry, full_dn=full_dn)
+        upright = _upright_px(spot.image, centre, full_dn, context.pitch_ratio)
         out.append(level.without_core(upright) if mask.any() or upright > 0 else level)
     return tuple(out)
 
 
 def _upright_px(
-    image: Array, place: tuple[float, float], full_dn: float, pitch_ratio: float
+    image: Array, centre: tuple[float, float], full_dn: float, pitch_ratio: float
 ) -> float:
     """Radius of a core that overflow has made higher than wide, column pitches; 0 where it is
     round.
     """
-    row, col = round(place[0]), round(place[1])
+    row, col = round(centre[0]), round(centre[1])
     cut = image >= 0.98 * full_dn
-    high, wide = _run(cut[:, col], row) * pitch_ratio, float(_run(cut[row], col))
-    return min(high / 2.0, 8.0) + ADJACENT_RINGS if high > wide + 2.0 else 0.0
+    height, width = _run(cut[:, col], row) * pitch_ratio, float(_run(cut[row], col))
+    return min(height / 2.0, 8.0) + ADJACENT_RINGS if height > width + 2.0 else 0.0
 
 
 def _run(line: NDArray[np.bool_], at: int) -> int:

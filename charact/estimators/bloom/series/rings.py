@@ -109,20 +109,22 @@ def geometry_of(
     dx = (np.arange(cols.start, cols.stop) - col)[None, :]
     radius = np.hypot(dx, dy).ravel()
     ring = radius.astype(np.int64)
-    inside = ring < reach_px
-    whole = np.pi * (2 * np.arange(reach_px) + 1) / pitch_ratio
-    enough = np.bincount(ring[inside], minlength=reach_px) > 0.34 * whole
+    within_reach = ring < reach_px
+    full_ring_area = np.pi * (2 * np.arange(reach_px) + 1) / pitch_ratio
+    enough = np.bincount(ring[within_reach], minlength=reach_px) > 0.34 * full_ring_area
     # The innermost rings contain few pixels, depending on the subpixel position.
-    enough[:INNERMOST] |= np.bincount(ring[inside], minlength=reach_px)[:INNERMOST] > 0
-    reach = int(np.argmin(enough)) if not enough.all() else reach_px
-    kept = ring < reach
-    lost = np.zeros(reach, bool)
+    enough[:INNERMOST] |= np.bincount(ring[within_reach], minlength=reach_px)[:INNERMOST] > 0
+    ring_count = int(np.argmin(enough)) if not enough.all() else reach_px
+    used_pixels = ring < ring_count
+    lost = np.zeros(ring_count, bool)
     if spoiled is not None:
-        clean = kept & ~spoiled[rows, cols].ravel()
-        left = np.bincount(ring[clean], minlength=reach) / np.bincount(ring[kept], minlength=reach)
-        lost = left < 0.3
-        kept &= clean | lost[np.minimum(ring, reach - 1)]
-    order = np.flatnonzero(kept)
+        clean = used_pixels & ~spoiled[rows, cols].ravel()
+        clean_fraction = np.bincount(ring[clean], minlength=ring_count) / np.bincount(
+            ring[used_pixels], minlength=ring_count
+        )
+        lost = clean_fraction < 0.3
+        used_pixels &= clean | lost[np.minimum(ring, ring_count - 1)]
+    order = np.flatnonzero(used_pixels)
     order = order[np.argsort(ring[order], kind="stable")]
     _, first, count = np.unique(ring[order], return_index=True, return_counts=True)
     down, across = (np.broadcast_to(way, (dy.size, dx.size)).ravel()[order] for way in (dy, dx))
@@ -134,7 +136,7 @@ def geometry_of(
         radius_px=np.add.reduceat(radius[order], first) / count,
         count=count.astype(float),
         lost=lost,
-        node_px=_nodes(reach + 1.0),
+        node_px=_nodes(ring_count + 1.0),
         pixel_radius_px=radius[order],
         pixel_angle=np.arctan2(down, across),
     )
@@ -147,14 +149,14 @@ def _nodes(reach_px: float) -> Array:
 
 def _averages(radius: Array, ring: NDArray[np.int64], nodes: Array, rings: int) -> Array:
     """Weights of cubic interpolation between nodes, averaged over each ring's pixels."""
-    place = np.clip(np.searchsorted(nodes, radius) - 2, 0, len(nodes) - 4)
-    four = place[:, None] + np.arange(4)
+    first_node = np.clip(np.searchsorted(nodes, radius) - 2, 0, len(nodes) - 4)
+    four = first_node[:, None] + np.arange(4)
     x = nodes[four]
     weight = np.ones_like(x)
-    for one in range(4):
-        for other in range(4):
-            if other != one:
-                weight[:, one] *= (radius - x[:, other]) / (x[:, one] - x[:, other])
+    for node in range(4):
+        for other_node in range(4):
+            if other_node != node:
+                weight[:, node] *= (radius - x[:, other_node]) / (x[:, node] - x[:, other_node])
     cell = (ring[:, None] * len(nodes) + four).ravel()
     out = np.bincount(cell, weight.ravel(), minlength=rings * len(nodes)).reshape(rings, -1)
     return out / np.bincount(ring, minlength=rings)[:, None]
@@ -273,9 +275,9 @@ class RingNoise:
     def _matrix(self) -> Array:
         """Correlation of all rings, with its eigenvalues bounded from below."""
         size = len(self.sharing)
-        apart = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
+        ring_separation = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
         padded = np.concatenate([self.correlation, np.zeros(max(1, size - len(self.correlation)))])
-        values, vectors = np.linalg.eigh(padded[apart])
+        values, vectors = np.linalg.eigh(padded[ring_separation])
         return (vectors * np.maximum(values, 0.05)) @ vectors.T
 
 
@@ -300,16 +302,16 @@ def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
         for level, usable in zip(levels, free, strict=True)
     ]
     freedom = np.array([max(level.frames - 1, 1) for level in levels])
-    square = np.sum([np.nansum(one**2, axis=0) for one in scaled], axis=0)
+    square = np.sum([np.nansum(scatter**2, axis=0) for scatter in scaled], axis=0)
     sharing = _smooth_over_rings(square, freedom @ free)
-    alike = [one / np.sqrt(sharing) for one in scaled]
+    normalised = [scatter / np.sqrt(sharing) for scatter in scaled]
     return RingNoise(
         floor_dn2=floor,
         slope_dn=slope,
         dark_dn=dark_dn,
         sharing=sharing,
-        correlation=_correlation(alike),
-        fewer=_frames_per_independent_frame(alike, levels),
+        correlation=_correlation(normalised),
+        fewer=_frames_per_independent_frame(normalised, levels),
     )
 
 
@@ -338,43 +340,46 @@ def _variance_law(
     return float(max(floor, 1e-3)), float(max(slope, 0.0))
 
 
-def _smooth_over_rings(square: Array, seen: Array) -> Array:
+def _smooth_over_rings(square: Array, number_per_ring: Array) -> Array:
     """Mean squares over neighbouring rings; the mean of all where none is usable."""
     kernel = np.ones(SMOOTHED)
     total, number = (
-        np.convolve(np.pad(one, SMOOTHED // 2), kernel, mode="valid") for one in (square, seen)
+        np.convolve(np.pad(values, SMOOTHED // 2), kernel, mode="valid")
+        for values in (square, number_per_ring)
     )
-    whole = square.sum() / max(seen.sum(), 1)
-    return np.maximum(np.where(number > 20, total / np.maximum(number, 1), max(whole, 0.3)), 0.1)
+    overall_mean = square.sum() / max(number_per_ring.sum(), 1)
+    return np.maximum(
+        np.where(number > 20, total / np.maximum(number, 1), max(overall_mean, 0.3)), 0.1
+    )
 
 
-def _correlation(alike: list[Array]) -> Array:
+def _correlation(normalised: list[Array]) -> Array:
     """Correlation of ring means by ring separation, beyond the innermost."""
     out = [1.0]
     for lag in range(1, 6 + 1):
         pairs = [
-            (one[:, FIRST_CORRELATED_RING:-lag], one[:, FIRST_CORRELATED_RING + lag :])
-            for one in alike
+            (scatter[:, FIRST_CORRELATED_RING:-lag], scatter[:, FIRST_CORRELATED_RING + lag :])
+            for scatter in normalised
         ]
-        products = np.concatenate([(near * far).ravel() for near, far in pairs])
-        squares = np.concatenate([(0.5 * (near**2 + far**2)).ravel() for near, far in pairs])
+        products = np.concatenate([(inner * outer).ravel() for inner, outer in pairs])
+        squares = np.concatenate([(0.5 * (inner**2 + outer**2)).ravel() for inner, outer in pairs])
         known = np.isfinite(products)
         enough = known.sum() > 50 and squares[known].sum() > 0
         out.append(float(products[known].sum() / squares[known].sum()) if enough else 0.0)
     return np.clip(np.array(out), -0.5, 1.0)
 
 
-def _frames_per_independent_frame(alike: list[Array], levels: tuple[LevelRings, ...]) -> float:
+def _frames_per_independent_frame(normalised: list[Array], levels: tuple[LevelRings, ...]) -> float:
     """Number of frames per independent frame: 1 + 2 x the bias-corrected correlation of successive
     frames.
     """
     top = bottom = 0.0
     frames = []
-    for one, level in zip(alike, levels, strict=True):
+    for scatter, level in zip(normalised, levels, strict=True):
         if level.frames < 4:
             continue
-        top += float(np.nansum(one[1:] * one[:-1])) * level.frames / (level.frames - 1)
-        bottom += float(np.nansum(one**2))
+        top += float(np.nansum(scatter[1:] * scatter[:-1])) * level.frames / (level.frames - 1)
+        bottom += float(np.nansum(scatter**2))
         frames.append(level.frames)
     if not bottom:
         return 1.0

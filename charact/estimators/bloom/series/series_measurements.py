@@ -28,27 +28,29 @@ def find_leak(
     light: Array,
     reach_px: float,
     area_px2: float,
-    near: tuple[float, float],
+    near_ratio: tuple[float, float],
 ) -> list[Finding]:
     """Return a finding where the background near the source rises faster with its signal than far
     from it.
 
     `group`: stacks of one source; `light`: source signal of each stack, DN px^2, shape (level,);
     `reach_px`: radius of the fitted background around the source, column pitches; `area_px2`: area
-    of the frame, column pitches squared; `near`: uniformly spread light over the source signal from
-    that background, and its standard error.
+    of the frame, column pitches squared; `near_ratio`: uniformly spread light over the source
+    signal from that background, and its standard error.
     """
-    seen = [_far(one, reach_px) for one in group]
-    if any(one is None for one in seen):
+    far_levels = [_far(spot, reach_px) for spot in group]
+    if any(spot is None for spot in far_levels):
         return []
-    level, sd = np.array(seen, float).T
-    far = glare(light, level, sd, area_px2)
-    if far is None or abs(near[0] - far[0]) < 4.0 * float(np.hypot(near[1], far[1])):
+    level, sd = np.array(far_levels, float).T
+    far_ratio = glare(light, level, sd, area_px2)
+    if far_ratio is None or abs(near_ratio[0] - far_ratio[0]) < 4.0 * float(
+        np.hypot(near_ratio[1], far_ratio[1])
+    ):
         return []
-    if abs(near[0] - far[0]) < 0.3 * max(near[0], far[0]):
+    if abs(near_ratio[0] - far_ratio[0]) < 0.3 * max(near_ratio[0], far_ratio[0]):
         return []
     near_percent, far_percent = (
-        100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (near[0], far[0])
+        100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (near_ratio[0], far_ratio[0])
     )
     effect = (
         f"veiling_glare is {near_percent:.2g} % by the background within {reach_px:.0f} px of the "
@@ -62,10 +64,10 @@ def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
     too few pixels.
     """
     rows, cols = np.ogrid[: spot.image.shape[0], : spot.image.shape[1]]
-    far = np.hypot((rows - spot.row) * spot.row_pitch, cols - spot.col) > reach_px
-    for other in spot.others:
-        far &= np.hypot((rows - other.row) * spot.row_pitch, cols - other.col) > 40.0
-    values = spot.image[far]
+    far_pixels = np.hypot((rows - spot.row) * spot.row_pitch, cols - spot.col) > reach_px
+    for other in spot.other_sources:
+        far_pixels &= np.hypot((rows - other.row) * spot.row_pitch, cols - other.col) > 40.0
+    values = spot.image[far_pixels]
     if values.size < 200:
         return None
     median = float(np.median(values))
@@ -88,15 +90,17 @@ def halo_of(form: HaloModel, points: Array) -> tuple[Array, Array]:
     of = form.at(points)
     radius, profile = of["halo_diameter"] / 2.0, profile_of(of)
     inner, outer = (0.3, 0.7)
-    within = _within(outer) - _within(inner)
-    share = profile @ within[:-1] + (1.0 - profile.sum(axis=1)) * within[-1]
-    per_px2 = share / (np.pi * radius**2 * (outer**2 - inner**2))
+    annulus_fraction = _within(outer) - _within(inner)
+    light_fraction = (
+        profile @ annulus_fraction[:-1] + (1.0 - profile.sum(axis=1)) * annulus_fraction[-1]
+    )
+    per_px2 = light_fraction / (np.pi * radius**2 * (outer**2 - inner**2))
     at = np.arange(RIM[0] * radius.min(), RIM[1] * radius.max(), 0.2)
     halo = form.halo_transform(points)
     assert halo is not None
     light = (form.blur_transform(points) * pixel_of(form.pitch_ratio) * halo) @ onto_nodes(at)
-    near = (at > RIM[0] * radius[:, None]) & (at < RIM[1] * radius[:, None])
-    rim = np.where(near, light, -np.inf).max(axis=1)
+    within_rim = (at > RIM[0] * radius[:, None]) & (at < RIM[1] * radius[:, None])
+    rim = np.where(within_rim, light, -np.inf).max(axis=1)
     return of["halo_fraction"] * per_px2, rim / per_px2
 
 
@@ -116,11 +120,14 @@ def energy_radii(
     """
     at = np.arange(STEP_PX / 2, reach_px, STEP_PX)
     light = form.transform(points) @ onto_nodes(at)
-    within = np.cumsum(light * 2.0 * np.pi * at * STEP_PX, axis=1)
+    encircled = np.cumsum(light * 2.0 * np.pi * at * STEP_PX, axis=1)
     edges = at + STEP_PX / 2
     # Ringing of the transform may give small negative light: radii need an increasing sum.
-    rising = np.maximum.accumulate(within, axis=1)
-    out = [[np.interp(share, one, edges, right=np.nan) for share in shares] for one in rising]
+    rising = np.maximum.accumulate(encircled, axis=1)
+    out = [
+        [np.interp(fraction, encircled_light, edges, right=np.nan) for fraction in shares]
+        for encircled_light in rising
+    ]
     return np.array(out)
 
 
@@ -172,12 +179,12 @@ def nearest_px(group: tuple[PointStack, ...]) -> float:
     """Distance of the nearest other source in any stack, column pitches; inf where there is
     none.
     """
-    pairs = ((one, other) for one in group for other in one.others)
-    away = (
-        float(np.hypot((two.row - one.row) * one.row_pitch, two.col - one.col))
-        for one, two in pairs
+    pairs = ((spot, other) for spot in group for other in spot.other_sources)
+    distances = (
+        float(np.hypot((source.row - spot.row) * spot.row_pitch, source.col - spot.col))
+        for spot, source in pairs
     )
-    return min(away, default=np.inf)
+    return min(distances, default=np.inf)
 
 
 def several_flag(group: tuple[PointStack, ...]) -> tuple[str, ...]:
@@ -185,16 +192,18 @@ def several_flag(group: tuple[PointStack, ...]) -> tuple[str, ...]:
     return ("several-targets",) if np.isfinite(nearest_px(group)) else ()
 
 
-def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
+def levels_apart(stack_diameters: tuple[Array, Array, Array]) -> tuple[float, int]:
     """Chi squared of the stacks' own diameters about their mean, and its degrees of freedom.
 
     All stacks have the core and profile of the optimum, so that the median of a skewed posterior is
     not their mean.
     """
-    seen = np.isfinite(own[0])
-    sd = np.maximum(own[1][seen], 0.1)
-    mean = np.sum(own[0][seen] / sd**2) / max(float(np.sum(sd**-2.0)), 1e-300)
-    return float(np.sum(((own[0][seen] - mean) / sd) ** 2)), max(int(seen.sum()) - 1, 0)
+    is_measured = np.isfinite(stack_diameters[0])
+    sd = np.maximum(stack_diameters[1][is_measured], 0.1)
+    mean = np.sum(stack_diameters[0][is_measured] / sd**2) / max(float(np.sum(sd**-2.0)), 1e-300)
+    return float(np.sum(((stack_diameters[0][is_measured] - mean) / sd) ** 2)), max(
+        int(is_measured.sum()) - 1, 0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,14 +211,14 @@ class FittedSeries:
     """Series with its models in order of likelihood, and what all its measurements have in common.
 
     `reason`: why no halo is reported, or None; `posterior`: draws of the best model's parameters;
-    `own`: each stack's own diameter, its error and significance, None without a halo; `group`: the
-    stacks; `flags`, `notes`, `fields`: of its measurements.
+    `stack_diameters`: each stack's own diameter, its error and significance, None without a halo;
+    `group`: the stacks; `flags`, `notes`, `fields`: of its measurements.
     """
 
     forms: list[FittedHaloModel]
     reason: str | None
     posterior: Posterior
-    own: tuple[Array, Array, Array] | None
+    stack_diameters: tuple[Array, Array, Array] | None
     group: tuple[PointStack, ...]
     flags: tuple[str, ...]
     notes: tuple[str, ...]
@@ -232,12 +241,18 @@ def halo_measurements(fit: FittedSeries) -> list[Measurement]:
 
     Light of another source contaminates the rings, but not the position of the edge.
     """
-    best, posterior, own, group, flags = fit.best, fit.posterior, fit.own, fit.group, fit.flags
-    assert own is not None
+    best, posterior, stack_diameters, group, flags = (
+        fit.best,
+        fit.posterior,
+        fit.stack_diameters,
+        fit.group,
+        fit.flags,
+    )
+    assert stack_diameters is not None
     several = several_flag(group)
     middle = float(np.median(posterior["halo_diameter"]))
-    apart, freedom = levels_apart(own)
-    wider = np.sqrt(max(1.0, apart / freedom)) if freedom else 1.0
+    chi2, freedom = levels_apart(stack_diameters)
+    wider = np.sqrt(max(1.0, chi2 / freedom)) if freedom else 1.0
     wider = wider * _noise_unknown(group, len(posterior.draws), posterior.seed)
     draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
     if nearest_px(group) < middle:
@@ -251,8 +266,8 @@ def halo_measurements(fit: FittedSeries) -> list[Measurement]:
         "halo_rim": rim,
     }
     draws |= {
-        name: one * _model_error_factors(best, name, len(one), posterior)
-        for name, one in of_light.items()
+        name: values * _model_error_factors(best, name, len(values), posterior)
+        for name, values in of_light.items()
     }
     blind = () if shows_core(best, posterior) else ("prior-bound",)
     flags_of = {
@@ -288,7 +303,7 @@ def _noise_unknown(group: tuple[PointStack, ...], draws: int, seed: int | None) 
     """Factors for the uncertainty of a noise estimate from few frames (Student's), shape
     (draw,).
     """
-    freedom = max(min(one.frames for one in group) - 1, 3)
+    freedom = max(min(spot.frames for spot in group) - 1, 3)
     return np.sqrt(freedom / np.random.default_rng(seed).chisquare(freedom, draws))
 
 
@@ -296,9 +311,9 @@ def _model_error_factors(
     best: FittedHaloModel, quantity: str, draws: int, posterior: Posterior
 ) -> Array:
     """Factors for the model error of a quantity, general and by rotational asymmetry."""
-    of_any, beyond, of_core = LEFT_OUT[quantity]
+    of_any, of_outer, of_core = LEFT_OUT[quantity]
     misfit = best.problem.misfit
-    sd = np.linalg.norm([of_any, beyond * misfit.share, of_core * misfit.core])
+    sd = np.linalg.norm([of_any, of_outer * misfit.outer, of_core * misfit.core])
     return np.exp(sd * np.random.default_rng(posterior.seed).standard_normal(draws))
 
 
@@ -306,24 +321,26 @@ def shows_core(best: FittedHaloModel, posterior: Posterior) -> bool:
     """Whether the source's total signal is known; unknown where every core is clipped."""
     if best.form.halo == "none":
         return True
-    share = best.form.names.index("halo_fraction")
-    bounds = best.form.bounds[[share]]
-    pressed = np.abs(bounds - best.peak.point[share]).min() < 1e-3 * np.ptp(bounds)
-    return not pressed and not crowds_at_bound(posterior.draws[:, [share]], bounds).any()
+    fraction_index = best.form.names.index("halo_fraction")
+    bounds = best.form.bounds[[fraction_index]]
+    pressed = np.abs(bounds - best.peak.point[fraction_index]).min() < 1e-3 * np.ptp(bounds)
+    return not pressed and not crowds_at_bound(posterior.draws[:, [fraction_index]], bounds).any()
 
 
 def energy_radius_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the radii that contain 50 and 90 % of the signal."""
     best, posterior, flags = fit.best, fit.posterior, fit.light_flags
-    reach = float(best.problem.series.radius_px[-1])
-    radii = energy_radii(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
+    reach_px = float(best.problem.series.radius_px[-1])
+    radii = energy_radii(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach_px)
     flags = flags if shows_core(best, posterior) else (*flags, "prior-bound")
     out = []
     for quantity, draws in zip(
         ("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True
     ):
         if np.isnan(draws).any():
-            reason = f"part of this light lies beyond the {reach:.0f} px analysed around the source"
+            reason = (
+                f"part of this light lies beyond the {reach_px:.0f} px analysed around the source"
+            )
             out.append(make_refusal(quantity, "px", reason, **fit.fields))
         else:
             draws = draws * _model_error_factors(best, quantity, len(draws), posterior)
@@ -339,8 +356,8 @@ def glare_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the veiling glare, from the backgrounds of all stacks."""
     best, posterior, group = fit.best, fit.posterior, fit.group
     settings = {
-        (one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control)
-        for one in group
+        (spot.conditions.mcp_v, spot.conditions.camera_gain_db, spot.conditions.gain_control)
+        for spot in group
     }
     if len(settings) > 1:
         return [
@@ -352,13 +369,13 @@ def glare_measurements(fit: FittedSeries) -> list[Measurement]:
     rows, cols = group[0].image.shape
     area = rows * cols * best.form.pitch_ratio
     sd = _background_sd(solved)
-    found = [
+    ratios = [
         glare(light, background, error, area)
         for light, background, error in zip(
             solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True
         )
     ]
-    known = np.array([one for one in found if one is not None])
+    known = np.array([ratio for ratio in ratios if ratio is not None])
     if not len(known):
         return [
             make_refusal(
@@ -372,13 +389,13 @@ def glare_measurements(fit: FittedSeries) -> list[Measurement]:
     ratio = known[:, 0] + known[:, 1] * rng.standard_normal(len(known))
     ratio = ratio * _model_error_factors(best, "veiling_glare", len(ratio), posterior)
     draws = 100.0 * ratio / (1.0 + np.maximum(ratio, 0.0))
-    reach = float(best.problem.series.radius_px[-1])
+    reach_px = float(best.problem.series.radius_px[-1])
     light = np.median(solved.amplitudes[:, 0], axis=1)
-    near = (float(np.median(ratio)), float(np.hypot(ratio.std(), np.median(known[:, 1]))))
+    near_ratio = (float(np.median(ratio)), float(np.hypot(ratio.std(), np.median(known[:, 1]))))
     number = measurement_from_draws(
         "veiling_glare", "%", draws, flags=fit.light_flags, notes=(*fit.notes, LEAKS), **fit.fields
     )
-    return [number.with_(findings=find_leak(group, light, reach, area, near))]
+    return [number.with_(findings=find_leak(group, light, reach_px, area, near_ratio))]
 
 
 def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
@@ -396,9 +413,14 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
             )
         ]
     # Distance, in ln, of the densities of other cores' models from the best one's.
-    saturating = [one for one in fit.forms if isinstance(one.problem, SaturatingSeriesLikelihood)]
+    saturating = [
+        model for model in fit.forms if isinstance(model.problem, SaturatingSeriesLikelihood)
+    ]
     ln = np.log(
-        [max(float(one.peak.point[one.form.names.index("plate_load")]), 1e-9) for one in saturating]
+        [
+            max(float(model.peak.point[model.form.names.index("plate_load")]), 1e-9)
+            for model in saturating
+        ]
     )
     unlike = float(np.abs(ln - ln[0]).max())
     if unlike > float(np.log(4.0)):
@@ -424,8 +446,8 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
             "mcp_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields
         )
     ]
-    left = best.problem.compression(points[:DERIVED])
-    for label, draws in zip(best.problem.series.labels, left, strict=True):
+    compression = best.problem.compression(points[:DERIVED])
+    for label, draws in zip(best.problem.series.labels, compression, strict=True):
         out.append(
             measurement_from_draws(
                 "core_compression", "1", draws, flags=flags, stack=label, **fit.fields
@@ -436,8 +458,9 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
 
 def _background_sd(solved: AmplitudeSolution) -> Array:
     """Standard error of each stack's background, shape (level, point)."""
-    source, even = solved.slopes
+    source, background = solved.slopes
     aa, ab, bb = (
-        (one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even))
+        (first * second).sum(axis=1)
+        for first, second in ((source, source), (source, background), (background, background))
     )
     return np.sqrt(np.maximum(aa / np.maximum(aa * bb - ab**2, 1e-300), 1e-12))

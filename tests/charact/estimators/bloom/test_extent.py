@@ -204,7 +204,7 @@ def test_two_sources_are_told_apart(seed):
         for spot in spots:
             assert np.hypot(spot.row - scene.centre[0], spot.col - scene.centre[1]) < 0.5
         for spot in spots[:2]:
-            (other,) = spot.others
+            (other,) = spot.other_sources
             assert (
                 np.hypot(other.row - scene.centre[0] - down, other.col - scene.centre[1] - along)
                 < 1.5
