@@ -50,10 +50,10 @@ def _check_codes(session: Session, highest: int) -> None:
     description.
     """
     for entry in session.of_kind("dark", "flat"):
-        if (found := float(entry.read().data.max())) > highest:
+        if (largest_code := float(entry.read().data.max())) > highest:
             raise BadInput(
                 "bit_depth must be in the session.toml where codes exceed the description's "
-                f"{highest}, got none and {found:g} in {entry.label!r}"
+                f"{highest}, got none and {largest_code:g} in {entry.label!r}"
             )
 
 
@@ -81,7 +81,11 @@ def per_pixel(result: Result, pitch_px: int) -> Result:
 
 def require_noise(session: Session, observed: tuple[Observation, ...]) -> None:
     """Raise BadInput where frames repeat each other, so that a number of them has no error."""
-    silent = [one.name for one in observed if not np.all(np.diag(one.covariance) > 0.0)]
+    silent = [
+        observation.name
+        for observation in observed
+        if not np.all(np.diag(observation.covariance) > 0.0)
+    ]
     if silent:
         step = step_finding(session)
         why = "" if step is None else f": {step.effect}"
@@ -97,8 +101,12 @@ def with_fixed_gain(session: Session) -> tuple[Session, Finding | None]:
 
     Their gain is unknown, and another than that of the other stacks; an MTF does not depend on it.
     """
-    changed = [one for one in session.of_kind("dark", "flat") if has_automatic_gain(one.conditions)]
-    fixed = replace(session, stacks=tuple(one for one in session.stacks if one not in changed))
+    changed = [
+        entry for entry in session.of_kind("dark", "flat") if has_automatic_gain(entry.conditions)
+    ]
+    fixed = replace(
+        session, stacks=tuple(entry for entry in session.stacks if entry not in changed)
+    )
     for kind in ("dark", "flat"):
         if session.of_kind(kind) and not fixed.of_kind(kind):
             raise BadInput(
@@ -107,7 +115,7 @@ def with_fixed_gain(session: Session) -> tuple[Session, Finding | None]:
             )
     if not changed:
         return session, None
-    labels = ", ".join(one.label for one in changed)
+    labels = ", ".join(entry.label for entry in changed)
     return fixed, AUTOMATIC.finding(
         "agc", f"on in {labels}, left out of the fit as their gain is unknown"
     )
@@ -116,12 +124,16 @@ def with_fixed_gain(session: Session) -> tuple[Session, Finding | None]:
 def proposed_description(session: Session) -> str:
     """Return the name of the shipped camera description that fits a session's conditions."""
     conditions = [entry.conditions for entry in session.stacks]
-    if any(one.em_gain is not None for one in conditions):
+    if any(stack_conditions.em_gain is not None for stack_conditions in conditions):
         return "emccd-512"
     gated = any(
         value is not None
-        for one in conditions
-        for value in (one.mcp_v, one.gate_ns, one.gain_control)
+        for stack_conditions in conditions
+        for value in (
+            stack_conditions.mcp_v,
+            stack_conditions.gate_ns,
+            stack_conditions.gain_control,
+        )
     )
     if session.interlaced or (gated and session.bit_depth == 8):
         return "pulnix-ag5745ef3"

@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities
-from charact.fitting.observation import Observation, admissible_measurements, one, sd_of
+from charact.fitting.observation import (
+    Observation,
+    admissible_measurements,
+    scalar_observation,
+    sd_of,
+)
 from charact.fitting.prior import VisibleCamera
 from charact.fitting.thresholds import ERRORS, LEVELS, LIMITS
 from labdata.measurement import Curve, Result
@@ -36,7 +41,7 @@ def mtf_observations(
     `depends`: paths of the parameters that the MTF depends on.
     """
     stacks = {m.stack for m in admissible_measurements(result, "mtf50")}
-    found = [
+    observations = [
         _curve(name, line, session, sensor, result, depends)
         for name, line in result.curves.items()
         if name.split(":")[0] in ("mtf", "mtf_vertical")
@@ -59,8 +64,8 @@ def mtf_observations(
                 along=fy,
                 wavelength_nm=_wavelength_nm(bars[m.stack]),
             )
-            found.append(
-                one(
+            observations.append(
+                scalar_observation(
                     f"mtf of {m.stack}",
                     m.value or 0.0,
                     sd,
@@ -68,7 +73,7 @@ def mtf_observations(
                     depends,
                 )
             )
-    return found
+    return observations
 
 
 def glare_observations(session: Session, dark_dn: float) -> list[Observation]:
@@ -79,21 +84,23 @@ def glare_observations(session: Session, dark_dn: float) -> list[Observation]:
     and D far from the edge obey D - v M = d (B - v M), d the target's dark side over its bright one
     (ISO 9358 spreads the light alike).
     """
-    found = []
+    observations = []
     for entry in session.of_kind("edge"):
         sides = _sides_dn(entry, dark_dn)
         if entry.target.contrast is None or sides is None:
             continue
         contrast = entry.target.contrast
-        (lower, upper, whole), ratio = sides, (1.0 - contrast) / (1.0 + contrast)
-        value = (lower - ratio * upper) / (whole * (1.0 - ratio))
+        (lower, upper, frame_level), ratio = sides, (1.0 - contrast) / (1.0 + contrast)
+        value = (lower - ratio * upper) / (frame_level * (1.0 - ratio))
         of_contrast = 2.0 * ERRORS.contrast_sd / (1.0 + contrast) ** 2
         ratio_sd = ERRORS.opaque_transmittance if contrast == 1.0 else of_contrast
-        sd = float(np.hypot(ERRORS.glare * value, ratio_sd * upper / (whole * (1.0 - ratio))))
-        found.append(
-            one(f"glare of {entry.label}", value, sd, lambda values: values[GLARE], (GLARE,))
+        sd = float(np.hypot(ERRORS.glare * value, ratio_sd * upper / (frame_level * (1.0 - ratio))))
+        observations.append(
+            scalar_observation(
+                f"glare of {entry.label}", value, sd, lambda values: values[GLARE], (GLARE,)
+            )
         )
-    return found
+    return observations
 
 
 def _sides_dn(entry: StackEntry, dark_dn: float) -> tuple[float, float, float] | None:
@@ -105,19 +112,19 @@ def _sides_dn(entry: StackEntry, dark_dn: float) -> tuple[float, float, float] |
     stack = entry.read()
     if stack.full_scale_dn and np.mean(stack.data >= stack.full_scale_dn) > LEVELS.most_clipped:
         return None
-    whole = stack.data.mean(axis=0, dtype=np.float64) - dark_dn
-    row, col, height, width = entry.target.region or (0, 0, *whole.shape)
-    mean = whole[row : row + height, col : col + width]
+    mean_frame = stack.data.mean(axis=0, dtype=np.float64) - dark_dn
+    row, col, height, width = entry.target.region or (0, 0, *mean_frame.shape)
+    mean = mean_frame[row : row + height, col : col + width]
     smooth = cv2.GaussianBlur(mean, (0, 0), 2.0)
     bright = (smooth > np.quantile(smooth, (0.02, 0.98)).mean()).astype(np.uint8)
-    far = [
+    far_sides = [
         cv2.distanceTransform(side, cv2.DIST_L2, 5) > LIMITS.glare_px
         for side in (1 - bright, bright)
     ]
-    if min(int(side.sum()) for side in far) < LIMITS.glare_pixels:
+    if min(int(side.sum()) for side in far_sides) < LIMITS.glare_pixels:
         return None
-    lower, upper = (float(mean[side].mean()) for side in far)
-    return lower, upper, float(whole.mean())
+    lower, upper = (float(mean[side].mean()) for side in far_sides)
+    return lower, upper, float(mean_frame.mean())
 
 
 def _stack_of(name: str, line: Curve) -> str | None:
@@ -143,20 +150,20 @@ def _curve(
     low, high = np.asarray(line.interval68, float)
     value = np.interp(wanted, frequency, line.value)
     sd = np.interp(wanted, frequency, (high - low) / (2.0 * 0.994458))
-    used = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > LIMITS.least_mtf)
+    usable = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > LIMITS.least_mtf)
     angle_deg = _angle_deg(name, line, session, result)
-    fx, fy = _components(wanted[used], angle_deg, sensor)
+    fx, fy = _components(wanted[usable], angle_deg, sensor)
     # Errors are correlated: closely spaced points add little information.
-    apart, sd = np.abs(np.subtract.outer(wanted[used], wanted[used])), sd[used]
+    separation, sd = np.abs(np.subtract.outer(wanted[usable], wanted[usable])), sd[usable]
     covariance = np.outer(sd, sd) * np.exp(
-        -apart / ERRORS.mtf_correlation_cy_per_px
+        -separation / ERRORS.mtf_correlation_cy_per_px
     ) + ERRORS.mtf**2 * np.eye(sd.size)
     entry = next((entry for entry in session.stacks if entry.label == _stack_of(name, line)), None)
     predict = partial(
         predicted_quantities.mtf, across=fx, along=fy, wavelength_nm=_wavelength_nm(entry)
     )
     return Observation(
-        name=name, value=value[used], covariance=covariance, speaks_of=depends, predict=predict
+        name=name, value=value[usable], covariance=covariance, parameters=depends, predict=predict
     )
 
 

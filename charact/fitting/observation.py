@@ -51,8 +51,8 @@ def admissible_measurements(
     """Return the measurements of a quantity with status ok, or the mildly suspect ones where there
     are none.
     """
-    found = [m for m in result.find(quantity) if is_admissible(m) and unit in (None, m.unit)]
-    return [m for m in found if m.status == "ok"] or found
+    admissible = [m for m in result.find(quantity) if is_admissible(m) and unit in (None, m.unit)]
+    return [m for m in admissible if m.status == "ok"] or admissible
 
 
 def sd_of(m: Measurement) -> float:
@@ -86,14 +86,14 @@ class Observation:
     covariance: Array  # covariance of their errors, model error included, shape (k, k)
     predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
     is_bound: bool = False  # whether a prediction beyond the value agrees
-    speaks_of: tuple[str, ...]  # paths of the sensor parameters that it depends on
+    parameters: tuple[str, ...]  # paths of the sensor parameters that it depends on
     # the product that it determines far better than any of its parameters
     ridge: "Ridge | None" = None
 
     def chi_squared(self, values: Values) -> Array:
         """Return each draw's chi squared, shape (n,)."""
-        away = (self.predict(values) - self.value) @ self._whitening
-        return np.sum(away**2, axis=1)
+        whitened_residuals = (self.predict(values) - self.value) @ self._whitening
+        return np.sum(whitened_residuals**2, axis=1)
 
     def scale_errors(self, factor: float) -> "Observation":
         """Return the same numbers with all errors larger by a factor."""
@@ -107,12 +107,12 @@ class Observation:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)).T, np.float64)
 
 
-def one(
+def scalar_observation(
     name: str,
     value: float,
     sd: float,
     predict: Callable[[Values], Array],
-    speaks_of: tuple[str, ...],
+    parameters: tuple[str, ...],
 ) -> Observation:
     """Return an observation of one number; its prediction has shape (n,)."""
     return Observation(
@@ -120,7 +120,7 @@ def one(
         value=np.array([value]),
         covariance=np.array([[sd**2]]),
         predict=lambda values: predict(values)[:, None],
-        speaks_of=speaks_of,
+        parameters=parameters,
     )
 
 
@@ -129,14 +129,16 @@ def at_least(
     value: float,
     sd: float,
     predict: Callable[[Values], Array],
-    speaks_of: tuple[str, ...],
+    parameters: tuple[str, ...],
 ) -> Observation:
     """Return the observation of a lower bound: a prediction above it agrees."""
-    bound = one(name, value, sd, lambda values: np.minimum(predict(values), value), speaks_of)
+    bound = scalar_observation(
+        name, value, sd, lambda values: np.minimum(predict(values), value), parameters
+    )
     return replace(bound, is_bound=True)
 
 
-# Flags by which a measurement speaks of a stage of the camera or bench that the fit does not know.
+# Flags of a measurement that point to a stage of the camera or bench which the fit does not model.
 # Others are of the target, the number of frames or the method.
 CAUSES = {
     "agc": AUTOMATIC,
@@ -170,31 +172,33 @@ def has_automatic_gain(conditions: Conditions) -> bool:
 
 
 def findings_of(result: Result) -> tuple[Finding, ...]:
-    """Return what flags of measurements say of the camera's stages: one finding a flag.
+    """Return one finding for each flag of the measurements.
 
     The fit leaves measurements with most of these flags out, but not the levels and the noise of
     the same frames. Flags of the whole session, which are of its flats, count before those of
     single targets. The noise spectrum is left out: ions change its shape from level to level as a
     bend would.
     """
-    kept = [
+    measurements = [
         m for m in result.measurements if m.status != "refused" and m.method != "noise-spectrum"
     ]
-    whole = _findings_among([m for m in kept if m.stack is None])
-    return whole or _findings_among(kept)
+    session_findings = _findings_among([m for m in measurements if m.stack is None])
+    return session_findings or _findings_among(measurements)
 
 
 def _findings_among(measurements: list[Measurement]) -> tuple[Finding, ...]:
-    found = []
+    findings = []
     for flag, cause in CAUSES.items():
-        own = [m for m in measurements if flag in m.flags]
-        if own:
+        flagged = [m for m in measurements if flag in m.flags]
+        if flagged:
             notes = dict.fromkeys(
-                n.partition(": ")[2] for m in own for n in m.notes if n.startswith(f"{flag}: ")
+                n.partition(": ")[2] for m in flagged for n in m.notes if n.startswith(f"{flag}: ")
             )
-            seen = next(iter(notes), f"flag of {own[0].quantity}").partition("; what settles it")[0]
-            found.append(cause.finding(flag, seen))
-    return tuple(found)
+            evidence = next(iter(notes), f"flag of {flagged[0].quantity}").partition(
+                "; what settles it"
+            )[0]
+            findings.append(cause.finding(flag, evidence))
+    return tuple(findings)
 
 
 def misfit_finding(parts: dict[str, float], numbers: int, factor: float) -> Finding:
@@ -211,12 +215,12 @@ def misfit_finding(parts: dict[str, float], numbers: int, factor: float) -> Find
     """
     worst = max(parts, key=lambda name: parts[name])
     cause = CAUSES_OF_MISFIT.get(worst)
-    said = (
+    effect = (
         f"chi-squared {sum(parts.values()):.0f} for {numbers} numbers, {parts[worst]:.0f} of it "
         f"from {worst}; all errors were multiplied by {factor:.1f}"
     )
     return Finding(
         flag="model-misfit",
-        effect=said if cause is None else f"{said}; it may come from {cause.stage}",
+        effect=effect if cause is None else f"{effect}; it may come from {cause.stage}",
         remedy="a description that fits the camera" if cause is None else cause.remedy,
     )

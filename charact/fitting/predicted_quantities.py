@@ -35,13 +35,13 @@ def mtf(
     if not has_tube(values):
         return _lens(values, detector, wavelength_nm) * _readout(values, fx, fy)
     cathode = detector / _column(values, "taper.demagnification")
-    share = _column(values, "photocathode.halo_fraction")
+    halo_fraction = _column(values, "photocathode.halo_fraction")
     halo = halo_transfer(
         cathode,
         _column(values, "photocathode.gap_mm"),
         _column(values, "photocathode.halo_elastic_share"),
     )
-    before = _lens(values, cathode, wavelength_nm) * ((1.0 - share) + share * halo)
+    before = _lens(values, cathode, wavelength_nm) * ((1.0 - halo_fraction) + halo_fraction * halo)
     return (
         before
         * _tube(values, cathode, 1.0)
@@ -259,8 +259,8 @@ def lag_noise_fraction(values: Values, gate_s: float) -> Array:
     arrival_s = gate_s * node[None, :, None]
     ends_s = np.maximum((np.arange(13)[None, None, :]) * field_s - arrival_s, 0.0)
     glowing = [
-        share[:, None, None] * np.exp(-ends_s / tau)
-        for share, tau in zip(light / light.sum(axis=0), decay_s, strict=True)
+        light_fraction[:, None, None] * np.exp(-ends_s / tau)
+        for light_fraction, tau in zip(light / light.sum(axis=0), decay_s, strict=True)
     ]
     shares = -np.diff(glowing[0] + glowing[1], axis=2)
     return np.sum(shares**2, axis=2) @ weight
@@ -315,12 +315,12 @@ def _lens(values: Values, image_plane: Array, wavelength_nm: float) -> Array:
     return lens_transfer(image_plane, blur_um, f_number, wavelength_nm)
 
 
-def _tube(values: Values, cathode: Array, share: Array | float) -> Array:
+def _tube(values: Values, cathode: Array, fraction: Array | float) -> Array:
     return tube_transfer(
         cathode,
         _column(values, "tube.mtf_frequency_lp_per_mm"),
         _column(values, "tube.mtf_exponent"),
-        share,
+        fraction,
     )
 
 
@@ -395,13 +395,13 @@ def lens_transfer(
 
 
 def tube_transfer(
-    frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0
+    frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, fraction: Array | float = 1.0
 ) -> Array:
-    """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson's
+    """Return exp(-share (f/fc)^n), the part `fraction` of an image tube's transfer (Johnson's
     form).
     """
     logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))
-    return np.exp(-share * np.exp(np.minimum(logarithm, 700.0)))
+    return np.exp(-fraction * np.exp(np.minimum(logarithm, 700.0)))
 
 
 def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
@@ -452,14 +452,14 @@ def video_filter_weights(
     """
     angle = np.pi * (2.0 * np.arange(order) + order + 1) / (2.0 * order)
     unit = np.exp(1j * angle)
-    others = np.where(np.eye(order, dtype=bool), 1.0, unit[:, None] - unit[None, :])
-    residue_over_pole = 1.0 / (others.prod(axis=1) * unit)
+    pole_differences = np.where(np.eye(order, dtype=bool), 1.0, unit[:, None] - unit[None, :])
+    residue_over_pole = 1.0 / (pole_differences.prod(axis=1) * unit)
     omega = 2.0 * np.pi * np.asarray(bandwidth_mhz, float) / clock_mhz
     time = np.arange(LENGTH_PX) + phase
     rise = np.exp(unit[None, :, None] * omega[:, None, None] * time[None, None, :])
     step = 1.0 + np.einsum("k,nkt->nt", residue_over_pole, rise).real
-    found = np.diff(step, axis=1, prepend=0.0)
-    return found / found.sum(axis=1, keepdims=True)
+    pixel_weights = np.diff(step, axis=1, prepend=0.0)
+    return pixel_weights / pixel_weights.sum(axis=1, keepdims=True)
 
 
 def video_filter_transfer(weight: Array, frequency_cy_per_px: Array) -> Array:

@@ -70,32 +70,32 @@ class SensorPrior:
         Half-Gaussians of the widths a and b with equal height have the variance (1 - 2/pi)(b - a)^2
         + a b.
         """
-        below, above = self.sd_below, self.sd_above
-        return np.sqrt((1.0 - 2.0 / np.pi) * (above - below) ** 2 + below * above)
+        sd_below, sd_above = self.sd_below, self.sd_above
+        return np.sqrt((1.0 - 2.0 / np.pi) * (sd_above - sd_below) ** 2 + sd_below * sd_above)
 
     def log_density(self, coordinates: Array) -> Array:
         """Return the log-prior, not normalised, of coordinates (n, parameter): -inf outside
         bounds.
         """
-        away = coordinates - self.centre
-        z = away / np.where(away < 0, self.sd_below, self.sd_above)
-        inside = np.all(
+        departures = coordinates - self.centre
+        z = departures / np.where(departures < 0, self.sd_below, self.sd_above)
+        within_bounds = np.all(
             (coordinates >= self.bounds[:, 0]) & (coordinates <= self.bounds[:, 1]), axis=1
         )
-        return np.where(inside, -0.5 * np.sum(z**2, axis=1), -np.inf)
+        return np.where(within_bounds, -0.5 * np.sum(z**2, axis=1), -np.inf)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """Return coordinates drawn from the prior, shape (count, parameter)."""
         shape = (count, len(self.names))
         out = np.full(shape, np.nan)
         while np.isnan(out).any():
-            above = rng.random(shape) < self.sd_above / (self.sd_below + self.sd_above)
-            away = np.abs(rng.standard_normal(shape)) * np.where(
-                above, self.sd_above, -self.sd_below
+            is_above = rng.random(shape) < self.sd_above / (self.sd_below + self.sd_above)
+            departures = np.abs(rng.standard_normal(shape)) * np.where(
+                is_above, self.sd_above, -self.sd_below
             )
-            fresh = self.centre + away
-            inside = (fresh >= self.bounds[:, 0]) & (fresh <= self.bounds[:, 1])
-            out = np.where(np.isnan(out) & inside, fresh, out)
+            fresh = self.centre + departures
+            within_bounds = (fresh >= self.bounds[:, 0]) & (fresh <= self.bounds[:, 1])
+            out = np.where(np.isnan(out) & within_bounds, fresh, out)
         return out
 
     def parameters(self, coordinates: Array) -> Array:
@@ -178,12 +178,12 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     if power == 0:
         ends = np.array([floor, low, value, high, min(ceiling, 1e3 * value)])
         floor, low, value, high, ceiling = np.log(ends).tolist()
-    least = 0.1 * (high - low) / HALF_WIDTH95_SD
-    below, above = (
-        max((value - low) / HALF_WIDTH95_SD, least),
-        max((high - value) / HALF_WIDTH95_SD, least),
+    least_sd = 0.1 * (high - low) / HALF_WIDTH95_SD
+    sd_below, sd_above = (
+        max((value - low) / HALF_WIDTH95_SD, least_sd),
+        max((high - value) / HALF_WIDTH95_SD, least_sd),
     )
-    return power, value, below, above, floor, ceiling
+    return power, value, sd_below, sd_above, floor, ceiling
 
 
 @dataclass(frozen=True, kw_only=True)

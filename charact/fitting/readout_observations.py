@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fitting.observation import NOISE_MODEL_SD, Observation, one
+from charact.fitting.observation import NOISE_MODEL_SD, Observation, scalar_observation
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.thresholds import READOUT
 
@@ -91,26 +91,26 @@ def readout_spectrum(data: NDArray) -> ReadoutSpectrum | None:
         total += np.abs(np.fft.fft2(frame - mean)) ** 2
     power = total / ((frames - 1) * rows * columns)
     # Mean power of the frames themselves: that of their changes and of their mean.
-    whole = total / (frames * rows * columns) + np.abs(np.fft.fft2(mean - mean.mean())) ** 2 / (
-        rows * columns
-    )
-    found = _highest_peak(power, whole, frames)
+    frame_power = total / (frames * rows * columns) + np.abs(
+        np.fft.fft2(mean - mean.mean())
+    ) ** 2 / (rows * columns)
+    interference = _highest_peak(power, frame_power, frames)
     half = np.arange(1, (rows - 1) // 2 + 1)
     return ReadoutSpectrum(
         shape=(frames, rows, columns),
         power=power,
         row_power=power[half, 0],
         row_frequency=half / rows,
-        interference=found,
+        interference=interference,
     )
 
 
-def _highest_peak(power: Array, whole: Array, frames: int) -> Interference | None:
+def _highest_peak(power: Array, frame_power: Array, frames: int) -> Interference | None:
     """Return the highest peak off both axes if noise does not explain it; its bin then has the
     median power.
 
-    `power` is that of changes, `whole` that of frames with their fixed pattern: the latter does not
-    depend on the phases that the frames happen to have, and is used for the height.
+    `power` is that of changes, `frame_power` that of frames with their fixed pattern: the latter
+    does not depend on the phases that the frames happen to have, and is used for the height.
     """
     from scipy.ndimage import uniform_filter1d
     from scipy.special import gammaincc, gammaincinv
@@ -137,15 +137,17 @@ def _highest_peak(power: Array, whole: Array, frames: int) -> Interference | Non
         return None
     if column > columns // 2:
         row, column = -row % rows, -column % columns
-    near = [
+    neighbours = [
         ((row + i) % rows, (column + j) % columns) for i in (-2, -1, 1, 2) for j in (-2, -1, 1, 2)
     ]
-    ground = float(np.mean([whole[at] for at in near]))
+    ground = float(np.mean([frame_power[at] for at in neighbours]))
     bins = 1.0 if real else 2.0
-    height = max(float(whole[row, column]) - ground, 1e-12)
+    height = max(float(frame_power[row, column]) - ground, 1e-12)
     # Of a bin's power with signal s and noise b: b^2 + 2 s b, twice that of a real bin, over
     # frames.
-    variance = (ground**2 + 2.0 * height * ground) * (2.0 / bins) / frames + ground**2 / len(near)
+    variance = (ground**2 + 2.0 * height * ground) * (2.0 / bins) / frames + ground**2 / len(
+        neighbours
+    )
     for at in ((row, column), (-row % rows, -column % columns)):
         power[at] = level[at[1]]
     size = rows * columns
@@ -190,16 +192,16 @@ def readout_observations(
 ) -> list[Observation]:
     """Observe the noise of the read-out in a dark (frame, row, col), DN.
 
-    `read_noise_dn`: read noise from values, DN; `gain_paths`: parameters on which it depends. What
-    the dark does not show is not observed: interference without a peak.
+    `read_noise_dn`: read noise from values, DN; `gain_paths`: parameters on which it depends.
+    Interference without a peak is not observed.
     """
-    found = readout_spectrum(data)
-    if found is None:
+    spectrum = readout_spectrum(data)
+    if spectrum is None:
         return []
-    covariance, sd = found.neighbour_covariance
+    covariance, sd = spectrum.neighbour_covariance
     out = [
-        _rows(found),
-        one(
+        _rows(spectrum),
+        scalar_observation(
             "covariance of neighbours in a row",
             covariance,
             sd,
@@ -207,12 +209,12 @@ def readout_observations(
             (FINE_RATIO, *gain_paths),
         ),
     ]
-    peak = found.interference
+    peak = spectrum.interference
     if peak is None:
         return out
-    _, rows, columns = found.shape
+    _, rows, columns = spectrum.shape
     out.append(
-        one(
+        scalar_observation(
             "interference",
             peak.mean_square_dn2,
             float(np.hypot(peak.sd_dn2, NOISE_MODEL_SD * peak.mean_square_dn2)),
@@ -226,7 +228,7 @@ def readout_observations(
     ):
         sd = READOUT.frequency_cycles_sd / pixels
         out.append(
-            one(
+            scalar_observation(
                 "frequency of interference",
                 value,
                 sd,
@@ -237,22 +239,22 @@ def readout_observations(
     return out
 
 
-def _rows(found: ReadoutSpectrum) -> Observation:
+def _rows(spectrum: ReadoutSpectrum) -> Observation:
     """Observe bands of the spectrum of the rows' offsets."""
-    frames, _, columns = found.shape
-    frequency, ground = found.row_frequency, found.near_rows / columns
+    frames, _, columns = spectrum.shape
+    frequency, ground = spectrum.row_frequency, spectrum.near_rows / columns
     edges = np.geomspace(frequency[0], 0.5, READOUT.row_bands + 1)
     band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, READOUT.row_bands - 1)
     # The lowest frequencies have few numbers: bands of fewer than four are joined to the next.
     members = [np.flatnonzero(band == index) for index in np.unique(band)]
     while len(members) > 1 and members[0].size < 4:
         members = [np.concatenate(members[:2]), *members[2:]]
-    power = np.array([found.row_power[one].mean() for one in members]) / columns
-    number = np.array([one.size for one in members]) * (frames - 1.0)
+    power = np.array([spectrum.row_power[indices].mean() for indices in members]) / columns
+    number = np.array([indices.size for indices in members]) * (frames - 1.0)
 
     def predict(values: Values) -> Array:
         density = row_density(values, frequency) + ground
-        return np.log(np.stack([density[:, one].mean(axis=1) for one in members], axis=1))
+        return np.log(np.stack([density[:, indices].mean(axis=1) for indices in members], axis=1))
 
     # The logarithm of a mean of n exponential numbers has the variance 1/n and lies 1/(2n) low.
     return Observation(
@@ -260,5 +262,5 @@ def _rows(found: ReadoutSpectrum) -> Observation:
         value=np.log(power) + 0.5 / number,
         predict=predict,
         covariance=np.diag(1.0 / number + READOUT.row_model_sd**2),
-        speaks_of=(ROW_NOISE, ROW_EXPONENT),
+        parameters=(ROW_NOISE, ROW_EXPONENT),
     )

@@ -77,10 +77,12 @@ class Model:
     def log_probability(self, coordinates: Array) -> Array:
         """Return the log-posterior, not normalised, shape (n,); -inf outside the prior's bounds."""
         density = self.prior.log_density(coordinates)
-        inside = np.isfinite(density)
+        within_bounds = np.isfinite(density)
         out = np.full(len(coordinates), -np.inf)
-        if inside.any():
-            out[inside] = density[inside] - 0.5 * self.misfit(coordinates[inside])
+        if within_bounds.any():
+            out[within_bounds] = density[within_bounds] - 0.5 * self.misfit(
+                coordinates[within_bounds]
+            )
         return out
 
     @cached_property
@@ -89,11 +91,11 @@ class Model:
         one.
         """
         known = [
-            one.ridge
-            for one in self.observed
-            if one.ridge is not None and one.ridge.carrier in self.prior.names
+            ridge.ridge
+            for ridge in self.observed
+            if ridge.ridge is not None and ridge.ridge.carrier in self.prior.names
         ]
-        return tuple((self.prior.names.index(one.carrier), one) for one in known)
+        return tuple((self.prior.names.index(ridge.carrier), ridge) for ridge in known)
 
     def bend(self, points: Array) -> Array:
         """Return the coordinates of points whose carriers are straightened, shape (n, parameter).
@@ -102,17 +104,19 @@ class Model:
         shear, of unit determinant.
         """
         out, centre = points.copy(), self.prior.centre[None]
-        inside = np.clip(points, self.prior.bounds[:, 0], self.prior.bounds[:, 1])
-        for place, ridge in self.ridges:
-            inside[:, place] = centre[0, place]
-            apart = ridge.number(self.values(inside)) - ridge.number(self.values(centre))
-            out[:, place] -= apart / ridge.slope
+        clipped = np.clip(points, self.prior.bounds[:, 0], self.prior.bounds[:, 1])
+        for carrier, ridge in self.ridges:
+            clipped[:, carrier] = centre[0, carrier]
+            number_change = ridge.number(self.values(clipped)) - ridge.number(self.values(centre))
+            out[:, carrier] -= number_change / ridge.slope
         return out
 
 
 def model_of(sensor: VisibleCamera, observed: tuple[Observation, ...]) -> Model:
     """Return the model of the parameters that the observations depend on."""
-    requested = tuple(dict.fromkeys(path for one in observed for path in one.speaks_of))
+    requested = tuple(
+        dict.fromkeys(path for observation in observed for path in observation.parameters)
+    )
     return Model(sensor=sensor, prior=prior_of(sensor, requested), observed=observed)
 
 
@@ -124,13 +128,13 @@ def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
         return start
 
     def conditional(points: Array) -> Array:
-        whole = np.tile(start, (len(points), 1))
-        whole[:, free] = points
-        return model.log_probability(whole)
+        full_points = np.tile(start, (len(points), 1))
+        full_points[:, free] = points
+        return model.log_probability(full_points)
 
-    found = start.copy()
-    found[free], _ = find_maximum(conditional, start[free], model.prior.bounds[free])
-    return found
+    optimum = start.copy()
+    optimum[free], _ = find_maximum(conditional, start[free], model.prior.bounds[free])
+    return optimum
 
 
 def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
@@ -144,15 +148,19 @@ def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
 
     best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
     parts = {
-        one.name: float(one.chi_squared(model.values(best[None]))[0]) for one in model.observed
+        observation.name: float(observation.chi_squared(model.values(best[None]))[0])
+        for observation in model.observed
     }
     parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
-    numbers, total = sum(one.value.size for one in model.observed), sum(parts.values())
+    numbers, total = (
+        sum(observation.value.size for observation in model.observed),
+        sum(parts.values()),
+    )
     if total <= chdtri(numbers, LIMITS.misfit):
         return model, None
     factor = float(np.sqrt(total / numbers))
     return replace(
-        model, observed=tuple(one.scale_errors(factor) for one in model.observed)
+        model, observed=tuple(observation.scale_errors(factor) for observation in model.observed)
     ), misfit_finding(parts, numbers, factor)
 
 
@@ -161,20 +169,25 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
     from charact.inference import find_maximum
 
     prior, bounds = model.prior, model.prior.bounds.copy()
-    bounds[[place for place, _ in model.ridges]] = -np.inf, np.inf
+    bounds[[carrier for carrier, _ in model.ridges]] = -np.inf, np.inf
 
     def log_probability(points: Array) -> Array:
         return model.log_probability(model.bend(points))
 
     point, covariance = find_maximum(log_probability, prior.centre, bounds)
-    if any(one.is_bound for one in model.observed):
+    if any(observation.is_bound for observation in model.observed):
         # At a bound, where the most probable point often lies, finite differences find no
         # curvature.
-        smooth = replace(model, observed=tuple(one for one in model.observed if not one.is_bound))
+        smooth = replace(
+            model,
+            observed=tuple(
+                observation for observation in model.observed if not observation.is_bound
+            ),
+        )
         _, covariance = find_maximum(
             lambda points: smooth.log_probability(model.bend(points)), point, bounds
         )
-    found = slice_sample(
+    posterior = slice_sample(
         log_probability,
         names=prior.names,
         point=point,
@@ -182,7 +195,7 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
         bounds=bounds,
         seed=seed,
     )
-    return replace(found, draws=model.bend(found.draws))
+    return replace(posterior, draws=model.bend(posterior.draws))
 
 
 FULL_WELL = "ccd.full_well_e"
@@ -223,12 +236,16 @@ def full_well_draws(
     if not prior.names or GAIN not in drawn:
         return None
     black = drawn.get("video.black_level_dn", np.array([float(sensor.video.black_level_dn)]))
-    least = (2**sensor.video.bit_depth - 1 - black) / drawn[GAIN]
+    least_charge = (2**sensor.video.bit_depth - 1 - black) / drawn[GAIN]
     tried = np.sort(prior.parameters(prior.draw(rng, SAMPLING.candidates))[:, 0])
-    first = np.searchsorted(tried, least)
-    picked = first + np.floor(rng.random(least.size) * (SAMPLING.candidates - first)).astype(int)
+    first = np.searchsorted(tried, least_charge)
+    picked = first + np.floor(rng.random(least_charge.size) * (SAMPLING.candidates - first)).astype(
+        int
+    )
     return np.where(
-        first < SAMPLING.candidates, tried[np.minimum(picked, SAMPLING.candidates - 1)], least
+        first < SAMPLING.candidates,
+        tried[np.minimum(picked, SAMPLING.candidates - 1)],
+        least_charge,
     )
 
 
@@ -247,7 +264,7 @@ def fit_sensor(
     result: Result,
     *,
     seed: int = 0,
-    progress: Progress = lambda sentence, share: None,
+    progress: Progress = lambda sentence, fraction: None,
 ) -> VisibleCamera:
     """Fit the session's camera description to its measurements.
 
@@ -315,13 +332,15 @@ def fit_sensor(
         seed=seed,
     )
     known = (step_finding(session), left_out, doubt)
-    findings = {one.flag: one for one in (*findings_of(result), *known) if one is not None}
+    findings = {
+        finding.flag: finding for finding in (*findings_of(result), *known) if finding is not None
+    }
     rise = 0.0 if metered else dark_rise_dn_per_s(levels)
     noted = (
         PLANE_NOTE.format(plane) if pitch_px > 1 else None,
         note_on_exclusions(session, levels),
         RISE_NOTE.format(rise) if rise else None,
-        *(one.note for one in findings.values()),
+        *(finding.note for finding in findings.values()),
     )
     notes = (*fitted.notes, *(note for note in noted if note))
     progress("fitted", 1.0)
@@ -350,15 +369,21 @@ def description_from_posterior(
     draws = dict(zip(posterior.names, model.prior.parameters(posterior.draws).T, strict=True))
     known = model.values(posterior.draws)
     combined = tuple(
-        _combination(one, one.product(known), float(one.product(model.values(point[None]))[0]))
-        for one in COMBINATIONS
-        if set(one.paths) <= set(posterior.names)
+        _combination(
+            combination,
+            combination.product(known),
+            float(combination.product(model.values(point[None]))[0]),
+        )
+        for combination in COMBINATIONS
+        if set(combination.paths) <= set(posterior.names)
     )
     draws.update(model.tied(draws))
     values.update(
         {
-            path: float(one[0])
-            for path, one in model.tied({p: np.array([v]) for p, v in values.items()}).items()
+            path: float(tied_values[0])
+            for path, tied_values in model.tied(
+                {p: np.array([v]) for p, v in values.items()}
+            ).items()
         }
     )
     meter = 1.0 + illuminance_relative_sd * rng.standard_normal(len(posterior.draws))
@@ -406,18 +431,18 @@ def _typical(model: Model, draws: Array) -> Array:
     """
     middle = np.median(draws, axis=0)
     point = most_probable(model, middle, np.ones(middle.size, bool))
-    place = np.mean(draws < point, axis=0)
-    inside = (place > LIMITS.edge) & (place < 1.0 - LIMITS.edge)
-    return most_probable(model, np.where(inside, point, middle), inside)
+    probability = np.mean(draws < point, axis=0)
+    is_inside = (probability > LIMITS.edge) & (probability < 1.0 - LIMITS.edge)
+    return most_probable(model, np.where(is_inside, point, middle), is_inside)
 
 
 def _combination(combination: Combination, drawn: Array, value: float) -> str:
     """Return the note on a product that the data determine, and its range relative to its value."""
     low, high = (float(q) / value for q in np.quantile(drawn, (0.025, 0.975)))
-    first, *others = combination.paths
+    first, *other_paths = combination.paths
     return (
-        f"The data determine {first} only together with {', '.join(others)}: the combination is "
-        f"known to {low - 1.0:+.1%} to {high - 1.0:+.1%} (95 %), and its departure from the "
+        f"The data determine {first} only together with {', '.join(other_paths)}: the combination "
+        f"is known to {low - 1.0:+.1%} to {high - 1.0:+.1%} (95 %), and its departure from the "
         "description is divided over the factors as their prior ranges allow."
     )
 
@@ -430,22 +455,22 @@ def _remaining_width(sensor: VisibleCamera, path: str, drawn: Array) -> float:
     return float(prior.coordinates(drawn[:, None]).std(ddof=1) / prior.sd[0])
 
 
-def _parameter(before: Parameter, value: float, draws: Array, left: float) -> Parameter:
-    """Return one parameter of the fitted description; `left` is the remaining fraction of its
+def _parameter(before: Parameter, value: float, draws: Array, remaining: float) -> Parameter:
+    """Return one parameter of the fitted description; `remaining` is the remaining fraction of its
     prior's width.
     """
-    if left >= LIMITS.identified:
-        said = (
-            f"requested, but not identified by the session's data: {left:.0%} of the prior's "
+    if remaining >= LIMITS.identified:
+        standing_note = (
+            f"requested, but not identified by the session's data: {remaining:.0%} of the prior's "
             f"width remains"
         )
         low, high = (value if end is None else end for end in (before.low, before.high))
-        source = f"{said}; prior: {before.source}"
+        source = f"{standing_note}; prior: {before.source}"
         return Parameter(
             value=value, low=min(low, value), high=max(high, value), standing="prior", source=source
         )
     low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
-    source = f"fitted to the session's data; {left:.0%} of the prior's width remains"
+    source = f"fitted to the session's data; {remaining:.0%} of the prior's width remains"
     return Parameter(
         value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source
     )

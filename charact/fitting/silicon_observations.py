@@ -13,7 +13,7 @@ from charact.fitting.observation import (
     Observation,
     admissible_measurements,
     at_least,
-    one,
+    scalar_observation,
     sd_of,
 )
 from charact.fitting.predicted_quantities import ELEMENTARY_CHARGE_C, Values
@@ -62,7 +62,7 @@ def register_excess(values: Values, conditions: Conditions) -> Array:
     heights.
     """
     gain, stages = em_gain(values, conditions), float(values["register.stages"][0])
-    exponential = np.array([excess_noise_factor(float(one), stages) for one in gain])
+    exponential = np.array([excess_noise_factor(float(draw_gain), stages) for draw_gain in gain])
     return 1.0 + (exponential - 1.0) / values["register.pulse_height_shape"]
 
 
@@ -83,8 +83,8 @@ def _amplification(conditions: Conditions) -> tuple[str, ...]:
     """Return the paths of the gain from electrons to DN: that of a register only where none is
     stated.
     """
-    own = ("register.em_gain",) if conditions.em_gain is None else ()
-    return ("video.conversion_gain_dn_per_e", *own)
+    register_gain = ("register.em_gain",) if conditions.em_gain is None else ()
+    return ("video.conversion_gain_dn_per_e", *register_gain)
 
 
 def _cooling(conditions: Conditions) -> tuple[str, ...]:
@@ -125,12 +125,12 @@ def electrons_per_efficiency(silicon: Silicon, level: StackMean) -> float:
             / ELEMENTARY_CHARGE_C
         )
         return per_lumen * level.illuminance_lux * level.gate_s
-    share = float(
+    relative_efficiency = float(
         np.interp(
             conditions.wavelength_nm or 0.0, silicon.wavelength_nm, relative, left=0.0, right=0.0
         )
     )
-    return share * (conditions.photons_per_px or 0.0)
+    return relative_efficiency * (conditions.photons_per_px or 0.0)
 
 
 def silicon_observations(
@@ -139,15 +139,17 @@ def silicon_observations(
     """Return the observations of a session of a camera without a tube."""
     darks = [level for level in levels if level.dark and np.isfinite(level.temporal_dn2[1])]
     flats = session.of_kind("flat")
-    usual = flats[0].conditions if flats else Conditions()
-    found = mtf_observations(session, camera, result, LENS)
-    found += glare_observations(session, darks[0].mean_dn) if darks else []
-    found += _photon_transfer(levels, darks, result) or _gain(camera, result, usual)
-    found += _dark_noise(darks)
-    found += _readout(darks)
-    found += _patterns(levels, darks, result)
-    found += _saturation(result, usual)
-    found += _dark_slope(result, darks)
+    flat_conditions = flats[0].conditions if flats else Conditions()
+    observations = mtf_observations(session, camera, result, LENS)
+    observations += glare_observations(session, darks[0].mean_dn) if darks else []
+    observations += _photon_transfer(levels, darks, result) or _gain(
+        camera, result, flat_conditions
+    )
+    observations += _dark_noise(darks)
+    observations += _readout(darks)
+    observations += _patterns(levels, darks, result)
+    observations += _saturation(result, flat_conditions)
+    observations += _dark_slope(result, darks)
     known = [level for level in levels if not level.dark and level.light_known]
     longest_s = max((entry.conditions.exposure_s or 0.0 for entry in flats), default=0.0)
     # The level of a longer dark contains a dark charge that a clamp need not remove.
@@ -157,24 +159,26 @@ def silicon_observations(
         if level.dark and (not flats or level.exposure_s <= longest_s or not longest_s)
     ]
     if known or short:
-        found.append(_levels(camera, (*short, *known), dark_rise_dn_per_s(levels)))
+        observations.append(_levels(camera, (*short, *known), dark_rise_dn_per_s(levels)))
     if not known:
-        found += _efficiency(result)
-    return tuple(found)
+        observations += _efficiency(result)
+    return tuple(observations)
 
 
-def _gain(camera: SolidStateCamera, result: Result, usual: Conditions) -> list[Observation]:
+def _gain(
+    camera: SolidStateCamera, result: Result, flat_conditions: Conditions
+) -> list[Observation]:
     """Observe the slope of the photon transfer curve, K g F^2, from the system gain or else from
     covariances.
     """
-    factor = excess_of(usual, Context(register=camera.register)).factor
+    factor = excess_of(flat_conditions, Context(register=camera.register)).factor
     measured = [(m, factor) for m in admissible_measurements(result, "system_gain", "DN/e-")]
     measured = measured or [
         (m, 1.0) for m in admissible_measurements(result, "covariance_gain", "DN")
     ]
     curve = result.evidence.get("photon-transfer", {})
     signal = np.array(curve.get("signal_dn", ()), float)[np.array(curve.get("fitted", ()), bool)]
-    reach = (
+    fitted_range = (
         float(signal.max()) / (2.0**camera.video.bit_depth - 1.0)
         if signal.size
         else SILICON.emva_reach
@@ -182,12 +186,14 @@ def _gain(camera: SolidStateCamera, result: Result, usual: Conditions) -> list[O
 
     def predict(values: Values) -> Array:
         # Least squares over 0..x of y (1 - 3 c y) has the slope 1 - 3 c x.
-        slope = dn_per_electron(values, usual) * (1.0 - 3.0 * reach * values[COMPRESSION])
-        return slope * em_gain(values, usual) * register_excess(values, usual)
+        slope = dn_per_electron(values, flat_conditions) * (
+            1.0 - 3.0 * fitted_range * values[COMPRESSION]
+        )
+        return slope * em_gain(values, flat_conditions) * register_excess(values, flat_conditions)
 
-    depends = (*_amplification(usual), HEIGHTS, COMPRESSION)
+    depends = (*_amplification(flat_conditions), HEIGHTS, COMPRESSION)
     return [
-        one(
+        scalar_observation(
             "gain",
             by * (m.value or 0.0),
             float(by * np.hypot(sd_of(m), 0.001 * (m.value or 0.0))),
@@ -222,7 +228,7 @@ def _photon_transfer(
         return []
     signal = np.array([flat.mean_dn - dark.mean_dn for flat in usable])
     ratio = np.array([flat.temporal_dn2[0] - dark.temporal_dn2[0] for flat in usable]) / signal
-    own = np.array([flat.temporal_dn2[1] for flat in usable]) / signal
+    ratio_sd = np.array([flat.temporal_dn2[1] for flat in usable]) / signal
     level = ratio * np.array([np.hypot(flat.sd_dn, dark.sd_dn) for flat in usable]) / signal
     shared = dark.temporal_dn2[1] / signal
     full, rows = usable[0].full_scale_dn, _rows_of(dark)
@@ -235,15 +241,17 @@ def _photon_transfer(
             for flat in usable
         ]
         c = values[COMPRESSION][:, None]
-        straight = 2.0 * signal / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * c * signal / full, 0.0)))
-        bend = (1.0 - 2.0 * c * straight / full) ** 2
+        linear_signal = (
+            2.0 * signal / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * c * signal / full, 0.0)))
+        )
+        bend = (1.0 - 2.0 * c * linear_signal / full) ** 2
         # Noise of reading passes the bent response, that of rows and interference does not.
         read_dn2 = (
             dark.temporal_dn2[0]
             - SILICON.rounding_dn2 * dark.step_dn**2
             - neighbour_variance(values, rows)[:, None]
         )
-        shot = np.stack(np.broadcast_arrays(*gains), axis=1) * straight * bend
+        shot = np.stack(np.broadcast_arrays(*gains), axis=1) * linear_signal * bend
         return (shot + (bend - 1.0) * read_dn2) / signal
 
     depends = dict.fromkeys(
@@ -254,8 +262,8 @@ def _photon_transfer(
             name="photon transfer",
             value=ratio,
             predict=predict,
-            speaks_of=tuple(depends),
-            covariance=np.diag(own**2 + level**2 + (NOISE_MODEL_SD * ratio) ** 2)
+            parameters=tuple(depends),
+            covariance=np.diag(ratio_sd**2 + level**2 + (NOISE_MODEL_SD * ratio) ** 2)
             + np.outer(shared, shared),
         )
     ]
@@ -263,7 +271,7 @@ def _photon_transfer(
 
 def _dark_noise(darks: list[StackMean]) -> list[Observation]:
     """Observe the temporal variance of every dark whose rounding is additive."""
-    found = []
+    observations = []
     for dark in darks:
         variance, sd = dark.temporal_dn2
         if variance > (SILICON.least_noise_dn * dark.step_dn) ** 2:
@@ -274,10 +282,12 @@ def _dark_noise(darks: list[StackMean]) -> list[Observation]:
                 *COLOURED,
                 *_cooling(dark.conditions),
             )
-            found.append(
-                one(f"dark noise of {dark.label}", variance, sd, _variance_of(dark), depends)
+            observations.append(
+                scalar_observation(
+                    f"dark noise of {dark.label}", variance, sd, _variance_of(dark), depends
+                )
             )
-    return found
+    return observations
 
 
 def _rows_of(level: StackMean) -> int:
@@ -332,9 +342,9 @@ def _patterns(
     The error of a variance over pixels contains their kurtosis: a pattern of little dark charge is
     that of few pixels.
     """
-    found = _response_pattern(levels, darks) or _stated_response_pattern(result)
+    observations = _response_pattern(levels, darks) or _stated_response_pattern(result)
     if not darks:
-        return found
+        return observations
     dark = max(
         darks, key=lambda level: (len(level.entry.read()) if level.entry else 0, level.exposure_s)
     )
@@ -343,55 +353,60 @@ def _patterns(
         gain = dn_per_electron(values, dark.conditions) * em_gain(values, dark.conditions)
         return (gain * values["ccd.dsnu_e"] * _warmth(values, dark.conditions)) ** 2
 
-    value, own = dark.spatial_dn2
-    sd = float(np.hypot(own, 2.0 * NOISE_MODEL_SD * value))
+    value, spatial_sd = dark.spatial_dn2
+    sd = float(np.hypot(spatial_sd, 2.0 * NOISE_MODEL_SD * value))
     depends = (*_amplification(dark.conditions), "ccd.dsnu_e", *_cooling(dark.conditions))
-    found.append(one("DSNU", value, sd, pattern, depends))
-    return found
+    observations.append(scalar_observation("DSNU", value, sd, pattern, depends))
+    return observations
 
 
 def _response_pattern(levels: tuple[StackMean, ...], darks: list[StackMean]) -> list[Observation]:
-    """Observe the squared PRNU in the flat that shows it best: (fixed pattern - that of a dark)
-    over signal squared.
+    """Observe the squared PRNU in the flat with its smallest error.
+
+    It is the fixed pattern less that of a dark, over signal squared.
 
     Shading of light and lens, which the PRNU of EMVA 1288 contains, is no part of it.
     """
     if not darks:
         return []
-    dark, found = darks[0], []
+    dark, patterns = darks[0], []
     for flat in levels:
         signal = flat.mean_dn - dark.mean_dn
         if not flat.dark and np.isfinite(flat.spatial_dn2[1]) and signal > 0.0:
             value = (flat.spatial_dn2[0] - dark.spatial_dn2[0]) / signal**2
-            found.append(
+            patterns.append(
                 (float(np.hypot(flat.spatial_dn2[1], dark.spatial_dn2[1])) / signal**2, value)
             )
-    if not found:
+    if not patterns:
         return []
-    own, value = min(found)
-    sd = float(np.hypot(own, 2.0 * NOISE_MODEL_SD * value))
-    return [one("PRNU", value, sd, lambda values: values["ccd.prnu"] ** 2, ("ccd.prnu",))]
+    pattern_sd, value = min(patterns)
+    sd = float(np.hypot(pattern_sd, 2.0 * NOISE_MODEL_SD * value))
+    return [
+        scalar_observation("PRNU", value, sd, lambda values: values["ccd.prnu"] ** 2, ("ccd.prnu",))
+    ]
 
 
 def _stated_response_pattern(result: Result) -> list[Observation]:
     """Observe the measured PRNU where no dark and flat of known light show it."""
-    found = []
+    observations = []
     for m in admissible_measurements(result, "prnu", "%"):
         value = 0.01 * (m.value or 0.0)
         sd = float(np.hypot(0.01 * sd_of(m), NOISE_MODEL_SD * value))
-        found.append(one("PRNU", value, sd, lambda values: values["ccd.prnu"], ("ccd.prnu",)))
-    return found
+        observations.append(
+            scalar_observation("PRNU", value, sd, lambda values: values["ccd.prnu"], ("ccd.prnu",))
+        )
+    return observations
 
 
-def _saturation(result: Result, usual: Conditions) -> list[Observation]:
+def _saturation(result: Result, flat_conditions: Conditions) -> list[Observation]:
     """Observe a lower bound of the full well: the digitiser may clip first, and few levels locate a
     peak badly.
     """
-    depends = (*_amplification(usual), "ccd.full_well_e", "video.black_level_dn")
+    depends = (*_amplification(flat_conditions), "ccd.full_well_e", "video.black_level_dn")
 
     def level(values: Values) -> Array:
-        charge = values["ccd.full_well_e"] * em_gain(values, usual)
-        return values["video.black_level_dn"] + dn_per_electron(values, usual) * charge
+        charge = values["ccd.full_well_e"] * em_gain(values, flat_conditions)
+        return values["video.black_level_dn"] + dn_per_electron(values, flat_conditions) * charge
 
     curve = result.evidence.get("photon-transfer", {})
     means = np.array(curve.get("mean_dn", ()), float)
@@ -471,8 +486,8 @@ def _levels(
 
     def predict(values: Values) -> Array:
         gains = [
-            dn_per_electron(values, one.conditions) * em_gain(values, one.conditions)
-            for one in levels
+            dn_per_electron(values, level.conditions) * em_gain(values, level.conditions)
+            for level in levels
         ]
         area_m2 = values["ccd.pitch_x_um"] * values["ccd.pitch_y_um"] * 1e-12
         electrons = (
@@ -484,8 +499,10 @@ def _levels(
         # A spot of a tenth of the height smears that fraction: a flat ten times as much.
         electrons = electrons * (1.0 + 10.0 * values["ccd.smear_fraction"][:, None])
         c = values[COMPRESSION][:, None]
-        straight = np.stack(np.broadcast_arrays(*gains), axis=1) * electrons
-        return values["video.black_level_dn"][:, None] + straight * (1.0 - c * straight / full)
+        linear_signal = np.stack(np.broadcast_arrays(*gains), axis=1) * electrons
+        return values["video.black_level_dn"][:, None] + linear_signal * (
+            1.0 - c * linear_signal / full
+        )
 
     # The level of every stack less the dark signal that its exposure has beyond the shortest one's:
     # EMVA 1288 takes the dark of the same exposure.
@@ -495,7 +512,7 @@ def _levels(
     )
     black = float(mean.min())
     signal = np.where([level.dark for level in levels], 0.0, mean - black)
-    own = np.array([level.sd_dn for level in levels])
+    level_sd = np.array([level.sd_dn for level in levels])
     lit = [level.conditions for level in levels if not level.dark]
     of_lux = bool(in_lux[signal > 0.0].any())
     relative_sd = relative_sd_of(lit, "lux" if of_lux else "photons/px")[0] if lit else 0.0
@@ -505,7 +522,7 @@ def _levels(
         [0.1 if level.noise_dn < SILICON.least_noise_dn else 0.03 for level in levels]
     )
     covariance = np.diag(
-        own**2 + rounding**2 + (SILICON.level_model_sd * signal) ** 2
+        level_sd**2 + rounding**2 + (SILICON.level_model_sd * signal) ** 2
     ) + shared**2 * np.outer(signal, signal)
     depends = ("video.black_level_dn",)
     if lit:
@@ -520,5 +537,5 @@ def _levels(
             *(("ccd.pitch_x_um",) if of_lux else ()),
         )
     return Observation(
-        name="levels", value=mean, covariance=covariance, predict=predict, speaks_of=depends
+        name="levels", value=mean, covariance=covariance, predict=predict, parameters=depends
     )

@@ -107,19 +107,19 @@ def adapt(
         weight = np.minimum(weight, weight.mean() * np.sqrt(count))
         effective = weight.sum() ** 2 / (weight**2).sum()
         if effective < SAMPLING.least_effective:
-            # The normal law is too wide to hit the posterior: its mean, the peak, stays.
+            # The normal law is too wide for the posterior: its mean, the peak, is kept.
             covariance = covariance / 4.0
             continue
         point = np.average(points, axis=0, weights=weight)
         # Few effective draws change the covariance by little.
-        share = effective / (effective + SAMPLING.prior_draws * point.size)
-        covariance = (1.0 - share) * covariance + share * np.atleast_2d(
+        new_weight = effective / (effective + SAMPLING.prior_draws * point.size)
+        covariance = (1.0 - new_weight) * covariance + new_weight * np.atleast_2d(
             np.cov(points.T, aweights=weight)
         )
     return (
         point,
         covariance,
-        points[rng.choice(len(points), SAMPLING.kept, p=weight / weight.sum())],
+        points[rng.choice(len(points), SAMPLING.chains, p=weight / weight.sum())],
     )
 
 
@@ -176,25 +176,31 @@ def _step(
     height: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Return the next place of every chain, and p/N there."""
+    """Return the next point of every chain, and p/N at it."""
     count = len(chains)
     chains, height = chains.copy(), height.copy()
     ahead = rng.standard_normal(chains.shape) @ root.T
     level = height + np.log(rng.random(count))
     angle = 2.0 * np.pi * rng.random(count)
-    low, high, left = angle - 2.0 * np.pi, angle.copy(), np.arange(count)
+    low, high, active = angle - 2.0 * np.pi, angle.copy(), np.arange(count)
     # An empty bracket leaves a chain in its place.
-    while left.size:
-        turn = angle[left, None]
-        tried = point + (chains[left] - point) * np.cos(turn) + ahead[left] * np.sin(turn)
-        found = excess(tried)
-        good = found > level[left]
-        chains[left[good]], height[left[good]] = tried[good], found[good]
-        left = left[~good]
-        below = angle[left] < 0.0
-        low[left[below]], high[left[~below]] = angle[left[below]], angle[left[~below]]
-        angle[left] = low[left] + (high[left] - low[left]) * rng.random(left.size)
-        left = left[high[left] - low[left] > SAMPLING.least_angle]
+    while active.size:
+        turn = angle[active, None]
+        tried = point + (chains[active] - point) * np.cos(turn) + ahead[active] * np.sin(turn)
+        densities = excess(tried)
+        is_accepted = densities > level[active]
+        chains[active[is_accepted]], height[active[is_accepted]] = (
+            tried[is_accepted],
+            densities[is_accepted],
+        )
+        active = active[~is_accepted]
+        is_below = angle[active] < 0.0
+        low[active[is_below]], high[active[~is_below]] = (
+            angle[active[is_below]],
+            angle[active[~is_below]],
+        )
+        angle[active] = low[active] + (high[active] - low[active]) * rng.random(active.size)
+        active = active[high[active] - low[active] > SAMPLING.least_angle]
     return chains, height
 
 

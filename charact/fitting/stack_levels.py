@@ -56,19 +56,19 @@ def levels_of(session: Session) -> tuple[StackMean, ...]:
     Flats of unknown light are left out behind a tube; of a camera without one their noise is that
     of their signal.
     """
-    found = (_level(session, entry) for entry in session.of_kind("dark", "flat"))
-    return tuple(level for level in found if level is not None)
+    levels = (_level(session, entry) for entry in session.of_kind("dark", "flat"))
+    return tuple(level for level in levels if level is not None)
 
 
 def note_on_exclusions(session: Session, levels: tuple[StackMean, ...]) -> str | None:
     """Return the note on darks and flats that are out of the linear range, None where there are
     none.
     """
-    used = {level.label for level in levels}
+    used_labels = {level.label for level in levels}
     labels = [
         entry.label
         for entry in session.of_kind("dark", "flat")
-        if entry.label not in used and (entry.kind == "dark" or _is_lit(entry.conditions))
+        if entry.label not in used_labels and (entry.kind == "dark" or _is_lit(entry.conditions))
     ]
     if not labels:
         return None
@@ -96,7 +96,7 @@ def dark_rise_dn_per_s(levels: tuple[StackMean, ...]) -> float:
     if len(stated) < 2:
         return 0.0
     short, long = (pick(stated, key=lambda level: level.exposure_s) for pick in (min, max))
-    alike = (
+    same_conditions = (
         short.conditions.temperature_c,
         short.conditions.em_gain,
         short.conditions.camera_gain_db,
@@ -106,7 +106,7 @@ def dark_rise_dn_per_s(levels: tuple[StackMean, ...]) -> float:
         long.conditions.camera_gain_db,
     )
     rise = long.mean_dn - short.mean_dn
-    if not alike or rise < max(3.0 * float(np.hypot(short.sd_dn, long.sd_dn)), 1.0):
+    if not same_conditions or rise < max(3.0 * float(np.hypot(short.sd_dn, long.sd_dn)), 1.0):
         return 0.0
     return rise / (long.exposure_s - short.exposure_s)
 
@@ -186,11 +186,11 @@ def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]
         return (np.nan, np.nan), (np.nan, np.nan)
     sums = np.zeros((4, *data.shape[1:]))
     for frame in data:
-        for place, axes in ((0, (0, 1)), (2, 1)):
-            away = frame - frame.mean(axis=axes, keepdims=True, dtype=np.float64)
-            sums[place] += away
-            sums[place + 1] += away**2
-    each, in_rows = (
+        for index, axes in ((0, (0, 1)), (2, 1)):
+            residuals = frame - frame.mean(axis=axes, keepdims=True, dtype=np.float64)
+            sums[index] += residuals
+            sums[index + 1] += residuals**2
+    pixel_variance, in_rows = (
         (square - total**2 / count) / (count - 1) for total, square in (sums[:2], sums[2:])
     )
     spectrum = readout_spectrum(data)
@@ -198,11 +198,11 @@ def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]
     pattern, noise_dn2 = _without_shading(sums[2] / count), in_rows
     if peak is not None:
         pattern, noise_dn2 = peak.remove_from(pattern), in_rows - peak.mean_square_dn2
-    own = pattern**2 - noise_dn2 / count
+    pattern_square = pattern**2 - noise_dn2 / count
     root = np.sqrt(pixels)
     return (
-        (float(each.mean()), float(each.std() / root)),
-        (float(own.mean()), float(own.std() / root)),
+        (float(pixel_variance.mean()), float(pixel_variance.std() / root)),
+        (float(pattern_square.mean()), float(pattern_square.std() / root)),
     )
 
 
@@ -217,10 +217,10 @@ def _noise_dn(frame: NDArray) -> float:
     dominates.
     """
     codes, counts = np.unique(frame, return_counts=True)
-    share = float(counts.max()) / frame.size
-    if share < 0.38 or len(codes) < 2:
+    modal_fraction = float(counts.max()) / frame.size
+    if modal_fraction < 0.38 or len(codes) < 2:
         low, high = np.quantile(frame, (0.16, 0.84))
         return float(high - low) / 2.0
     from scipy.special import erfinv
 
-    return float(0.5 / (np.sqrt(2.0) * erfinv(min(share, 1.0 - 1e-9))))
+    return float(0.5 / (np.sqrt(2.0) * erfinv(min(modal_fraction, 1.0 - 1e-9))))

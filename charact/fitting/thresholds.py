@@ -75,7 +75,7 @@ class FitLimits:
 class Sampling:
     """Draws of the posterior."""
 
-    kept: int = 400  # chains, each of which gives a draw of the fitted description
+    chains: int = 400  # chains, each of which gives a draw of the fitted description
     rounds: int = 4  # of the adaptation, draws of each and freedom of its Student t
     round_draws: int = 3000
     freedom: float = 8.0

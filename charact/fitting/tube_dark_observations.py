@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities as predicted
-from charact.fitting.observation import Observation, one
+from charact.fitting.observation import Observation, scalar_observation
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import values_of_description
 from charact.fitting.thresholds import DARK_ERRORS, DARKS, FRAMES
@@ -49,10 +49,10 @@ def dark_observations(ions: IonEvents | None) -> list[Observation]:
     if ions is None:
         return []
     darks, sparse = darks_of(ions), ions.reached.mean() < DARK_ERRORS.most_reached
-    found = [ion_observation(ions)] if sparse else []
+    observations = [ion_observation(ions)] if sparse else []
     if darks is not None:
-        found += [*_quiet(darks), *_pattern(darks), *(_events(darks) if sparse else [])]
-    return found
+        observations += [*_quiet(darks), *_pattern(darks), *(_events(darks) if sparse else [])]
+    return observations
 
 
 def _gain(values: Values, darks: Darks) -> Array:
@@ -135,21 +135,25 @@ def _quiet(darks: Darks) -> list[Observation]:
     if levels is None:
         return []
     count = block_sums(darks.quiet.sum(axis=0))
-    below = np.stack(
+    counts_below = np.stack(
         [block_sums(((darks.data < level) & darks.quiet).sum(axis=0)) for level in levels], axis=1
     )
-    used = count > 0
-    best = np.array(level_and_sd(below.sum(axis=0) / count.sum(), levels))
+    occupied = count > 0
+    best = np.array(level_and_sd(counts_below.sum(axis=0) / count.sum(), levels))
     # Jackknife over blocks: fractions near one and near zero enter together.
     parts = np.array(
         [
-            level_and_sd((below.sum(axis=0) - own) / (count.sum() - some), levels)
-            for own, some in zip(below[used], count[used], strict=True)
+            level_and_sd(
+                (counts_below.sum(axis=0) - block_below) / (count.sum() - block_count), levels
+            )
+            for block_below, block_count in zip(
+                counts_below[occupied], count[occupied], strict=True
+            )
         ]
     )
     if not np.isfinite(parts).all():
         return []
-    both = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
+    jackknife = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
     sheet = values_of_description(darks.sensor)
     light, hidden = (
         float(_background(sheet, darks)[0]),
@@ -164,20 +168,20 @@ def _quiet(darks: Darks) -> list[Observation]:
     quiet_sd = DARK_ERRORS.coarse_quiet_sd if coarse else DARK_ERRORS.quiet_sd
     level_sd = [unsure_dn, DARK_ERRORS.level_sd_dn * coarse]
     variance_sd = [quiet_sd * value[1], 0.5 * float(_variance_below_threshold(sheet, darks)[0])]
-    model = np.diag([float(np.sum(np.square(one))) for one in (level_sd, variance_sd)])
+    model = np.diag([float(np.sum(np.square(sds))) for sds in (level_sd, variance_sd)])
 
     def predict(values: Values) -> Array:
         level = values[BLACK] + _light_below_threshold(values, darks) * _background(values, darks)
         return np.stack(np.broadcast_arrays(level, quiet_variance(values, darks)), axis=1)
 
-    covariance = both * np.outer(turn, turn) + model
+    covariance = jackknife * np.outer(turn, turn) + model
     return [
         Observation(
             name="noise between pulses",
             value=value,
             covariance=covariance,
             predict=predict,
-            speaks_of=(BLACK, READ, EBI, CONVERSION),
+            parameters=(BLACK, READ, EBI, CONVERSION),
         )
     ]
 
@@ -200,19 +204,23 @@ def _pattern(darks: Darks) -> list[Observation]:
     """
     half, quiet = len(darks.data) // 2, darks.quiet
     counts = [quiet[:half].sum(axis=0), quiet[half:].sum(axis=0)]
-    good = np.minimum(*counts) >= max(half // 2, 1)
+    is_usable = np.minimum(*counts) >= max(half // 2, 1)
     slope, sd = with_error(rounding_slope, darks)
-    if good.mean() < DARKS.least_quiet or slope < DARK_ERRORS.least_slope:
+    if is_usable.mean() < DARKS.least_quiet or slope < DARK_ERRORS.least_slope:
         return []
-    away = np.where(quiet, darks.data - darks.level_dn, 0.0)
+    quiet_deviations = np.where(quiet, darks.data - darks.level_dn, 0.0)
     means = [
         part.sum(axis=0) / np.maximum(count, 1)
-        for part, count in zip((away[:half], away[half:]), counts, strict=True)
+        for part, count in zip(
+            (quiet_deviations[:half], quiet_deviations[half:]), counts, strict=True
+        )
     ]
-    number = np.maximum(block_sums(good), 1.0)
-    centre = [block_sums(np.where(good, mean, 0.0)) / number for mean in means]
-    product = block_sums(np.where(good, means[0] * means[1], 0.0)) / number - centre[0] * centre[1]
-    product = product[number > 0.1 * good.size / number.size]
+    number = np.maximum(block_sums(is_usable), 1.0)
+    centre = [block_sums(np.where(is_usable, mean, 0.0)) / number for mean in means]
+    product = (
+        block_sums(np.where(is_usable, means[0] * means[1], 0.0)) / number - centre[0] * centre[1]
+    )
+    product = product[number > 0.1 * is_usable.size / number.size]
     if product.size < FRAMES.blocks[0]:
         return []
     value, scatter = float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
@@ -223,7 +231,7 @@ def _pattern(darks: Darks) -> list[Observation]:
 
     coarse = DARK_ERRORS.coarse_pattern_dn**2 * (darks.noise_dn <= DARK_ERRORS.coarse_dn)
     error = float(np.hypot.reduce([scatter, 2.0 * sd / slope * value, coarse])) / slope**2
-    return [one("DSNU", value / slope**2, error, predict, (DSNU, CONVERSION))]
+    return [scalar_observation("DSNU", value / slope**2, error, predict, (DSNU, CONVERSION))]
 
 
 def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[float, float]:
@@ -235,35 +243,43 @@ def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[f
     if darks.noise_dn > DARK_ERRORS.coarse_dn:
         return 1.0, 0.0
     level, noise = darks.level_dn, darks.noise_dn
-    usual = effect(level, noise)
-    moved = (
+    nominal = effect(level, noise)
+    shifted = (
         effect(level - DARK_ERRORS.level_sd_dn, noise),
         effect(level, (1.0 - darks.noise_relative_sd) * noise),
     )
-    return usual, float(np.hypot(moved[0] - usual, moved[1] - usual))
+    return nominal, float(np.hypot(shifted[0] - nominal, shifted[1] - nominal))
 
 
 def _events(darks: Darks) -> list[Observation]:
     """Observe the background illumination by the covariance of neighbours, and of fine digitisers
     by its mean.
     """
-    apart = (
+    separations = (
         ((0, 1), (1, 1)) if darks.sensor.video.low_pass is not None else ((1, 0), (0, 1), (1, 1))
     )
-    value, sd = _neighbour_covariance(darks, apart)
-    kept, kept_sd = with_error(partial(covariance_after_rounding, darks), darks)
-    usual = (
+    value, sd = _neighbour_covariance(darks, separations)
+    rounding_factor, rounding_factor_sd = with_error(
+        partial(covariance_after_rounding, darks), darks
+    )
+    covariance_sd = (
         DARK_ERRORS.covariance_sd
         if darks.noise_dn > DARK_ERRORS.coarse_dn
         else DARK_ERRORS.coarse_covariance_sd
     )
-    model = np.hypot.reduce([usual, DARK_ERRORS.rounding_sd * (kept - 1.0) / kept, kept_sd / kept])
-    value, sd = value / kept, float(np.hypot(sd, model * value)) / kept
-    places = tuple((float(columns), float(rows)) for columns, rows in apart)
+    model = np.hypot.reduce(
+        [
+            covariance_sd,
+            DARK_ERRORS.rounding_sd * (rounding_factor - 1.0) / rounding_factor,
+            rounding_factor_sd / rounding_factor,
+        ]
+    )
+    value, sd = value / rounding_factor, float(np.hypot(sd, model * value)) / rounding_factor
+    pixel_separations = tuple((float(columns), float(rows)) for columns, rows in separations)
 
     def spread(values: Values) -> Array:
         products = field_products(values, darks.level.gate_s, darks.fields)[:, :: darks.step]
-        return pulse_covariance(values, places).sum(axis=1) * (
+        return pulse_covariance(values, pixel_separations).sum(axis=1) * (
             products @ _without_mean(len(darks.data))
         )
 
@@ -276,10 +292,14 @@ def _events(darks: Darks) -> list[Observation]:
             event * _background(values, darks) * small + weak_ions(values, darks.ions)[1]
         ) * spread(values)
 
-    found = [one("dark events", value, sd, predict, (EBI, *IONS))] if value > 3.0 * sd else []
+    observations = (
+        [scalar_observation("dark events", value, sd, predict, (EBI, *IONS))]
+        if value > 3.0 * sd
+        else []
+    )
     if darks.noise_dn > DARK_ERRORS.coarse_dn:
-        found += _mean_of_events(darks)
-    return found
+        observations += _mean_of_events(darks)
+    return observations
 
 
 def _without_mean(count: int) -> Array:
@@ -291,36 +311,38 @@ def _without_mean(count: int) -> Array:
     return ((lag == 0) - total) * count / (count - 1.0)
 
 
-def _neighbour_covariance(darks: Darks, apart: tuple[tuple[int, int], ...]) -> tuple[float, float]:
+def _neighbour_covariance(
+    darks: Darks, separations: tuple[tuple[int, int], ...]
+) -> tuple[float, float]:
     """Return the sum of the covariances of neighbours in time, and its standard error by the
     scatter over blocks.
     """
-    good = ~darks.ions.reached
+    is_usable = ~darks.ions.reached
     count, rows, columns = darks.data.shape
     x = np.empty_like(darks.data)
     for parity in range(darks.step):
         field = darks.data[:, parity :: darks.step]
         x[:, parity :: darks.step] = (
-            field - field[:, good[parity :: darks.step]].mean(axis=1)[:, None, None]
+            field - field[:, is_usable[parity :: darks.step]].mean(axis=1)[:, None, None]
         )
-    x = (x - x.mean(axis=0)) * good
+    x = (x - x.mean(axis=0)) * is_usable
     total, number = (
         np.zeros(FRAMES.blocks[0] * FRAMES.blocks[1]),
         np.zeros(FRAMES.blocks[0] * FRAMES.blocks[1]),
     )
-    for right, down in apart:
+    for right, down in separations:
         down *= darks.step
-        near, far = x[:, : rows - down, : columns - right], x[:, down:, right:]
-        total += block_sums(np.einsum("frc,frc->rc", near, far) / (count - 1.0))
-        number += block_sums(good[: rows - down, : columns - right] & good[down:, right:])
-    used = number > 0.1 * number.max()
-    each = total[used] / number[used] * len(apart)
-    mean = float(total[used].sum() / number[used].sum() * len(apart))
-    return mean, float(each.std(ddof=1) / np.sqrt(each.size))
+        first, second = x[:, : rows - down, : columns - right], x[:, down:, right:]
+        total += block_sums(np.einsum("frc,frc->rc", first, second) / (count - 1.0))
+        number += block_sums(is_usable[: rows - down, : columns - right] & is_usable[down:, right:])
+    occupied = number > 0.1 * number.max()
+    block_covariance = total[occupied] / number[occupied] * len(separations)
+    mean = float(total[occupied].sum() / number[occupied].sum() * len(separations))
+    return mean, float(block_covariance.std(ddof=1) / np.sqrt(block_covariance.size))
 
 
 def covariance_after_rounding(darks: Darks, level_dn: float, noise_dn: float) -> float:
-    """Return what rounding leaves of the covariance of rows by pulses, as a factor.
+    """Return the covariance of rows due to pulses after rounding, over that before.
 
     The mean of a rounded pixel with the light a of a pulse is m(a) = a + sum_k (-1)^k/(pi k) exp(-2
     (pi k s)^2) sin(2 pi k (level + a)). Pulses are Gaussians of the described blur with exponential
@@ -328,18 +350,19 @@ def covariance_after_rounding(darks: Darks, level_dn: float, noise_dn: float) ->
     """
     values = values_of_description(darks.sensor)
     blur = pulse_covariance(values, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))[0]
-    wide, high = (1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:])
+    width, height_px = (1.0 / np.sqrt(4.0 * np.log(blur[0] / neighbour)) for neighbour in blur[1:])
     height = darks.ions.event_dn / (1.0 + 1.0 / float(values[SHAPE][0]))
     node, weight = np.polynomial.laguerre.laggauss(16)
     light = (field_light(values, darks.level.gate_s, 3)[0, :, None] * node * height).ravel()[
         :, None, None
     ]
     x, y = (
-        np.arange(-4.0 * wide, 4.0 * wide, 0.25),
-        np.arange(-4.0 * high, 4.0 * high + 1.0, 0.2)[:, None],
+        np.arange(-4.0 * width, 4.0 * width, 0.25),
+        np.arange(-4.0 * height_px, 4.0 * height_px + 1.0, 0.2)[:, None],
     )
-    spot, below = (
-        np.exp(-0.5 * ((x / wide) ** 2 + ((y - row) / high) ** 2)) / (2.0 * np.pi * wide * high)
+    spot, next_row = (
+        np.exp(-0.5 * ((x / width) ** 2 + ((y - row) / height_px) ** 2))
+        / (2.0 * np.pi * width * height_px)
         for row in (0.0, 1.0)
     )
 
@@ -354,22 +377,24 @@ def covariance_after_rounding(darks: Darks, level_dn: float, noise_dn: float) ->
         return total
 
     weights = np.tile(weight, 3)
-    seen, whole = (
-        weights @ np.sum(of(light * spot) * of(light * below), axis=(1, 2))
+    rounded, unrounded = (
+        weights @ np.sum(of(light * spot) * of(light * next_row), axis=(1, 2))
         for of in (change, lambda light_dn: light_dn)
     )
-    return float(seen / whole)
+    return float(rounded / unrounded)
 
 
 def _mean_of_events(darks: Darks) -> list[Observation]:
     """Observe the mean of all pixels that no ion reaches above the level between pulses."""
-    good = ~darks.ions.reached
+    is_usable = ~darks.ions.reached
     mean = darks.data.mean(axis=0, dtype=np.float64) - darks.level_dn
-    number = block_sums(good)
-    used = number > 0.1 * number.max()
-    each = block_sums(mean * good)[used] / number[used]
-    value = float(block_sums(mean * good).sum() / number.sum())
-    sd = float(np.hypot(each.std(ddof=1) / np.sqrt(each.size), DARK_ERRORS.wing_sd * value))
+    number = block_sums(is_usable)
+    occupied = number > 0.1 * number.max()
+    block_mean = block_sums(mean * is_usable)[occupied] / number[occupied]
+    value = float(block_sums(mean * is_usable).sum() / number.sum())
+    sd = float(
+        np.hypot(block_mean.std(ddof=1) / np.sqrt(block_mean.size), DARK_ERRORS.wing_sd * value)
+    )
 
     def predict(values: Values) -> Array:
         small = moment_below(values[SHAPE], 1.0, single_pulse_limit(values, darks.ions), 1)
@@ -377,7 +402,7 @@ def _mean_of_events(darks: Darks) -> list[Observation]:
         return pulses + weak_ions(values, darks.ions)[0]
 
     return (
-        [one("mean of dark events", value, sd, predict, (EBI, BLACK, *IONS))]
+        [scalar_observation("mean of dark events", value, sd, predict, (EBI, BLACK, *IONS))]
         if value > 3.0 * sd
         else []
     )

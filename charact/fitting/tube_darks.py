@@ -71,11 +71,14 @@ def thresholds_of(values: NDArray[np.floating]) -> tuple[float, float] | None:
     DN.
     """
     codes, counts = np.unique(values, return_counts=True)
-    below = np.cumsum(counts)
+    counts_below = np.cumsum(counts)
     fine = counts.max() < DARKS.fine_fraction * values.size
-    least = DARKS.fine_below[0] * values.size if fine else float(DARKS.least_count)
-    most = (DARKS.fine_below[1] if fine else DARKS.most_below) * values.size
-    low, high = np.searchsorted(below, least), np.searchsorted(below, most, side="right") - 1
+    least_below = DARKS.fine_below[0] * values.size if fine else float(DARKS.least_count)
+    most_below = (DARKS.fine_below[1] if fine else DARKS.most_below) * values.size
+    low, high = (
+        np.searchsorted(counts_below, least_below),
+        np.searchsorted(counts_below, most_below, side="right") - 1,
+    )
     return (float(codes[low]) + 0.5, float(codes[high]) + 0.5) if high > low else None
 
 
@@ -91,12 +94,12 @@ def quiet_noise(values: NDArray[np.floating]) -> tuple[float, float] | None:
     return level_and_sd(np.array([float(np.mean(values < level)) for level in levels]), levels)
 
 
-def level_and_sd(below: Array, levels: tuple[float, float]) -> tuple[float, float]:
+def level_and_sd(fractions_below: Array, levels: tuple[float, float]) -> tuple[float, float]:
     """Return level and standard deviation of normal noise from the fractions below two levels,
     shape (2,), DN.
     """
     from scipy.special import ndtri
 
-    low, high = ndtri(below)
+    low, high = ndtri(fractions_below)
     sd = (levels[1] - levels[0]) / (high - low)
     return float(levels[0] - low * sd), float(sd)

@@ -53,10 +53,10 @@ def light_in_window(values: Values) -> float:
 
     blur = pulse_covariance(values, ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)))[0]
     # Two such Gaussians r px apart have the covariance exp(-r^2/(4 s^2)).
-    sizes = [1.0 / np.sqrt(4.0 * np.log(blur[0] / near)) for near in blur[1:]]
+    sizes = [1.0 / np.sqrt(4.0 * np.log(blur[0] / neighbour)) for neighbour in blur[1:]]
     sides = [
-        erf(wide / (2.0 * np.sqrt(2.0) * size))
-        for wide, size in zip(DARKS.window, sizes, strict=True)
+        erf(width_px / (2.0 * np.sqrt(2.0) * size))
+        for width_px, size in zip(DARKS.window, sizes, strict=True)
     ]
     return float(np.prod(sides))
 
@@ -94,11 +94,11 @@ def find_ions(
     noise_dn = max(
         DARKS.ion_sd * float(middle - low), DARKS.ion_pixel_dn * DARKS.window[0] * DARKS.window[1]
     )
-    least = max(DARKS.ion_charge * event_dn * in_field, noise_dn)
-    seed = charge > least
+    least_charge = max(DARKS.ion_charge * event_dn * in_field, noise_dn)
+    seed = charge > least_charge
     # An event is seen in both fields and in later frames: what touches is one event.
-    near = np.asarray(maximum_filter(seed, size=(1, 5, 5)), bool)
-    parts, count = cast(Any, label(near, structure=np.ones((3, 3, 3))))
+    is_event = np.asarray(maximum_filter(seed, size=(1, 5, 5)), bool)
+    parts, count = cast(Any, label(is_event, structure=np.ones((3, 3, 3))))
     largest = (
         np.atleast_1d(maximum(charge, parts, np.arange(1, count + 1))) if count else np.empty(0)
     )
@@ -108,11 +108,11 @@ def find_ions(
         sensor=sensor,
         data=data,
         reached=reached,
-        least_dn=least,
+        least_dn=least_charge,
         in_window=in_window,
         event_dn=event_dn,
-        variance_dn2=float(np.sum((data[near] - data.mean()) ** 2)) / data.size,
-        charge_dn=tuple(float(one) for one in largest),
+        variance_dn2=float(np.sum((data[is_event] - data.mean()) ** 2)) / data.size,
+        charge_dn=tuple(float(charge_of_event) for charge_of_event in largest),
     )
 
 
@@ -176,14 +176,14 @@ def ion_observation(events: IonEvents) -> Observation:
     def predict(values: Values) -> Array:
         ions = predicted.ion_rate(values) * _exposure_of_pixels_s(events)
         counted = ions * (1.0 - _moment_of_weak(values, events, 0))
-        above = ions * (values[SIZE] - _moment_of_weak(values, events, 1))
+        charge_above_limit = ions * (values[SIZE] - _moment_of_weak(values, events, 1))
         limit = single_pulse_limit(values, events)
         pulses = _coincidences(values, limit, events.level.gate_s) * _exposure_of_pixels_s(events)
-        found = counted + pulses
+        expected = counted + pulses
         # Where none is expected, an event is one at the limit.
         few = 1e-9
-        charge = (above + (pulses + few) * (limit + 1.0)) / (found + few)
-        columns = [np.sqrt(found + 0.375), np.log(charge * _in_window(values, events))][
+        charge = (charge_above_limit + (pulses + few) * (limit + 1.0)) / (expected + few)
+        columns = [np.sqrt(expected + 0.375), np.log(charge * _in_window(values, events))][
             : len(value)
         ]
         return np.stack(np.broadcast_arrays(*columns), axis=1)
@@ -193,7 +193,7 @@ def ion_observation(events: IonEvents) -> Observation:
         value=np.array(value),
         covariance=np.diag(np.square(sd)),
         predict=predict,
-        speaks_of=IONS,
+        parameters=IONS,
     )
 
 
@@ -241,6 +241,6 @@ def _coincidences(values: Values, limit: Array, gate_s: float) -> Array:
     besides = rate * gate_s * DARKS.window[0] * DARKS.window[1]
     total = np.zeros(np.broadcast(rate, limit).shape)
     for k in range(12):
-        above = gammaincc((1 + k) * values[SHAPE], limit * values[SHAPE])
-        total = total + poisson.pmf(k, besides) * above / (1 + k)
+        fraction_above = gammaincc((1 + k) * values[SHAPE], limit * values[SHAPE])
+        total = total + poisson.pmf(k, besides) * fraction_above / (1 + k)
     return rate * total

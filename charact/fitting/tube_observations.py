@@ -9,7 +9,13 @@ from scipy.linalg import block_diag
 
 from charact.fitting import predicted_quantities
 from charact.fitting.mtf_observations import SPREAD, mtf_observations
-from charact.fitting.observation import Observation, Ridge, admissible_measurements, one, sd_of
+from charact.fitting.observation import (
+    Observation,
+    Ridge,
+    admissible_measurements,
+    scalar_observation,
+    sd_of,
+)
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import rounds_its_darks
 from charact.fitting.stack_levels import StackMean
@@ -58,7 +64,7 @@ class _Noise:
     value: Array  # shape (k,)
     covariance: Array  # shape (k, k)
     predict: Callable[[Values, Array, tuple[Array, Array]], Array]
-    speaks_of: tuple[str, ...] = NOISE
+    parameters: tuple[str, ...] = NOISE
     # index of a number known far better than the parameters that it depends on
     ridge: int | None = None
 
@@ -84,7 +90,7 @@ def noise_observations(
     volts = max(dict.fromkeys(known), key=known.count) if known else reference_v
     gates_s = [level.gate_s for level in levels if not level.dark and level.mcp_v == volts]
     quantised = rounds_its_darks(sensor)
-    found = _of_flats(
+    observations = _of_flats(
         result,
         volts,
         float(np.median(gates_s)) if gates_s else np.inf,
@@ -93,16 +99,26 @@ def noise_observations(
         ions,
     )
     volts_of = {entry.label: entry.conditions.mcp_v for entry in session.stacks}
-    found += [one for one in _separate(result, volts_of, volts) if one.mcp_v != volts or not found]
-    found += _neighbours(result, volts)
+    observations += [
+        observation
+        for observation in _separate(result, volts_of, volts)
+        if observation.mcp_v != volts or not observations
+    ]
+    observations += _neighbours(result, volts)
     darks = [level for level in levels if level.dark]
     if darks and not quantised and READ not in shown:
-        own = {level.label: level for level in darks}
+        dark_of_label = {level.label: level for level in darks}
         reads = admissible_measurements(result, "read_noise", "DN")
-        found += [_dark(m, own.get(m.stack or "", darks[0]), reference_v) for m in reads]
+        observations += [
+            _dark(m, dark_of_label.get(m.stack or "", darks[0]), reference_v) for m in reads
+        ]
     return [
-        _together([one for one in found if one.mcp_v == mcp_v], mcp_v, reference_v)
-        for mcp_v in dict.fromkeys(one.mcp_v for one in found)
+        _together(
+            [observation for observation in observations if observation.mcp_v == mcp_v],
+            mcp_v,
+            reference_v,
+        )
+        for mcp_v in dict.fromkeys(observation.mcp_v for observation in observations)
     ]
 
 
@@ -134,7 +150,11 @@ def _of_flats(
         for m in admissible_measurements(result, "covariance_gain", "DN")
         if m.stack is None
     ]
-    drawn = [one for one in drawn if one is not None and {"power", "lag_factor"} <= set(one.names)]
+    drawn = [
+        posterior
+        for posterior in drawn
+        if posterior is not None and {"power", "lag_factor"} <= set(posterior.names)
+    ]
     names = ("power", "lag_factor") if lag else ("power",)
     pooled = np.stack([drawn[0][name] for name in names]) if drawn else np.empty((0, 2))
     slope = (variance - dark) / signal
@@ -148,25 +168,27 @@ def _of_flats(
         # Of few large events, which are removed from one stack and not from another, the variance
         # is unsure by itself.
         common.append(ions.variance_dn2 / signal)
-    own = np.diag((sd / signal) ** 2) + sum(np.outer(one, one) for one in common)
-    errors = block_diag(np.cov(pooled), own) if drawn else own
+    slope_covariance = np.diag((sd / signal) ** 2) + sum(
+        np.outer(sd_of_flats, sd_of_flats) for sd_of_flats in common
+    )
+    errors = block_diag(np.cov(pooled), slope_covariance) if drawn else slope_covariance
     model = np.full(value.size, ERRORS.noise)
     model[: 1 if drawn else 0] = ERRORS.power
     covariance = np.asarray(errors, np.float64) + np.diag((model * value) ** 2)
 
     def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
-        left = predicted_quantities.lag_noise_fraction(values, gate_s)
+        lag_fraction = predicted_quantities.lag_noise_fraction(values, gate_s)
         loss = predicted_quantities.gain_loss
 
         def power_of(signal_dn: float) -> Array:
             return predicted_quantities.covariance_gain(
-                values, left * gain * (1.0 - loss(values, signal_dn))
+                values, lag_fraction * gain * (1.0 - loss(values, signal_dn))
             )
 
         power = power_of(pooled_dn)
         loaded = gain * (1.0 - loss(values, pooled_dn))
         factor = predicted_quantities.covariance_gain(values, loaded) / power
-        slopes = [shape[0] * power_of(one) for one in signal]
+        slopes = [shape[0] * power_of(flat_signal) for flat_signal in signal]
         first = [power, factor][: len(pooled)]
         return np.stack(np.broadcast_arrays(*first, *slopes), axis=1)
 
@@ -176,7 +198,7 @@ def _of_flats(
             value=value,
             covariance=covariance,
             predict=predict,
-            speaks_of=(*SHAPE, *LAG, STRIP),
+            parameters=(*SHAPE, *LAG, STRIP),
             ridge=value.size - slope.size,
         )
     ]
@@ -184,7 +206,7 @@ def _of_flats(
 
 def _separate(result: Result, volts_of: Mapping[str, float | None], usual_v: float) -> list[_Noise]:
     """Observe covariance gain and blur factor with independent errors."""
-    found = []
+    observations = []
     for quantity, unit, predict, depends in (
         (
             "covariance_gain",
@@ -197,8 +219,8 @@ def _separate(result: Result, volts_of: Mapping[str, float | None], usual_v: flo
         for m in admissible_measurements(result, quantity, unit):
             sd = float(np.hypot(sd_of(m), ERRORS.noise * (m.value or 0.0)))
             at = float(volts_of.get(m.stack or "") or usual_v)
-            found.append(_number(at, m.value or 0.0, sd, predict, depends))
-    return found
+            observations.append(_number(at, m.value or 0.0, sd, predict, depends))
+    return observations
 
 
 def _number(
@@ -213,7 +235,7 @@ def _number(
         mcp_v=mcp_v,
         value=np.array([value]),
         covariance=np.array([[sd**2]]),
-        speaks_of=depends,
+        parameters=depends,
         predict=lambda values, gain, shape: predict(values, gain, shape)[:, None],
     )
 
@@ -252,10 +274,14 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
     def predict(values: Values) -> Array:
         gain = predicted_quantities.photoelectron_gain(values, mcp_v, reference_v)
         shape = predicted_quantities.noise_shape(values, gain)
-        found = [part.predict(values, gain, shape) for part in parts]
-        count = max(len(one) for one in found)
+        predictions = [part.predict(values, gain, shape) for part in parts]
+        count = max(len(prediction) for prediction in predictions)
         return np.concatenate(
-            [np.broadcast_to(one, (count, one.shape[1])) for one in found], axis=1
+            [
+                np.broadcast_to(prediction, (count, prediction.shape[1]))
+                for prediction in predictions
+            ],
+            axis=1,
         )
 
     # The numbers of the flats stand first.
@@ -273,7 +299,7 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
         value=np.concatenate([part.value for part in parts]),
         covariance=np.asarray(block_diag(*(part.covariance for part in parts)), np.float64),
         predict=predict,
-        speaks_of=tuple(dict.fromkeys(path for part in parts for path in part.speaks_of)),
+        parameters=tuple(dict.fromkeys(path for part in parts for path in part.parameters)),
         ridge=ridge,
     )
 
@@ -283,8 +309,10 @@ def _dark(m: Measurement, dark: StackMean, reference_v: float) -> _Noise:
     variance = (m.value or 0.0) ** 2
 
     def predict(values: Values, gain: Array, shape: tuple[Array, Array]) -> Array:
-        own = predicted_quantities.dark_variance(values, gain, shape[0], dark.gate_s)
-        return own + predicted_quantities.ion_variance(values, gain, shape[0], dark.gate_s)
+        thermal_variance = predicted_quantities.dark_variance(values, gain, shape[0], dark.gate_s)
+        return thermal_variance + predicted_quantities.ion_variance(
+            values, gain, shape[0], dark.gate_s
+        )
 
     sd = float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), ERRORS.noise * variance]))
     depends = (READ, "photocathode.ebi_lm_per_cm2", *IONS, *NOISE)
@@ -301,8 +329,8 @@ def tube_observations(
     """
     ions = ions_of(sensor, result, levels)
     frames = frame_observations(sensor, levels, ions)
-    shown = {path for one in frames for path in one.speaks_of}
-    found = mtf_observations(session, sensor, result) + noise_observations(
+    shown = {path for observation in frames for path in observation.parameters}
+    observations = mtf_observations(session, sensor, result) + noise_observations(
         session, sensor, result, levels, shown, ions
     )
     for m in admissible_measurements(result, "halo_diameter"):
@@ -310,17 +338,21 @@ def tube_observations(
             float(np.hypot(sd_of(m), ERRORS.halo_px)),
             ("photocathode.gap_mm", "taper.demagnification"),
         )
-        found.append(
-            one("halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, depends)
+        observations.append(
+            scalar_observation(
+                "halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, depends
+            )
         )
     path = "photocathode.halo_fraction"
     for m in admissible_measurements(result, "halo_fraction"):
-        found.append(
-            one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[path], (path,))
+        observations.append(
+            scalar_observation(
+                "halo fraction", m.value or 0.0, sd_of(m), lambda values: values[path], (path,)
+            )
         )
-    found += _fixed_patterns(sensor, result)
-    found += [_levels(levels, sensor)] if levels else []
-    return (*found, *frames)
+    observations += _fixed_patterns(sensor, result)
+    observations += [_levels(levels, sensor)] if levels else []
+    return (*observations, *frames)
 
 
 def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
@@ -329,17 +361,19 @@ def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
     """
     plates = (sensor.taper.pattern_contrast, sensor.microchannel_plate.pattern_contrast)
     lines = sum(ERRORS.line_area * (plate.high or float(plate)) ** 2 / 2.0 for plate in plates)
-    found = []
+    observations = []
     for m in admissible_measurements(result, "prnu", "%"):
         value = 1e-4 * (m.value or 0.0) ** 2
         sd = float(
             np.hypot.reduce([2e-4 * (m.value or 0.0) * sd_of(m), ERRORS.pattern * value, lines])
         )
         depends = ("ccd.prnu", "phosphor.gain_nonuniformity")
-        found.append(
-            one("fixed pattern", value, sd, predicted_quantities.spatial_variance, depends)
+        observations.append(
+            scalar_observation(
+                "fixed pattern", value, sd, predicted_quantities.spatial_variance, depends
+            )
         )
-    return found
+    return observations
 
 
 def _levels(levels: tuple[StackMean, ...], sensor: Sensor) -> Observation:
@@ -352,22 +386,26 @@ def _levels(levels: tuple[StackMean, ...], sensor: Sensor) -> Observation:
         for name in ("illuminance_lux", "gate_s", "mcp_v")
     )
     mean = np.array([level.mean_dn for level in levels])
-    own = np.array([level.sd_dn for level in levels])
+    level_sd = np.array([level.sd_dn for level in levels])
 
     def predict(values: Values) -> Array:
-        one = {path: value[:, None] for path, value in values.items()}
-        background = predicted_quantities.background_rate(one) + predicted_quantities.ion_light(one)
-        events = predicted_quantities.photoelectrons(one, lux, gate_s) + background * gate_s
-        gain = predicted_quantities.photoelectron_gain(one, mcp_v, reference_v)
-        load = predicted_quantities.mcp_load(one, lux, gate_s, mcp_v, reference_v)
-        return one[BLACK] + gain * events / (1.0 + load)
+        column_values = {path: value[:, None] for path, value in values.items()}
+        background = predicted_quantities.background_rate(
+            column_values
+        ) + predicted_quantities.ion_light(column_values)
+        events = (
+            predicted_quantities.photoelectrons(column_values, lux, gate_s) + background * gate_s
+        )
+        gain = predicted_quantities.photoelectron_gain(column_values, mcp_v, reference_v)
+        load = predicted_quantities.mcp_load(column_values, lux, gate_s, mcp_v, reference_v)
+        return column_values[BLACK] + gain * events / (1.0 + load)
 
     # With little noise the mean is attracted to whole numbers.
     leaning = np.array(
         [ERRORS.leaning_dn if level.noise_dn < LIMITS.least_noise_dn else 0.0 for level in levels]
     )
     lit = ERRORS.level * np.maximum(mean - mean.min(), 0.0)
-    variance = own**2 + ERRORS.black_dn**2 + lit**2 + leaning**2
+    variance = level_sd**2 + ERRORS.black_dn**2 + lit**2 + leaning**2
     extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
     # Black level and EBI together are known far better than either.
     darkest = int(np.argmin(mean))
@@ -377,6 +415,6 @@ def _levels(levels: tuple[StackMean, ...], sensor: Sensor) -> Observation:
         value=mean,
         covariance=np.diag(variance),
         predict=predict,
-        speaks_of=(*LEVEL, *extra),
+        parameters=(*LEVEL, *extra),
         ridge=ridge,
     )

@@ -5,7 +5,7 @@ coarser patterns.
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fitting.observation import Observation, one
+from charact.fitting.observation import Observation, scalar_observation
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import FRAMES, PATTERN
@@ -57,18 +57,22 @@ def pattern_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[
     if not measured:
         return []
     value, variance = (np.array(column) for column in zip(*measured, strict=True))
-    mean, own = (
+    mean, mean_variance = (
         float(np.sum(value / variance) / np.sum(1.0 / variance)),
         float(1.0 / np.sum(1.0 / variance)),
     )
     borders = PATTERN.border_residue * (float(sensor.taper.pattern_contrast) ** 2)
-    sd = float(np.sqrt(own + (PATTERN.pattern_sd * mean) ** 2 + borders**2))
+    sd = float(np.sqrt(mean_variance + (PATTERN.pattern_sd * mean) ** 2 + borders**2))
 
     def predict(values: Values) -> Array:
         return values[PRNU] ** 2 * filter_covariance(values, 1)[:, 0]
 
     high = sensor.parameters()[PRNU].high
-    return [one("PRNU", mean, sd, predict, (PRNU,))] if high is not None and sd < high**2 else []
+    return (
+        [scalar_observation("PRNU", mean, sd, predict, (PRNU,))]
+        if high is not None and sd < high**2
+        else []
+    )
 
 
 def white_pattern(data: NDArray[np.float32], signal_dn: float, step: int) -> tuple[float, float]:
@@ -87,16 +91,21 @@ def white_pattern(data: NDArray[np.float32], signal_dn: float, step: int) -> tup
     early, late = (_pattern(part, step) for part in (data[:half], data[-half:]))
     middle, rows = slice(2, early.shape[0] - 2), early.shape[0] - 4
 
-    def covariance(apart: int) -> Array:
+    def covariance(row_offset: int) -> Array:
         return (
             early[middle]
-            * (late[2 - apart : 2 - apart + rows] + late[2 + apart : 2 + apart + rows])
+            * (
+                late[2 - row_offset : 2 - row_offset + rows]
+                + late[2 + row_offset : 2 + row_offset + rows]
+            )
             / 2.0
         )
 
     white = covariance(0) - (4.0 * covariance(1) - covariance(2)) / 3.0
-    each = block_sums(white) / block_sums(np.ones(white.shape)) / signal_dn**2
-    return float(white.mean()) / signal_dn**2, float(each.var(ddof=1) / each.size)
+    block_variance = block_sums(white) / block_sums(np.ones(white.shape)) / signal_dn**2
+    return float(white.mean()) / signal_dn**2, float(
+        block_variance.var(ddof=1) / block_variance.size
+    )
 
 
 def _pattern(frames: NDArray[np.float32], step: int) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities as predicted
-from charact.fitting.observation import Observation, one
+from charact.fitting.observation import Observation, scalar_observation
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import rounds_its_darks, values_of_description
 from charact.fitting.stack_levels import StackMean
@@ -60,12 +60,12 @@ def frames_of(level: StackMean, sensor: Sensor) -> NDArray[np.float32] | None:
         return None
     rows, columns = stack.data.shape[1:]
     # An even first row keeps the order of the fields.
-    top, left = (
+    top, first_column = (
         (max(rows - FRAMES.most_rows, 0) // 4) * 2,
         max(columns - FRAMES.most_columns, 0) // 2,
     )
     return stack.data[
-        :count, top : top + FRAMES.most_rows, left : left + FRAMES.most_columns
+        :count, top : top + FRAMES.most_rows, first_column : first_column + FRAMES.most_columns
     ].astype(np.float32)
 
 
@@ -99,18 +99,22 @@ def time_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Obs
     lit = sorted((level for level in levels if not level.dark), key=lambda level: -level.mean_dn)
     noisy = [level for level in lit if level.noise_dn > FRAMES.least_noise_dn]
     darks = [level for level in levels if level.dark]
-    found: list[Observation] = []
+    observations: list[Observation] = []
     if LINE_NOISE in sensor.parameters():
         # Rounding multiplies the offset of a line where the noise of its pixels is small.
-        found += _line_noise(sensor, noisy if rounds_its_darks(sensor) else noisy + darks, black_dn)
+        observations += _line_noise(
+            sensor, noisy if rounds_its_darks(sensor) else noisy + darks, black_dn
+        )
     flats = [
         fields
         for level in noisy[: FRAMES.most_flats]
         if (fields := fields_of(level, sensor, black_dn)) is not None
     ]
-    alike = [one for one in flats if one.setting == flats[0].setting]
-    found += [_lag(alike, sensor)] if alike else []
-    return [observed for observed in found if depends_on(observed, sensor, (*DECAY, LINE_NOISE))]
+    same_setting = [flat for flat in flats if flat.setting == flats[0].setting]
+    observations += [_lag(same_setting, sensor)] if same_setting else []
+    return [
+        observed for observed in observations if depends_on(observed, sensor, (*DECAY, LINE_NOISE))
+    ]
 
 
 def depends_on(observed: Observation, sensor: Sensor, paths: tuple[str, ...]) -> bool:
@@ -120,13 +124,15 @@ def depends_on(observed: Observation, sensor: Sensor, paths: tuple[str, ...]) ->
     known, values = sensor.parameters(), values_of_description(sensor)
     ends = {
         path: (known[path].low, known[path].high)
-        for path in observed.speaks_of
+        for path in observed.parameters
         if path in paths and path in known
     }
-    tried = [(path, end) for path, both in ends.items() for end in both if end is not None]
-    usual = observed.predict(values)[0]
+    tried = [
+        (path, end) for path, range_ends in ends.items() for end in range_ends if end is not None
+    ]
+    nominal = observed.predict(values)[0]
     shifted = [
-        replace(observed, value=usual).chi_squared({**values, path: np.array([float(end)])})[0]
+        replace(observed, value=nominal).chi_squared({**values, path: np.array([float(end)])})[0]
         for path, end in tried
     ]
     return max(shifted, default=0.0) > 1.0
@@ -135,8 +141,8 @@ def depends_on(observed: Observation, sensor: Sensor, paths: tuple[str, ...]) ->
 def _lag(flats: list[Fields], sensor: Sensor) -> Observation:
     """Observe the mean correlations of flats of one setting: they hardly depend on the signal."""
     measured = [measure_correlations(fields) for fields in flats]
-    value = np.mean([one for one, _ in measured], axis=0)
-    covariance = np.sum([one for _, one in measured], axis=0) / len(flats) ** 2
+    value = np.mean([correlations for correlations, _ in measured], axis=0)
+    covariance = np.sum([errors for _, errors in measured], axis=0) / len(flats) ** 2
     middle = replace(flats[0], signal_dn=float(np.mean([fields.signal_dn for fields in flats])))
     reference_v = float(sensor.microchannel_plate.reference_v)
 
@@ -148,7 +154,7 @@ def _lag(flats: list[Fields], sensor: Sensor) -> Observation:
         value=value,
         covariance=covariance + FRAMES.correlation_model_sd**2 * np.eye(value.size),
         predict=predict,
-        speaks_of=(*DECAY, *EVENT),
+        parameters=(*DECAY, *EVENT),
     )
 
 
@@ -239,12 +245,12 @@ def _diagonal_means(count: int, lags: tuple[int, ...]) -> Array:
     """Return the means of diagonals of P C P for unit covariances at each lag, shape (lag,
     count).
     """
-    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    separation = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     project = _projection(count)
     columns = []
     for lag in range(count):
-        both = project @ (apart == lag) @ project
-        columns.append([np.diagonal(both, which).mean() for which in lags])
+        projected = project @ (separation == lag) @ project
+        columns.append([np.diagonal(projected, which).mean() for which in lags])
     return np.array(columns).T
 
 
@@ -254,12 +260,12 @@ def _next_field_means(count: int) -> Array:
     apart, (count,).
     """
     early, late = 2 * np.arange(count), 2 * np.arange(count) + 1
-    apart = np.abs(np.subtract.outer(early, late))
+    separation = np.abs(np.subtract.outer(early, late))
     project = _projection(count)
     out = []
     for lag in range(count):
-        both = project @ (apart == 2 * lag + 1) @ project
-        out.append(0.5 * (np.diagonal(both).mean() + np.diagonal(both, -1).mean()))
+        projected = project @ (separation == 2 * lag + 1) @ project
+        out.append(0.5 * (np.diagonal(projected).mean() + np.diagonal(projected, -1).mean()))
     return np.array(out)
 
 
@@ -277,21 +283,23 @@ def field_products(values: Values, gate_s: float, fields: int) -> Array:
     the field, so that the mean of E is (tau/g) (exp(-(T - g)/tau) - exp(-T/tau)), and that of E E'
     the same with 1/tau + 1/tau'.
     """
-    share, once, twice, keep = _fraction_in_later(values, gate_s)
-    both = share[:, :, None] * share[:, None, :] * twice
-    out = np.empty((len(share), fields))
-    out[:, 0] = 1.0 - 2.0 * np.sum(share * once, axis=1) + both.sum(axis=(1, 2))
+    light_fraction, once, twice, keep = _fraction_in_later(values, gate_s)
+    pair_products = light_fraction[:, :, None] * light_fraction[:, None, :] * twice
+    out = np.empty((len(light_fraction), fields))
+    out[:, 0] = 1.0 - 2.0 * np.sum(light_fraction * once, axis=1) + pair_products.sum(axis=(1, 2))
     # What is left of both components, once for each field after the first.
     lasting = (
-        both
+        pair_products
         * (1.0 - keep)[:, :, None]
         * (1.0 - keep)[:, None, :]
         / (1.0 - keep[:, :, None] * keep[:, None, :])
     )
     out[:, 0] += lasting.sum(axis=(1, 2))
-    own = (1.0 - keep) * (share * once - both.sum(axis=1))
+    first_later = (1.0 - keep) * (light_fraction * once - pair_products.sum(axis=1))
     for lag in range(1, fields):
-        out[:, lag] = np.sum(own * keep ** (lag - 1) + lasting.sum(axis=1) * keep**lag, axis=1)
+        out[:, lag] = np.sum(
+            first_later * keep ** (lag - 1) + lasting.sum(axis=1) * keep**lag, axis=1
+        )
     return out
 
 
@@ -299,9 +307,11 @@ def field_light(values: Values, gate_s: float, fields: int) -> Array:
     """Return the mean fractions l_0 ... of a pulse's light in its field and later ones, shape (n,
     fields).
     """
-    share, once, _, keep = _fraction_in_later(values, gate_s)
+    light_fraction, once, _, keep = _fraction_in_later(values, gate_s)
     later = (
-        share[:, None, :] * once[:, None, :] * keep[:, None, :] ** np.arange(fields)[None, :, None]
+        light_fraction[:, None, :]
+        * once[:, None, :]
+        * keep[:, None, :] ** np.arange(fields)[None, :, None]
     )
     return -np.diff(later.sum(axis=2), axis=1, prepend=1.0)
 
@@ -318,14 +328,14 @@ def _fraction_in_later(values: Values, gate_s: float) -> tuple[Array, Array, Arr
         )
     )
     light = np.stack(np.broadcast_arrays(fast * tau[0], (1.0 - fast) * tau[1]))
-    share, rate = (light / light.sum(axis=0)).T, 1.0 / tau.T
+    light_fraction, rate = (light / light.sum(axis=0)).T, 1.0 / tau.T
     open_s = np.minimum(gate_s, field_s)
 
     def fraction(rate: Array, open_s: Array, field_s: Array) -> Array:
         return (np.exp(-(field_s - open_s) * rate) - np.exp(-field_s * rate)) / (open_s * rate)
 
     twice = fraction(rate[:, :, None] + rate[:, None, :], open_s[:, :, None], field_s[:, :, None])
-    return share, fraction(rate, open_s, field_s), twice, np.exp(-field_s * rate)
+    return light_fraction, fraction(rate, open_s, field_s), twice, np.exp(-field_s * rate)
 
 
 def detector_variance(values: Values, signal_dn: float) -> Array:
@@ -375,7 +385,7 @@ def _nodes() -> tuple[Array, Array, Array, Array]:
 _ACROSS, _ACROSS_WEIGHT, _ALONG, _ALONG_WEIGHT = _nodes()
 
 
-def pulse_covariance(values: Values, apart: tuple[tuple[float, float], ...]) -> Array:
+def pulse_covariance(values: Values, separations: tuple[tuple[float, float], ...]) -> Array:
     """Return covariance over covariance sum of pulses at (columns, field rows) apart, shape (n, k),
     dimensionless.
 
@@ -384,7 +394,7 @@ def pulse_covariance(values: Values, apart: tuple[tuple[float, float], ...]) -> 
     """
     power = (_analog_power if "video.bandwidth_mhz" in values else _tube_power)(values)
     out = []
-    for columns, rows in apart:
+    for columns, rows in separations:
         down = np.cos(2.0 * np.pi * _ALONG * rows) * _ALONG_WEIGHT
         across = np.cos(2.0 * np.pi * _ACROSS * columns) * _ACROSS_WEIGHT
         out.append(4.0 * np.einsum("nrc,r,c->n", power, down, across))
@@ -428,13 +438,13 @@ _POWER = (
 
 def _power_of(values: Values) -> Array:
     """Return |H|^2 of the stages after the gain at the nodes, shape (n, along, across)."""
-    pitch_x_mm, pitch_y_mm, large, cut_off, exponent, share, fibre_um, interface = (
+    pitch_x_mm, pitch_y_mm, large, cut_off, exponent, tube_fraction, fibre_um, interface = (
         values[path][:, None, None] * (1e-3 if path.startswith("ccd.") else 1.0) for path in _POWER
     )
     detector = np.hypot(
         _ACROSS / pitch_x_mm, _ALONG[:, None] / (predicted.rows_per_pixel(values) * pitch_y_mm)
     )
-    after = predicted.tube_transfer(detector / large, cut_off, exponent, share)
+    after = predicted.tube_transfer(detector / large, cut_off, exponent, tube_fraction)
     after = after * predicted.fibre_transfer(detector, fibre_um, interface)
     aperture = predicted.aperture_transfer(_ALONG)[:, None] * predicted.aperture_transfer(_ACROSS)
     video = np.ones((1, _ACROSS.size))
@@ -470,7 +480,11 @@ def _line_noise(sensor: Sensor, levels: list[StackMean], black_dn: float) -> lis
     value, variance = (np.array(column) for column in zip(*parts, strict=True))
     weight = 1.0 / variance
     mean, sd = float(np.sum(weight * value) / weight.sum()), float(weight.sum() ** -0.5)
-    return [one("line noise", mean, sd, lambda values: values[LINE_NOISE] ** 2, (LINE_NOISE,))]
+    return [
+        scalar_observation(
+            "line noise", mean, sd, lambda values: values[LINE_NOISE] ** 2, (LINE_NOISE,)
+        )
+    ]
 
 
 def measure_line_variance(fields: Fields) -> tuple[float, float]:
@@ -489,14 +503,14 @@ def measure_line_variance(fields: Fields) -> tuple[float, float]:
         .mean(axis=3, dtype=np.float64)
     )
     line = parts[:, step:] - parts[:, :-step]
-    apart = (
+    pair_products = (
         line.sum(axis=2) ** 2
         - np.sum(line**2, axis=2)
         - 2.0 * np.sum(line[:, :, 1:] * line[:, :, :-1], axis=2)
     )
     pairs = FRAMES.line_parts**2 - FRAMES.line_parts - 2 * (FRAMES.line_parts - 1)
-    each = apart / pairs / 2.0 / (1.0 - 1.0 / count)
+    line_variance = pair_products / pairs / 2.0 / (1.0 - 1.0 / count)
     # Differences of overlapping lines are correlated: blocks of lines, every frame on its own.
-    groups = np.array_split(each, max(rows // 25, 2), axis=1)
+    groups = np.array_split(line_variance, max(rows // 25, 2), axis=1)
     means = np.concatenate([group.mean(axis=1) for group in groups])
-    return float(each.mean()), float(means.var(ddof=1) / means.size)
+    return float(line_variance.mean()), float(means.var(ddof=1) / means.size)

@@ -25,7 +25,7 @@ def test_a_bounded_normal_law_has_its_closed_moments(seed: int) -> None:
         bounds=np.array([[0.0, np.inf], [-np.inf, np.inf]]),
         seed=seed,
     )
-    assert not found.flags and len(found.draws) == SAMPLING.kept
+    assert not found.flags and len(found.draws) == SAMPLING.chains
     first = found.draws[:, 0]
     sd = np.sqrt(1.0 - 2.0 / np.pi)
     assert abs(first.mean() - np.sqrt(2.0 / np.pi)) < 4.5 * sd / np.sqrt(first.size)
