@@ -63,10 +63,10 @@ class Ensemble:
         parametric bootstrap; Davison and Hinkley 1997, section 4.2), all places of a repetition
         against the same sets.
         """
-        places = np.atleast_2d(measured)
-        null = self.null if len(places) == 1 else self._repeat(len(places))
+        part_values = np.atleast_2d(measured)
+        null = self.null if len(part_values) == 1 else self._repeat(len(part_values))
         at_least = np.sum(
-            self._ranked(null).max(axis=1) >= self._ranked(self._deviations(places)).max()
+            self._ranked(null).max(axis=1) >= self._ranked(self._deviations(part_values)).max()
         )
         return float((1 + at_least) / (len(null) + 1))
 
@@ -76,13 +76,13 @@ class Ensemble:
         """
         rng = np.random.default_rng([self.seed, 2])
         root = np.linalg.cholesky(self.covariance)
-        moved = (
+        shifted = (
             self.values.mean(axis=0)
             + shifts
             + rng.standard_normal((400, self.values.shape[1])) @ root.T
         )
-        found = self._ranked(self._deviations(moved))
-        return float(np.mean(found > np.quantile(self._ranked(self.null[:, 0]), 1.0 - level)))
+        ranked = self._ranked(self._deviations(shifted))
+        return float(np.mean(ranked > np.quantile(self._ranked(self.null[:, 0]), 1.0 - level)))
 
     def z_scores(self, measured: Array) -> Array:
         """Return each number's deviation in standard deviations of the prediction, shape
@@ -107,21 +107,21 @@ class Ensemble:
         """Deviations where the simulation is right, shape (replicate, 1, 2)."""
         return self._repeat(1)
 
-    def _repeat(self, places: int) -> Array:
+    def _repeat(self, parts: int) -> Array:
         """Return deviations of several sets from the same ensemble where it is right, shape
         (replicate, place, 2).
         """
         rng = np.random.default_rng([self.seed, 1])
         count, size = self.values.shape
         root = np.linalg.cholesky(self.covariance)
-        found = []
+        deviations = []
         for _ in range(VALIDATION.replicates // 500):
-            drawn = rng.standard_normal((500, count + places, size)) @ root.T
-            sets, own = drawn[:, places:], drawn[:, :places]
+            drawn = rng.standard_normal((500, count + parts, size)) @ root.T
+            sets, part_draws = drawn[:, parts:], drawn[:, :parts]
             centre = sets.mean(axis=1, keepdims=True)
             covariance = _shrink(sets - centre, self.least_sd) * (1.0 + 1.0 / count)
-            found.append(_deviations(own - centre, covariance))
-        return np.concatenate(found)
+            deviations.append(_deviations(part_draws - centre, covariance))
+        return np.concatenate(deviations)
 
 
 def _deviations(gap: Array, covariance: Array) -> Array:
@@ -151,9 +151,11 @@ def ensemble_of(
 ) -> tuple[tuple[str, ...], Ensemble]:
     """Return the labels that all sets have with finite numbers, and their ensemble."""
     labels = tuple(
-        label for label in sets[0] if all(np.isfinite(one.get(label, np.nan)) for one in sets)
+        label
+        for label in sets[0]
+        if all(np.isfinite(numbers.get(label, np.nan)) for numbers in sets)
     )
-    values = np.array([[one[label] for label in labels] for one in sets], float).reshape(
+    values = np.array([[numbers[label] for label in labels] for numbers in sets], float).reshape(
         len(sets), len(labels)
     )
     # Rounding leaves a spread even of numbers that are the same in all sets.
@@ -180,10 +182,10 @@ def holm_levels(p_values: Sequence[float], level: float) -> tuple[float, ...]:
     >>> holm_levels([0.02, 0.012], 0.02)
     (0.01, 0.01)
     """
-    levels, own = [0.0] * len(p_values), 0.0
+    levels, test_level = [0.0] * len(p_values), 0.0
     passed = False
-    for place, index in enumerate(np.argsort(p_values, kind="stable")):
-        own = own if passed else level / (len(p_values) - place)
-        levels[index] = own
-        passed = passed or p_values[index] >= own
+    for rank, index in enumerate(np.argsort(p_values, kind="stable")):
+        test_level = test_level if passed else level / (len(p_values) - rank)
+        levels[index] = test_level
+        passed = passed or p_values[index] >= test_level
     return tuple(levels)

@@ -75,15 +75,15 @@ def point_levels(
     """
     if chosen.point is None:
         return (), {}
-    compared, found = chosen.point, []
+    compared, candidates = chosen.point, []
     for entry in session.of_kind("point"):
         light = _light(entry.conditions, like=compared.conditions)
         if entry.label == compared.label or light is None:
             continue
         stack = entry.read()
         fits = all(
-            size <= whole - first
-            for size, whole, first in zip(
+            size <= length - first
+            for size, length, first in zip(
                 compared.shape, stack.shape[1:], compared.corner, strict=True
             )
         )
@@ -95,13 +95,15 @@ def point_levels(
                 target=entry.target,
                 frames=VALIDATION.fewest_frames,
             )
-            found.append((light, shot, stack.region(*shot.corner, *shot.shape).data[: shot.frames]))
-    found.sort(key=lambda one: one[0])
-    most = POINT_LEVELS - 1
-    places = sorted(
-        {round(place) for place in np.linspace(0, len(found) - 1, min(most, len(found)))}
+            candidates.append(
+                (light, shot, stack.region(*shot.corner, *shot.shape).data[: shot.frames])
+            )
+    candidates.sort(key=lambda candidate: candidate[0])
+    count = POINT_LEVELS - 1
+    indices = sorted(
+        {round(index) for index in np.linspace(0, len(candidates) - 1, min(count, len(candidates)))}
     )
-    picked = [found[place] for place in places]
+    picked = [candidates[index] for index in indices]
     return tuple(shot for _, shot, _ in picked), {
         shot.label: np.array(data) for _, shot, data in picked
     }
@@ -168,14 +170,14 @@ def figures_of(
         Chooses the stack of the blind pair.
     """
     (own_frames, own_features), (first, features, curves) = measured, simulated
-    own = curves_of(own_frames, chosen, levels)
+    own_curves = curves_of(own_frames, chosen, levels)
     roles = _roles(chosen)
-    compared = [(role, shot) for role, shot in roles.items() if shot not in chosen.others]
+    compared = [(role, shot) for role, shot in roles.items() if shot not in chosen.display_only]
     role, shot = compared[int(np.random.default_rng([seed, 11]).integers(len(compared)))]
     return ValidationFigures(
         overlays={
             **_overlays_of_features(own_features, features, chosen),
-            **_overlays_of_curves(own, curves, chosen, levels),
+            **_overlays_of_curves(own_curves, curves, chosen, levels),
         },
         pairs=tuple(_pair(role, shot, own_frames, first, 0) for role, shot in roles.items()),
         # Another frame than the pairs show, so that none of them gives the answer.
@@ -186,7 +188,10 @@ def figures_of(
         ),
         residuals=tuple(
             _residual(
-                role, shot, own.blocks[shot.label], [one.blocks[shot.label] for one in curves]
+                role,
+                shot,
+                own_curves.blocks[shot.label],
+                [set_curves.blocks[shot.label] for set_curves in curves],
             )
             for role, shot in _flat_fields(chosen).items()
         ),
@@ -204,11 +209,11 @@ def _flat_fields(chosen: MatchedStacks) -> dict[str, MatchedFrames]:
 def _roles(chosen: MatchedStacks) -> dict[str, MatchedFrames]:
     """Return the stacks that are shown by role."""
     targets = {"edge": chosen.edge, "point source": chosen.point}
-    others = {shot.kind: shot for shot in chosen.others}
+    display_only = {shot.kind: shot for shot in chosen.display_only}
     return {
         **_flat_fields(chosen),
         **{role: shot for role, shot in targets.items() if shot is not None},
-        **others,
+        **display_only,
     }
 
 
@@ -251,27 +256,34 @@ def _pair(
     role: str, shot: MatchedFrames, measured: Frames, simulated: Frames, number: int
 ) -> FramePair:
     """Return one frame of a stack, measured and simulated, with a common grey scale."""
-    both = [np.asarray(frames[shot.label][number], float) for frames in (measured, simulated)]
-    low, high = np.quantile(np.concatenate([one.ravel() for one in both]), (EXTREME, 1.0 - EXTREME))
-    return _codes(role, shot, both, float(low), float(max(high, low + 1.0)))
+    images = [np.asarray(frames[shot.label][number], float) for frames in (measured, simulated)]
+    low, high = np.quantile(
+        np.concatenate([image.ravel() for image in images]), (EXTREME, 1.0 - EXTREME)
+    )
+    return _codes(role, shot, images, float(low), float(max(high, low + 1.0)))
 
 
 def _pattern_pair(role: str, shot: MatchedFrames, measured: Frames, simulated: Frames) -> FramePair:
     """Return the mean frames without shading, measured and simulated, with a common grey scale
     about zero.
     """
-    both = [
+    images = [
         np.asarray(StackView(shot.label, frames[shot.label]).pattern, float)
         for frames in (measured, simulated)
     ]
-    high = float(np.quantile(np.abs(np.concatenate([one.ravel() for one in both])), 1.0 - EXTREME))
-    return _codes(role, shot, both, -max(high, 1e-3), max(high, 1e-3))
+    high = float(
+        np.quantile(np.abs(np.concatenate([image.ravel() for image in images])), 1.0 - EXTREME)
+    )
+    return _codes(role, shot, images, -max(high, 1e-3), max(high, 1e-3))
 
 
-def _codes(role: str, shot: MatchedFrames, both: list[Array], low: float, high: float) -> FramePair:
+def _codes(
+    role: str, shot: MatchedFrames, images: list[Array], low: float, high: float
+) -> FramePair:
     """Return two images as codes of 8 bits on one scale."""
     shown = [
-        np.rint(255 * np.clip((one - low) / (high - low), 0, 1)).astype(np.uint8) for one in both
+        np.rint(255 * np.clip((image - low) / (high - low), 0, 1)).astype(np.uint8)
+        for image in images
     ]
     return FramePair(
         role=role,
@@ -294,12 +306,12 @@ def _overlays_of_features(
         ("photon-transfer", "variance_dn2", "Temporal variance, DN²"),
         ("covariance", "covariance_dn2", "Covariance sum within 6 px, DN²"),
     ):
-        x = np.array([one.mean_dn for one in simulated]).mean(axis=0)
+        x = np.array([numbers.mean_dn for numbers in simulated]).mean(axis=0)
         curve = _curve(
             "",
             measured.mean_dn,
             getattr(measured, field),
-            [getattr(one, field) for one in simulated],
+            [getattr(numbers, field) for numbers in simulated],
             x,
         )
         out[name] = {"title": title, "x_title": "signal, DN", "y_title": title, "curves": [curve]}
@@ -316,12 +328,12 @@ def _overlays_of_features(
         ),
         ("mtf", FREQUENCY_CY_PER_PX.tolist(), frequencies, "frequency, cy/px", "MTF"),
     ):
-        own, *sets = (
-            np.array([one.groups.get(name, {}).get(label, np.nan) for label in labels])
-            for one in (measured, *simulated)
+        own_values, *sets = (
+            np.array([numbers.groups.get(name, {}).get(label, np.nan) for label in labels])
+            for numbers in (measured, *simulated)
         )
-        if np.isfinite(own).all() and np.isfinite(sets).all():
-            curve = _curve("", x, own, sets)
+        if np.isfinite(own_values).all() and np.isfinite(sets).all():
+            curve = _curve("", x, own_values, sets)
             out[name] = {
                 "title": GROUPS[name].title,
                 "x_title": x_title,
@@ -332,7 +344,7 @@ def _overlays_of_features(
 
 
 def _overlays_of_curves(
-    own: FigureCurves,
+    measured: FigureCurves,
     sets: Sequence[FigureCurves],
     chosen: MatchedStacks,
     levels: tuple[MatchedFrames, ...],
@@ -341,10 +353,13 @@ def _overlays_of_curves(
     out = {}
     for field in ("horizontal", "vertical"):
         power = {
-            label: [getattr(one, field)[label] for one in sets] for label in getattr(own, field)
+            label: [getattr(set_curves, field)[label] for set_curves in sets]
+            for label in getattr(measured, field)
         }
         curves = [
-            _curve(label, _frequency(chosen, field), getattr(own, field)[label], rows, scale="log")
+            _curve(
+                label, _frequency(chosen, field), getattr(measured, field)[label], rows, scale="log"
+            )
             for label, rows in power.items()
         ]
         out[f"noise-spectrum-{field}"] = {
@@ -355,7 +370,7 @@ def _overlays_of_curves(
             "curves": curves,
         }
     for shot in (chosen.dark, chosen.flats[-1]):
-        rows = [one.counts[shot.label] for one in sets]
+        rows = [set_curves.counts[shot.label] for set_curves in sets]
         out[f"histogram-{shot.kind}"] = {
             "title": f"Histogram of the noise in time of {shot.label}",
             "x_title": "deviation from the mean frame; the ends hold all beyond, sd",
@@ -365,30 +380,31 @@ def _overlays_of_curves(
                 _curve(
                     "",
                     (BINS_SD[1:] + BINS_SD[:-1]) / 2.0,
-                    own.counts[shot.label],
+                    measured.counts[shot.label],
                     rows,
                     scale="root",
                 )
             ],
         }
-    found = [
+    curves_of_points = [
         _curve(
             shot.label,
             [(low + high) / 2.0 for low, high in pairwise(RADII_PX)],
-            own.rings[shot.label],
-            [one.rings[shot.label] for one in sets],
+            measured.rings[shot.label],
+            [set_curves.rings[shot.label] for set_curves in sets],
             scale="asinh",
         )
         for shot in _points(chosen, levels)
-        if own.rings[shot.label].size and all(one.rings[shot.label].size for one in sets)
+        if measured.rings[shot.label].size
+        and all(set_curves.rings[shot.label].size for set_curves in sets)
     ]
-    if found:
+    if curves_of_points:
         out["point"] = {
             "title": "Profile of the point source at each level",
             "x_title": "radius, px",
             "y_title": "level above the dark, DN",
             "y_scale": "symlog",
-            "curves": found,
+            "curves": curves_of_points,
         }
     return out
 

@@ -173,27 +173,29 @@ def features_of(
         )
     return FrameFeatures(
         groups=groups,
-        mean_dn=tuple(one.level - dark.level for one in flats),
-        variance_dn2=tuple(one.variance - dark.variance for one in flats),
-        covariance_dn2=tuple(float(one.covariance.sum() - dark.covariance.sum()) for one in flats),
+        mean_dn=tuple(stack.level - dark.level for stack in flats),
+        variance_dn2=tuple(stack.variance - dark.variance for stack in flats),
+        covariance_dn2=tuple(
+            float(stack.covariance.sum() - dark.covariance.sum()) for stack in flats
+        ),
     )
 
 
 def features_of_parts(
     chosen: MatchedStacks, *, context: Context
 ) -> dict[str, Mapping[str, Numbers]]:
-    """Return the numbers of the measured frames in the other parts of the frame by place, of groups
-    compared there.
+    """Return the numbers of the measured frames in the other parts of the frame by part, of groups
+    that are compared over the frame.
     """
-    found = {}
-    for place, frames in chosen.parts.items():
+    features = {}
+    for part, frames in chosen.parts.items():
         dark, flat = (
             StackView(shot.label, frames[shot.label], interlaced=context.interlaced)
             for shot in (chosen.dark, chosen.flats[-1])
         )
-        found[place] = {
+        features[part] = {
             name: group.of_stacks(dark, [flat])
             for name, group in GROUPS.items()
             if group.of_stacks is not None and group.over_frame
         }
-    return found
+    return features

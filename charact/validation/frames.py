@@ -53,17 +53,17 @@ class MatchedFrames:
 class MatchedStacks:
     """Stacks of a validation.
 
-    `others` are for display only; `measured` has the frames by label, shape (frame, row, col), DN;
-    `parts` have those of the dark and the brightest flat in other parts of the whole frame, of the
-    same shape, by place; `notes` name excluded stacks. Without an edge the MTF is not compared,
-    without a point source no halo.
+    `display_only` are for display only; `measured` has the frames by label, shape (frame, row,
+    col), DN; `parts` have those of the dark and the brightest flat in other parts of the whole
+    frame, of the same shape, by place; `notes` name excluded stacks. Without an edge the MTF is not
+    compared, without a point source no halo.
     """
 
     dark: MatchedFrames
     flats: tuple[MatchedFrames, ...]
     edge: MatchedFrames | None
     point: MatchedFrames | None
-    others: tuple[MatchedFrames, ...]
+    display_only: tuple[MatchedFrames, ...]
     measured: dict[str, NDArray]
     notes: tuple[str, ...]
     parts: Mapping[str, dict[str, NDArray]] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class MatchedStacks:
         return (
             self.dark,
             *self.flats,
-            *(one for one in (self.edge, self.point) if one is not None),
+            *(shot for shot in (self.edge, self.point) if shot is not None),
         )
 
 
@@ -112,7 +112,7 @@ def choose(session: Session) -> MatchedStacks:
         flats=tuple(shot for shot, _ in flats),
         edge=edges[0][0] if edges else None,
         point=brightest[0][0] if brightest else None,
-        others=tuple(shot for shot, _ in bars[:1]),
+        display_only=tuple(shot for shot, _ in bars[:1]),
         measured={
             shot.label: _cut(shot, entry)
             for shot, entry in (dark, *flats, *edges[:1], *brightest, *bars[:1])
@@ -150,8 +150,10 @@ def simulate_frames(
 
     camera = _slow_enough(camera, shots)
 
-    def bench_of(one: VisibleCamera, shape: tuple[int, int], **more: Any) -> LabBench:
-        return LabBench(replace(one, ccd=replace(one.ccd, rows=shape[0], columns=shape[1])), **more)
+    def bench_of(specimen: VisibleCamera, shape: tuple[int, int], **more: Any) -> LabBench:
+        return LabBench(
+            replace(specimen, ccd=replace(specimen.ccd, rows=shape[0], columns=shape[1])), **more
+        )
 
     out, benches = {}, {}
     for index, shot in enumerate(shots):
@@ -183,19 +185,19 @@ def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
     """
     from simulate.iiccd.chain import Slot
 
-    apart, target, conditions = shot.pitch_px, replace(shot.target, region=None), shot.conditions
-    if apart == 1:
+    pitch_px, target, conditions = shot.pitch_px, replace(shot.target, region=None), shot.conditions
+    if pitch_px == 1:
         return bench.expose(shot.kind, target, conditions, frames=shot.frames, seed=seed).data
     target = replace(
         target,
         frequency_cy_per_px=None
         if target.frequency_cy_per_px is None
-        else target.frequency_cy_per_px / apart,
-        pinhole_px=None if target.pinhole_px is None else target.pinhole_px * apart,
+        else target.frequency_cy_per_px / pitch_px,
+        pinhole_px=None if target.pinhole_px is None else target.pinhole_px * pitch_px,
     )
     chain = bench.camera.chain(conditions)
     pixels = chain[Slot.PIXELS].mean(bench.mcp_input(shot.kind, target, conditions))
-    pixels = pixels.with_values(pixels.values[::apart, ::apart])
+    pixels = pixels.with_values(pixels.values[::pitch_px, ::pitch_px])
     reading = chain.between(Slot.CCD, Slot.VIDEO)
     return np.stack(
         [
@@ -224,13 +226,13 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
             upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
             height, width = (along_edge, ACROSS_EDGE) if upright else (ACROSS_EDGE, along_edge)
         shape = (min(height, rows - rows % 2), min(width, columns))
-        most = VALIDATION.edge_frames if kind == "edge" else VALIDATION.frames
+        most_frames = VALIDATION.edge_frames if kind == "edge" else VALIDATION.frames
         shot = MatchedFrames(
             label=entry.label,
             kind=entry.kind,
             conditions=entry.conditions,
             target=entry.target,
-            frames=min(frames, most),
+            frames=min(frames, most_frames),
             corner=_corner(entry.target, (rows, columns), shape),
             shape=shape,
             pitch_px=pitch_px,
@@ -239,14 +241,16 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
     return out
 
 
-def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
+def _corner(
+    target: Target, frame_shape: tuple[int, int], shape: tuple[int, int]
+) -> tuple[int, int]:
     """Return the first row and column of a crop centred on the target; an even row keeps the field
     parity.
     """
-    row, col, height, width = target.region or (0, 0, *whole)
-    top = int(np.clip(round(row + (height - shape[0]) / 2), 0, whole[0] - shape[0]))
-    left = int(np.clip(round(col + (width - shape[1]) / 2), 0, whole[1] - shape[1]))
-    return top - top % 2, left
+    row, col, height, width = target.region or (0, 0, *frame_shape)
+    top = int(np.clip(round(row + (height - shape[0]) / 2), 0, frame_shape[0] - shape[0]))
+    first_col = int(np.clip(round(col + (width - shape[1]) / 2), 0, frame_shape[1] - shape[1]))
+    return top - top % 2, first_col
 
 
 def _cut(shot: MatchedFrames, entry: StackEntry) -> NDArray:
@@ -263,9 +267,9 @@ def _parts(*stacks: tuple[MatchedFrames, StackEntry]) -> dict[str, dict[str, NDA
     sizes = {(entry.read().shape[1:], shot.shape) for shot, entry in stacks}
     if len(sizes) > 1:
         return {}
-    whole, shape = next(iter(sizes))
+    frame_shape, shape = next(iter(sizes))
     starts = []
-    for size, length in zip(whole, shape, strict=True):
+    for size, length in zip(frame_shape, shape, strict=True):
         count = max(1, int(np.ceil(size / length - 0.1)))
         # An even row keeps the field parity.
         starts.append([round(at) // 2 * 2 for at in np.linspace(0, size - length, count)])
@@ -301,6 +305,6 @@ def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], li
         )
     usable.sort(key=lambda item: item[0])
     picked = sorted(
-        {round(place) for place in np.linspace(0, len(usable) - 1, min(3, len(usable)))}
+        {round(index) for index in np.linspace(0, len(usable) - 1, min(3, len(usable)))}
     )
-    return [usable[place][1] for place in picked], notes
+    return [usable[index][1] for index in picked], notes

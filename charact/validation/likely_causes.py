@@ -139,14 +139,16 @@ def likely_causes(statistics: Iterable["Statistic"]) -> tuple[Finding, ...]:
     signature if it deviates the signature's way by more than Student's quantile of
     `VALIDATION.level` for the simulated sets.
     """
-    failing = {one.name: one for one in statistics if not one.passed}
+    failing = {statistic.name: statistic for statistic in statistics if not statistic.passed}
     numbers = {
-        one: _number_of(one, failing[one.statistic])
-        for one in SIGNATURES
-        if one.statistic in failing
+        signature: _number_of(signature, failing[signature.statistic])
+        for signature in SIGNATURES
+        if signature.statistic in failing
     }
     return tuple(
-        one.cause.finding(one.flag, number) for one, number in numbers.items() if number is not None
+        signature.cause.finding(signature.flag, number)
+        for signature, number in numbers.items()
+        if number is not None
     )
 
 
@@ -154,17 +156,19 @@ def _number_of(signature: Signature, statistic: "Statistic") -> str | None:
     """Return the number that shows a signature most, with its prediction, in words; None where none
     does.
     """
-    own = [
-        place for place, label in enumerate(statistic.labels) if label.startswith(signature.numbers)
+    rows = [
+        index for index, label in enumerate(statistic.labels) if label.startswith(signature.numbers)
     ]
-    if not own or statistic.worst == "not measurable":
+    if not rows or statistic.worst == "not measurable":
         return None
     measured, low, high = (
-        np.array(getattr(statistic, name))[own] for name in ("measured", "low95", "high95")
+        np.array(getattr(statistic, name))[rows] for name in ("measured", "low95", "high95")
     )
     z = (measured - 0.5 * (low + high)) / ((high - low) / (2.0 * HALF95_SD))
     shown = signature.shows(z, measured)
     if not shown.any():
         return None
     at = int(np.argmax(np.where(shown, np.abs(z), -1.0)))
-    return f"{statistic.labels[own[at]]} is {measured[at]:.3g}, not {low[at]:.3g} to {high[at]:.3g}"
+    return (
+        f"{statistic.labels[rows[at]]} is {measured[at]:.3g}, not {low[at]:.3g} to {high[at]:.3g}"
+    )

@@ -85,9 +85,9 @@ def parameter_scores(
     weights, centre = _weights(changes, values, least_sd), values.mean(axis=0)
     left_out = np.empty((count, len(titles)))
     for index in range(count):
-        others = np.delete(values, index, axis=0)
-        left_out[index] = _weights(changes, others, least_sd) @ (
-            values[index] - others.mean(axis=0)
+        other_sets = np.delete(values, index, axis=0)
+        left_out[index] = _weights(changes, other_sets, least_sd) @ (
+            values[index] - other_sets.mean(axis=0)
         )
     sd = np.sqrt(np.mean(left_out**2, axis=0))
     return ParameterScores(
@@ -103,9 +103,9 @@ def _weights(changes: Array, values: Array, least_sd: Array) -> Array:
     spread = (values - values.mean(axis=0)) / sd / np.sqrt(len(values) - 1.0)
     # Variances are kept: what correlations lose is added to the diagonal.
     diagonal = 1.0 - 0.5 * (spread**2).sum(axis=0)
-    moved = changes / sd
+    scaled_changes = changes / sd
     inner = np.eye(len(values)) + 0.5 * (spread / diagonal) @ spread.T
-    plain = moved / diagonal
+    plain = scaled_changes / diagonal
     solved = plain - 0.5 * (np.linalg.solve(inner, spread @ plain.T).T @ spread) / diagonal
-    scale = np.einsum("pn,pn->p", solved, moved)
+    scale = np.einsum("pn,pn->p", solved, scaled_changes)
     return solved / scale[:, None] / sd

@@ -44,7 +44,7 @@ def validate(
     sensor: VisibleCamera,
     *,
     seed: int = 0,
-    progress: Progress = lambda sentence, share: None,
+    progress: Progress = lambda sentence, fraction: None,
 ) -> Validation:
     """Compare a session with frames simulated from a camera description.
 
@@ -76,7 +76,11 @@ def validate(
     progress("measured frames", 0.0)
     chosen = choose(session)
     levels, frames_of_levels = point_levels(session, chosen)
-    changes = [one for one in PARAMETERS if change_parameter(sensor, one, 0.1) is not None]
+    changes = [
+        parameter
+        for parameter in PARAMETERS
+        if change_parameter(sensor, parameter, 0.1) is not None
+    ]
     bench = _Bench(
         session,
         chosen,
@@ -87,14 +91,18 @@ def validate(
     )
     sets = _simulate_sets(bench, levels)
     parameters = _change_parameters(bench, sets, changes)
-    test = ValidationTest([one.groups for one in sets.features], seed=seed, changes=parameters)
+    test = ValidationTest(
+        [numbers.groups for numbers in sets.features], seed=seed, changes=parameters
+    )
     measured = bench.features(chosen.measured)
     nulls = _null_controls(bench, test, sets, seed)
-    changed = tuple(_parameter_control(test, one) for one in parameters)
+    changed = tuple(_parameter_control(test, change) for change in parameters)
     faulty = _put_faults(bench, test, sets.first)
     progress("validated", 1.0)
-    own = {**chosen.measured, **frames_of_levels}, measured
-    figures = figures_of(chosen, levels, own, (sets.first, sets.features, sets.curves), seed=seed)
+    measured_set = {**chosen.measured, **frames_of_levels}, measured
+    figures = figures_of(
+        chosen, levels, measured_set, (sets.first, sets.features, sets.curves), seed=seed
+    )
     return Validation(
         session=session.name,
         sensor=sensor.name,
@@ -105,7 +113,7 @@ def validate(
             measured.groups, features_of_parts(chosen, context=bench.context)
         ),
         controls=(*nulls, *changed, *faulty),
-        power=tuple(test.detectable(**vars(one)) for one in parameters),
+        power=tuple(test.detectable(**vars(change)) for change in parameters),
         figures=figures,
         notes=chosen.notes if bench.fitted else (*chosen.notes, NO_DRAWS),
     )
@@ -151,15 +159,15 @@ class _Bench:
         return int(self.rng.integers(2**31))
 
     def simulate(
-        self, camera: VisibleCamera, seed: int, others: tuple[MatchedFrames, ...] = ()
+        self, camera: VisibleCamera, seed: int, further: tuple[MatchedFrames, ...] = ()
     ) -> Frames:
-        """Return a simulated set of frames by label; `others` are stacks besides the compared
+        """Return a simulated set of frames by label; `further` are stacks besides the compared
         ones.
         """
         self._progress("simulating sets of frames", self._done / self._steps)
         self._done += 1
         return simulate_frames(
-            camera, (*self.chosen.compared, *others), seed=seed, like=self._sensor
+            camera, (*self.chosen.compared, *further), seed=seed, like=self._sensor
         )
 
     def features(self, frames: Frames) -> FrameFeatures:
@@ -174,7 +182,7 @@ class _Bench:
         if min(len(frames[shot.label]) for shot in stacks) < 2 * VALIDATION.fewest_frames:
             return {}
         alone = replace(self.chosen, edge=None, point=None)
-        one, other = (
+        first_half, second_half = (
             features_of(
                 {
                     shot.label: frames[shot.label][start::2][: VALIDATION.frames // 2]
@@ -186,8 +194,11 @@ class _Bench:
             for start in (0, 1)
         )
         return {
-            name: {label: value - other[name].get(label, np.nan) for label, value in group.items()}
-            for name, group in one.items()
+            name: {
+                label: value - second_half[name].get(label, np.nan)
+                for label, value in group.items()
+            }
+            for name, group in first_half.items()
         }
 
 
@@ -208,7 +219,7 @@ def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _Simulat
     curves are taken.
     """
     base, base_seed = bench.draw_camera(), bench.draw_seed()
-    pictured = tuple(replace(shot, frames=1) for shot in bench.chosen.others)
+    pictured = tuple(replace(shot, frames=1) for shot in bench.chosen.display_only)
     first: Frames = {}
     features, halves, curves = [], [], []
     for index in range(VALIDATION.draws):
@@ -237,26 +248,28 @@ def _null_controls(
     """
     camera = bench.draw_camera()
     again = bench.features(bench.simulate(camera, bench.draw_seed()))
-    found = [ValidationControl(name="null", title=NULL, statistics=test.statistics(again.groups))]
+    controls = [
+        ValidationControl(name="null", title=NULL, statistics=test.statistics(again.groups))
+    ]
     if sets.halves[0]:
-        own = ValidationTest(list(sets.halves), seed=seed)
-        statistics = own.statistics(bench.difference_of_halves(bench.chosen.measured))
-        found.append(ValidationControl(name="null", title=HALVES, statistics=statistics))
-    return tuple(found)
+        halves_test = ValidationTest(list(sets.halves), seed=seed)
+        statistics = halves_test.statistics(bench.difference_of_halves(bench.chosen.measured))
+        controls.append(ValidationControl(name="null", title=HALVES, statistics=statistics))
+    return tuple(controls)
 
 
 def _change_parameters(
     bench: _Bench, sets: _SimulatedSets, controls: list[ParameterControl]
 ) -> tuple[ParameterChange, ...]:
     """Return the changes of the first set, its draw and seed, by a change of each parameter."""
-    found = []
+    changes = []
     for control in controls:
         altered = change_parameter(sets.base, control, VALIDATION.control_change)
         assert altered is not None
         camera, change = altered
         # The same random numbers: the difference has hardly any noise.
         other = bench.features(bench.simulate(camera, sets.base_seed)).groups
-        found.append(
+        changes.append(
             ParameterChange(
                 title=control.title,
                 plain=sets.features[0].groups,
@@ -265,23 +278,25 @@ def _change_parameters(
                 in_quadrature=control.in_quadrature,
             )
         )
-    return tuple(found)
+    return tuple(changes)
 
 
-def _parameter_control(test: ValidationTest, one: ParameterChange) -> ValidationControl:
+def _parameter_control(test: ValidationTest, change: ParameterChange) -> ValidationControl:
     """Return the negative control of a changed parameter."""
-    title = f"{one.title} {100.0 * one.change:+.0f} %"
-    return ValidationControl(name="negative", title=title, statistics=test.statistics(one.changed))
+    title = f"{change.title} {100.0 * change.change:+.0f} %"
+    return ValidationControl(
+        name="negative", title=title, statistics=test.statistics(change.changed)
+    )
 
 
 def _put_faults(
     bench: _Bench, test: ValidationTest, first: Frames
 ) -> tuple[ValidationControl, ...]:
     """Return a negative control a fault of the frames."""
-    found = []
+    controls = []
     for name in FAULTS:
         statistics = test.statistics(
             bench.features(put_fault(first, bench.chosen, name, bench.rng)).groups
         )
-        found.append(ValidationControl(name="negative", title=name, statistics=statistics))
-    return tuple(found)
+        controls.append(ValidationControl(name="negative", title=name, statistics=statistics))
+    return tuple(controls)

@@ -49,8 +49,8 @@ class StackView:
         count = len(data)
         self.mean = data.mean(axis=0)
         self.steady = np.sort(data, axis=0)[count // 4 : count - count // 4].mean(axis=0)
-        whole = np.rint(frames[0]).astype(np.int64)
-        self.bits = np.array([np.mean(whole >> bit & 1) for bit in range(BITS)])
+        codes = np.rint(frames[0]).astype(np.int64)
+        self.bits = np.array([np.mean(codes >> bit & 1) for bit in range(BITS)])
         self.change = (data - self.mean) * np.float32(np.sqrt(count / (count - 1.0)))
         self.covariance = _autocovariance(self.change)
         self.power = self.spectrum(self.change)
@@ -78,7 +78,7 @@ class StackView:
         """Half the range of the central 68 % of changes, DN; the step of whole numbers where it is
         0.
         """
-        low, high = self.ordered[[int(share * self.ordered.size) for share in (0.159, 0.841)]]
+        low, high = self.ordered[[int(fraction * self.ordered.size) for fraction in (0.159, 0.841)]]
         return max(float(high - low) / 2.0, 0.3)
 
     @cached_property
@@ -128,13 +128,13 @@ def linearity_features(dark: StackView, flats: list[StackView]) -> Mapping[str, 
     Neither depends on gain or sensitivity where the response is linear.
     """
     *dimmer, brightest = flats
-    found = {}
-    for one in dimmer:
-        of = f"of {one.label} over {brightest.label}"
-        found[f"signal {of}"] = (one.level - dark.level) / (brightest.level - dark.level)
-        ratio = _variance_over_signal(one, dark) / _variance_over_signal(brightest, dark)
-        found[f"variance/signal {of}"] = ratio
-    return found
+    features = {}
+    for dim_flat in dimmer:
+        of = f"of {dim_flat.label} over {brightest.label}"
+        features[f"signal {of}"] = (dim_flat.level - dark.level) / (brightest.level - dark.level)
+        ratio = _variance_over_signal(dim_flat, dark) / _variance_over_signal(brightest, dark)
+        features[f"variance/signal {of}"] = ratio
+    return features
 
 
 def field_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
@@ -147,26 +147,26 @@ def field_features(dark: StackView, flats: list[StackView]) -> Mapping[str, floa
     rows, cols = flat.mean.shape
     y, x = (np.linspace(-1.0, 1.0, size) for size in (rows, cols))
     square = (y[:, None] ** 2 + x[None, :] ** 2) / 2.0
-    places = [square < CENTRE_SQUARE, square > CORNER_SQUARE]
+    regions = [square < CENTRE_SQUARE, square > CORNER_SQUARE]
     power = np.mean(flat.change**2, axis=0)
-    variance = [max(float(power[place].mean()), 1e-12) for place in places]
-    found = {}
+    variance = [max(float(power[region].mean()), 1e-12) for region in regions]
+    features = {}
     for row, col in ((0, 1), (1, 0)):
         product = np.mean(
             flat.change[:, row:, col:] * flat.change[:, : rows - row, : cols - col], axis=0
         )
         middle, corner = (
-            float(product[place[row:, col:]].mean()) / own
-            for place, own in zip(places, variance, strict=True)
+            float(product[region[row:, col:]].mean()) / region_variance
+            for region, region_variance in zip(regions, variance, strict=True)
         )
-        found[f"correlation at {row},{col} px near the corners less the centre of {flat.label}"] = (
-            corner - middle
-        )
-    signal = [max(float(flat.mean[place].mean()) - dark.level, 1e-12) for place in places]
-    found[f"ln variance/signal near the corners over the centre of {flat.label}"] = float(
+        features[
+            f"correlation at {row},{col} px near the corners less the centre of {flat.label}"
+        ] = corner - middle
+    signal = [max(float(flat.mean[region].mean()) - dark.level, 1e-12) for region in regions]
+    features[f"ln variance/signal near the corners over the centre of {flat.label}"] = float(
         np.log(variance[1] / signal[1]) - np.log(variance[0] / signal[0])
     )
-    return found
+    return features
 
 
 def covariance_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
@@ -175,9 +175,11 @@ def covariance_features(dark: StackView, flats: list[StackView]) -> Mapping[str,
     Of a dim flat the sum may be negative by chance, so that it has no logarithm.
     """
     return {
-        f"covariance/signal of {one.label}, DN": float(one.covariance.sum() - dark.covariance.sum())
-        / (one.level - dark.level)
-        for one in flats
+        f"covariance/signal of {flat.label}, DN": float(
+            flat.covariance.sum() - dark.covariance.sum()
+        )
+        / (flat.level - dark.level)
+        for flat in flats
     }
 
 
@@ -186,7 +188,7 @@ def correlation_features(dark: StackView, flats: list[StackView]) -> Mapping[str
     dark.
     """
     flat = flats[-1]
-    found = {
+    features = {
         f"correlation at {row},{col} px of {flat.label}": float(
             flat.covariance[REACH + row, REACH + col]
         )
@@ -195,20 +197,22 @@ def correlation_features(dark: StackView, flats: list[StackView]) -> Mapping[str
     }
     for row, col in ((0, 1), (1, 0)):
         name = f"correlation at {row},{col} px of {dark.label}"
-        found[name] = float(dark.covariance[REACH + row, REACH + col]) / max(dark.variance, 1e-12)
-    return found
+        features[name] = float(dark.covariance[REACH + row, REACH + col]) / max(
+            dark.variance, 1e-12
+        )
+    return features
 
 
 def spectrum_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
     """Return temporal noise power over its mean in bands of both cuts and over all directions, and
     its peaks.
     """
-    found: dict[str, float] = {}
-    for one in (dark, flats[-1]):
-        found |= _bands(
-            one.power, np.full_like(one.power, one.power.mean()), f"noise of {one.label}"
+    features: dict[str, float] = {}
+    for stack in (dark, flats[-1]):
+        features |= _bands(
+            stack.power, np.full_like(stack.power, stack.power.mean()), f"noise of {stack.label}"
         )
-    return found
+    return features
 
 
 def row_and_column_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
@@ -217,15 +221,15 @@ def row_and_column_features(dark: StackView, flats: list[StackView]) -> Mapping[
     Each is over that of white noise of the same variance. Cube roots of variances, and of powers,
     are nearly Gaussian (Wilson and Hilferty 1931).
     """
-    found = {}
-    for one in (dark, flats[-1]):
-        _, rows, cols = one.change.shape
-        variances = {"frames": float(one.change.mean(axis=(1, 2)).var()), **one.line_variances}
+    features = {}
+    for stack in (dark, flats[-1]):
+        _, rows, cols = stack.change.shape
+        variances = {"frames": float(stack.change.mean(axis=(1, 2)).var()), **stack.line_variances}
         for (name, value), pixels in zip(variances.items(), (rows * cols, cols, rows), strict=True):
-            found[f"variance of means of {name} of {one.label}"] = _root(
-                value * pixels / max(one.variance, 1e-12)
+            features[f"variance of means of {name} of {stack.label}"] = _root(
+                value * pixels / max(stack.variance, 1e-12)
             )
-    return found
+    return features
 
 
 def histogram_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
@@ -238,19 +242,19 @@ def histogram_features(dark: StackView, flats: list[StackView]) -> Mapping[str, 
     bit that is stuck or left out has no ones or no zeros; bits of more than the noise depend on the
     level.
     """
-    found = {}
-    for one in (dark, *flats):
-        ordered = one.ordered / np.float32(np.sqrt(max(one.variance, 1e-12)))
-        for share in TAILS:
-            size = max(1, round(share * ordered.size))
-            found[f"mean of the lowest {100.0 * share:g} % of {one.label}"] = float(
+    features = {}
+    for stack in (dark, *flats):
+        ordered = stack.ordered / np.float32(np.sqrt(max(stack.variance, 1e-12)))
+        for fraction in TAILS:
+            size = max(1, round(fraction * ordered.size))
+            features[f"mean of the lowest {100.0 * fraction:g} % of {stack.label}"] = float(
                 ordered[:size].mean()
             )
-            found[f"mean of the highest {100.0 * share:g} % of {one.label}"] = float(
+            features[f"mean of the highest {100.0 * fraction:g} % of {stack.label}"] = float(
                 ordered[-size:].mean()
             )
     flat = flats[-1]
-    return found | {
+    return features | {
         f"share of ones of bit {bit} of {flat.label}": float(x) for bit, x in enumerate(flat.bits)
     }
 
@@ -260,47 +264,47 @@ def event_features(dark: StackView, flats: list[StackView]) -> Mapping[str, floa
     highest.
     """
     sd = dark.robust_sd
-    found = {}
+    features = {}
     for limit in EVENT_SD:
         for sign, name in ((1.0, "bright"), (-1.0, "dark")):
             hit = sign * dark.change > limit * sd
-            found[f"root of {name} events above {limit:g} sd of {dark.label}"] = float(
+            features[f"root of {name} events above {limit:g} sd of {dark.label}"] = float(
                 np.sqrt(np.sum(hit) + 0.375)
             )
-    found[f"ln height of the highest events of {dark.label}"] = _log(
+    features[f"ln height of the highest events of {dark.label}"] = _log(
         _highest(dark.change, HIGHEST_EVENTS) / sd
     )
-    return found
+    return features
 
 
 def pattern_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
     """Return fixed over temporal variance of pixels, rows and columns, and of bands of their
     spectra.
 
-    Fixed is what the mean frame holds, with the temporal noise left in it; over the temporal
+    The fixed part is the mean frame, with its residual temporal noise; over the temporal
     variance, neither gain nor light enters where there is no fixed pattern. The difference of odd
     and even rows, and columns, over the level shows fields or taps of unequal gain.
     """
-    found: dict[str, float] = {}
-    for one in (dark, flats[-1]):
-        rows, cols = one.pattern.mean(axis=1), one.pattern.mean(axis=0)
+    features: dict[str, float] = {}
+    for stack in (dark, flats[-1]):
+        rows, cols = stack.pattern.mean(axis=1), stack.pattern.mean(axis=0)
         fixed = {
-            "pixels": (one.pattern - rows[:, None] - cols).var(),
+            "pixels": (stack.pattern - rows[:, None] - cols).var(),
             "rows": rows.var(),
             "columns": cols.var(),
         }
-        temporal = {"pixels": one.variance, **one.line_variances}
+        temporal = {"pixels": stack.variance, **stack.line_variances}
         for name, variance in fixed.items():
-            ratio = float(variance) * len(one.change) / max(temporal[name], 1e-12)
-            found[f"fixed over temporal variance of {name} of {one.label}"] = _root(ratio)
+            ratio = float(variance) * len(stack.change) / max(temporal[name], 1e-12)
+            features[f"fixed over temporal variance of {name} of {stack.label}"] = _root(ratio)
         for name, line in (("rows", rows), ("columns", cols)):
-            found[f"odd less even {name} of {one.label}"] = (
-                float(line[1::2].mean() - line[::2].mean()) / one.level
+            features[f"odd less even {name} of {stack.label}"] = (
+                float(line[1::2].mean() - line[::2].mean()) / stack.level
             )
-        found |= _bands(
-            StackView.spectrum(one.pattern[None]), one.power, f"fixed pattern of {one.label}"
+        features |= _bands(
+            StackView.spectrum(stack.pattern[None]), stack.power, f"fixed pattern of {stack.label}"
         )
-    return found
+    return features
 
 
 def defect_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
@@ -316,10 +320,10 @@ def defect_features(dark: StackView, flats: list[StackView]) -> Mapping[str, flo
     """
     import cv2
 
-    found = {}
-    for one in (dark, flats[-1]):
-        inner, outer = (cv2.GaussianBlur(one.pattern, (0, 0), size) for size in SPOT_PX)
-        pixels, spots = one.steady - cv2.medianBlur(one.steady, 5), (inner - outer)[::3, ::3]
+    features = {}
+    for stack in (dark, flats[-1]):
+        inner, outer = (cv2.GaussianBlur(stack.pattern, (0, 0), size) for size in SPOT_PX)
+        pixels, spots = stack.steady - cv2.medianBlur(stack.steady, 5), (inner - outer)[::3, ::3]
         for name, local, count in (
             ("pixels", pixels, HIGHEST_PIXELS),
             ("spots", spots, HIGHEST_SPOTS),
@@ -327,22 +331,24 @@ def defect_features(dark: StackView, flats: list[StackView]) -> Mapping[str, flo
             for sign, side in ((1.0, "bright"), (-1.0, "dark")):
                 # Half a step of whole DN keeps the logarithm smooth where all pixels are equal.
                 height = _highest(sign * local, count) + 0.5
-                found[f"ln height of the {count} most {side} {name} of {one.label}, DN"] = _log(
-                    height
+                features[f"ln height of the {count} most {side} {name} of {stack.label}, DN"] = (
+                    _log(height)
                 )
-    return found
+    return features
 
 
 def shading_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
     """Return slopes and curvatures of the mean frames over the picture: of flats over the signal,
     of the dark in DN.
     """
-    found = {}
-    for one in (dark, flats[-1]):
-        scale = 1.0 if one is dark else one.level - dark.level
-        for name, value in zip(("slope x", "slope y", "x²", "y²", "xy"), one.shading, strict=True):
-            found[f"{name} of {one.label}"] = float(value) / scale
-    return found
+    features = {}
+    for stack in (dark, flats[-1]):
+        scale = 1.0 if stack is dark else stack.level - dark.level
+        for name, value in zip(
+            ("slope x", "slope y", "x²", "y²", "xy"), stack.shading, strict=True
+        ):
+            features[f"{name} of {stack.label}"] = float(value) / scale
+    return features
 
 
 def time_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float]:
@@ -352,25 +358,27 @@ def time_features(dark: StackView, flats: list[StackView]) -> Mapping[str, float
     Correlations are those of successive ones and the largest of any two, without pulses: a few of
     them would rule.
     """
-    found = {}
-    for one in (dark, flats[-1]):
-        limit = EVENT_SD[0] * one.robust_sd
-        change = np.clip(one.change, -limit, limit)
-        found |= _correlations(
-            change, (1, 2), f"{'dark ' if one is dark else ''}frames of {one.label}"
+    features = {}
+    for stack in (dark, flats[-1]):
+        limit = EVENT_SD[0] * stack.robust_sd
+        change = np.clip(stack.change, -limit, limit)
+        features |= _correlations(
+            change, (1, 2), f"{'dark ' if stack is dark else ''}frames of {stack.label}"
         )
-        if one.interlaced:
+        if stack.interlaced:
             count, rows, cols = change.shape
             fields = change[:, : rows - rows % 2].reshape(count, rows // 2, 2, cols).swapaxes(1, 2)
-            found |= _correlations(
-                fields.reshape(2 * count, rows // 2, cols), (1,), f"fields of {one.label}"
+            features |= _correlations(
+                fields.reshape(2 * count, rows // 2, cols), (1,), f"fields of {stack.label}"
             )
-        means = one.change.mean(axis=(1, 2))
+        means = stack.change.mean(axis=(1, 2))
         at = np.arange(len(means)) - (len(means) - 1) / 2.0
-        found[f"drift of {one.label}, DN a frame"] = float(at @ means / (at @ at))
+        features[f"drift of {stack.label}, DN a frame"] = float(at @ means / (at @ at))
         variances = np.log(np.maximum(change.var(axis=(1, 2)), 1e-12))
-        found[f"range of the variances of frames of {one.label}"] = _root(float(np.ptp(variances)))
-    return found
+        features[f"range of the variances of frames of {stack.label}"] = _root(
+            float(np.ptp(variances))
+        )
+    return features
 
 
 def _correlations(images: Frames, lags: tuple[int, ...], what: str) -> dict[str, float]:
@@ -380,12 +388,12 @@ def _correlations(images: Frames, lags: tuple[int, ...], what: str) -> dict[str,
     flat = images.reshape(len(images), -1)
     gram = flat @ flat.T
     gram = gram / max(float(np.trace(gram)) / len(gram), 1e-12)
-    found = {
+    features = {
         f"correlation of {what}, {lag} apart": float(np.diag(gram, lag).mean())
         for lag in lags
         if lag < len(gram)
     }
-    return found | {
+    return features | {
         f"largest correlation of two {what}": float(gram[np.triu_indices(len(gram), 1)].max())
     }
 
@@ -412,15 +420,15 @@ def _bands(power: Array, reference: Array, what: str) -> dict[str, float]:
         "vertical": (y, power[:, 0], reference[:, 0]),
         "radial": (np.hypot(y[:, None], x), power, reference),
     }
-    found = {}
-    for name, (frequency, own, other) in cuts.items():
+    features = {}
+    for name, (frequency, cut_power, other) in cuts.items():
         for low, high in itertools.pairwise(BANDS):
             band = (frequency > low) & (frequency <= high)
             if band.any():
-                ratio = float(own[band].mean()) / max(float(other[band].mean()), 1e-12)
-                found[f"{name} {what}, {low:g} to {high:g} cy/px"] = _root(ratio)
+                ratio = float(cut_power[band].mean()) / max(float(other[band].mean()), 1e-12)
+                features[f"{name} {what}, {low:g} to {high:g} cy/px"] = _root(ratio)
     highest = float(power.ravel()[1:].max()) / max(float(power.mean()), 1e-12)
-    return found | {f"ln peak in the {what}": _log(highest)}
+    return features | {f"ln peak in the {what}": _log(highest)}
 
 
 def _without_shading(mean: Frames) -> tuple[Array, Frames]:
@@ -438,8 +446,10 @@ def _without_shading(mean: Frames) -> tuple[Array, Frames]:
             x[None, :] * y[:, None],
         )
     ).reshape(6, -1)
-    found = np.linalg.solve((terms @ terms.T).astype(float), (terms @ mean.ravel()).astype(float))
-    return found[1:], mean - (found.astype(np.float32) @ terms).reshape(mean.shape)
+    coefficients = np.linalg.solve(
+        (terms @ terms.T).astype(float), (terms @ mean.ravel()).astype(float)
+    )
+    return coefficients[1:], mean - (coefficients.astype(np.float32) @ terms).reshape(mean.shape)
 
 
 def _autocovariance(change: Frames) -> Array:

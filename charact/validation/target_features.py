@@ -33,8 +33,8 @@ def mtf_features(frames: NDArray, context: Context) -> Mapping[str, float]:
     """
     from charact.estimators import mtf
 
-    found = mtf.measure("edge", FrameStack(data=frames), method="edge-slanted", context=context)
-    line = next(iter(found.curves.values()), None)
+    result = mtf.measure("edge", FrameStack(data=frames), method="edge-slanted", context=context)
+    line = next(iter(result.curves.values()), None)
     if line is None:
         return {}
     frequency = FREQUENCY_CY_PER_PX[:, None] + WITHIN_CY_PER_PX
@@ -66,22 +66,26 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
     distance = _distance_from_edge(mean)
     if distance is None:
         return {}
-    near, far = (
+    near_edge, far_from_edge = (
         (np.abs(distance) > SIDE_PX[0]) & (np.abs(distance) <= SIDE_PX[1]),
         np.abs(distance) > SIDE_PX[1],
     )
-    contrast = float(mean[near & (distance > 0.0)].mean() - mean[near & (distance < 0.0)].mean())
-    found = {}
+    contrast = float(
+        mean[near_edge & (distance > 0.0)].mean() - mean[near_edge & (distance < 0.0)].mean()
+    )
+    features = {}
     for low, high in itertools.pairwise(DISTANCES_PX):
         sides = [(sign * distance > low) & (sign * distance <= high) for sign in (1.0, -1.0)]
-        enough = min(int(own.sum()) for own in sides) > 50
-        upper, lower = (float(mean[own].mean()) / contrast if enough else np.nan for own in sides)
+        enough = min(int(region.sum()) for region in sides) > 50
+        upper, lower = (
+            float(mean[region].mean()) / contrast if enough else np.nan for region in sides
+        )
         if high < NEAR_PX:
-            found[f"step over {low:g} to {high:g} px of the edge"] = upper - lower
-            found[f"mean level at {low:g} to {high:g} px of the edge"] = (upper + lower) / 2.0
+            features[f"step over {low:g} to {high:g} px of the edge"] = upper - lower
+            features[f"mean level at {low:g} to {high:g} px of the edge"] = (upper + lower) / 2.0
         else:
-            found[f"bright level at {low:g} to {high:g} px of the edge"] = upper
-            found[f"dark level at {low:g} to {high:g} px of the edge"] = lower
+            features[f"bright level at {low:g} to {high:g} px of the edge"] = upper
+            features[f"dark level at {low:g} to {high:g} px of the edge"] = lower
     # A blur that grows off axis is larger at the ends of an edge through the centre.
     outer = np.abs(np.linspace(-1.0, 1.0, len(mean)))[:, None] > 0.5
     upper, lower = (
@@ -91,20 +95,20 @@ def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:
     steps = [
         float(mean[upper & part].mean() - mean[lower & part].mean()) for part in (outer, ~outer)
     ]
-    found[
+    features[
         f"step over {DISTANCES_PX[0]:g} to {DISTANCES_PX[1]:g} px of the edge, ends less middle"
     ] = (steps[0] - steps[1]) / contrast
     bright = distance > 0.0
-    places = {
-        "dark side": far & ~bright,
+    regions = {
+        "dark side": far_from_edge & ~bright,
         "edge itself": np.abs(distance) < 1.5,
-        "bright side": far & bright,
+        "bright side": far_from_edge & bright,
     }
-    for name, own in places.items():
-        found[f"ln variance of the {name}"] = (
-            float(np.log(max(variance[own].mean(), 1e-12))) if own.sum() > 50 else np.nan
+    for name, region in regions.items():
+        features[f"ln variance of the {name}"] = (
+            float(np.log(max(variance[region].mean(), 1e-12))) if region.sum() > 50 else np.nan
         )
-    return found
+    return features
 
 
 def _distance_from_edge(mean: NDArray) -> NDArray | None:
@@ -121,13 +125,16 @@ def _distance_from_edge(mean: NDArray) -> NDArray | None:
     steepest = columns[np.argmax(cv2.GaussianBlur(gradient, (0, 0), 3.0), axis=1)]
     slope, at = np.polyfit(rows, steepest, 1)
     for _ in range(4):
-        away = columns[None, :] - (at + slope * rows[:, None])
-        near = np.where(np.abs(away) < NEAR_PX, gradient, 0.0)
-        if not near.sum() > 0.0:
+        offset = columns[None, :] - (at + slope * rows[:, None])
+        near_gradient = np.where(np.abs(offset) < NEAR_PX, gradient, 0.0)
+        if not near_gradient.sum() > 0.0:
             return None
         # Moments of all rows together, as the gradient of a single one may cancel.
         shift, turn = (
-            float((near * away * weight[:, None]).sum() / (near * weight[:, None] ** 2).sum())
+            float(
+                (near_gradient * offset * weight[:, None]).sum()
+                / (near_gradient * weight[:, None] ** 2).sum()
+            )
             for weight in (np.ones(len(rows)), rows - rows.mean())
         )
         slope, at = slope + turn, at + shift - turn * rows.mean()
@@ -159,22 +166,22 @@ def point_features(
     parts = np.asarray(cv2.connectedComponents((blurred >= 0.9 * peak).astype(np.uint8))[1])
     core = parts == parts[row, col]
     row, col = float(y[core].mean()), float(x[core].mean())
-    near = np.hypot(y - row, x - col) < 6.0
-    light = np.maximum(mean[near], 0.0)
+    near_peak = np.hypot(y - row, x - col) < 6.0
+    light = np.maximum(mean[near_peak], 0.0)
     if not light.sum() > 0.0:
         return {}
-    row, col = float(light @ y[near] / light.sum()), float(light @ x[near] / light.sum())
+    row, col = float(light @ y[near_peak] / light.sum()), float(light @ x[near_peak] / light.sum())
     radius = np.hypot(y - row, x - col)
-    found, highest = {}, 0.0
+    features, highest = {}, 0.0
     clipped = (frames >= (np.inf if full_scale_dn is None else full_scale_dn)).mean(axis=0)
     smooth = cv2.GaussianBlur(mean, (0, 0), GHOST_PX)
     for low, high in itertools.pairwise(RADII_PX):
         ring = (radius >= low) & (radius < high)
         known = ring.any() and clipped[ring].mean() <= VALIDATION.most_clipped
-        found[f"level at {low:g} to {high:g} px of the point"] = (
+        features[f"level at {low:g} to {high:g} px of the point"] = (
             float(np.arcsinh(mean[ring].mean())) if known else np.nan
         )
         if ring.any() and low >= LEAST_GHOST_PX:
             highest = max(highest, float(smooth[ring].max() - smooth[ring].mean()))
-    found[f"highest spot beyond {LEAST_GHOST_PX:g} px of the point"] = float(np.arcsinh(highest))
-    return found
+    features[f"highest spot beyond {LEAST_GHOST_PX:g} px of the point"] = float(np.arcsinh(highest))
+    return features

@@ -85,7 +85,7 @@ class ValidationControl:
     @property
     def noticed_by(self) -> tuple[str, ...]:
         """Names of the statistics that fail."""
-        return tuple(one.name for one in self.statistics if not one.passed)
+        return tuple(statistic.name for statistic in self.statistics if not statistic.passed)
 
     @property
     def passed(self) -> bool:
@@ -242,29 +242,31 @@ class Validation:
         A negative control that was not noticed is no failure: it is what this validation cannot
         see.
         """
-        nulls = [one for one in self.controls if one.name == "null"]
-        noticed = any(one.passed for one in self.controls if one.name == "negative")
-        return noticed and all(one.passed for one in (*self.statistics, *nulls))
+        nulls = [result for result in self.controls if result.name == "null"]
+        noticed = any(result.passed for result in self.controls if result.name == "negative")
+        return noticed and all(result.passed for result in (*self.statistics, *nulls))
 
 
 def as_json(validation: Validation) -> dict[str, Any]:
     """Return all but the images as JSON-ready mappings."""
 
     def plain(statistics: Iterable[Statistic]) -> list[dict[str, Any]]:
-        return [{**asdict(one), "passed": one.passed} for one in statistics]
+        return [{**asdict(statistic), "passed": statistic.passed} for statistic in statistics]
 
     return {
         **vars(validation),
         "passed": validation.passed,
-        "likely_causes": [asdict(one) for one in validation.likely_causes],
+        "likely_causes": [asdict(cause) for cause in validation.likely_causes],
         "notes": list(validation.notes),
         "statistics": plain(validation.statistics),
         "power": [
             {
-                **asdict(one),
-                "relative_error": one.relative_error if np.isfinite(one.relative_error) else None,
+                **asdict(error),
+                "relative_error": error.relative_error
+                if np.isfinite(error.relative_error)
+                else None,
             }
-            for one in validation.power
+            for error in validation.power
         ],
         "controls": [
             {
@@ -279,7 +281,7 @@ def as_json(validation: Validation) -> dict[str, Any]:
         "figures": {
             "overlays": validation.figures.overlays,
             **{
-                name: [_split(one)[0] for one in getattr(validation.figures, name)]
+                name: [_split(picture)[0] for picture in getattr(validation.figures, name)]
                 for name in _PICTURES
             },
         },
@@ -337,21 +339,21 @@ def load(folder: str | Path) -> Validation | None:
             )
             for c in stored["controls"]
         )
-        kept = {name: stored[name] for name in ("session", "sensor", "seed", "draws", "seconds")}
+        scalars = {name: stored[name] for name in ("session", "sensor", "seed", "draws", "seconds")}
         statistics, notes = _statistics(stored["statistics"]), tuple(stored["notes"])
         power = tuple(
             DetectableError(
                 **{
-                    **one,
+                    **fields,
                     "relative_error": float("nan")
-                    if one["relative_error"] is None
-                    else one["relative_error"],
+                    if fields["relative_error"] is None
+                    else fields["relative_error"],
                 }
             )
-            for one in stored["power"]
+            for fields in stored["power"]
         )
         return Validation(
-            **kept,
+            **scalars,
             statistics=statistics,
             controls=controls,
             power=power,
@@ -384,9 +386,11 @@ def _figures(stored: dict[str, Any], arrays: dict[str, NDArray]) -> ValidationFi
 
 
 def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:
-    def fields(one: dict[str, Any]) -> dict[str, Any]:
+    def fields(record: dict[str, Any]) -> dict[str, Any]:
         return {
-            key: tuple(v) if isinstance(v, list) else v for key, v in one.items() if key != "passed"
+            key: tuple(v) if isinstance(v, list) else v
+            for key, v in record.items()
+            if key != "passed"
         }
 
-    return tuple(Statistic(**fields(one)) for one in stored)
+    return tuple(Statistic(**fields(record)) for record in stored)

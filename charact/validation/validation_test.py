@@ -83,9 +83,9 @@ class ValidationTest:
     ) -> None:
         self._ensembles: dict[str, tuple[tuple[str, ...], Ensemble]] = {}
         for index, (name, group) in enumerate(GROUPS.items()):
-            if all(one.get(name) for one in sets):
+            if all(groups.get(name) for groups in sets):
                 labels, ensemble = ensemble_of(
-                    [one[name] for one in sets], group.least_sd, seed + index
+                    [groups[name] for groups in sets], group.least_sd, seed + index
                 )
                 if labels:
                     self._ensembles[name] = labels, ensemble
@@ -101,12 +101,13 @@ class ValidationTest:
         `elsewhere` are numbers of some groups from other parts of the same frames by place; of such
         a group the most deviating part counts.
         """
-        found = list(self._compare(numbers, elsewhere or {}))
+        fields = list(self._compare(numbers, elsewhere or {}))
         if self._scores is not None:
-            found.append(self._score(self._scores, numbers))
-        levels = holm_levels([one["p_value"] for one in found], VALIDATION.level)
+            fields.append(self._score(self._scores, numbers))
+        levels = holm_levels([statistic["p_value"] for statistic in fields], VALIDATION.level)
         return tuple(
-            Statistic(**one, level=level) for one, level in zip(found, levels, strict=True)
+            Statistic(**statistic, level=level)
+            for statistic, level in zip(fields, levels, strict=True)
         )
 
     def detectable(
@@ -126,13 +127,13 @@ class ValidationTest:
         Numbers are taken as linear in the parameter, or in its square. The statistic that finds the
         least error counts, at the level that holds where it alone fails.
         """
-        one = ParameterChange(
+        parameter_change = ParameterChange(
             title=title, plain=plain, changed=changed, change=change, in_quadrature=in_quadrature
         )
         level = VALIDATION.level / max(1, self._count)
         best, finder = np.inf, ""
-        for name, test, shift in self._shifts(one):
-            low, high = 0.0, min(best, one.largest)
+        for name, test, shift in self._shifts(parameter_change):
+            low, high = 0.0, min(best, parameter_change.largest)
             if test.detects(shift * high, level) < VALIDATION.power:
                 continue
             for _ in range(10):
@@ -142,7 +143,7 @@ class ValidationTest:
             best, finder = high, name
         return DetectableError(
             title=title,
-            relative_error=one.relative(best) if finder else float("nan"),
+            relative_error=parameter_change.relative(best) if finder else float("nan"),
             probability=VALIDATION.power,
             statistic=finder,
         )
@@ -150,11 +151,14 @@ class ValidationTest:
     def _compare(self, numbers: Groups, elsewhere: Mapping[str, Groups]) -> Iterator[dict]:
         """Yield the fields of the statistic of each group."""
         for name, (labels, ensemble) in self._ensembles.items():
-            places = {"": numbers.get(name, {})} | {
-                at: one[name] for at, one in elsewhere.items() if one.get(name)
+            groups_by_place = {"": numbers.get(name, {})} | {
+                at: groups[name] for at, groups in elsewhere.items() if groups.get(name)
             }
             rows = np.array(
-                [[own.get(label, np.nan) for label in labels] for own in places.values()]
+                [
+                    [numbers_of_part.get(label, np.nan) for label in labels]
+                    for numbers_of_part in groups_by_place.values()
+                ]
             )
             known = bool(np.isfinite(rows).all())
             distances = [ensemble.distance(row) if known else np.inf for row in rows]
@@ -162,7 +166,7 @@ class ValidationTest:
             measured, worst = rows[at], "not measurable"
             if known:
                 worst = labels[int(np.argmax(np.abs(ensemble.z_scores(measured))))]
-                worst += f", {list(places)[at]}" if at else ""
+                worst += f", {list(groups_by_place)[at]}" if at else ""
             centre = ensemble.values.mean(axis=0)
             yield {
                 "name": name,
@@ -190,27 +194,30 @@ class ValidationTest:
 
     def _scores_of(self, changes: Sequence[ParameterChange]) -> ParameterScores | None:
         """Return the estimates of parameters, or None where no change moves a number."""
-        moved = [
+        shifts = [
             (
-                one.title,
+                change.title,
                 np.concatenate(
-                    [one.shift(name, labels) for name, (labels, _) in self._ensembles.items()]
+                    [change.shift(name, labels) for name, (labels, _) in self._ensembles.items()]
                 ),
             )
-            for one in changes
+            for change in changes
         ]
-        moved = [
-            (title, shift) for title, shift in moved if np.isfinite(shift).all() and shift.any()
+        shifts = [
+            (title, shift) for title, shift in shifts if np.isfinite(shift).all() and shift.any()
         ]
-        if not moved:
+        if not shifts:
             return None
         ensembles = [ensemble for _, ensemble in self._ensembles.values()]
-        values, least = (
-            np.concatenate([getattr(one, field) for one in ensembles], axis=-1)
+        values, least_sd = (
+            np.concatenate([getattr(ensemble, field) for ensemble in ensembles], axis=-1)
             for field in ("values", "least_sd")
         )
         return parameter_scores(
-            [title for title, _ in moved], np.array([shift for _, shift in moved]), values, least
+            [title for title, _ in shifts],
+            np.array([shift for _, shift in shifts]),
+            values,
+            least_sd,
         )
 
     def _score(self, scores: ParameterScores, numbers: Groups) -> dict:
@@ -233,15 +240,18 @@ class ValidationTest:
         }
 
     def _shifts(
-        self, one: ParameterChange
+        self, parameter_change: ParameterChange
     ) -> Iterator[tuple[str, Ensemble | ParameterScores, Array]]:
         """Yield the name and test of each statistic that a change moves, and the shift by an amount
         of 1.
         """
-        shifts = {name: one.shift(name, labels) for name, (labels, _) in self._ensembles.items()}
+        shifts = {
+            name: parameter_change.shift(name, labels)
+            for name, (labels, _) in self._ensembles.items()
+        }
         for name, shift in shifts.items():
             if np.isfinite(shift).all() and shift.any():
                 yield name, self._ensembles[name][1], shift
-        whole = np.concatenate(list(shifts.values())) if shifts else np.zeros(0)
-        if self._scores is not None and np.isfinite(whole).all() and whole.any():
-            yield SCORES, self._scores, whole
+        all_shifts = np.concatenate(list(shifts.values())) if shifts else np.zeros(0)
+        if self._scores is not None and np.isfinite(all_shifts).all() and all_shifts.any():
+            yield SCORES, self._scores, all_shifts

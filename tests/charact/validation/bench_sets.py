@@ -101,7 +101,7 @@ class BenchSets:
             point=stack(
                 "point", "point", 300.0 * lights[-1], (128, 128), Target(pinhole_px=3.0), 8
             ),
-            others=(),
+            display_only=(),
             measured={},
             notes=(),
         )

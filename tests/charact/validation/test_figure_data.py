@@ -48,7 +48,7 @@ def chosen() -> MatchedStacks:
         flats=(_shot("low", "flat", 1.0), _shot("high", "flat", 4.0)),
         edge=None,
         point=_shot("source", "point", 9.0),
-        others=(),
+        display_only=(),
         measured={},
         notes=(),
     )
