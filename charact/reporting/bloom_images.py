@@ -103,8 +103,8 @@ def _cut(
     """
     first = max(0, int(row - down) - 1), max(0, int(col - across) - 1)
     cut = frame[first[0] : int(row + down) + 3, first[1] : int(col + across) + 3]
-    top, left = first[0] - 0.5, first[1] - 0.5
-    return cut, (left, left + cut.shape[1], top + cut.shape[0], top)
+    top, first_col_edge = first[0] - 0.5, first[1] - 0.5
+    return cut, (first_col_edge, first_col_edge + cut.shape[1], top + cut.shape[0], top)
 
 
 def _tint(axes: Any, mask: NDArray, extent: tuple[float, float, float, float]) -> None:
@@ -145,7 +145,7 @@ def plot_bloom_map(data: Data) -> Any:
     signal, sd = np.asarray(data["signal_dn"], float), np.asarray(data["sd"], float)
     aspect = float(data.get("aspect") or 1.0)
     finite = np.isfinite(sd)
-    most = max(0.02, float(np.quantile(sd[finite], 0.99)) if finite.any() else 1.0)
+    sd_limit = max(0.02, float(np.quantile(sd[finite], 0.99)) if finite.any() else 1.0)
     fraction = f"fraction that entered more than {data['near_px']:g} px away (1)"
     shown = [
         (
@@ -156,7 +156,7 @@ def plot_bloom_map(data: Data) -> Any:
             "log10 of the signal over dark (DN)",
         ),
         ("blooming (grey: unknown)", data["fraction"], "magma", 1.0, fraction),
-        ("standard uncertainty", sd, "magma", most, "standard uncertainty of the fraction (1)"),
+        ("standard uncertainty", sd, "magma", sd_limit, "standard uncertainty of the fraction (1)"),
     ]
     if data.get("truth") is not None:
         shown.insert(2, ("true fraction", data["truth"], "magma", 1.0, fraction))
@@ -231,10 +231,10 @@ def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] |
     light = np.array(data["overload"], float)
     overload = np.geomspace(light.min(), light.max(), 120)
     levels = _threshold_fractions(data, _background_fraction(data, result, overload))
-    found = {
+    diameters = {
         quantity: _diameters(density, radius, overload, level) for quantity, level in levels.items()
     }
-    return {"overload": overload.tolist(), **found}
+    return {"overload": overload.tolist(), **diameters}
 
 
 def _background_fraction(data: dict[str, Any], result: Result, overload: NDArray) -> NDArray:
@@ -244,8 +244,12 @@ def _background_fraction(data: dict[str, Any], result: Result, overload: NDArray
     dark, full = float(np.median(data["dark_dn"])), float(np.median(data["full_scale_dn"]))
     fitted = result.evidence.get("point-profile", {})
     light = dict(zip(data["label"], data["overload"], strict=True))
-    own = dict(zip(fitted.get("label", ()), fitted.get("background_dn", ()), strict=False))
-    known = sorted((light[label], level) for label, level in own.items() if label in light)
+    background_of_label = dict(
+        zip(fitted.get("label", ()), fitted.get("background_dn", ()), strict=False)
+    )
+    known = sorted(
+        (light[label], level) for label, level in background_of_label.items() if label in light
+    )
     if not known:
         return np.zeros(len(overload))
     at, level = np.array(known).T
@@ -270,12 +274,12 @@ def _diameters(
     draws.
     """
     out = np.empty((len(density), len(overload)))
-    for number, one in enumerate(density):
+    for number, profile in enumerate(density):
         # At overload 1 the peak is 1.
-        falling = one / one[0]
+        falling = profile / profile[0]
         out[number] = 2.0 * np.interp(level / overload, falling[::-1], radius[::-1], left=np.nan)
         out[number][overload < level] = 0.0
-    return [np.nanquantile(out, share, axis=0).tolist() for share in (0.025, 0.5, 0.975)]
+    return [np.nanquantile(out, quantile, axis=0).tolist() for quantile in (0.025, 0.5, 0.975)]
 
 
 def _bloom_frame_data(
@@ -288,10 +292,10 @@ def _bloom_frame_data(
         return None
     frames = [_mean(by_label[label]) for label in labels]
     number = [data["label"].index(label) for label in labels]
-    place = _source_position(frames, float(np.median(data["dark_dn"])))
+    position = _source_position(frames, float(np.median(data["dark_dn"])))
     rows, cols = (
         data.get(key) or [at] * len(data["label"])
-        for key, at in zip(("row", "col"), place, strict=True)
+        for key, at in zip(("row", "col"), position, strict=True)
     )
     extents = {
         key: [(data["measured"].get(quantity, {}).get(label) or [None])[0] for label in labels]
@@ -344,25 +348,25 @@ def write_bloom_map(
         raise BadInput(f"--map must name a .png or .npz file, got {path.name!r}")
     from charact.estimators.bloom.bloom_map import evidence_of, map_of
 
-    found, signal = map_of(session, result, label=label, context=context)
+    frame_map, signal = map_of(session, result, label=label, context=context)
     content = io.BytesIO()
     if path.suffix.lower() == ".npz":
         np.savez_compressed(
             content,
             signal_dn=signal.astype(np.float32),
-            fraction=found.fraction,
-            sd=found.sd,
-            blooming_dn=found.blooming_dn,
-            clipped=found.clipped,
-            near_border=found.near_border,
-            near_px=found.near_px,
+            fraction=frame_map.fraction,
+            sd=frame_map.sd,
+            blooming_dn=frame_map.blooming_dn,
+            clipped=frame_map.clipped,
+            near_border=frame_map.near_border,
+            near_px=frame_map.near_px,
         )
         write_atomically(path, content.getbuffer())
         return
     from charact.reporting.style import white_style
 
     with white_style():
-        plot_bloom_map({**evidence_of(found, signal), "aspect": context.pitch_ratio}).savefig(
+        plot_bloom_map({**evidence_of(frame_map, signal), "aspect": context.pitch_ratio}).savefig(
             content, format="png", dpi=130
         )
     write_atomically(path, content.getbuffer())

@@ -28,9 +28,9 @@ def plot_point_profile(data: Data) -> Any:
     """Plot the radial profiles of a point series with the joint fit, and the residuals in standard
     errors.
 
-    Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`, `used`
-    (fitted rings), and with a fit `model_dn` and `residual_sd`. `halo_diameter_px` and
-    `full_scale_dn` are marked.
+    Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`,
+    `fitted_rings` (fitted rings), and with a fit `model_dn` and `residual_sd`. `halo_diameter_px`
+    and `full_scale_dn` are marked.
     """
     fitted = has_all(data, "model_dn")
     rows = 2 if fitted else 1
@@ -46,30 +46,34 @@ def plot_point_profile(data: Data) -> Any:
         radius, mean, sd = (
             np.asarray(data[key][number], float) for key in ("radius_px", "mean_dn", "sd_dn")
         )
-        used = np.asarray(data["used"][number], bool)
+        fitted_rings = np.asarray(data["used"][number], bool)
         plot_points(
             axes,
-            radius[used],
-            mean[used],
-            sd[used],
+            radius[fitted_rings],
+            mean[fitted_rings],
+            sd[fitted_rings],
             color=colour,
             label=str(data["label"][number]),
             alpha=0.8,
         )
-        plot_points(axes, radius[~used], mean[~used], color=colour, alpha=0.3, marker="x")
+        plot_points(
+            axes, radius[~fitted_rings], mean[~fitted_rings], color=colour, alpha=0.3, marker="x"
+        )
         if not fitted:
             continue
         model = np.asarray(data["model_dn"][number], float)
         plot_line(axes, radius, model, color=colour, linewidth=1)
-        left = (
+        residuals = (
             np.asarray(data["residual_sd"][number], float)
             if has_all(data, "residual_sd")
             else (mean - model) / np.maximum(sd, 1e-9)
         )
-        plot_points(grid[1, 0], radius[used], left[used], color=colour, alpha=0.8)
-    for one in grid[:, 0]:
+        plot_points(
+            grid[1, 0], radius[fitted_rings], residuals[fitted_rings], color=colour, alpha=0.8
+        )
+    for plot_axes in grid[:, 0]:
         if data.get("halo_diameter_px") is not None:
-            one.axvline(
+            plot_axes.axvline(
                 data["halo_diameter_px"] / 2,
                 color=INK,
                 linestyle="--",
@@ -89,11 +93,13 @@ def plot_point_profile(data: Data) -> Any:
     axes.legend(ncols=2)
     grid[-1, 0].set(xlabel="distance from the source (column pitches, px)")
     if fitted:
-        rest = grid[1, 0]
-        rest.axhline(0.0, color=INK, linewidth=0.7)
-        rest.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
-        most = max(4.0, 1.1 * _largest(data, fitted))
-        rest.set(ylabel="data - model\n(standard errors)", ylim=(-most, most))
+        residual_axes = grid[1, 0]
+        residual_axes.axhline(0.0, color=INK, linewidth=0.7)
+        residual_axes.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
+        residual_limit = max(4.0, 1.1 * _largest(data, fitted))
+        residual_axes.set(
+            ylabel="data - model\n(standard errors)", ylim=(-residual_limit, residual_limit)
+        )
     return figure
 
 
@@ -110,8 +116,8 @@ def plot_point_spread(data: Data) -> Any:
     """Plot the profiles of a point source along row and column and its rings, with the model."""
     figure, grid = panels(1, 2, size=(5.8, 3.4), width_ratios=(1.2, 1))
     core, rings = grid[0]
-    for colour, way, place in ((DATA, "row", "column_px"), (THIRD, "column", "row_px")):
-        x = first_array(data, place)
+    for colour, way, distance_key in ((DATA, "row", "column_px"), (THIRD, "column", "row_px")):
+        x = first_array(data, distance_key)
         plot_points(
             core,
             x,
@@ -162,7 +168,7 @@ def plot_illuminated_edge(data: Data) -> Any:
     and the halo end.
 
     Reads `label`, and for each of these a list per level: `distance_px`, `mean_dn`, `sd_dn`,
-    `used`, `model_dn`; `edge_px`, the true edge on the scale of the distances, and
+    `fitted_strips`, `model_dn`; `edge_px`, the true edge on the scale of the distances, and
     `halo_diameter_px`.
     """
     figure, grid = panels(2, 1, size=(5.8, 4.8), sharex=True, height_ratios=(2.2, 1.0))
@@ -172,14 +178,24 @@ def plot_illuminated_edge(data: Data) -> Any:
             np.asarray(data[key][number], float)
             for key in ("distance_px", "mean_dn", "sd_dn", "model_dn")
         )
-        used = np.asarray(data["used"][number], bool)
+        fitted_strips = np.asarray(data["used"][number], bool)
         plot_points(
-            upper, at[used], mean[used], sd[used], color=colour, label=str(data["label"][number])
+            upper,
+            at[fitted_strips],
+            mean[fitted_strips],
+            sd[fitted_strips],
+            color=colour,
+            label=str(data["label"][number]),
         )
-        plot_points(upper, at[~used], mean[~used], color=colour, alpha=0.3, marker="x")
-        plot_line(upper, at[used], model[used], color=colour, linewidth=1)
         plot_points(
-            lower, at[used], (mean - model)[used] / np.maximum(sd[used], 1e-9), color=colour
+            upper, at[~fitted_strips], mean[~fitted_strips], color=colour, alpha=0.3, marker="x"
+        )
+        plot_line(upper, at[fitted_strips], model[fitted_strips], color=colour, linewidth=1)
+        plot_points(
+            lower,
+            at[fitted_strips],
+            (mean - model)[fitted_strips] / np.maximum(sd[fitted_strips], 1e-9),
+            color=colour,
         )
     end = data["edge_px"] + data["halo_diameter_px"] / 2.0
     for axes in (upper, lower):
@@ -223,12 +239,14 @@ def plot_bloom_series(data: Data) -> Any:
         value, low, high = data["halo_px"]
         axes.axhspan(low, high, color=INK, alpha=0.15, linewidth=0)
         axes.axhline(value, color=INK, linestyle="--", linewidth=0.9, label=f"halo, {value:.1f} px")
-    elif own := [
-        (at, one) for at, one in zip(x, data.get("halo_diameter_px", []), strict=False) if one
+    elif stack_halos := [
+        (at, halo_px)
+        for at, halo_px in zip(x, data.get("halo_diameter_px", []), strict=False)
+        if halo_px
     ]:
         plot_points(
             axes,
-            *zip(*own, strict=True),
+            *zip(*stack_halos, strict=True),
             color=INK,
             markersize=5,
             marker="D",
@@ -249,11 +267,11 @@ def plot_bloom_series(data: Data) -> Any:
 def _set_height(axes: Any, data: Data) -> None:
     """Set a linear ordinate, or a logarithmic one if one diameter is far larger than the others."""
     measured = data.get("measured", {})
-    values = [one[0] for quantity in measured.values() for one in quantity.values()]
-    usual = [one[0] for one in measured.get("bloom_diameter", {}).values()] + [
+    values = [estimate[0] for quantity in measured.values() for estimate in quantity.values()]
+    half_diameters = [estimate[0] for estimate in measured.get("bloom_diameter", {}).values()] + [
         (data.get("halo_px") or [0.0])[0]
     ]
-    if values and max(values) > 2.0 * max(usual):
+    if values and max(values) > 2.0 * max(half_diameters):
         axes.set_yscale("log")
         axes.set_ylim(2.0, 1.3 * max(values))
     else:
@@ -278,7 +296,7 @@ def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, predicted: Any)
             if d > 0
         ]
     if predicted is not None and quantity in predicted and points:
-        low, middle, high = (np.asarray(one, float) for one in predicted[quantity])
+        low, middle, high = (np.asarray(column, float) for column in predicted[quantity])
         at = np.asarray(predicted["overload"], float)
         axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(at, middle, color=colour, linewidth=1)
@@ -310,16 +328,16 @@ def plot_spread_models(data: Data) -> Any:
     table = data["table"]
     figure, grid = panels(size=(5.8, 0.9 + 0.34 * len(table)))
     axes = grid[0, 0]
-    place = np.arange(len(table))[::-1]
+    positions = np.arange(len(table))[::-1]
     over = np.array([row["bic_over_best"] for row in table], float)
-    axes.barh(place, over + 1.0, left=0.0, color=DATA, height=0.6, alpha=0.7)
+    axes.barh(positions, over + 1.0, left=0.0, color=DATA, height=0.6, alpha=0.7)
     axes.set_xscale("symlog", linthresh=10)
     axes.set_xlim(0.0, 2.0 * max(10.0, float(over.max())))
-    axes.set_yticks(place, [str(row["form"]) for row in table])
+    axes.set_yticks(positions, [str(row["form"]) for row in table])
     axes.set(xlabel="BIC above that of the best model (1):\nmodels beyond 10 are excluded")
     axes.grid(axis="y", alpha=0)
     criteria = axes.secondary_yaxis("right")
-    criteria.set_yticks(place, [_criteria(row) for row in table], fontsize=7.0)
+    criteria.set_yticks(positions, [_criteria(row) for row in table], fontsize=7.0)
     criteria.tick_params(length=0)
     return figure
 
@@ -371,12 +389,12 @@ def plot_halo_uniformity(data: Data) -> Any:
     """
     figure, grid = panels(size=(5.6, 3.2))
     axes = grid[0, 0]
-    seen = [n for n, diameter in enumerate(data["halo_diameter_px"]) if diameter is not None]
-    diameter = np.array([data["halo_diameter_px"][n] for n in seen], float)
-    ends = np.array([data["interval95_px"][n] for n in seen], float).reshape(-1, 2)
+    measured = [n for n, diameter in enumerate(data["halo_diameter_px"]) if diameter is not None]
+    diameter = np.array([data["halo_diameter_px"][n] for n in measured], float)
+    ends = np.array([data["interval95_px"][n] for n in measured], float).reshape(-1, 2)
     arms = np.maximum([diameter - ends[:, 0], ends[:, 1] - diameter], 0)
     axes.errorbar(
-        seen,
+        measured,
         diameter,
         yerr=arms,
         fmt="o",
@@ -405,7 +423,7 @@ def plot_series_stability(data: Data) -> Any:
     by frame.
     """
     figure, grid = panels(1, 2, size=(6.4, 3.0))
-    level, place = grid[0]
+    level, position_axes = grid[0]
     numbers = np.arange(len(data["label"]))
     background, sd = first_array(data, "background_dn"), first_array(data, "background_sd_dn")
     level.errorbar(
@@ -424,19 +442,19 @@ def plot_series_stability(data: Data) -> Any:
     for colour, (label, rows, cols) in zip(
         COLOURS * 4, zip(data["label"], data["row_px"], data["col_px"], strict=True), strict=False
     ):
-        seen = np.array(
+        positions = np.array(
             [(r, c) for r, c in zip(rows, cols, strict=True) if r is not None and c is not None],
             float,
         )
-        if len(seen) > 1:
-            place.plot(
-                *(seen - seen.mean(axis=0)).T[::-1],
+        if len(positions) > 1:
+            position_axes.plot(
+                *(positions - positions.mean(axis=0)).T[::-1],
                 marker=".",
                 color=colour,
                 linewidth=0.8,
                 label=str(label),
             )
-    place.axhline(0.0, color=INK, linewidth=0.6)
-    place.axvline(0.0, color=INK, linewidth=0.6)
-    place.set(xlabel="source, frame by frame: column (px)", ylabel="row (px)")
+    position_axes.axhline(0.0, color=INK, linewidth=0.6)
+    position_axes.axvline(0.0, color=INK, linewidth=0.6)
+    position_axes.set(xlabel="source, frame by frame: column (px)", ylabel="row (px)")
     return figure

@@ -49,38 +49,42 @@ def comparison_text(
         Columns of a line.
     """
     rows = list(_rows(comparison.differences, everything))
-    hidden = [one for one in comparison.differences if all(one is not shown for _, shown in rows)]
+    hidden = [
+        difference
+        for difference in comparison.differences
+        if all(difference is not shown for _, shown in rows)
+    ]
     lines = [f"compare: {len(comparison.differences)} quantities with a value in both"]
     lines += [
         line
-        for letter, name, one in zip("AB", names, sessions, strict=True)
-        for line in _wrapped(f"{letter}  {_session_text(name, one)}", "   ", width, 1)
+        for letter, name, session in zip("AB", names, sessions, strict=True)
+        for line in _wrapped(f"{letter}  {_session_text(name, session)}", "   ", width, 1)
     ]
     lines += _condition_lines(comparison, everything, width)
     head = f"{'A':>12} {'B':>12} {'P(B better)':>11}   B {MINUS} A, ± is 95 %"
     lines.append(f"{'':<{NAME}} {head}")
-    lines += [_line(name, one)[:COLUMNS] for name, one in rows]
-    lines += _flag_lines([one for _, one in rows], width)
+    lines += [_line(name, difference)[:COLUMNS] for name, difference in rows]
+    lines += _flag_lines([difference for _, difference in rows], width)
     lines += _footer(comparison, hidden, width)
     return "\n".join(lines)
 
 
 def _footer(comparison: Comparison, hidden: Sequence[Difference], width: int) -> list[str]:
     """Return what is not shown, and the meaning of the table."""
-    excluding = sum(one.excludes_zero for one in hidden)
-    left = (
+    excluding = sum(difference.excludes_zero for difference in hidden)
+    omissions = (
         [f"{len(hidden)} differences, {excluding} of them with zero outside the interval (--all)"]
         if hidden
         else []
     )
-    left += [
+    omissions += [
         f"{count} values only in {side}"
         for side, count in zip("AB", comparison.unmatched, strict=True)
         if count
     ]
-    lines = _wrapped(f"Not shown: {'; '.join(left)}", "    ", width, 2) if left else []
+    lines = _wrapped(f"Not shown: {'; '.join(omissions)}", "    ", width, 2) if omissions else []
     excluding, total = (
-        sum(one.excludes_zero for one in comparison.differences),
+        sum(difference.excludes_zero for difference in comparison.differences),
         len(comparison.differences),
     )
     meaning = (
@@ -129,30 +133,33 @@ def _rows(differences: Sequence[Difference], everything: bool) -> Iterator[tuple
     largest difference.
     """
     groups: dict[tuple[str, str], list[Difference]] = {}
-    for one in differences:
-        groups.setdefault((one.a.quantity, one.a.unit), []).append(one)
+    for difference in differences:
+        groups.setdefault((difference.a.quantity, difference.a.unit), []).append(difference)
     if everything:
-        for own in groups.values():
-            yield from ((_name(one.a, [other.a for other in own]), one) for one in own)
+        for group in groups.values():
+            yield from (
+                (_name(difference.a, [other.a for other in group]), difference)
+                for difference in group
+            )
         return
     order = [quantity for quantities in LEADING.values() for quantity in quantities]
     keys = [key for key in groups if key[0] in order] or list(groups)
     keys.sort(key=lambda key: order.index(key[0]) if key[0] in order else len(order))
     shown = 0
     for key in keys:
-        own = groups[key]
-        rows = own if len(own) <= SERIES else [max(own, key=_distance)]
-        for one in rows[: ROWS - shown]:
-            more = f" (of {len(own)})" if len(rows) < len(own) else ""
-            yield _name(one.a, [other.a for other in own]) + more, one
+        group = groups[key]
+        rows = group if len(group) <= SERIES else [max(group, key=_distance)]
+        for difference in rows[: ROWS - shown]:
+            more = f" (of {len(group)})" if len(rows) < len(group) else ""
+            yield _name(difference.a, [other.a for other in group]) + more, difference
             shown += 1
 
 
-def _distance(one: Difference) -> float:
+def _distance(difference: Difference) -> float:
     """Return the difference in half-widths of its 95 % interval; 0 without an interval."""
-    if one.interval95 is None or one.interval95[0] == one.interval95[1]:
+    if difference.interval95 is None or difference.interval95[0] == difference.interval95[1]:
         return 0.0
-    return 2.0 * abs(one.difference) / (one.interval95[1] - one.interval95[0])
+    return 2.0 * abs(difference.difference) / (difference.interval95[1] - difference.interval95[0])
 
 
 def _name(m: Measurement | Outcome, among: Sequence[Measurement | Outcome]) -> str:
@@ -160,57 +167,63 @@ def _name(m: Measurement | Outcome, among: Sequence[Measurement | Outcome]) -> s
     place.
     """
 
-    def place(one: Measurement | Outcome) -> tuple[object, ...]:
-        direction = None if one.orientation_deg is None else round(one.orientation_deg)
-        return one.stack, direction, one.frequency_cy_per_px
+    def place(estimate: Measurement | Outcome) -> tuple[object, ...]:
+        direction = None if estimate.orientation_deg is None else round(estimate.orientation_deg)
+        return estimate.stack, direction, estimate.frequency_cy_per_px
 
     parts = [m.quantity]
     parts += [m.stack] if m.stack else []
     parts += [f"at {m.frequency_cy_per_px:.3g} cy/px"] if m.frequency_cy_per_px is not None else []
     if (
         m.orientation_deg is not None
-        and len({one.orientation_deg for one in among if one.stack == m.stack}) > 1
+        and len({estimate.orientation_deg for estimate in among if estimate.stack == m.stack}) > 1
     ):
         parts.append(f"{m.orientation_deg:.0f}°")
-    if m.method and len({one.method for one in among if place(one) == place(m)}) > 1:
+    if m.method and len({estimate.method for estimate in among if place(estimate) == place(m)}) > 1:
         parts.append(m.method)
     return " ".join(parts)
 
 
-def _line(name: str, one: Difference) -> str:
+def _line(name: str, difference: Difference) -> str:
     """Return name, both values, probability, a mark if suspect, and the difference with its
     unit.
     """
-    values = f"{value_text(one.a):>12} {value_text(one.b):>12}"
+    values = f"{value_text(difference.a):>12} {value_text(difference.b):>12}"
+    mark = "!" if difference.flags else " "
     return (
-        f"{_cut(name):<{NAME}} {values} {_probability(one):>11} {'!' if one.flags else ' '} "
-        f"{_difference_text(one)}"
+        f"{_cut(name):<{NAME}} {values} {_probability(difference):>11} {mark} "
+        f"{_difference_text(difference)}"
     )
 
 
-def _difference_text(one: Difference) -> str:
-    unit = "" if one.a.unit == "1" else f" {one.a.unit}"
-    if one.interval95 is None:
-        return f"{one.difference:+.3g}{unit}, no interval".replace("-", MINUS)
-    up, down = one.interval95[1] - one.difference, one.difference - one.interval95[0]
+def _difference_text(comparison: Difference) -> str:
+    unit = "" if comparison.a.unit == "1" else f" {comparison.a.unit}"
+    if comparison.interval95 is None:
+        return f"{comparison.difference:+.3g}{unit}, no interval".replace("-", MINUS)
+    up, down = (
+        comparison.interval95[1] - comparison.difference,
+        comparison.difference - comparison.interval95[0],
+    )
     if abs(up - down) < 0.1 * (up + down):  # equal but for the scatter of the draws
         up = down = (up + down) / 2.0
-    if one.difference == 0.0 and up == down:
+    if comparison.difference == 0.0 and up == down:
         return f"0 ± {round_to_spread(up, up / 2.0)}{unit}"
-    ends = one.difference - down, one.difference + up
+    ends = comparison.difference - down, comparison.difference + up
     number = plus_minus(
-        make_measurement(one.a.quantity, one.a.unit, one.difference, None, ends, method="")
+        make_measurement(
+            comparison.a.quantity, comparison.a.unit, comparison.difference, None, ends, method=""
+        )
     )
-    sign = "+" if one.difference > 0.0 else ""
+    sign = "+" if comparison.difference > 0.0 else ""
     return (f"({sign}{number[1:]}" if number.startswith("(") else f"{sign}{number}") + unit
 
 
-def _probability(one: Difference) -> str:
+def _probability(difference: Difference) -> str:
     """Return the probability that B is better, in brackets that it is greater where no direction is
     better.
     """
-    better = one.probability_better
-    value = one.probability_greater if better is None else better
+    better = difference.probability_better
+    value = difference.probability_greater if better is None else better
     if value is None:
         return "—"
     text = "< 0.001" if value < 0.001 else "> 0.999" if value > 0.999 else f"{value:.3f}"
@@ -220,9 +233,9 @@ def _probability(one: Difference) -> str:
 def _flag_lines(shown: Iterable[Difference], width: int) -> list[str]:
     """Return one line for each flag with its quantities."""
     by_flag: dict[str, list[str]] = {}
-    for one in shown:
-        for flag in one.flags:
-            by_flag.setdefault(flag, []).append(one.a.quantity)
+    for difference in shown:
+        for flag in difference.flags:
+            by_flag.setdefault(flag, []).append(difference.a.quantity)
     lines = []
     for flag, quantities in list(by_flag.items())[:5]:
         lines += _wrapped(f"! {flag}: {', '.join(dict.fromkeys(quantities))}", "    ", width, 1)
@@ -240,33 +253,33 @@ def check_text(checked: LimitCheck, *, session: str, width: int = 100) -> str:
     lines.append(f"Verdict: {checked.verdict} ({counts})")
     lines.append(f"{'':<10} {'':<{NAME}} {'limits':<22} value, 95 %")
     order = sorted(
-        checked.outcomes, key=lambda one: ("fail", "undecided", "pass").index(one.verdict)
+        checked.outcomes, key=lambda outcome: ("fail", "undecided", "pass").index(outcome.verdict)
     )
     shown = 0
-    for one in order:
-        row = outcome_row(one, checked.outcomes)
+    for outcome in order:
+        row = outcome_row(outcome, checked.outcomes)
         rows = [
-            f"{one.verdict:<10} {_cut(row['name']):<{NAME}} {row['limits']:<22} {row['value']}"[
+            f"{outcome.verdict:<10} {_cut(row['name']):<{NAME}} {row['limits']:<22} {row['value']}"[
                 :COLUMNS
             ]
         ]
-        rows += _wrapped(f"           {one.reason}", "", width, 1) if one.reason else []
+        rows += _wrapped(f"           {outcome.reason}", "", width, 1) if outcome.reason else []
         if len(lines) + len(rows) > OUTCOMES:
             break
         lines, shown = lines + rows, shown + 1
     if shown < len(order):
-        left = Counter(one.verdict for one in order[shown:])
+        remaining = Counter(outcome.verdict for outcome in order[shown:])
         lines.append(
-            f"Not shown: {', '.join(f'{count} {verdict}' for verdict, count in left.items())} "
+            f"Not shown: {', '.join(f'{count} {verdict}' for verdict, count in remaining.items())} "
             f"(--json)"
         )
     return "\n".join(lines)
 
 
-def outcome_row(one: Outcome, among: Sequence[Outcome]) -> dict[str, str]:
+def outcome_row(outcome: Outcome, among: Sequence[Outcome]) -> dict[str, str]:
     """Return name, limits, value, verdict and reason of an outcome as text."""
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    ends = [None if end is None else short_text(float(end)) for end in (one.min, one.max)]
+    unit = "" if outcome.unit == "1" else f" {outcome.unit}"
+    ends = [None if end is None else short_text(float(end)) for end in (outcome.min, outcome.max)]
     limits = (
         f"{ends[0]} … {ends[1]}"
         if None not in ends
@@ -275,17 +288,21 @@ def outcome_row(one: Outcome, among: Sequence[Outcome]) -> dict[str, str]:
         else f"≤ {ends[1]}"
     )
     value = "—"
-    if one.value is not None:
-        of = make_measurement(one.quantity, one.unit, one.value, None, one.interval95, method="")
+    if outcome.value is not None:
+        of = make_measurement(
+            outcome.quantity, outcome.unit, outcome.value, None, outcome.interval95, method=""
+        )
         value = plus_minus(of) + unit
-    own = [other for other in among if (other.quantity, other.unit) == (one.quantity, one.unit)]
+    same_quantity = [
+        other for other in among if (other.quantity, other.unit) == (outcome.quantity, outcome.unit)
+    ]
     return {
-        "name": _name(one, own),
+        "name": _name(outcome, same_quantity),
         "limits": limits + unit,
         "value": value,
-        "verdict": one.verdict,
-        "status": STATUS[one.verdict],
-        "reason": one.reason,
+        "verdict": outcome.verdict,
+        "status": STATUS[outcome.verdict],
+        "reason": outcome.reason,
     }
 
 
@@ -293,10 +310,10 @@ def limits_section(session: Session) -> dict[str, Any] | None:
     """Return what the report shows of the verdicts saved in a session; None without."""
     if any(isinstance(entry, LoadedStackEntry) for entry in session.stacks):
         return None
-    if (found := load_check(session.folder)) is None:
+    if (stored := load_check(session.folder)) is None:
         return None
-    checked, current = found
-    rows = [outcome_row(one, checked.outcomes) for one in checked.outcomes]
+    checked, current = stored
+    rows = [outcome_row(outcome, checked.outcomes) for outcome in checked.outcomes]
     return {"name": checked.name, "verdict": checked.verdict, "rows": rows, "current": current}
 
 
@@ -304,14 +321,14 @@ def _cut(name: str) -> str:
     return name if len(name) <= NAME else name[: NAME - 1] + "…"
 
 
-def _wrapped(text: str, indent: str, width: int, most: int) -> list[str]:
-    """Return text in lines of a width, cut after `most` of them with an ellipsis."""
+def _wrapped(text: str, indent: str, width: int, max_lines: int) -> list[str]:
+    """Return text in lines of a width, cut after `max_lines` of them with an ellipsis."""
     first = text[: len(text) - len(text.lstrip())]
     return textwrap.wrap(
         text.strip(),
         width,
         initial_indent=first,
         subsequent_indent=indent,
-        max_lines=most,
+        max_lines=max_lines,
         placeholder=" …",
     )

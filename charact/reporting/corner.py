@@ -58,13 +58,13 @@ def corner_svg(posterior: Posterior, title: str) -> str:
 def varying(posterior: Posterior) -> tuple[int, ...]:
     """Return the indices of at most five finite parameters that vary, quantities first."""
     draws = posterior.draws
-    good = (
+    varies = (
         np.isfinite(draws).all(axis=0) & (np.ptp(draws, axis=0) > 0)
         if len(draws)
         else np.zeros(draws.shape[1], bool)
     )
     order = sorted(
-        np.flatnonzero(good).tolist(), key=lambda index: posterior.names[index] not in QUANTITIES
+        np.flatnonzero(varies).tolist(), key=lambda index: posterior.names[index] not in QUANTITIES
     )
     return tuple(sorted(order[:5]))
 
@@ -74,38 +74,41 @@ def _cell(posterior: Posterior, shown: tuple[int, ...], cell: tuple[int, int], p
     the bottom only.
     """
     line, column = cell
-    left, top, width, height = panel
+    panel_x, top, width, height = panel
     x = posterior.draws[:, shown[column]]
     low, high = _limits(x)
     across = _ticks(posterior.draws[:, shown[column]], low, high)
-    places = [left + width * share for _, share in across]
+    tick_x = [panel_x + width * fraction for _, fraction in across]
     bottom = top + height
     parts = [
         path_svg(
-            [step for at in places for step in (("M", at, bottom), ("L", at, bottom + 2))], FRAME
+            [step for at in tick_x for step in (("M", at, bottom), ("L", at, bottom + 2))], FRAME
         )
     ]
     if line == column:
         parts += [
             _marginal(x, panel),
-            path_svg([("M", left, bottom), ("L", left + width, bottom)], FRAME),
+            path_svg([("M", panel_x, bottom), ("L", panel_x + width, bottom)], FRAME),
         ]
     else:
         y = posterior.draws[:, shown[line]]
         parts.append(_joint(x, y, panel))
         parts.append(
-            path_svg([("M", left, top), ("L", left, bottom), ("L", left + width, bottom)], FRAME)
+            path_svg(
+                [("M", panel_x, top), ("L", panel_x, bottom), ("L", panel_x + width, bottom)], FRAME
+            )
         )
         up = _ticks(y, *_limits(y))
-        heights = [bottom - height * share for _, share in up]
+        heights = [bottom - height * fraction for _, fraction in up]
         parts.append(
             path_svg(
-                [step for at in heights for step in (("M", left - 2, at), ("L", left, at))], FRAME
+                [step for at in heights for step in (("M", panel_x - 2, at), ("L", panel_x, at))],
+                FRAME,
             )
         )
         if column == 0:
             labels = [
-                Label(words, left - 4, -at, 6.5, "end")
+                Label(words, panel_x - 4, -at, 6.5, "end")
                 for (words, _), at in zip(up, heights, strict=True)
             ]
             labels.append(
@@ -121,10 +124,10 @@ def _cell(posterior: Posterior, shown: tuple[int, ...], cell: tuple[int, int], p
     if line == len(shown) - 1:
         labels = [
             Label(words, at + 2, -bottom - 7, 6.5, "end", 40.0)
-            for (words, _), at in zip(across, places, strict=True)
+            for (words, _), at in zip(across, tick_x, strict=True)
         ]
         labels.append(
-            Label(parameter_label(posterior, shown[column]), left + width / 2, -bottom - 33, 7.0)
+            Label(parameter_label(posterior, shown[column]), panel_x + width / 2, -bottom - 33, 7.0)
         )
         parts += (label.svg(0.0) for label in labels)
     return "".join(parts)
@@ -138,21 +141,21 @@ def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
 
 def _marginal(values: NDArray[np.float64], panel: Panel) -> str:
     """Return the histogram of one parameter with the median and the limits of both intervals."""
-    left, top, width, height = panel
+    panel_x, top, width, height = panel
     low, high = _limits(values)
     counts, _ = np.histogram(values, BINS, (low, high))
-    steps = [("M", left, top + height)]
+    steps = [("M", panel_x, top + height)]
     for number, count in enumerate(counts / (1.05 * max(counts.max(), 1))):
         level = top + height * (1.0 - count)
         steps += [
-            ("L", left + width * number / BINS, level),
-            ("L", left + width * (number + 1) / BINS, level),
+            ("L", panel_x + width * number / BINS, level),
+            ("L", panel_x + width * (number + 1) / BINS, level),
         ]
     parts = [
-        path_svg([*steps, ("L", left + width, top + height)], f'fill="{DATA}" fill-opacity=".6"')
+        path_svg([*steps, ("L", panel_x + width, top + height)], f'fill="{DATA}" fill-opacity=".6"')
     ]
     for quantile, dashes in zip(QUANTILES, ("1 1.5", "3 1.5", "", "3 1.5", "1 1.5"), strict=True):
-        at = left + width * (float(np.quantile(values, quantile)) - low) / (high - low)
+        at = panel_x + width * (float(np.quantile(values, quantile)) - low) / (high - low)
         dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
         parts.append(path_svg([("M", at, top), ("L", at, top + height)], FRAME + dashed))
     return "".join(parts)
@@ -162,11 +165,11 @@ def _joint(x: NDArray[np.float64], y: NDArray[np.float64], panel: Panel) -> str:
     """Return the highest-density regions of 68 and 95 % of the draws, and the median."""
     from skimage.measure import find_contours
 
-    left, top, width, height = panel
+    panel_x, top, width, height = panel
     limits = _limits(x), _limits(y)
 
     def place(column: Any, row: Any) -> tuple[Any, Any]:
-        return left + width * column, top + height * (1.0 - row)
+        return panel_x + width * column, top + height * (1.0 - row)
 
     counts, _, _ = np.histogram2d(x, y, bins=BINS, range=limits)
     # Empty bins around close the contours; they lie outside the draws.
@@ -211,9 +214,10 @@ def _smooth_counts(counts: NDArray[np.float64]) -> NDArray[np.float64]:
 def _density_levels(density: NDArray[np.float64], shares: tuple[float, ...]) -> list[float]:
     """Return the densities above which the given fractions of the draws lie."""
     ordered = np.sort(density.ravel())[::-1]
-    held = np.cumsum(ordered) / ordered.sum()
+    cumulative = np.cumsum(ordered) / ordered.sum()
     return [
-        float(ordered[min(int(np.searchsorted(held, share)), held.size - 1)]) for share in shares
+        float(ordered[min(int(np.searchsorted(cumulative, fraction)), cumulative.size - 1)])
+        for fraction in shares
     ]
 
 

@@ -82,11 +82,11 @@ def mtf_svgs(
         if m.value is not None and m.frequency_cy_per_px is not None
     ]
     drawn = []
-    for way in (way for way in DEGREES if way in {one[0] for one in (*curves, *points)}):
+    for way in (way for way in DEGREES if way in {plotted[0] for plotted in (*curves, *points)}):
         with report_style():
             figure, axes = panel((5.6, 3.9))
-            own = [(name, curve) for its, name, curve in curves if its == way]
-            _plot_curves(axes, way, own, [m for its, m in points if its == way], truth)
+            curves_of_way = [(name, curve) for its, name, curve in curves if its == way]
+            _plot_curves(axes, way, curves_of_way, [m for its, m in points if its == way], truth)
             drawn.append(as_svg(figure, f"MTF of all targets against {way}, with 95 % bands"))
     return tuple(drawn)
 
@@ -104,12 +104,12 @@ def plot_files(results: Mapping[str, Result], axes: Any = None) -> Any:
             if len(results) > 1:
                 curves += [(f":{name}", result.curves["mtf"])] if "mtf" in result.curves else []
                 continue
-            own = [
+            mtf_curves = [
                 (key, curve)
                 for key, curve in result.curves.items()
                 if key.split(":")[0].startswith("mtf")
             ]
-            curves += own or list(result.curves.items())
+            curves += mtf_curves or list(result.curves.items())
             points += (
                 m
                 for m in result.find("mtf")
@@ -131,7 +131,7 @@ def _plot_curves(
     for colour, (name, curve) in zip(COLOURS * 4, curves, strict=False):
         low, high = (curve.value, curve.value) if curve.interval95 is None else curve.interval95
         frequency, value, low, high = subsample(
-            curve.frequency_cy_per_px, curve.value, low, high, most=120
+            curve.frequency_cy_per_px, curve.value, low, high, max_points=120
         )
         if curve.interval95 is not None:
             plot_band(axes, frequency, low, high, colour, 0.22)
@@ -140,8 +140,10 @@ def _plot_curves(
         )
     drawn = {curve.stack or name.partition(":")[2] for name, curve in curves}
     # Values read from a curve that is shown are redundant; those of bars are measurements.
-    own = [m for m in points if m.method.startswith("bars") or (m.stack or "") not in drawn]
-    for m in own:
+    separate_points = [
+        m for m in points if m.method.startswith("bars") or (m.stack or "") not in drawn
+    ]
+    for m in separate_points:
         error = None if m.interval95 is None or m.value is None else arms(m.value, *m.interval95)
         axes.errorbar(
             m.frequency_cy_per_px,
@@ -152,7 +154,7 @@ def _plot_curves(
             color=INK,
             linewidth=1,
         )
-    if own:
+    if separate_points:
         axes.plot([], [], "s", color=INK, markersize=4.5, label="MTF at one frequency, 95 %")
     known = (truth or {}).get("mtf")
     if callable(known):
@@ -185,8 +187,8 @@ def plot_edge_spread(data: Data) -> Any:
     middle = x[np.argmin(np.abs(measured - (measured.min() + measured.max()) / 2))]
     low, high = np.percentile(measured, [1, 99])
     step = x[(measured > low + 0.1 * (high - low)) & (measured < high - 0.1 * (high - low))]
-    near = np.abs(x - middle) <= max(8.0, 4.0 * float(np.ptp(step)) if len(step) else 8.0)
-    _profile(grid[0, 0], data, x, measured, near)
+    within_view = np.abs(x - middle) <= max(8.0, 4.0 * float(np.ptp(step)) if len(step) else 8.0)
+    _profile(grid[0, 0], data, x, measured, within_view)
     grid[0, 0].set(xlabel="distance from the edge (px)", ylabel="signal (DN)")
     if modelled:
         _residual(grid[1, 0], data, x, measured, "distance from the edge, complete fit range (px)")
@@ -251,8 +253,8 @@ def plot_mtf_differences(data: Data) -> Any:
         )
     zero_line(axes)
     axes.set(xlabel="spatial frequency (cy/px)", ylabel="difference of MTFs, joint 95 % (1)")
-    reach = float(np.max(np.abs(difference) + half))
-    axes.set_ylim(-1.1 * reach, 1.5 * reach)
+    limit = float(np.max(np.abs(difference) + half))
+    axes.set_ylim(-1.1 * limit, 1.5 * limit)
     axes.legend(ncols=3, loc="upper center")
     return figure
 
@@ -261,9 +263,13 @@ def plot_joint_mtf(data: Data) -> Any:
     """Plot the residuals of the joint MTF for each target, in standard deviations."""
     figure, axes = panel((5.6, 3.2))
     kinds = list(dict.fromkeys(data["kind"]))
-    for place, (kind, own) in enumerate(zip(data["kind"], data["residuals_sd"], strict=True)):
-        offsets = place + 0.12 * (np.arange(len(own)) - (len(own) - 1) / 2)
-        axes.plot(offsets, own, "o", markersize=4, color=COLOURS[kinds.index(kind) % len(COLOURS)])
+    for number, (kind, residuals) in enumerate(
+        zip(data["kind"], data["residuals_sd"], strict=True)
+    ):
+        offsets = number + 0.12 * (np.arange(len(residuals)) - (len(residuals) - 1) / 2)
+        axes.plot(
+            offsets, residuals, "o", markersize=4, color=COLOURS[kinds.index(kind) % len(COLOURS)]
+        )
     axes.axhspan(-1.96, 1.96, color=INK, alpha=0.07, linewidth=0)
     zero_line(axes)
     axes.set_xticks(range(len(data["target"])), data["target"], rotation=30, ha="right")
@@ -329,8 +335,10 @@ def plot_mtf_budget(data: Data) -> Any:
         first_array(rows, "cathode_lp_per_mm")[-1]
         / first_array(rows, "frequency_cy_per_column")[-1]
     )
-    above = grid[0, 0].secondary_xaxis("top", functions=(lambda x: x * scale, lambda x: x / scale))
-    above.set_xlabel("at the photocathode (lp/mm)")
+    cathode_axis = grid[0, 0].secondary_xaxis(
+        "top", functions=(lambda x: x * scale, lambda x: x / scale)
+    )
+    cathode_axis.set_xlabel("at the photocathode (lp/mm)")
     grid[1, 0].set(xlabel="frequency (cycles per column pitch)")
     figure.legend(
         handles.values(),

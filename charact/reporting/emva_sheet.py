@@ -247,13 +247,13 @@ def emva_summary(result: Result) -> dict[str, Any] | None:
             "too low by the blur factor, and wrong values in electrons. Use the covariance gain "
             "above."
         }
-    found = [(entry, best(result.find(entry.quantity, unit=entry.unit))) for entry in SHEET]
+    entries = [(entry, best(result.find(entry.quantity, unit=entry.unit))) for entry in SHEET]
     return {
         "reason": "",
         "rows": [
-            (entry, in_standard_unit(entry, m).text, m.status, m.flags) for entry, m in found if m
+            (entry, in_standard_unit(entry, m).text, m.status, m.flags) for entry, m in entries if m
         ],
-        "left_out": list(dict.fromkeys(entry.name for entry, m in found if m is None)),
+        "left_out": list(dict.fromkeys(entry.name for entry, m in entries if m is None)),
     }
 
 
@@ -308,16 +308,16 @@ def emva_xml(result: Result, title: str) -> str:
         part, name = entry.element
         parent = root.find(part)
         parent = ElementTree.SubElement(root, part) if parent is None else parent
-        about = {
+        attributes = {
             "symbol": entry.symbol,
             "unit": shown.unit,
             "clause": entry.clause,
             "status": m.status,
         }
         if shown.interval95 is not None:
-            about |= {"low95": repr(shown.interval95[0]), "high95": repr(shown.interval95[1])}
+            attributes |= {"low95": repr(shown.interval95[0]), "high95": repr(shown.interval95[1])}
         if entry.departure:
-            about["not_to_standard"] = entry.departure
-        ElementTree.SubElement(parent, name, about).text = repr(shown.value)
+            attributes["not_to_standard"] = entry.departure
+        ElementTree.SubElement(parent, name, attributes).text = repr(shown.value)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

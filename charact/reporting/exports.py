@@ -45,6 +45,6 @@ def table_of_files(results: Mapping[str, Result]) -> str:
     return text.getvalue()
 
 
-def as_json(result: Result, given: str) -> str:
+def as_json(result: Result, input_name: str) -> str:
     """Return the JSON object of a measuring verb."""
-    return json.dumps(to_json(result, given=given, version=__version__), allow_nan=False)
+    return json.dumps(to_json(result, given=input_name, version=__version__), allow_nan=False)

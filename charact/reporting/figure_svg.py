@@ -45,9 +45,11 @@ class Label:
             CHARACTER * self.size * max(map(len, lines)),
             0.5 * LINE * self.size * len(lines),
         )
-        left = {"start": 0.0, "middle": -0.5 * width, "end": -width}[self.anchor]
+        start = {"start": 0.0, "middle": -0.5 * width, "end": -width}[self.anchor]
         turn = np.exp(1j * np.deg2rad(self.angle))
-        corners = turn * np.array([x + 1j * y for x in (left, left + width) for y in (-half, half)])
+        corners = turn * np.array(
+            [x + 1j * y for x in (start, start + width) for y in (-half, half)]
+        )
         x, y = self.x + corners.real, self.y + corners.imag
         return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
@@ -121,16 +123,24 @@ def _set_margins(figure: Any) -> None:
         return
     figure.set_layout_engine(None)
     rows, columns = specs[0].get_gridspec().get_geometry()
-    left, right, down, up = np.zeros(columns), np.zeros(columns), np.zeros(rows), np.zeros(rows)
+    left_room, right_room, lower_room, upper_room = (
+        np.zeros(columns),
+        np.zeros(columns),
+        np.zeros(rows),
+        np.zeros(rows),
+    )
     for axes, spec in zip(figure.axes, specs, strict=True):
         row, column = spec.rowspan.start, spec.colspan.start
         room = _room_around(axes)
-        for side, place, size in zip(
-            (left, down, right, up), (column, row, column, row), room, strict=True
+        for side, index, size in zip(
+            (left_room, lower_room, right_room, upper_room),
+            (column, row, column, row),
+            room,
+            strict=True,
         ):
-            side[place] = max(side[place], size)
-    down[-1] += sum(legend.get_window_extent().height + PAD for legend in figure.legends)
-    _adjust(figure, (left, right), (up, down))
+            side[index] = max(side[index], size)
+    lower_room[-1] += sum(legend.get_window_extent().height + PAD for legend in figure.legends)
+    _adjust(figure, (left_room, right_room), (upper_room, lower_room))
 
 
 def _adjust(figure: Any, across: tuple[Any, Any], down: tuple[Any, Any]) -> None:
@@ -148,10 +158,10 @@ def _adjust(figure: Any, across: tuple[Any, Any], down: tuple[Any, Any]) -> None
         )
         length = max((size - first - last - gap * (len(before) - 1)) / len(before), 1.0)
         ends += [first / size, 1.0 - last / size, gap / length]
-    left, right, wspace, bottom, top, hspace = ends
+    left_edge, right_edge, wspace, bottom, top, hspace = ends
     figure.subplots_adjust(
-        left=left,
-        right=max(right, left + 0.1),
+        left=left_edge,
+        right=max(right_edge, left_edge + 0.1),
         bottom=bottom,
         top=max(top, bottom + 0.1),
         wspace=wspace,
@@ -166,7 +176,7 @@ def _room_around(axes: Any) -> tuple[float, float, float, float]:
     axes.apply_aspect()
     panel = axes.get_window_extent()
     titles = [axes.get_title(loc=side) for side in ("left", "center", "right")]
-    above = (
+    top_room = (
         max(title.count("\n") + 1 if title else 0 for title in titles)
         * LINE
         * axes.title.get_fontsize()
@@ -182,21 +192,21 @@ def _room_around(axes: Any) -> tuple[float, float, float, float]:
                 *(Label(text, 0.0, 0.0, size, "start").box[2] + 2 * PAD for text in words),
             ]
         )
-        above += 3 * LINE * size if other.get_xlabel() else 0.0
+        top_room += 3 * LINE * size if other.get_xlabel() else 0.0
     if not axes.axison:
-        return 0.0, 0.0, label_width, above
+        return 0.0, 0.0, label_width, top_room
     boxes = [
         label.box
         for axis in (axes.xaxis, axes.yaxis)
         if axis.get_visible()
         for label in _labels(axis, _ticks(axis))
     ]
-    left, bottom, right, top = np.array([*boxes, (panel.x0, panel.y0, panel.x1, panel.y1)]).T
+    x_min, y_min, x_max, y_max = np.array([*boxes, (panel.x0, panel.y0, panel.x1, panel.y1)]).T
     return (
-        panel.x0 - float(left.min()),
-        panel.y0 - float(bottom.min()),
-        max(float(right.max()) - panel.x1, label_width),
-        max(float(top.max()) - panel.y1, above),
+        panel.x0 - float(x_min.min()),
+        panel.y0 - float(y_min.min()),
+        max(float(x_max.max()) - panel.x1, label_width),
+        max(float(y_max.max()) - panel.y1, top_room),
     )
 
 
@@ -250,7 +260,7 @@ def _ticks(axis: Any) -> list[Tick]:
     """Return the ticks of an axis within its panel."""
     from matplotlib.ticker import NullLocator
 
-    upright, panel, found = axis.axis_name == "y", axis.axes.get_window_extent(), []
+    upright, panel, ticks = axis.axis_name == "y", axis.axes.get_window_extent(), []
     low, high = (panel.y0, panel.y1) if upright else (panel.x0, panel.x1)
     transform = (
         axis.axes.get_yaxis_transform("grid") if upright else axis.axes.get_xaxis_transform("grid")
@@ -266,15 +276,15 @@ def _ticks(axis: Any) -> list[Tick]:
                 0
             ].tick1line.get_markersize()
             formatter = axis.get_minor_formatter() if minor else axis.get_major_formatter()
-            places = transform.transform(np.column_stack([values, values]))[
+            positions = transform.transform(np.column_stack([values, values]))[
                 :, int(upright)
             ].tolist()
-            found += [
+            ticks += [
                 Tick(at, _plain(words), length, minor)
-                for at, words in zip(places, formatter.format_ticks(values), strict=True)
+                for at, words in zip(positions, formatter.format_ticks(values), strict=True)
                 if low - 0.5 < at < high + 0.5
             ]
-    return found
+    return ticks
 
 
 def _labels(axis: Any, ticks: Sequence[Tick]) -> list[Label]:
@@ -285,31 +295,31 @@ def _labels(axis: Any, ticks: Sequence[Tick]) -> list[Label]:
         axis.axis_name == "y",
     )
     size, angle = model.label1.get_fontsize(), model.label1.get_rotation()
-    away = (model.tick1line.get_markersize() if model.tick1line.get_visible() else 0.0) + PAD
+    label_gap = (model.tick1line.get_markersize() if model.tick1line.get_visible() else 0.0) + PAD
     anchor = {"left": "start", "center": "middle", "right": "end"}[
         model.label1.get_horizontalalignment()
     ]
     # Where the text of an axis begins: its right end or its upper one.
-    rim, found = (panel.x0 if upright else panel.y0) - away, []
+    rim, labels = (panel.x0 if upright else panel.y0) - label_gap, []
     if model.label1.get_visible():
         lines = max((tick.words.count("\n") + 1 for tick in ticks), default=1)
         level = rim if upright else rim - 0.5 * LINE * size * lines
         for tick in (tick for tick in ticks if tick.words):
             x, y = (level, tick.at) if upright else (tick.at, level)
-            found.append(Label(tick.words, x, y, size, anchor, angle))
-        rim = min((label.box[1 - upright] for label in found), default=rim)
+            labels.append(Label(tick.words, x, y, size, anchor, angle))
+        rim = min((label.box[1 - upright] for label in labels), default=rim)
         if factor := _plain(axis.get_major_formatter().get_offset()):
-            place = (panel.x0, panel.y1 + size) if upright else (panel.x1, rim - 0.6 * size)
-            found.append(Label(factor, *place, size, "start" if upright else "end"))
+            position = (panel.x0, panel.y1 + size) if upright else (panel.x1, rim - 0.6 * size)
+            labels.append(Label(factor, *position, size, "start" if upright else "end"))
     if words := axis.label.get_text():
-        wide = axis.label.get_fontsize()
+        font_size = axis.label.get_fontsize()
         middle, rim = (
             0.5 * (panel.y0 + panel.y1),
-            rim - PAD - 0.5 * LINE * wide * (words.count("\n") + 1),
+            rim - PAD - 0.5 * LINE * font_size * (words.count("\n") + 1),
         )
-        place = (rim, middle) if upright else (0.5 * (panel.x0 + panel.x1), rim)
-        found.append(Label(words, *place, wide, angle=90.0 if upright else 0.0))
-    return found
+        position = (rim, middle) if upright else (0.5 * (panel.x0 + panel.x1), rim)
+        labels.append(Label(words, *position, font_size, angle=90.0 if upright else 0.0))
+    return labels
 
 
 def _plain(words: str) -> str:

@@ -45,17 +45,17 @@ class FrequencyUnit:
     two_way: bool = False  #: Whether edges are of every second line, of one direction of a scan
 
     def __post_init__(self) -> None:
-        held = {
+        lengths = {
             "pitch_um": self.pitch_x_um,
             "focal_length_mm": self.focal_length_mm,
             "demagnification": self.demagnification,
         }
-        options = {name: f"--{name.replace('_', '-')}" for name in held}
-        for name, length in held.items():
+        options = {name: f"--{name.replace('_', '-')}" for name in lengths}
+        for name, length in lengths.items():
             if length is not None and not (math.isfinite(length) and length > 0):
                 raise BadInput(f"{options[name]} must be positive, got {length:g}")
         needs = () if self.pitch_mrad and self.unit in ANGLES else NEEDS.get(self.unit, ())
-        if missing := [name for name in needs if held[name] is None]:
+        if missing := [name for name in needs if lengths[name] is None]:
             remedies = " and ".join(options[name] for name in missing)
             raise BadInput(
                 f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}, "
@@ -106,7 +106,7 @@ class FrequencyUnit:
             if focal_length_mm is None:
                 focal_length_mm = float(sensor.optics.focal_length_mm)
         pitch_x_um, pitch_y_um = (
-            None if one is None else sample_pitch_px * one for one in (pitch_um, pitch_y_um)
+            None if pitch is None else sample_pitch_px * pitch for pitch in (pitch_um, pitch_y_um)
         )
         return cls(
             unit=unit,

@@ -107,17 +107,17 @@ def leading(session: Session, result: Result) -> tuple[Measurement, ...]:
     """Return the measurement of each quantity and unit of the data sheet: the first ok one, else
     the first value.
     """
-    found: list[Measurement] = []
+    leading_measurements: list[Measurement] = []
     for quantity in TUBE_SHEET if is_tube(session, result) else CAMERA_SHEET:
-        own = [m for m in result.find(quantity) if m.value is not None]
+        of_quantity = [m for m in result.find(quantity) if m.value is not None]
         if quantity == "bloom_diameter":  # one for each exposure of the source: that of the longest
-            own.sort(key=lambda m: m.value or 0.0, reverse=True)
-        units = dict.fromkeys(m.unit for m in own)
-        found += (
-            min((m for m in own if m.unit == unit), key=lambda m: m.status != "ok")
+            of_quantity.sort(key=lambda m: m.value or 0.0, reverse=True)
+        units = dict.fromkeys(m.unit for m in of_quantity)
+        leading_measurements += (
+            min((m for m in of_quantity if m.unit == unit), key=lambda m: m.status != "ok")
             for unit in units
         )
-    return tuple(found)
+    return tuple(leading_measurements)
 
 
 def sheet(session: Session, result: Result) -> tuple[SheetRow, ...]:
@@ -184,20 +184,20 @@ def _value(m: Measurement, unit: FrequencyUnit) -> str:
 
 def verdict(session: Session, result: Result, validation: "Validation | None") -> Verdict:
     """Return the verdict on the leading quantities and, where there is one, on the validation."""
-    found = leading(session, result)
-    if not found:
+    sheet = leading(session, result)
+    if not sheet:
         reason = next(
             (m.reason for m in result.measurements if m.reason), "the session has no measurement"
         )
         return Verdict(status="refused", heading="Nothing could be measured", reasons=(reason,))
-    suspect = [m for m in found if m.status != "ok"]
+    suspect = [m for m in sheet if m.status != "ok"]
     reasons = tuple(_reasons(suspect))
     if validation is not None and not validation.passed:
-        failed = [one.title for one in validation.statistics if not one.passed]
+        failed = [statistic.title for statistic in validation.statistics if not statistic.passed]
         controls = [
-            f"a null control did not hold in {', '.join(one.noticed_by)}: {one.title}"
-            for one in validation.controls
-            if one.name == "null" and not one.passed
+            f"a null control did not hold in {', '.join(control.noticed_by)}: {control.title}"
+            for control in validation.controls
+            if control.name == "null" and not control.passed
         ] or ["no negative control was noticed"]
         why = (
             "simulated frames of the fitted sensor differ in " + ", ".join(failed)
@@ -208,18 +208,19 @@ def verdict(session: Session, result: Result, validation: "Validation | None") -
             status="refused", heading="Do not trust the fitted sensor", reasons=(why, *reasons)
         )
     grave = [m for m in suspect if GRAVE & set(m.flags)]
-    if len(suspect) > len(found) / 2 or len(grave) > 1:
+    if len(suspect) > len(sheet) / 2 or len(grave) > 1:
         return Verdict(
             status="refused",
-            heading=f"Do not trust: {len(suspect)} of {len(found)} leading numbers are suspect",
+            heading=f"Do not trust: {len(suspect)} of {len(sheet)} leading numbers are suspect",
             reasons=reasons,
         )
     checked = "" if validation is None else ", and simulated frames agree with the measured ones"
     if suspect:
-        heading = f"Look at {len(suspect)} of {len(found)} leading numbers before use"
+        heading = f"Look at {len(suspect)} of {len(sheet)} leading numbers before use"
         return Verdict(status="suspect", heading=heading, reasons=reasons)
     return Verdict(
-        status="ok", heading=f"Fit for use: all {len(found)} leading numbers are ok{checked}"
+        status="ok",
+        heading=f"Fit for use: all {len(sheet)} leading numbers are ok{checked}",
     )
 
 
@@ -229,22 +230,27 @@ def _reasons(suspect: Sequence[Measurement]) -> list[str]:
     """
     sentences = []
     for flag in dict.fromkeys(flag for m in suspect for flag in m.flags):
-        own = [m for m in suspect if flag in m.flags]
+        flagged = [m for m in suspect if flag in m.flags]
         findings = [
-            note.partition(": ")[2] for m in own for note in m.notes if note.startswith(f"{flag}: ")
+            note.partition(": ")[2]
+            for m in flagged
+            for note in m.notes
+            if note.startswith(f"{flag}: ")
         ]
-        quantities = ", ".join(dict.fromkeys(m.quantity for m in own))
+        quantities = ", ".join(dict.fromkeys(m.quantity for m in flagged))
         sentences.append(f"{quantities}: {findings[0] if findings else FLAGS[flag]} ({flag})")
     return sentences
 
 
 def leading_figures(figures: Sequence[Figure]) -> tuple[Figure, ...]:
     """Return the figures of the first page besides the MTF."""
-    found = []
+    chosen = []
     for kinds in FIGURES:
-        own = [figure for kind in kinds for figure in figures if figure.kind == kind and figure.svg]
-        found += own[:1]
-    return tuple(found)
+        of_kinds = [
+            figure for kind in kinds for figure in figures if figure.kind == kind and figure.svg
+        ]
+        chosen += of_kinds[:1]
+    return tuple(chosen)
 
 
 def downloads(session: Session, result: Result) -> tuple[tuple[str, str], ...]:

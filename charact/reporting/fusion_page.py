@@ -41,7 +41,7 @@ class MethodSection:
 
 def fusion_page(
     bands: Sequence[NDArray[np.uint8]],
-    found: Mapping[str, Fused],
+    fused_by_method: Mapping[str, Fused],
     scores: Rows,
     truths: Rows,
     *,
@@ -53,13 +53,13 @@ def fusion_page(
     ----------
     bands
         Bands as they were fused, codes of 8 bits, shape (row, col) each.
-    found, scores, truths
+    fused_by_method, scores, truths
         Fused pictures, their scores, and scores against the truth (empty: none), by method.
     aspect
         Row pitch over column pitch.
     """
-    first = next(iter(found.values()))
-    rows = [row for one in found.values() for row in one.measurements]
+    first = next(iter(fused_by_method.values()))
+    rows = [row for fused in fused_by_method.values() for row in fused.measurements]
     notes = dict.fromkeys(note for row in rows for note in row.notes)
     flags = list(dict.fromkeys(flag for row in rows for flag in row.flags))
     findings = [note for note in notes if note.split(":")[0] in flags]
@@ -75,7 +75,9 @@ def fusion_page(
             _image(codes, name, span, aspect)
             for codes, name, span in zip(bands, first.names, spans, strict=True)
         ],
-        methods=[_section(name, one, bands[0], aspect) for name, one in found.items()],
+        methods=[
+            _section(name, fused, bands[0], aspect) for name, fused in fused_by_method.items()
+        ],
         tables=[
             _table("Scores of the literature", scores),
             *([_table("Against the truth", truths)] if truths else []),
@@ -83,32 +85,32 @@ def fusion_page(
     )
 
 
-def _section(name: str, found: Fused, visible: NDArray[np.uint8], aspect: float) -> MethodSection:
-    values = {row.quantity: row.value for row in found.measurements if row.value is not None}
+def _section(name: str, fused: Fused, visible: NDArray[np.uint8], aspect: float) -> MethodSection:
+    values = {row.quantity: row.value for row in fused.measurements if row.value is not None}
     shares = [
         f"{row.stack} {100.0 * row.value:.0f} %"
-        for row in found.measurements
+        for row in fused.measurements
         if row.quantity == "fused_share" and row.value is not None
     ]
-    pictures = [_image(found.codes, name, "", aspect)]
-    if found.sd.size:
-        sd = found.sd if found.sd.ndim == 2 else np.sqrt(np.mean(found.sd**2, axis=-1))
+    pictures = [_image(fused.codes, name, "", aspect)]
+    if fused.sd.size:
+        sd = fused.sd if fused.sd.ndim == 2 else np.sqrt(np.mean(fused.sd**2, axis=-1))
         top = float(np.percentile(sd, 99.5))
         pictures.append(
             _image(
                 codes_of(sd / max(top, 1e-12)), "Standard deviation", f"White {top:.2g}.", aspect
             )
         )
-    if found.share.size:
-        top = float(np.percentile(found.share[0], 99.5))
-        shown = codes_of(found.share[0] / max(top, 1e-12))
+    if fused.share.size:
+        top = float(np.percentile(fused.share[0], 99.5))
+        shown = codes_of(fused.share[0] / max(top, 1e-12))
         pictures.append(
-            _image(shown, f"Share of {found.names[0]}", f"White {100.0 * top:.3g} %.", aspect)
+            _image(shown, f"Share of {fused.names[0]}", f"White {100.0 * top:.3g} %.", aspect)
         )
-    pictures.append(_image(_marked(found.marks, visible), "Marks", _legend(found.marks), aspect))
+    pictures.append(_image(_marked(fused.marks, visible), "Marks", _legend(fused.marks), aspect))
     return MethodSection(
         name=name,
-        status=found.measurements[0].status,
+        status=fused.measurements[0].status,
         noise=f"{values.get('fused_noise', np.nan):.2g}",
         filled=f"{100.0 * values.get('fused_filled_area', 0.0):.2g} %",
         shares=", ".join(shares),
@@ -130,8 +132,10 @@ def _legend(marks: NDArray[np.uint8]) -> str:
         f"{name} {100.0 * np.mean((marks & MARKS[name]) > 0):.2g} % ({words[name]})"
         for name in MARK_COLOURS
     ]
-    whole = " Not registered." if marks.any() and (marks & MARKS["unregistered"]).all() else ""
-    return f"{', '.join(parts)}.{whole}"
+    registration_note = (
+        " Not registered." if marks.any() and (marks & MARKS["unregistered"]).all() else ""
+    )
+    return f"{', '.join(parts)}.{registration_note}"
 
 
 def _image(codes: NDArray[np.uint8], title: str, caption: str, aspect: float) -> ReportImage:
@@ -158,8 +162,8 @@ def _table(title: str, rows: Rows) -> dict[str, object]:
     """
     first = next(iter(rows.values()))
     body = [
-        (name, [(_text(row.value), _text(row.noise_control)) for row in own])
-        for name, own in rows.items()
+        (name, [(_text(row.value), _text(row.noise_control)) for row in scores])
+        for name, scores in rows.items()
     ]
     body.append(("copy of the visible band", [(_text(row.copy_control), "") for row in first]))
     return {

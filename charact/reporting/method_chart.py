@@ -44,11 +44,11 @@ def failure_lines(quantity: str, rows: Sequence[Row]) -> Iterator[str]:
     yield f"{'method':20}" + "".join(f"{name:>9}" for name in (*names, "missed"))
     for row in rows:
         missed = row.get("missed_fraction")
-        share = "" if missed is None else f"{100 * missed:.1f} %"
+        missed_text = "" if missed is None else f"{100 * missed:.1f} %"
         yield (
             f"{row['method']:20}"
             + "".join(f"{row.get(name, 0):9d}" for name in names)
-            + f"{share:>9}"
+            + f"{missed_text:>9}"
         )
 
 

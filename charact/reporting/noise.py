@@ -68,13 +68,13 @@ def _plot_fitted(
 
 def _slopes(axes: Any, data: Data, signal: Any) -> None:
     """Plot lines of the measured gains."""
-    reach = np.array([0.0, float(np.max(signal))])
+    signal_range = np.array([0.0, float(np.max(signal))])
     covariance, blur = data.get("covariance_gain_dn"), data.get("blur_factor")
     if covariance is not None:
         plot_line(
             axes,
-            reach,
-            covariance * reach,
+            signal_range,
+            covariance * signal_range,
             color=MODEL,
             label=f"covariance gain {covariance:.4g} DN",
         )
@@ -85,14 +85,20 @@ def _slopes(axes: Any, data: Data, signal: Any) -> None:
             )
             plot_line(
                 axes,
-                reach,
-                covariance * blur / lag * reach,
+                signal_range,
+                covariance * blur / lag * signal_range,
                 color=DATA,
                 linestyle="--",
                 label=label,
             )
     if (gain := data.get("system_gain_dn_per_e")) is not None:
-        plot_line(axes, reach, gain * reach, color=THIRD, label=f"system gain {gain:.4g} DN/e-")
+        plot_line(
+            axes,
+            signal_range,
+            gain * signal_range,
+            color=THIRD,
+            label=f"system gain {gain:.4g} DN/e-",
+        )
 
 
 def plot_noise_spectrum(data: Data) -> Any:
@@ -102,28 +108,28 @@ def plot_noise_spectrum(data: Data) -> Any:
     figure, axes = panel((5.6, 3.8))
     radius, angle = first_array(data, "radius_cy_per_px"), np.abs(first_array(data, "angle_deg"))
     power, sd, model = (first_array(data, name) for name in ("power_dn", "power_sd_dn", "model_dn"))
-    used = first_array(data, "used").astype(bool)
-    for colour, own, label in (
-        (DATA, used & (angle < 30), "near horizontal frequency"),
-        (THIRD, used & (angle > 60), "near vertical frequency"),
+    fitted = first_array(data, "used").astype(bool)
+    for colour, in_sector, label in (
+        (DATA, fitted & (angle < 30), "near horizontal frequency"),
+        (THIRD, fitted & (angle > 60), "near vertical frequency"),
     ):
-        if own.any():
+        if in_sector.any():
             plot_points(
                 axes,
-                radius[own],
-                power[own],
-                sd[own],
+                radius[in_sector],
+                power[in_sector],
+                sd[in_sector],
                 color=colour,
                 alpha=0.6,
                 label=f"{label}, ± 1 sd",
             )
-            order = np.argsort(radius[own])
-            plot_line(axes, radius[own][order], model[own][order], color=colour)
-    if not used.all():
+            order = np.argsort(radius[in_sector])
+            plot_line(axes, radius[in_sector][order], model[in_sector][order], color=colour)
+    if not fitted.all():
         plot_points(
             axes,
-            radius[~used],
-            power[~used],
+            radius[~fitted],
+            power[~fitted],
             color=INK,
             alpha=0.25,
             markersize=1.8,
@@ -156,12 +162,18 @@ def plot_post_gain_noise(data: Data) -> Any:
         first_array(data, "power_dn2") - first_array(data, "dark_dn2"),
     )
     model = first_array(data, "white_dn2") + first_array(data, "pulses_dn2")
-    for colour, own, label in (
+    for colour, in_sector, label in (
         (DATA, row < 0.27 * column, "near horizontal frequency"),
         (THIRD, column < 0.27 * row, "near vertical frequency"),
     ):
         plot_points(
-            axes, radius[own], power[own], color=colour, alpha=0.4, markersize=2.0, label=label
+            axes,
+            radius[in_sector],
+            power[in_sector],
+            color=colour,
+            alpha=0.4,
+            markersize=2.0,
+            label=label,
         )
     label = "fitted: white floor and blurred pulses"
     axes.plot(radius, model, ".", color=MODEL, markersize=1.5, alpha=0.5, label=label)
@@ -245,26 +257,28 @@ def plot_predictive_checks(data: Data) -> Any:
     """
     figure, axes = panel((5.8, 3.6))
     signs = list(dict.fromkeys(data["sign"]))
-    away = (first_array(data, "measured") - first_array(data, "expected")) / first_array(data, "sd")
+    deviations = (first_array(data, "measured") - first_array(data, "expected")) / first_array(
+        data, "sd"
+    )
     row = np.array([signs.index(sign) for sign in data["sign"]], float)
     axes.axvspan(-2.0, 2.0, color=MODEL, alpha=0.15, linewidth=0, label="95 % of predicted frames")
     stacks = list(dict.fromkeys(data["stack"]))
     for number, stack in enumerate(stacks):
-        own = np.array([one == stack for one in data["stack"]])
-        place = row[own] + 0.16 * (number - 0.5 * (len(stacks) - 1))
+        of_stack = np.array([label == stack for label in data["stack"]])
+        positions = row[of_stack] + 0.16 * (number - 0.5 * (len(stacks) - 1))
         plot_points(
             axes,
-            away[own],
-            place,
+            deviations[of_stack],
+            positions,
             color=COLOURS[number % len(COLOURS)],
             markersize=4.5,
             label=stack,
         )
     axes.set_xscale("symlog", linthresh=3.0)
-    most = float(np.abs(away).max())
-    ticks = [tick for tick in (1, 3, 10, 30, 100, 300) if tick < 2.0 * most or tick <= 3]
+    largest = float(np.abs(deviations).max())
+    ticks = [tick for tick in (1, 3, 10, 30, 100, 300) if tick < 2.0 * largest or tick <= 3]
     axes.set_xticks([-tick for tick in ticks[::-1]] + [0, *ticks])
-    axes.set(xlim=(-1.3 * max(most, 3.0), 1.3 * max(most, 3.0)))
+    axes.set(xlim=(-1.3 * max(largest, 3.0), 1.3 * max(largest, 3.0)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(signs)), signs)
     axes.set(xlabel="measured minus expected (standard deviations)", ylim=(len(signs) - 0.5, -0.5))
@@ -335,11 +349,11 @@ def plot_noise_against_gain(data: Data) -> Any:
     return figure
 
 
-def _few_ticks(axes: Any, places: Any) -> None:
+def _few_ticks(axes: Any, positions: Any) -> None:
     """Set ticks at data positions; a logarithmic axis of less than a decade has too few."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-    axes.xaxis.set_major_locator(FixedLocator(places[:: max(1, -(-len(places) // 5))]))
+    axes.xaxis.set_major_locator(FixedLocator(positions[:: max(1, -(-len(positions) // 5))]))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
 
@@ -355,15 +369,15 @@ def plot_noise_by_gain(data: Data) -> Any:
             np.asarray(data["signal_dn"][number], float),
             np.asarray(data["noise_dn"][number], float),
         )
-        own = {
+        line_style = {
             "color": COLOURS[number % len(COLOURS)],
             "marker": "o",
             "markersize": 3.5,
             "linewidth": 0.9,
         }
-        grid[0, 0].plot(signal, noise, label=name, **own)
+        grid[0, 0].plot(signal, noise, label=name, **line_style)
         if lights and data["light"][number] is not None:
-            grid[0, 1].plot(np.asarray(data["light"][number], float), signal, **own)
+            grid[0, 1].plot(np.asarray(data["light"][number], float), signal, **line_style)
     grid[0, 0].set(
         xscale="log",
         yscale="log",
@@ -467,9 +481,9 @@ def plot_pulse_heights(data: Data) -> Any:
     """
     figure, axes = panel((5.8, 3.8))
     edge, measured = first_array(data, "edge_dn"), first_array(data, "density_per_dn")
-    seen = measured > 0
+    occupied = measured > 0
     middle = 0.5 * (edge[1:] + edge[:-1])
-    axes.plot(middle[seen], measured[seen], ".", color=DATA, markersize=4, label="measured")
+    axes.plot(middle[occupied], measured[occupied], ".", color=DATA, markersize=4, label="measured")
     value = first_array(data, "value_dn")
     law, noise = first_array(data, "law_per_dn"), first_array(data, "noise_per_dn")
     plot_line(axes, value, law, color=MODEL, label="fitted pulse-height distribution")
@@ -479,11 +493,11 @@ def plot_pulse_heights(data: Data) -> Any:
         response, color=WARN, linewidth=0.9, linestyle=":", label="mean pulse, centred on its pixel"
     )
     # Lower limit: a tenth of one counted value.
-    least = 0.1 / float(data["values"]) / float(edge[1] - edge[0])
+    lowest_density = 0.1 / float(data["values"]) / float(edge[1] - edge[0])
     high, broad = (int(size) for size in np.asarray(data["filter_px"]))
     axes.set(
         yscale="log",
-        ylim=(least, 5.0 * float(measured.max())),
+        ylim=(lowest_density, 5.0 * float(measured.max())),
         ylabel="density of the values (1/DN)",
         xlabel=f"sum of {high} x {broad} px minus the row level (DN)",
     )

@@ -96,8 +96,8 @@ def plus_minus(measurement: Measurement) -> str:
         return value_text(measurement)
     low, high = measurement.interval95
     if low == high:  # exact: a count, or a limit of the pixels
-        whole = float(measurement.value).is_integer()
-        return f"{measurement.value:.0f}" if whole else round_to_spread(measurement.value)
+        is_integer = float(measurement.value).is_integer()
+        return f"{measurement.value:.0f}" if is_integer else round_to_spread(measurement.value)
     exponent, digits = _format(measurement.value, spread_of(measurement))
     numbers = (measurement.value, high - measurement.value, measurement.value - low)
     value, up, down = (_mantissa(number, exponent, digits) for number in numbers)

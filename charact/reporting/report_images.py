@@ -69,9 +69,9 @@ def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> s
     )
     low, high = limits
     grey = np.clip((small - low) / (high - low) * 255, 0, 255).astype(np.uint8)
-    held = BytesIO()
-    Image.fromarray(grey).save(held, format="JPEG", quality=quality)
-    return base64.b64encode(held.getvalue()).decode("ascii")
+    buffer = BytesIO()
+    Image.fromarray(grey).save(buffer, format="JPEG", quality=quality)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
 def image_of(
@@ -135,11 +135,11 @@ def _picture(
         row, col, height, width = bright_region(stack.data.mean(axis=0))
         caption += f" Rows {row}–{row + height - 1}, cols {col}–{col + width - 1}."
     cut = frame[row : row + height, col : col + width]
-    found = image_of(
+    image = image_of(
         cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session)
     )
-    whole = (height, width) == frame.shape
-    return replace(found, boxes=_boxes(entry, measurements) if whole else ())
+    is_full_frame = (height, width) == frame.shape
+    return replace(image, boxes=_boxes(entry, measurements) if is_full_frame else ())
 
 
 def bright_region(mean: NDArray) -> tuple[int, int, int, int]:
@@ -153,11 +153,11 @@ def bright_region(mean: NDArray) -> tuple[int, int, int, int]:
     rows, cols = (np.flatnonzero((mean > half).any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return (0, 0, *mean.shape)
-    share = max(2.5 * np.ptp(rows) / mean.shape[0], 2.5 * np.ptp(cols) / mean.shape[1], 0.15)
-    height, width = (min(int(share * size), size) for size in mean.shape)
+    fraction = max(2.5 * np.ptp(rows) / mean.shape[0], 2.5 * np.ptp(cols) / mean.shape[1], 0.15)
+    height, width = (min(int(fraction * size), size) for size in mean.shape)
     top = int(np.clip((rows[0] + rows[-1] - height) // 2, 0, mean.shape[0] - height))
-    left = int(np.clip((cols[0] + cols[-1] - width) // 2, 0, mean.shape[1] - width))
-    return top, left, height, width
+    first_col = int(np.clip((cols[0] + cols[-1] - width) // 2, 0, mean.shape[1] - width))
+    return top, first_col, height, width
 
 
 def aspect_of(session: Session) -> float:

@@ -19,7 +19,7 @@ def plot_resolution(data: Mapping[str, Any]) -> Any:
     from matplotlib.ticker import NullFormatter
 
     figure, grid = panels(1, 2, size=(6.4, 3.4))
-    left, right = grid[0]
+    limit_axes, contrast_axes = grid[0]
     light = first_array(data, "illuminance_lux")
     for colour, direction in zip(COLOURS, data["directions"], strict=False):
         known = [
@@ -30,7 +30,7 @@ def plot_resolution(data: Mapping[str, Any]) -> Any:
             if limit is not None
         ]
         lux, limit, low, high = zip(*known, strict=True)
-        left.errorbar(
+        limit_axes.errorbar(
             lux,
             limit,
             yerr=arms(limit, low, high),
@@ -39,26 +39,30 @@ def plot_resolution(data: Mapping[str, Any]) -> Any:
             markersize=3.5,
             label=DIRECTIONS[direction["orientation_deg"]],
         )
-    left.set(
+    limit_axes.set(
         xscale="log",
         xlabel="illuminance on the photocathode (lux)",
         ylabel="limiting resolution (lp/mm)",
     )
-    left.xaxis.set_minor_formatter(NullFormatter())
-    left.legend(fontsize=7)
+    limit_axes.xaxis.set_minor_formatter(NullFormatter())
+    limit_axes.legend(fontsize=7)
     first = data["directions"][0]
     step = -(-len(light) // MOST_LIGHTS)
     for colour, lux, contrast in zip(
         COLOURS, light[::step], first["contrast"][::step], strict=False
     ):
         plot_line(
-            right, first["frequency_lp_per_mm"], contrast, color=colour, label=f"{lux:.2g} lux"
+            contrast_axes,
+            first["frequency_lp_per_mm"],
+            contrast,
+            color=colour,
+            label=f"{lux:.2g} lux",
         )
-    right.set(
+    contrast_axes.set(
         yscale="log",
         ylim=(None, 1.0),
         xlabel=f"frequency {DIRECTIONS[first['orientation_deg']]} (lp/mm)",
         ylabel="least resolvable contrast (1)",
     )
-    right.legend(fontsize=7)
+    contrast_axes.legend(fontsize=7)
     return figure

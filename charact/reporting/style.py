@@ -106,12 +106,12 @@ def panel(size: tuple[float, float] = (5.6, 3.4), **labels: Any) -> tuple[Any, A
     return figure, grid[0, 0]
 
 
-def subsample(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64], ...]:
-    """Return arrays of equal length with at most `most` points at equal intervals."""
+def subsample(*columns: ArrayLike, max_points: int = 300) -> tuple[NDArray[np.float64], ...]:
+    """Return arrays of equal length with at most `max_points` points at equal intervals."""
     arrays = [np.asarray(column, float) for column in columns]
     length = min(len(array) for array in arrays)
     keep = (
-        np.unique(np.linspace(0, length - 1, min(length, most)).round().astype(int))
+        np.unique(np.linspace(0, length - 1, min(length, max_points)).round().astype(int))
         if length
         else np.arange(0)
     )
@@ -148,9 +148,9 @@ def plot_points(
     """Plot points with error bars of one standard uncertainty."""
     options = {"markersize": 2.8, "linestyle": "", "marker": "o", **options}
     if sd is None:
-        axes.plot(*subsample(x, y, most=160), **options)
+        axes.plot(*subsample(x, y, max_points=160), **options)
         return
-    horizontal, vertical, arm = subsample(x, y, sd, most=160)
+    horizontal, vertical, arm = subsample(x, y, sd, max_points=160)
     axes.errorbar(horizontal, vertical, yerr=np.abs(arm), elinewidth=0.8, **options)
 
 

@@ -82,23 +82,23 @@ def summary(
     """
     valued = [m for m in result.measurements if m.value is not None]
     refused = [m for m in result.measurements if m.value is None]
-    lines = _wrap(_header(title, result), "", width, most=2)
+    lines = _wrap(_header(title, result), "", width, max_lines=2)
     rows, hidden = _rows(valued, frequency or _as_measured, width)
-    for section, own in groupby(rows, key=lambda row: row.section):
+    for section, section_rows in groupby(rows, key=lambda row: row.section):
         lines += [section] * bool(section)
-        lines += [line for row in own for line in row.lines(width)]
+        lines += [line for row in section_rows for line in row.lines(width)]
     shown = [m for row in rows for m in row.measurements]
     lines += _flag_lines(valued, width)
     lines += _reason_lines([m for m in refused if m.refusal != "not-applicable"], width)
     lines += _note_lines(shown, width)
     doubtful = sum(m.status == "suspect" for m in hidden)
     of_them = f", {doubtful} of them suspect" if doubtful else ""
-    left = {
+    omissions = {
         f"{len(hidden)} more values{of_them}": len(hidden),
         f"{(count := sum(m.refusal == 'not-applicable' for m in refused))} not applicable": count,
     }
-    if further := [text for text, number in left.items() if number]:
-        lines += _wrap(f"Not shown: {', '.join(further)} (--all)", "", width, most=1)
+    if further := [text for text, number in omissions.items() if number]:
+        lines += _wrap(f"Not shown: {', '.join(further)} (--all)", "", width, max_lines=1)
     return "\n".join(lines)
 
 
@@ -111,7 +111,7 @@ def rows_of_file(name: str, result: Result, frequency: Frequency | None = None) 
         by_region.setdefault(m.region, []).append(m)
     for region, members in by_region.items():
         leading = next((m for m in members if m.quantity == "mtf50"), members[0])
-        place = (
+        roi = (
             f" [{','.join(map(str, region))}]"
             if isinstance(region, tuple) and len(by_region) > 1
             else ""
@@ -121,7 +121,7 @@ def rows_of_file(name: str, result: Result, frequency: Frequency | None = None) 
             if leading.value is not None
             else leading.reason or ""
         )
-        yield f"{name + place:<44} {leading.quantity} {number:<30} {verdict_of(leading)}".rstrip()
+        yield f"{name + roi:<44} {leading.quantity} {number:<30} {verdict_of(leading)}".rstrip()
 
 
 def _as_measured(frequency_cy_per_px: float, of: Measurement | None = None) -> tuple[float, str]:
@@ -156,16 +156,16 @@ class Row:
         self.measurements = of
 
     def lines(self, width: int) -> list[str]:
-        """Return the row, its end on a second line where the width does not hold it."""
+        """Return the row, continued on further lines where it exceeds the width."""
         indent = "  " if self.section else ""
         first = f"{indent}{self.name:<22} {self.number:<32} {self.verdict}"
-        whole = f"{first:<{len(indent) + 68}} {self.where}".rstrip() if self.where else first
-        if len(whole) <= width:
-            return [whole]
+        line = f"{first:<{len(indent) + 68}} {self.where}".rstrip() if self.where else first
+        if len(line) <= width:
+            return [line]
         text = f"{indent}{self.name} {self.number}, {self.verdict}" + (
             f", {self.where}" if self.where else ""
         )
-        return _wrap(text, f"{indent}    ", width, most=3)
+        return _wrap(text, f"{indent}    ", width, max_lines=3)
 
 
 def _rows(
@@ -186,39 +186,44 @@ def _rows(
     if not short:
         keys.sort(key=lambda key: order.index(key[0]) if key[0] in order else len(order))
     rows: list[Row] = []
-    sections, left = set(), ROW_LINES
+    sections, lines_left = set(), ROW_LINES
     for key in keys:
         section = "" if short else leading.get(key[0], "Other")
         for row in _rows_of(groups[key], section, frequency):
-            left -= len(row.lines(width)) + (bool(section) and section not in sections)
+            lines_left -= len(row.lines(width)) + (bool(section) and section not in sections)
             sections.add(section)
-            if left >= 0:
+            if lines_left >= 0:
                 rows.append(row)
     shown = {id(m) for row in rows for m in row.measurements}
     return rows, [m for m in valued if id(m) not in shown]
 
 
-def _rows_of(found: list[Measurement], section: str, frequency: Frequency) -> Iterator[Row]:
+def _rows_of(measurements: list[Measurement], section: str, frequency: Frequency) -> Iterator[Row]:
     """Yield the rows of one quantity: one for each measurement, or one for a series."""
-    if len(found) <= SERIES:
-        for m in found:
+    if len(measurements) <= SERIES:
+        for m in measurements:
             name = m.quantity + (
                 ""
                 if m.frequency_cy_per_px is None
                 else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
             )
             yield Row(
-                section, name, number_text(m, frequency), verdict_of(m), _where(m, found), [m]
+                section,
+                name,
+                number_text(m, frequency),
+                verdict_of(m),
+                _where(m, measurements),
+                [m],
             )
         return
-    values = [_display_value(m, frequency) for m in found]
-    unit = number_unit(found[0], frequency)
+    values = [_display_value(m, frequency) for m in measurements]
+    unit = number_unit(measurements[0], frequency)
     low, high = min(values), max(values)
     spread = max(high - low, 1e-12) / 50.0
     number = f"{round_to_spread(low, spread)} … {round_to_spread(high, spread)}{unit}"
-    counts = {status: sum(m.status == status for m in found) for status in ("ok", "suspect")}
+    counts = {status: sum(m.status == status for m in measurements) for status in ("ok", "suspect")}
     verdict = ", ".join(f"{n} {status}" for status, n in counts.items() if n)
-    yield Row(section, found[0].quantity, number, verdict, sparkline(values), found)
+    yield Row(section, measurements[0].quantity, number, verdict, sparkline(values), measurements)
 
 
 def number_text(m: Measurement, frequency: Frequency) -> str:
@@ -250,28 +255,28 @@ def verdict_of(m: Measurement) -> str:
 
 
 def _where(m: Measurement, among: list[Measurement]) -> str:
-    """Return stack, region and direction of a measurement, as far as they tell it from others."""
-    parts = [m.stack] if m.stack and len({one.stack for one in among}) > 1 else []
-    if m.region is not None and len({one.region for one in among}) > 1:
+    """Return stack, region and direction of a measurement, those that differ among the others."""
+    parts = [m.stack] if m.stack and len({other.stack for other in among}) > 1 else []
+    if m.region is not None and len({other.region for other in among}) > 1:
         parts.append(",".join(map(str, m.region)))
-    if m.orientation_deg is not None and len({one.orientation_deg for one in among}) > 1:
+    if m.orientation_deg is not None and len({other.orientation_deg for other in among}) > 1:
         parts.append(f"{m.orientation_deg:.3g} deg")
     return " ".join(parts)
 
 
-def sparkline(values: list[float], most: int = 30) -> str:
-    """Return values as bars of eight heights, at most `most` of them.
+def sparkline(values: list[float], max_bars: int = 30) -> str:
+    """Return values as bars of eight heights, at most `max_bars` of them.
 
     Examples
     --------
     >>> sparkline([0.0, 1.0, 2.0])
     '▁▅█'
     """
-    step = -(-len(values) // most)
-    kept = values[::step]
-    low, high = min(kept), max(kept)
+    step = -(-len(values) // max_bars)
+    shown = values[::step]
+    low, high = min(shown), max(shown)
     scale = (len(BARS) - 1) / (high - low) if high > low else 0.0
-    return "".join(BARS[int((value - low) * scale + 0.5)] for value in kept)
+    return "".join(BARS[int((value - low) * scale + 0.5)] for value in shown)
 
 
 def _flag_lines(shown: Iterable[Measurement], width: int) -> list[str]:
@@ -286,7 +291,7 @@ def _flag_lines(shown: Iterable[Measurement], width: int) -> list[str]:
         text = next(iter(findings), f"{flag}: {FLAGS[flag]}")
         quantities = list(dict.fromkeys(m.quantity for m in having))
         of = f" [{', '.join(quantities[:3])}{' ...' if len(quantities) > 3 else ''}]"
-        entries.append(_wrap(f"! {text}{of}", "    ", width, most=2))
+        entries.append(_wrap(f"! {text}{of}", "    ", width, max_lines=2))
     return _first_entries(entries, FLAG_LINES, "flags")
 
 
@@ -299,9 +304,10 @@ def _reason_lines(refused: list[Measurement], width: int) -> list[str]:
             reason.replace(m.stack, "the stack") if m.stack else reason, []
         ).append(m)
     entries = []
-    for reason, own in by_reason.items():
+    for reason, of_reason in by_reason.items():
         names, stacks = (
-            list(dict.fromkeys(getattr(m, name) for m in own)) for name in ("quantity", "stack")
+            list(dict.fromkeys(getattr(m, name) for m in of_reason))
+            for name in ("quantity", "stack")
         )
         named = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
         named += (
@@ -311,7 +317,7 @@ def _reason_lines(refused: list[Measurement], width: int) -> list[str]:
             if stacks[0]
             else ""
         )
-        entries.append(_wrap(f"  {named}: {reason}", "      ", width, most=2))
+        entries.append(_wrap(f"  {named}: {reason}", "      ", width, max_lines=2))
     return (
         ["Not measured", *_first_entries(entries, REASON_LINES - 1, "reasons")] if entries else []
     )
@@ -323,27 +329,27 @@ def _note_lines(shown: list[Measurement], width: int) -> list[str]:
         note for m in shown for note in m.notes if note.partition(":")[0] not in FLAGS
     )
     return _first_entries(
-        [_wrap(f"note: {note}", "    ", width, most=2) for note in notes], NOTE_LINES, "notes"
+        [_wrap(f"note: {note}", "    ", width, max_lines=2) for note in notes], NOTE_LINES, "notes"
     )
 
 
-def _first_entries(entries: list[list[str]], most: int, name: str) -> list[str]:
-    """Return the lines of the first entries that fit into `most` lines, and how many entries are
-    left out.
+def _first_entries(entries: list[list[str]], max_lines: int, name: str) -> list[str]:
+    """Return the lines of the first entries that fit into `max_lines` lines, and the number of
+    omitted entries.
     """
-    if sum(map(len, entries)) <= most:
+    if sum(map(len, entries)) <= max_lines:
         return [line for entry in entries for line in entry]
     lines: list[str] = []
     for number, entry in enumerate(entries):
-        if len(lines) + len(entry) > most - 1:
+        if len(lines) + len(entry) > max_lines - 1:
             return [*lines, f"and {len(entries) - number} more {name} (--all)"]
         lines += entry
     return lines
 
 
-def _wrap(text: str, indent: str, width: int, *, most: int) -> list[str]:
-    """Return text in lines of a width, cut after `most` of them with an ellipsis."""
+def _wrap(text: str, indent: str, width: int, *, max_lines: int) -> list[str]:
+    """Return text in lines of a width, cut after `max_lines` of them with an ellipsis."""
     lines = textwrap.wrap(
-        text, width - 2, subsequent_indent=indent, max_lines=most, placeholder=" …"
+        text, width - 2, subsequent_indent=indent, max_lines=max_lines, placeholder=" …"
     )
     return lines or [""]

@@ -49,15 +49,15 @@ def quantity_row(m: Measurement, where: str = "") -> dict[str, Any]:
 
 def places(m: Measurement) -> dict[str, str]:
     """Return stack, direction, region and time of a measurement as text."""
-    found = {"stack": m.stack} if m.stack else {}
+    texts = {"stack": m.stack} if m.stack else {}
     if m.orientation_deg is not None:
-        found["direction"] = f"{m.orientation_deg:.4g}° to the rows"
+        texts["direction"] = f"{m.orientation_deg:.4g}° to the rows"
     if m.region is not None:
         row, col, height, width = m.region
-        found["region"] = f"rows {row}–{row + height - 1}, cols {col}–{col + width - 1}"
+        texts["region"] = f"rows {row}–{row + height - 1}, cols {col}–{col + width - 1}"
     if m.seconds is not None:
-        found["time"] = time_text(m.seconds)
-    return found
+        texts["time"] = time_text(m.seconds)
+    return texts
 
 
 def quantity_groups(result: Result) -> tuple[dict[str, Any], ...]:
@@ -73,50 +73,54 @@ def quantity_groups(result: Result) -> tuple[dict[str, Any], ...]:
         stacks.setdefault(m.method, set()).add(m.stack or "whole session")
     groups: dict[tuple[str, str], list[Measurement]] = {}
     for m in sorted(result.measurements, key=lambda m: order.index(m.quantity)):
-        many = len(stacks[m.method]) > SERIES
-        stack = f"{len(stacks[m.method])} stacks" if many else m.stack or "whole session"
+        is_series = len(stacks[m.method]) > SERIES
+        stack = f"{len(stacks[m.method])} stacks" if is_series else m.stack or "whole session"
         groups.setdefault((stack, m.method), []).append(m)
-    return tuple(_group(stack, method, own) for (stack, method), own in groups.items())
+    return tuple(_group(stack, method, members) for (stack, method), members in groups.items())
 
 
-def _group(stack: str, method: str, own: list[Measurement]) -> dict[str, Any]:
+def _group(stack: str, method: str, members: list[Measurement]) -> dict[str, Any]:
     """Return a group with the attributes common to all rows in its title."""
-    where = [places(m) for m in own]
+    where = [places(m) for m in members]
     common = {
         key: text for key, text in where[0].items() if all(at.get(key) == text for at in where)
     }
-    rest = ["; ".join(text for key, text in at.items() if key not in common) for at in where]
-    flags = dict.fromkeys(flag for m in own for flag in m.flags)
-    notes = dict.fromkeys(note for m in own for note in m.notes)
+    row_places = ["; ".join(text for key, text in at.items() if key not in common) for at in where]
+    flags = dict.fromkeys(flag for m in members for flag in m.flags)
+    notes = dict.fromkeys(note for m in members for note in m.notes)
     return {
         "title": " · ".join(
             (stack, method, *(text for key, text in common.items() if key != "stack"))
         ),
-        "rows": [quantity_row(m, text) for m, text in zip(own, rest, strict=True)],
+        "rows": [quantity_row(m, text) for m, text in zip(members, row_places, strict=True)],
         "flags": [
-            (flag, FLAGS[flag], _scope_text(own, [m for m in own if flag in m.flags]))
+            (flag, FLAGS[flag], _scope_text(members, [m for m in members if flag in m.flags]))
             for flag in flags
         ],
-        "notes": [(note, _scope_text(own, [m for m in own if note in m.notes])) for note in notes],
+        "notes": [
+            (note, _scope_text(members, [m for m in members if note in m.notes])) for note in notes
+        ],
     }
 
 
-def _scope_text(own: list[Measurement], those: list[Measurement]) -> str:
+def _scope_text(members: list[Measurement], those: list[Measurement]) -> str:
     """Return the quantities and stacks of some measurements; "" if these are all with a value."""
-    if len(those) >= sum(m.value is not None for m in own) > 1:
+    if len(those) >= sum(m.value is not None for m in members) > 1:
         return ""
     quantities = ", ".join(dict.fromkeys(m.quantity for m in those))
     stacks = list(dict.fromkeys(m.stack or "whole session" for m in those))
-    if len(stacks) == len({m.stack for m in own}):
+    if len(stacks) == len({m.stack for m in members}):
         return quantities
     more = f" and {len(stacks) - SERIES} more" if len(stacks) > SERIES else ""
     return f"{quantities} of {', '.join(stacks[:SERIES])}{more}"
 
 
-def best(found: Iterable[Measurement]) -> Measurement | None:
+def best(measurements: Iterable[Measurement]) -> Measurement | None:
     """Return the first measurement with status ok, else the first with a value."""
     return min(
-        (m for m in found if m.value is not None), key=lambda m: m.status != "ok", default=None
+        (m for m in measurements if m.value is not None),
+        key=lambda m: m.status != "ok",
+        default=None,
     )
 
 
@@ -233,13 +237,13 @@ def chart_rows(result: Result) -> list[dict[str, str]]:
     """Return the chart rows of `auto`: measured error and time of every method for each quantity of
     the result.
     """
-    used = {m.method for m in result.measurements}
+    used_methods = {m.method for m in result.measurements}
     quantities = dict.fromkeys(m.quantity for m in result.measurements)
     return [
         {
             "quantity": quantity,
             "method": row["method"],
-            "used": "yes" if row["method"] in used else "no",
+            "used": "yes" if row["method"] in used_methods else "no",
             "error": f"{row['error_percent']:.2g} %",
             "seconds": time_text(row["seconds"]),
             "cases": short_text(row.get("cases")),
@@ -252,21 +256,21 @@ def chart_rows(result: Result) -> list[dict[str, str]]:
 
 def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
     """Return versions, seeds, settings and SHA-256 of inputs recorded in the measurements."""
-    kept = [(m.method, m.provenance) for m in measurements if m.provenance is not None]
+    records = [(m.method, m.provenance) for m in measurements if m.provenance is not None]
     settings: dict[str, dict[str, str]] = {}
-    for method, record in kept:
+    for method, record in records:
         settings.setdefault(method, {}).update(
             {key: short_text(value) for key, value in record.settings.items()}
         )
-    inputs = {path: digest for _, record in kept for path, digest in record.inputs.items()}
-    seeds = sorted({record.seed for _, record in kept if record.seed is not None})
+    inputs = {path: digest for _, record in records for path, digest in record.inputs.items()}
+    seeds = sorted({record.seed for _, record in records if record.seed is not None})
     return {
         "versions": [
             ("charact", __version__),
             ("Python", platform.python_version()),
             *((name, _installed(name)) for name in LIBRARIES),
         ],
-        "measured_by": sorted({record.version for _, record in kept}),
+        "measured_by": sorted({record.version for _, record in records}),
         "seeds": ", ".join(str(seed) for seed in seeds) or "none recorded",
         "settings": settings,
         "inputs": inputs,

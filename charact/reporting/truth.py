@@ -52,12 +52,12 @@ def compare_with_truth(result: Result, truth: Truth) -> tuple[TruthComparison, .
         True values by quantity, in the unit of the measurements. A function is called with the
         measurement's frequency (cy/px) and direction (degrees).
     """
-    found = [
+    known_values = [
         (m, truth[m.quantity])
         for m in result.measurements
         if m.value is not None and m.quantity in truth
     ]
-    return tuple(_comparison(m, _at(known, m)) for m, known in found)
+    return tuple(_comparison(m, _at(known, m)) for m, known in known_values)
 
 
 def _at(known: float | Callable[..., Any], measurement: Measurement) -> float:

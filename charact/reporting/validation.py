@@ -83,7 +83,7 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         blind=blind_pair(drawn.blind[0], validation.seed, aspect) if drawn.blind else None,
         pairs=tuple(_pictures(pair, aspect) for pair in drawn.pairs),
         patterns=tuple(_pictures(pair, aspect, pattern=True) for pair in drawn.patterns),
-        residuals=tuple(residual_figure(one, aspect) for one in drawn.residuals),
+        residuals=tuple(residual_figure(residual, aspect) for residual in drawn.residuals),
         figures=tuple(
             overlay_figure(name, drawn.overlays[name])
             for name in OVERLAYS
@@ -99,11 +99,11 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
             "Deviates most",
             "Verdict",
         ),
-        rows=tuple(_row(one) for one in validation.statistics),
-        controls=tuple(_control_row(one) for one in validation.controls),
+        rows=tuple(_row(statistic) for statistic in validation.statistics),
+        controls=tuple(_control_row(control) for control in validation.controls),
         missing_figures=missing_figures(drawn.overlays),
         notes=(
-            *(one.note for one in validation.statistics if one.note),
+            *(statistic.note for statistic in validation.statistics if statistic.note),
             *validation.notes,
         ),
     )
@@ -114,16 +114,18 @@ def _status(passed: bool) -> str:
 
 
 def headline_of(validation: Validation) -> str:
-    """Return how many statistics and controls came out as they must."""
-    good = sum(one.passed for one in validation.statistics)
+    """Return the number of statistics that pass and the state of the controls."""
+    passed = sum(result.passed for result in validation.statistics)
     nulls, negatives = (
-        [one for one in validation.controls if one.name == name] for name in ("null", "negative")
+        [result for result in validation.controls if result.name == name]
+        for name in ("null", "negative")
     )
     verdict = "agrees" if validation.passed else "does not agree"
-    held = "hold" if all(one.passed for one in nulls) else "do not hold"
+    nulls_verdict = "hold" if all(result.passed for result in nulls) else "do not hold"
+    noticed = sum(result.passed for result in negatives)
     return (
-        f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; null "
-        f"controls {held}; {sum(one.passed for one in negatives)} of {len(negatives)} negative "
+        f"Simulation {verdict}: {passed} of {len(validation.statistics)} statistics pass; null "
+        f"controls {nulls_verdict}; {noticed} of {len(negatives)} negative "
         "controls noticed"
     )
 
@@ -137,23 +139,26 @@ def _power_sentence(validation: Validation) -> str:
     """Return the least errors that would have been found, and the largest that could have been
     missed.
     """
-    found = sorted(
-        (one for one in validation.power if one.statistic), key=lambda one: one.relative_error
+    detectable = sorted(
+        (error for error in validation.power if error.statistic),
+        key=lambda error: error.relative_error,
     )
-    never = [one.title for one in validation.power if not one.statistic]
+    never = [error.title for error in validation.power if not error.statistic]
     if not validation.power:
         return "How large an error it would have found is not known"
-    texts = [f"{one.percent} of {one.title}" for one in found]
-    seen = "; ".join(texts[:NAMED])
+    texts = [f"{error.percent} of {error.title}" for error in detectable]
+    detected_text = "; ".join(texts[:NAMED])
     missed = "; ".join(
         [
             *(f"up to {text}" for text in texts[NAMED:][-NAMED:]),
             *(f"any of {title}" for title in never),
         ]
     )
-    share = f"{100.0 * validation.power[0].probability:g} %"
+    probability = f"{100.0 * validation.power[0].probability:g} %"
     sentences = (
-        f"In {share} of cases it would have found an error of {seen}" if seen else "",
+        f"In {probability} of cases it would have found an error of {detected_text}"
+        if detected_text
+        else "",
         f"It could have missed one of {missed}" if missed else "",
     )
     return ". ".join(sentence for sentence in sentences if sentence)
@@ -161,18 +166,19 @@ def _power_sentence(validation: Validation) -> str:
 
 def _deviation_sentence(validation: Validation) -> str:
     """Return the likely causes, what deviates most and what may cause it."""
-    likely = "".join(f"Likely cause: {one.note}. " for one in validation.likely_causes)
+    likely = "".join(f"Likely cause: {result.note}. " for result in validation.likely_causes)
     failed = sorted(
-        (one for one in validation.statistics if not one.passed), key=lambda one: -one.distance
+        (result for result in validation.statistics if not result.passed),
+        key=lambda result: -result.distance,
     )
     if not failed:
         return "Every statistic passes; the controls did not come out as they must"
-    first, others = failed[0], len(failed) - 1
+    first, further = failed[0], len(failed) - 1
     more = (
-        f"; {others} more statistics differ"
-        if others > 1
+        f"; {further} more statistics differ"
+        if further > 1
         else "; one more statistic differs"
-        if others
+        if further
         else ""
     )
     return (
@@ -190,20 +196,30 @@ def _summary(validation: Validation) -> str:
     )
 
 
-def _row(one: Statistic) -> dict[str, Any]:
-    where = one.worst if one.passed else f"{one.worst}; may come from {one.cause}"
-    cells = (one.title, f"{one.distance:.3g}", one.p_text, short_text(one.level), where)
-    return {"cells": cells, "status": _status(one.passed)}
+def _row(statistic: Statistic) -> dict[str, Any]:
+    where = (
+        statistic.worst
+        if statistic.passed
+        else f"{statistic.worst}; may come from {statistic.cause}"
+    )
+    cells = (
+        statistic.title,
+        f"{statistic.distance:.3g}",
+        statistic.p_text,
+        short_text(statistic.level),
+        where,
+    )
+    return {"cells": cells, "status": _status(statistic.passed)}
 
 
-def _control_row(one: ValidationControl) -> dict[str, Any]:
+def _control_row(control: ValidationControl) -> dict[str, Any]:
     """Return the row of a control; a negative one that was not noticed is a limit of the
     validation, no failure.
     """
-    noticed = ", ".join(one.noticed_by) or "nothing"
-    must = "must pass" if one.name == "null" else "must be noticed"
-    status = "ok" if one.passed else "refused" if one.name == "null" else "suspect"
-    return {"cells": (one.title, must, noticed), "status": status}
+    noticed = ", ".join(control.noticed_by) or "nothing"
+    must = "must pass" if control.name == "null" else "must be noticed"
+    status = "ok" if control.passed else "refused" if control.name == "null" else "suspect"
+    return {"cells": (control.title, must, noticed), "status": status}
 
 
 def _pictures(pair: FramePair, aspect: float, *, pattern: bool = False) -> tuple[ReportImage, ...]:

@@ -57,8 +57,10 @@ def overlay_figure(name: str, data: Mapping[str, Any]) -> Figure:
     with report_style():
         figure, axes = panel((5.6, 3.6))
         for number, curve in enumerate(curves):
-            model, own = (MODEL, DATA) if len(curves) == 1 else (COLOURS[number], COLOURS[number])
-            named = _plot_curve(axes, curve, model, own, alone=len(curves) == 1)
+            model, measured_colour = (
+                (MODEL, DATA) if len(curves) == 1 else (COLOURS[number], COLOURS[number])
+            )
+            named = _plot_curve(axes, curve, model, measured_colour, alone=len(curves) == 1)
             if named:
                 axes.set_xticks(
                     range(len(curve["x"])), [str(x) for x in curve["x"]], rotation=30, ha="right"
@@ -85,7 +87,9 @@ def overlay_figure(name: str, data: Mapping[str, Any]) -> Figure:
         return Figure(section="validation", title=title, svg=as_svg(figure, title), caption=caption)
 
 
-def _plot_curve(axes: Any, curve: Mapping[str, Any], model: str, own: str, *, alone: bool) -> bool:
+def _plot_curve(
+    axes: Any, curve: Mapping[str, Any], model: str, measured_colour: str, *, alone: bool
+) -> bool:
     """Plot a curve and its band; return whether its places are names."""
     named = isinstance(curve["x"][0], str)
     x = np.arange(len(curve["x"]), dtype=float) if named else np.asarray(curve["x"], float)
@@ -101,7 +105,7 @@ def _plot_curve(axes: Any, curve: Mapping[str, Any], model: str, own: str, *, al
     axes.plot(
         *subsample(x, curve["measured"]),
         "o" if len(x) < 45 else "-",
-        color=own,
+        color=measured_colour,
         markersize=4 if alone else 3,
         linewidth=1.0,
         label="measured" if alone else f"{curve['name']}, measured",
@@ -115,11 +119,11 @@ def _with_unit(title: str) -> str:
     return f"{quantity} ({unit})" if comma else f"{title} (1)"
 
 
-def residual_figure(found: ResidualMap, aspect: float) -> Figure:
+def residual_figure(residual: ResidualMap, aspect: float) -> Figure:
     """Plot a measured mean frame less the simulated one; `aspect`: row pitch over column pitch."""
-    difference, sd = np.asarray(found.difference_dn, float), max(found.sd_dn, 1e-9)
-    most = max(LEAST_SCALE_SD * sd, float(np.quantile(np.abs(difference), 0.998)))
-    rows, cols = (size * found.block_px for size in difference.shape)
+    difference, sd = np.asarray(residual.difference_dn, float), max(residual.sd_dn, 1e-9)
+    largest = max(LEAST_SCALE_SD * sd, float(np.quantile(np.abs(difference), 0.998)))
+    rows, cols = (size * residual.block_px for size in difference.shape)
     with report_style():
         figure, axes = panel((4.8, 0.6 + 2.3 * min(1.4, rows * aspect / cols)))
         figure.set_layout_engine("none")
@@ -127,25 +131,25 @@ def residual_figure(found: ResidualMap, aspect: float) -> Figure:
         drawn = axes.imshow(
             difference,
             cmap="RdBu_r",
-            vmin=-most,
-            vmax=most,
+            vmin=-largest,
+            vmax=largest,
             extent=(0, cols, rows, 0),
             interpolation="nearest",
             aspect=aspect,
         )
         bar = figure.colorbar(
-            drawn, cax=figure.add_axes((0.67, 0.22, 0.03, 0.68)), ticks=most * SCALE
+            drawn, cax=figure.add_axes((0.67, 0.22, 0.03, 0.68)), ticks=largest * SCALE
         )
         bar.ax.set_yticklabels(
             [_minus(f"{at:+.2g} DN = {at / sd:+.2g} sd") if at else "0" for at in bar.get_ticks()]
         )
         axes.grid(False)
         axes.set(xlabel="column (px)", ylabel="row (px)")
-        title = f"Residual of the {found.role}, {found.label}"
+        title = f"Residual of the {residual.role}, {residual.label}"
         mean, rms = float(difference.mean()), float(np.sqrt((difference**2).mean()))
         caption = (
-            f"Measured mean frame less that of all simulated sets, means of {found.block_px} × "
-            f"{found.block_px} px: mean {_minus(f'{mean:+.3g}')} DN, rms {rms:.3g} DN; sd of a "
+            f"Measured mean frame less that of all simulated sets, means of {residual.block_px} × "
+            f"{residual.block_px} px: mean {_minus(f'{mean:+.3g}')} DN, rms {rms:.3g} DN; sd of a "
             f"simulated set {sd:.3g} DN."
         )
         return Figure(section="validation", title=title, svg=as_svg(figure, title), caption=caption)
@@ -184,27 +188,27 @@ def chance_limit(numbers: int, draws: int) -> float:
 
 def worst_numbers(validation: Validation) -> list[tuple[str, Statistic, float]]:
     """Return label, statistic and deviation of the most deviating numbers, largest first."""
-    found = [
-        (label, one, float(z))
-        for one in validation.statistics
-        for label, z in zip(one.labels, deviations(one), strict=False)
+    numbers = [
+        (label, statistic, float(z))
+        for statistic in validation.statistics
+        for label, z in zip(statistic.labels, deviations(statistic), strict=False)
     ]
-    return sorted(found, key=lambda entry: -abs(entry[2]))[:NAMED]
+    return sorted(numbers, key=lambda entry: -abs(entry[2]))[:NAMED]
 
 
 def worst_deviations(validation: Validation) -> tuple[Figure, ...]:
     """Plot the most deviating numbers by name."""
     worst, total = (
         worst_numbers(validation),
-        sum(len(deviations(one)) for one in validation.statistics),
+        sum(len(deviations(statistic)) for statistic in validation.statistics),
     )
     if not worst:
         return ()
     limit = chance_limit(total, validation.draws)
     with report_style():
         figure, axes = panel((6.4, 0.9 + 0.22 * len(worst)))
-        for row, (_, one, z) in enumerate(worst):
-            colour = DATA if one.passed else WARN
+        for row, (_, statistic, z) in enumerate(worst):
+            colour = DATA if statistic.passed else WARN
             axes.plot([0.0, z], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt")
             axes.plot([z], [row], "o", color=colour, markersize=4)
         _deviation_axis(axes, max(abs(z) for *_, z in worst), limit)
@@ -224,17 +228,23 @@ def worst_deviations(validation: Validation) -> tuple[Figure, ...]:
 
 def deviations_by_statistic(validation: Validation) -> tuple[Figure, ...]:
     """Plot the deviation of each number from its prediction by statistic."""
-    shown = [(one, deviations(one)) for one in validation.statistics if deviations(one).size]
+    shown = [
+        (statistic, deviations(statistic))
+        for statistic in validation.statistics
+        if deviations(statistic).size
+    ]
     if not shown:
         return ()
     with report_style():
         figure, axes = panel((5.6, 1.1 + 0.24 * len(shown)))
         axes.axvspan(-TWO_SIDED_95, TWO_SIDED_95, color=MODEL, alpha=0.18, linewidth=0)
-        for row, (one, pull) in enumerate(shown):
-            place = row + np.linspace(-0.25, 0.25, len(pull)) if len(pull) > 1 else np.array([row])
-            axes.plot(pull, place, "o", color=DATA if one.passed else WARN, markersize=3)
+        for row, (statistic, pull) in enumerate(shown):
+            positions = (
+                row + np.linspace(-0.25, 0.25, len(pull)) if len(pull) > 1 else np.array([row])
+            )
+            axes.plot(pull, positions, "o", color=DATA if statistic.passed else WARN, markersize=3)
         _deviation_axis(axes, max(float(np.abs(pull).max()) for _, pull in shown))
-        axes.set_yticks(range(len(shown)), [one.name for one, _ in shown], fontsize=7.5)
+        axes.set_yticks(range(len(shown)), [statistic.name for statistic, _ in shown], fontsize=7.5)
         axes.set(ylim=(len(shown) - 0.5, -0.5))
         title = "Deviation of each number from its prediction, by statistic"
         caption = (
@@ -245,10 +255,10 @@ def deviations_by_statistic(validation: Validation) -> tuple[Figure, ...]:
         )
 
 
-def _deviation_axis(axes: Any, most: float, *limits: float) -> None:
+def _deviation_axis(axes: Any, largest: float, *limits: float) -> None:
     """Set an axis of deviations, logarithmic beyond the linear range if one lies far beyond it."""
-    side = 1.15 * max(most, LINEAR_SD, *limits)
-    if most > 4.0 * LINEAR_SD:
+    side = 1.15 * max(largest, LINEAR_SD, *limits)
+    if largest > 4.0 * LINEAR_SD:
         axes.set_xscale("symlog", linthresh=LINEAR_SD)
         ticks = [at for at in DEVIATION_TICKS_SD if abs(at) < side]
         axes.set_xticks(ticks, [_minus(f"{at:g}") for at in ticks])
@@ -261,32 +271,34 @@ def _deviation_axis(axes: Any, most: float, *limits: float) -> None:
 
 def power_figure(validation: Validation) -> tuple[Figure, ...]:
     """Plot the least error of each parameter that would have been found."""
-    rows = sorted(validation.power, key=lambda one: one.relative_error if one.statistic else np.inf)
+    rows = sorted(
+        validation.power, key=lambda error: error.relative_error if error.statistic else np.inf
+    )
     if not rows:
         return ()
-    percent = [100.0 * one.relative_error if one.statistic else 100.0 for one in rows]
-    least = 10.0 ** np.floor(np.log10(min(*percent, 1.0)))
+    percent = [100.0 * error.relative_error if error.statistic else 100.0 for error in rows]
+    axis_start = 10.0 ** np.floor(np.log10(min(*percent, 1.0)))
     with report_style():
         figure, axes = panel((6.4, 0.9 + 0.26 * len(rows)))
-        for row, (one, length) in enumerate(zip(rows, percent, strict=True)):
+        for row, (error, length) in enumerate(zip(rows, percent, strict=True)):
             axes.barh(
                 row,
-                length - least,
-                left=least,
+                length - axis_start,
+                left=axis_start,
                 height=0.62,
-                color=DATA if one.statistic else WARN,
+                color=DATA if error.statistic else WARN,
                 alpha=0.75,
             )
-            words = f"{one.percent}, {one.statistic}" if one.statistic else "none below 100 %"
+            words = f"{error.percent}, {error.statistic}" if error.statistic else "none below 100 %"
             axes.text(1.12 * length, row, words, va="center", fontsize=7.5)
         axes.set_xscale("log")
-        axes.set_yticks(range(len(rows)), [fill(one.title, 34) for one in rows], fontsize=7.5)
+        axes.set_yticks(range(len(rows)), [fill(error.title, 34) for error in rows], fontsize=7.5)
         axes.set(
-            xlim=(least, 1500.0),
+            xlim=(axis_start, 1500.0),
             ylim=(len(rows) - 0.5, -0.5),
             xlabel="least error that would be found (%)",
         )
-        ticks = 10.0 ** np.arange(np.log10(least), 2.01)
+        ticks = 10.0 ** np.arange(np.log10(axis_start), 2.01)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.grid(False, axis="y")
         title = "Least error of each parameter that would be found"
