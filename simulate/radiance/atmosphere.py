@@ -220,8 +220,8 @@ class Atmosphere:
         """Return the extinction by haze at the ground, per km, shape (band,)."""
         wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
         molecules = float(rayleigh_per_km(REFERENCE_NM))
-        share = 1.0 - molecules / visibility_extinction_per_km(self.visibility_km)
-        return share * kruse_per_km(wavelength, self.visibility_km)
+        haze_fraction = 1.0 - molecules / visibility_extinction_per_km(self.visibility_km)
+        return haze_fraction * kruse_per_km(wavelength, self.visibility_km)
 
     def molecules_depth(self, wavelength_nm: ArrayLike) -> Array:
         """Return the optical depth of molecules straight up, dimensionless, shape (band,)."""

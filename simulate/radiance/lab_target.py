@@ -135,14 +135,16 @@ def _shares(scene: LabScene, kind: Kind, target: Target, view: TargetView) -> ND
     shares = coarse.reshape(-1, *blocks.shape).repeat(BLOCK, axis=1).repeat(BLOCK, axis=2)
     plain = np.argwhere(blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1) & ~mixed)
     shares[:, plain[:, 0], plain[:, 1]] = _fractions_at(scene, kind, target, view, plain + 0.5)
-    inside = (0.5 + np.arange(1, POINTS + 1)[:, None] * R2) % 1.0
+    subcells = (0.5 + np.arange(1, POINTS + 1)[:, None] * R2) % 1.0
     for part in np.array_split(
         np.argwhere(mixed), max(1, np.count_nonzero(mixed) * POINTS // 2_000_000)
     ):
-        many = _fractions_at(scene, kind, target, view, (part[:, None, :] + inside).reshape(-1, 2))
-        shares[:, part[:, 0], part[:, 1]] = many.reshape(2 * MATERIALS, len(part), POINTS).mean(
-            axis=2
+        point_fractions = _fractions_at(
+            scene, kind, target, view, (part[:, None, :] + subcells).reshape(-1, 2)
         )
+        shares[:, part[:, 0], part[:, 1]] = point_fractions.reshape(
+            2 * MATERIALS, len(part), POINTS
+        ).mean(axis=2)
     return shares
 
 
@@ -154,9 +156,9 @@ def target_outlines(kind: Kind, target: Target, holder: Holder) -> list[Array]:
         if target.frequency_cy_per_px is None or target.bars is None:
             raise BadInput("bars must have a frequency_cy_per_px, got none")
         width = 0.5 / target.frequency_cy_per_px
-        left = width * (2.0 * np.arange(target.bars) - target.bars + 0.5)
+        bar_starts = width * (2.0 * np.arange(target.bars) - target.bars + 0.5)
         box = width * np.array([[0.0, -3.5], [1.0, -3.5], [1.0, 3.5], [0.0, 3.5], [0.0, -3.5]])
-        return [(box + np.array([start, 0.0])) @ _tilt(target) for start in left]
+        return [(box + np.array([start, 0.0])) @ _tilt(target) for start in bar_starts]
     if kind == "edge":
         return [np.array([[0.0, -FAR_PX], [0.0, FAR_PX]]) @ _tilt(target)]
     if kind == "point":
@@ -193,10 +195,10 @@ def outline_cells(outlines: list[Array], view: TargetView) -> NDArray[np.bool_]:
         cells = np.stack(
             [np.floor(np.interp(steps, way, axis)).astype(int) + 1 for axis in corners.T]
         )
-        inside = (
+        in_frame = (
             (cells >= 0).all(axis=0) & (cells[0] < mixed.shape[0]) & (cells[1] < mixed.shape[1])
         )
-        mixed[tuple(cells[:, inside])] = True
+        mixed[tuple(cells[:, in_frame])] = True
     return np.asarray(binary_dilation(mixed, np.ones((3, 3))), bool)[1:-1, 1:-1]
 
 
@@ -204,11 +206,11 @@ def _fractions_at(
     scene: LabScene, kind: Kind, target: Target, view: TargetView, cell: Array
 ) -> NDArray[np.float32]:
     """Return for cell coordinates (row, col) the weight of port and room light, by material."""
-    place = view.places_px(cell)
-    material = np.where(_is_open(kind, target, place), OPEN, MASK)
-    surface_m = np.column_stack([place * view.metre_per_px, np.zeros(len(place))])
+    positions_px = view.places_px(cell)
+    material = np.where(_is_open(kind, target, positions_px), OPEN, MASK)
+    surface_m = np.column_stack([positions_px * view.metre_per_px, np.zeros(len(positions_px))])
     lamp_m = np.array(scene.room_light.position_m)
-    shaded = np.zeros(len(place), bool)
+    shaded = np.zeros(len(positions_px), bool)
     if kind == "point":
         height = scene.holder.height_m
         eye_m = np.array([*np.multiply(view.eye_px, view.metre_per_px), -view.distance_m])
@@ -220,9 +222,9 @@ def _fractions_at(
                 scene.holder, surface_m - height / lamp_m[2] * (lamp_m - surface_m), view
             )
     way = lamp_m - surface_m
-    distance, straight = np.linalg.norm(way, axis=1), np.linalg.norm(lamp_m)
+    distance, centre_distance = np.linalg.norm(way, axis=1), np.linalg.norm(lamp_m)
     # Irradiance by the room light relative to that at the target's centre.
-    lit = (straight / distance) ** 2 * (way[:, 2] / distance) / (lamp_m[2] / straight)
+    lit = (centre_distance / distance) ** 2 * (way[:, 2] / distance) / (lamp_m[2] / centre_distance)
     one_hot = material == np.arange(MATERIALS)[:, None]
     return np.concatenate([one_hot, one_hot * np.where(shaded, 0.0, lit)]).astype(np.float32)
 

@@ -77,8 +77,8 @@ class Material:
     def __post_init__(self) -> None:
         self._check_tables()
         for name in {name for names in NEEDED.values() for name in names}:
-            given, needed = getattr(self, name) is not None, name in NEEDED[self.finish]
-            if given != needed:
+            is_given, needed = getattr(self, name) is not None, name in NEEDED[self.finish]
+            if is_given != needed:
                 rule = "must be given for" if needed else "must not be given for"
                 raise BadInput(f"{name} {rule} a {self.finish} material")
         if self.emissivity is not None and not 0.0 <= self.emissivity <= 1.0:
@@ -129,7 +129,7 @@ class Material:
         from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
         from simulate.radiance.brdf.protocol import Lambert
 
-        table = Reflectance(wavelength_nm=self.wavelength_nm, share=self._each(self.reflectance))
+        table = Reflectance(wavelength_nm=self.wavelength_nm, fraction=self._each(self.reflectance))
         if (
             self.finish == "glossy"
             and self.roughness is not None
@@ -141,8 +141,10 @@ class Material:
         if self.finish == "metal" and self.roughness is not None:
             return Metal(reflectance=table, roughness=self.roughness)
         if self.retroreflected_share is not None and self.half_width_deg is not None:
-            lobe = Reflectance(share=(self.retroreflected_share,))
-            return Retroreflector(share=lobe, reflectance=table, half_width_deg=self.half_width_deg)
+            lobe = Reflectance(fraction=(self.retroreflected_share,))
+            return Retroreflector(
+                retroreflectance=lobe, reflectance=table, half_width_deg=self.half_width_deg
+            )
         return Lambert(reflectance=table)
 
 
@@ -223,12 +225,15 @@ def pane_shares(
     rest is absorbed.
     """
     steep = np.clip(np.abs(cosine), GRAZING, 1.0)
-    inside = np.sqrt(1.0 - (1.0 - steep**2) / refractive_index**2)
-    left = internal_transmittance(transmittance, refractive_index)[None] ** (1.0 / inside)[:, None]
-    mirrored, through = np.zeros(left.shape), np.zeros(left.shape)
+    internal_cosine = np.sqrt(1.0 - (1.0 - steep**2) / refractive_index**2)
+    internal = (
+        internal_transmittance(transmittance, refractive_index)[None]
+        ** (1.0 / internal_cosine)[:, None]
+    )
+    mirrored, through = np.zeros(internal.shape), np.zeros(internal.shape)
     for polarised in dielectric_polarised(steep, refractive_index):
         face = polarised[:, None]
-        passed = (1.0 - face) ** 2 * left / (1.0 - (face * left) ** 2)
+        passed = (1.0 - face) ** 2 * internal / (1.0 - (face * internal) ** 2)
         through += 0.5 * passed
-        mirrored += 0.5 * face * (1.0 + left * passed)
+        mirrored += 0.5 * face * (1.0 + internal * passed)
     return mirrored, through

@@ -153,7 +153,7 @@ def _read(path: Path) -> "LabScene | OutdoorScene":
     from simulate.radiance.outdoor.scene import OutdoorScene
 
     mapping = with_materials_of_files(mapping, path.parent)
-    place = mapping.get("place")
-    if isinstance(place, dict) and isinstance(place.get("time"), datetime):
-        place["time"] = place["time"].isoformat()
+    place_table = mapping.get("place")
+    if isinstance(place_table, dict) and isinstance(place_table.get("time"), datetime):
+        place_table["time"] = place_table["time"].isoformat()
     return replace(from_mapping(mapping, OutdoorScene, where=path.name), folder=str(path.parent))

@@ -94,10 +94,10 @@ def brightness_temperature(
     inverse = np.full(wanted.shape, 1.0 / 300.0)
     for _ in range(30):
         kelvin = 1.0 / inverse
-        found = band_radiance(low_um, high_um, kelvin)
-        slope = -band_radiance_slope(low_um, high_um, kelvin) * kelvin**2 / found
+        black_body_radiance = band_radiance(low_um, high_um, kelvin)
+        slope = -band_radiance_slope(low_um, high_um, kelvin) * kelvin**2 / black_body_radiance
         # At most by a half at a time: the first guess may be far away.
-        inverse *= np.clip(1.0 + (wanted - np.log(found)) / slope / inverse, 0.5, 2.0)
+        inverse *= np.clip(1.0 + (wanted - np.log(black_body_radiance)) / slope / inverse, 0.5, 2.0)
     return 1.0 / inverse
 
 
@@ -249,7 +249,8 @@ class SourceSpectrum:
         """
         shares = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
         powers = tuple(
-            float(share * power) for share, power in zip(shares, self.line_power, strict=True)
+            float(line_factor * power)
+            for line_factor, power in zip(shares, self.line_power, strict=True)
         )
         return replace(self, density=self.density * factor(self.wavelength_nm), line_power=powers)
 
@@ -263,20 +264,22 @@ class SourceSpectrum:
         )
         if not high > low:
             return float(lines)
-        inside = self.wavelength_nm[(self.wavelength_nm > low) & (self.wavelength_nm < high)]
-        edges = np.concatenate([[low], inside, [high]])
+        inner_nm = self.wavelength_nm[(self.wavelength_nm > low) & (self.wavelength_nm < high)]
+        edges = np.concatenate([[low], inner_nm, [high]])
         return float(
             np.trapezoid(np.interp(edges, self.wavelength_nm, self.density), edges) + lines
         )
 
-    def through(self, table_nm: ArrayLike, share: ArrayLike) -> float:
+    def through(self, table_nm: ArrayLike, table_values: ArrayLike) -> float:
         """Return the integral of the power times a table, linear between its wavelengths and zero
         outside: exact.
         """
         nm = np.asarray(table_nm, float)
-        smooth = hat_integrals(nm[[0, -1]], (self.wavelength_nm, self.density), (nm, share)).sum()
+        smooth = hat_integrals(
+            nm[[0, -1]], (self.wavelength_nm, self.density), (nm, table_values)
+        ).sum()
         lines = (
-            np.interp(self.line_nm, nm, np.asarray(share, float), left=0.0, right=0.0)
+            np.interp(self.line_nm, nm, np.asarray(table_values, float), left=0.0, right=0.0)
             * self.line_power
         )
         return float(smooth + lines.sum())
@@ -342,14 +345,14 @@ def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
     knots = np.unique(np.concatenate([bands, *(nm for nm, _ in known)]))
     knots = np.concatenate([[low], knots[(knots > low) & (knots < high)], [high]])
     middle = 0.5 * (knots[1:] + knots[:-1])
-    left = np.clip(np.searchsorted(bands, middle) - 1, 0, bands.size - 2)
+    lower_band = np.clip(np.searchsorted(bands, middle) - 1, 0, bands.size - 2)
     for at, weight in ((knots[:-1], 1.0), (middle, 4.0), (knots[1:], 1.0)):
         part = weight / 6.0 * np.diff(knots)
         for nm, value in known:
             part = part * np.interp(at, nm, value)
-        rise = (at - bands[left]) / (bands[left + 1] - bands[left])
-        np.add.at(total, left, (1.0 - rise) * part)
-        np.add.at(total, left + 1, rise * part)
+        rise = (at - bands[lower_band]) / (bands[lower_band + 1] - bands[lower_band])
+        np.add.at(total, lower_band, (1.0 - rise) * part)
+        np.add.at(total, lower_band + 1, rise * part)
     return total
 
 
@@ -434,8 +437,8 @@ def _start(
     grid = np.union1d(grid, lines)
     for line in lines:
         for foot in (line - foot_nm, line + foot_nm):
-            between = (grid > min(foot, line)) & (grid < max(foot, line))
-            if low < foot < high and not between.any():
+            in_between = (grid > min(foot, line)) & (grid < max(foot, line))
+            if low < foot < high and not in_between.any():
                 grid = np.union1d(grid, foot)
     return grid
 
@@ -450,7 +453,7 @@ def _worst(
     to the error. A source is averaged over bands (`SourceSpectrum.on`), so that only the bending of
     a factor between bands is an error.
     """
-    worst, place = 0.0, 0.0
+    worst, worst_nm = 0.0, 0.0
     interval = np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, grid.size - 2)
     width = band_widths(fine)
     bents = [
@@ -460,16 +463,18 @@ def _worst(
         density = np.interp(fine, source.wavelength_nm, source.density, left=0.0, right=0.0) * width
         lines = np.asarray(source.line_nm, float)
         for factor, bent in zip(factors, bents, strict=True):
-            seen = np.sum(factor * density)
-            seen += np.sum(
+            signal = np.sum(factor * density)
+            signal += np.sum(
                 np.interp(lines, fine, factor, left=0.0, right=0.0) * np.asarray(source.line_power)
             )
             part = bent * density
-            if seen > 0.0 and part.sum() / seen > worst:
-                worst = float(part.sum() / seen)
-                most = int(np.argmax(np.bincount(interval, weights=part, minlength=grid.size - 1)))
-                place = float(fine[np.argmax(np.where(interval == most, bent, 0.0))])
-    return worst, place
+            if signal > 0.0 and part.sum() / signal > worst:
+                worst = float(part.sum() / signal)
+                worst_interval = int(
+                    np.argmax(np.bincount(interval, weights=part, minlength=grid.size - 1))
+                )
+                worst_nm = float(fine[np.argmax(np.where(interval == worst_interval, bent, 0.0))])
+    return worst, worst_nm
 
 
 @cache

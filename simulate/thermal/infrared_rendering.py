@@ -126,7 +126,7 @@ class _Look:
             self._diffuse(seen),
         )
         start_m = tracer.above(points.face, place, points.normal)
-        behind = np.flatnonzero(~points.outside)
+        behind = np.flatnonzero(~points.on_outer_side)
         if len(behind):
             spots = Spots(start_m=start_m[behind], normal=points.normal[behind])
             incoming[behind] = self._diffuse(

@@ -63,7 +63,7 @@ def infrared_brdf(surface: MaterialSpec, slab: Slab) -> Brdf:
     if not isinstance(visible, Microfacets):
         return Lambert(reflectance=_reflectance(shares))
     number = np.arange(len(TRIED), dtype=float)
-    trial = Reflectance(wavelength_nm=tuple(number + 1.0), share=tuple(TRIED.tolist()))
+    trial = Reflectance(wavelength_nm=tuple(number + 1.0), fraction=tuple(TRIED.tolist()))
     kind = {"roughness": visible.roughness}
     if isinstance(visible, Glossy):
         kind["refractive_index"] = visible.refractive_index
@@ -103,7 +103,7 @@ def pane_transmittance(thickness_mm: float, edges_um: tuple[float, ...]) -> Arra
 
 
 def _reflectance(shares: Any) -> Reflectance:
-    return Reflectance(wavelength_nm=BETWEEN_NM, share=tuple(float(share) for share in shares))
+    return Reflectance(wavelength_nm=BETWEEN_NM, fraction=tuple(float(share) for share in shares))
 
 
 @dataclass(frozen=True, kw_only=True)

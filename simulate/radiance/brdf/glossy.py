@@ -61,9 +61,9 @@ class Facets:
 
     def pdf(self, incoming: Array, outgoing: Array) -> Array:
         """Return the density of `sample`, sr-1, shape (ray,)."""
-        share = self.specular_share(outgoing)
+        specular = self.specular_share(outgoing)
         mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
-        return share * mirrored + (1.0 - share) * cosine_density(incoming)
+        return specular * mirrored + (1.0 - specular) * cosine_density(incoming)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,12 +87,14 @@ class Metal(Facets):
         normal = self.reflectance.at(wavelength_nm)[:, None]
         facing = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
         mirrored = microfacet.lobe(incoming, outgoing, self.roughness)
-        one = normal * mirrored + (1.0 - normal) * (mirrored * microfacet.schlick_rise(facing))
+        single_bounce = normal * mirrored + (1.0 - normal) * (
+            mirrored * microfacet.schlick_rise(facing)
+        )
         perfect = self._perfect
-        many = base_value(
+        multiple_bounce = base_value(
             perfect.at(incoming), perfect.at(outgoing), perfect.mean, self._between(normal)
         )
-        return one + many * both_above(incoming, outgoing)
+        return single_bounce + multiple_bounce * both_above(incoming, outgoing)
 
     def specular_share(self, outgoing: Array) -> Array:
         """Return the albedo of perfect facets: the rest hits several facets."""
@@ -144,8 +146,8 @@ class Glossy(Facets):
         mirrored = microfacet.lobe(incoming, outgoing, self.roughness)
         mirrored = mirrored * microfacet.dielectric(facing, self.refractive_index)
         coat, base = self._coat, self.reflectance.at(wavelength_nm)[:, None]
-        below = base_value(coat.at(incoming), coat.at(outgoing), coat.mean, base)
-        return mirrored + below * both_above(incoming, outgoing)
+        from_base = base_value(coat.at(incoming), coat.at(outgoing), coat.mean, base)
+        return mirrored + from_base * both_above(incoming, outgoing)
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
@@ -156,9 +158,9 @@ class Glossy(Facets):
 
     def specular_share(self, outgoing: Array) -> Array:
         """Return the fraction of mirrored samples, in the ratio of coat and base."""
-        coat, base = self._coat.at(outgoing), float(np.mean(self.reflectance.share))
-        share = coat / np.maximum(coat + (1.0 - coat) * base, 1e-12)
-        return np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE)
+        coat, base = self._coat.at(outgoing), float(np.mean(self.reflectance.fraction))
+        fraction = coat / np.maximum(coat + (1.0 - coat) * base, 1e-12)
+        return np.clip(fraction, LEAST_SHARE, 1.0 - LEAST_SHARE)
 
 
 NARROWEST_DEG, WIDEST_DEG = 0.02, 20.0
@@ -178,7 +180,7 @@ class Retroreflector:
     N(0) cd lx-1 m-2 at normal incidence.
     """
 
-    share: Reflectance  # fraction of the light in the lobe, over wavelength
+    retroreflectance: Reflectance  # fraction of the light in the lobe, over wavelength
     reflectance: Reflectance  # of the base, over wavelength
     # angle between light and viewer at half of the lobe's maximum, degrees
     half_width_deg: float = 0.5
@@ -201,18 +203,21 @@ class Retroreflector:
 
     def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
         """Return f, sr-1, shape (band, ray)."""
-        above = both_above(incoming, outgoing)
+        is_above = both_above(incoming, outgoing)
         back = _lobe(incoming, outgoing, self.concentration)
-        back = back * above / np.maximum(np.maximum(incoming[:, 2], outgoing[:, 2]), 1e-12)
-        share, base = (
-            self.share.at(wavelength_nm)[:, None],
+        back = back * is_above / np.maximum(np.maximum(incoming[:, 2], outgoing[:, 2]), 1e-12)
+        retroreflectance, base = (
+            self.retroreflectance.at(wavelength_nm)[:, None],
             self.reflectance.at(wavelength_nm)[:, None],
         )
         table = self._lobe_albedo
-        below = base_value(
-            share * table.at(incoming), share * table.at(outgoing), share * table.mean, base
+        from_base = base_value(
+            retroreflectance * table.at(incoming),
+            retroreflectance * table.at(outgoing),
+            retroreflectance * table.mean,
+            base,
         )
-        return share * back + below * above
+        return retroreflectance * back + from_base * is_above
 
     def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw directions from the lobe or by the cosine law, half of each; and their densities."""
@@ -228,52 +233,56 @@ class Retroreflector:
         """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
         ray).
         """
-        back = self.share.at(wavelength_nm)[:, None] * self._lobe_albedo.at(outgoing)
+        back = self.retroreflectance.at(wavelength_nm)[:, None] * self._lobe_albedo.at(outgoing)
         return back + (1.0 - back) * self.reflectance.at(wavelength_nm)[:, None]
 
 
 def _lobe(incoming: Array, outgoing: Array, concentration: float) -> Array:
     # 1 - cos of the angle between, by the chord, which keeps its digits for narrow lobes.
-    apart = 0.5 * np.sum(np.square(incoming - outgoing), axis=1)
+    one_minus_cosine = 0.5 * np.sum(np.square(incoming - outgoing), axis=1)
     return (
         concentration
         / (-2.0 * np.pi * np.expm1(-2.0 * concentration))
-        * np.exp(-concentration * apart)
+        * np.exp(-concentration * one_minus_cosine)
     )
 
 
-def _lobe_directions(outgoing: Array, concentration: float, even: Array) -> Array:
+def _lobe_directions(outgoing: Array, concentration: float, uniform_pairs: Array) -> Array:
     """Return directions of the lobe from pairs of uniform numbers in [0, 1)."""
-    apart = -np.log1p(even[:, 0] * np.expm1(-2.0 * concentration)) / concentration
-    aside = np.sqrt(np.maximum(apart * (2.0 - apart), 0.0))
-    turn = 2.0 * np.pi * even[:, 1]
+    one_minus_cosine = (
+        -np.log1p(uniform_pairs[:, 0] * np.expm1(-2.0 * concentration)) / concentration
+    )
+    aside = np.sqrt(np.maximum(one_minus_cosine * (2.0 - one_minus_cosine), 0.0))
+    turn = 2.0 * np.pi * uniform_pairs[:, 1]
     # Two directions normal to the viewing direction (Duff et al., J. Comput. Graph. Tech. 6(1),
     # 2017).
     sign = np.copysign(1.0, outgoing[:, 2])
     a = -1.0 / (sign + outgoing[:, 2])
     b = outgoing[:, 0] * outgoing[:, 1] * a
     x, y = outgoing[:, 0], outgoing[:, 1]
-    one = np.column_stack([1.0 + sign * x**2 * a, sign * b, -sign * x])
-    other = np.column_stack([b, sign + y**2 * a, -y])
-    across = (aside * np.cos(turn))[:, None] * one + (aside * np.sin(turn))[:, None] * other
-    return (1.0 - apart)[:, None] * outgoing + across
+    first_tangent = np.column_stack([1.0 + sign * x**2 * a, sign * b, -sign * x])
+    second_tangent = np.column_stack([b, sign + y**2 * a, -y])
+    across = (aside * np.cos(turn))[:, None] * first_tangent + (aside * np.sin(turn))[
+        :, None
+    ] * second_tangent
+    return (1.0 - one_minus_cosine)[:, None] * outgoing + across
 
 
 @lru_cache(maxsize=64)
 def _lobe_albedo(concentration: float) -> AlbedoTable:
     """Return int N cos(i)/max(cos(i), cos(o)) di; light below the surface is lost."""
     width = 1.0 / np.sqrt(concentration)
-    near = min(8.0 * width, 1.0) * np.linspace(0.0, 1.0, 65) ** 2
-    cosine = np.union1d(near, np.linspace(0.0, 1.0, 33))
+    near_grazing = min(8.0 * width, 1.0) * np.linspace(0.0, 1.0, 65) ** 2
+    cosine = np.union1d(near_grazing, np.linspace(0.0, 1.0, 33))
     # A lattice (Korobov, golden ratio): rows of a square grid would all meet the horizon at once.
     steps = np.arange(LATTICE)
-    even = np.column_stack([(steps + 0.5) / LATTICE, (steps * 0.6180339887498949) % 1.0])
+    lattice = np.column_stack([(steps + 0.5) / LATTICE, (steps * 0.6180339887498949) % 1.0])
     albedo = []
     for mu in cosine:
         incoming = _lobe_directions(
-            np.broadcast_to(directions_at_cosine(np.array([mu])), (len(even), 3)),
+            np.broadcast_to(directions_at_cosine(np.array([mu])), (len(lattice), 3)),
             concentration,
-            even,
+            lattice,
         )
         height = np.maximum(incoming[:, 2], 0.0)
         albedo.append(float(np.mean(height / np.maximum(np.maximum(height, mu), 1e-12))))

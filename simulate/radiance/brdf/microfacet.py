@@ -54,14 +54,16 @@ def lobe(incoming: Array, outgoing: Array, roughness: float) -> Array:
     3(2), 2014).
     """
     cos_in, cos_out = incoming[:, 2], outgoing[:, 2]
-    above = (cos_in > 0.0) & (cos_out > 0.0)
-    safe_in, safe_out = np.where(above, cos_in, 1.0), np.where(above, cos_out, 1.0)
-    seen = 1.0 / (1.0 + smith_lambda(safe_in, roughness) + smith_lambda(safe_out, roughness))
+    is_above = (cos_in > 0.0) & (cos_out > 0.0)
+    safe_in, safe_out = np.where(is_above, cos_in, 1.0), np.where(is_above, cos_out, 1.0)
+    visible_fraction = 1.0 / (
+        1.0 + smith_lambda(safe_in, roughness) + smith_lambda(safe_out, roughness)
+    )
     density = normals_density(halfway(incoming, outgoing), roughness)
-    return np.where(above, density * seen / (4.0 * safe_in * safe_out), 0.0)
+    return np.where(is_above, density * visible_fraction / (4.0 * safe_in * safe_out), 0.0)
 
 
-def sample_visible_normals(outgoing: Array, roughness: float, even: Array) -> Array:
+def sample_visible_normals(outgoing: Array, roughness: float, uniform_pairs: Array) -> Array:
     """Return visible facet normals from pairs of uniform numbers in [0, 1), shape (ray, 2).
 
     Notes
@@ -71,8 +73,8 @@ def sample_visible_normals(outgoing: Array, roughness: float, even: Array) -> Ar
     """
     stretched = outgoing * np.array([roughness, roughness, 1.0])
     stretched = stretched / np.linalg.norm(stretched, axis=1)[:, None]
-    turn = 2.0 * np.pi * even[:, 0]
-    height = (1.0 - even[:, 1]) * (1.0 + stretched[:, 2]) - stretched[:, 2]
+    turn = 2.0 * np.pi * uniform_pairs[:, 0]
+    height = (1.0 - uniform_pairs[:, 1]) * (1.0 + stretched[:, 2]) - stretched[:, 2]
     level = np.sqrt(np.maximum(1.0 - height**2, 0.0))
     cap = np.column_stack([level * np.cos(turn), level * np.sin(turn), height]) + stretched
     back = cap * np.array([roughness, roughness, 1.0])
@@ -175,24 +177,26 @@ def _rough_albedo(roughness: float, reflectance: Callable[[Array], Array]) -> Al
     cosine[0] = 1e-5
     middle, edge = (np.arange(STRATA) + 0.5) / STRATA, np.arange(STRATA + 1) / STRATA
     quantile, weight = 1.0 - (1.0 - middle) ** TAIL_POWER, -np.diff((1.0 - edge) ** TAIL_POWER)
-    even = np.stack(np.meshgrid(middle, quantile, indexing="ij"), axis=-1).reshape(-1, 2)
+    uniform_pairs = np.stack(np.meshgrid(middle, quantile, indexing="ij"), axis=-1).reshape(-1, 2)
     weight = np.tile(weight, STRATA) / STRATA
-    albedo = [_one_albedo(float(mu), roughness, reflectance, even) @ weight for mu in cosine]
+    albedo = [
+        _one_albedo(float(mu), roughness, reflectance, uniform_pairs) @ weight for mu in cosine
+    ]
     cosine[0] = 0.0
     return AlbedoTable(read_only(cosine), read_only(np.array(albedo, float)))
 
 
 def _one_albedo(
-    cosine: float, roughness: float, reflectance: Callable[[Array], Array], even: Array
+    cosine: float, roughness: float, reflectance: Callable[[Array], Array], uniform_pairs: Array
 ) -> Array:
     """Return the fraction of light that each sampled facet reflects."""
-    outgoing = np.broadcast_to(directions_at_cosine(np.array([cosine])), (len(even), 3))
-    normal = sample_visible_normals(outgoing, roughness, even)
+    outgoing = np.broadcast_to(directions_at_cosine(np.array([cosine])), (len(uniform_pairs), 3))
+    normal = sample_visible_normals(outgoing, roughness, uniform_pairs)
     incoming = mirror_direction(outgoing, normal)
-    above = incoming[:, 2] > 0.0
+    is_above = incoming[:, 2] > 0.0
     behind_eye = smith_lambda(np.array([cosine]), roughness)
-    behind_light = smith_lambda(np.where(above, incoming[:, 2], 1.0), roughness)
-    free = np.where(above, (1.0 + behind_eye) / (1.0 + behind_eye + behind_light), 0.0)
+    behind_light = smith_lambda(np.where(is_above, incoming[:, 2], 1.0), roughness)
+    free = np.where(is_above, (1.0 + behind_eye) / (1.0 + behind_eye + behind_light), 0.0)
     return free * reflectance(np.sum(outgoing * normal, axis=1))
 
 
@@ -208,9 +212,10 @@ def base_value(first_in: Array, first_out: Array, first_mean: Array | float, bas
     return base * (1.0 - first_in) * (1.0 - first_out) / (np.pi * (1.0 - first_mean))
 
 
-def sample_mixture(first: Array, share: Array, rng: np.random.Generator) -> Array:
-    """Return the first directions with a probability `share` (ray,), else draws by the cosine law,
-    shape (ray, 3).
+def sample_mixture(first: Array, first_probability: Array, rng: np.random.Generator) -> Array:
+    """Return the first directions with a probability, else cosine-law draws, shape (ray, 3).
+
+    `first_probability`: probability of the first direction, shape (ray,).
     """
-    takes_first = rng.random(len(first)) < share
+    takes_first = rng.random(len(first)) < first_probability
     return np.where(takes_first[:, None], first, cosine_directions(len(first), rng))

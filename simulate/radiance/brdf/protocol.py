@@ -57,30 +57,30 @@ class Reflectance:
     """Fraction of light over wavelength, linear between the given values and constant outside."""
 
     wavelength_nm: tuple[float, ...] = (550.0,)  # wavelengths, ascending, nm; one makes a grey
-    share: tuple[float, ...] = (0.0,)  # fraction at each, 0 to 1, dimensionless
+    fraction: tuple[float, ...] = (0.0,)  # fraction at each, 0 to 1, dimensionless
 
     def __post_init__(self) -> None:
-        if not self.wavelength_nm or len(self.wavelength_nm) != len(self.share):
+        if not self.wavelength_nm or len(self.wavelength_nm) != len(self.fraction):
             raise BadInput(
-                f"a reflectance must have one share per wavelength, got {len(self.wavelength_nm)} "
-                f"wavelengths and {len(self.share)} shares"
+                f"a reflectance must have one fraction per wavelength, got "
+                f"{len(self.wavelength_nm)} wavelengths and {len(self.fraction)} fractions"
             )
         if any(b <= a for a, b in zip(self.wavelength_nm, self.wavelength_nm[1:], strict=False)):
             raise BadInput(f"a material's wavelengths must ascend, got {list(self.wavelength_nm)}")
-        for share in self.share:
-            if not 0.0 <= share <= 1.0:
-                raise BadInput(f"a share of light must lie in [0, 1], got {share:g}")
+        for fraction in self.fraction:
+            if not 0.0 <= fraction <= 1.0:
+                raise BadInput(f"a fraction of light must lie in [0, 1], got {fraction:g}")
 
     def at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the fraction at wavelengths, dimensionless, shape (band,)."""
         return np.interp(
-            np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm, self.share
+            np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm, self.fraction
         )
 
 
-def grey(share: float) -> Reflectance:
+def grey(reflectance: float) -> Reflectance:
     """Return the same reflectance at all wavelengths."""
-    return Reflectance(share=(share,))
+    return Reflectance(fraction=(reflectance,))
 
 
 def both_above(incoming: Array, outgoing: Array) -> Array:
@@ -188,11 +188,11 @@ class MeasuredTable(CosineSampled):
         if not np.isfinite(table).all() or table.min() < 0.0:
             raise BadInput("a measured BRDF must be finite and not negative")
         mirrored = table.transpose(0, 2, 1, 3)
-        apart = float(np.abs(table - mirrored).max())
-        if apart > ASYMMETRY * table.max():
+        asymmetry = float(np.abs(table - mirrored).max())
+        if asymmetry > ASYMMETRY * table.max():
             raise BadInput(
                 f"a BRDF must be the same with light and eye exchanged, got a difference of "
-                f"{apart:g} sr-1"
+                f"{asymmetry:g} sr-1"
             )
         upright = np.concatenate([table[:, 0], table[:, :, 0]], axis=1)
         turned = float(np.ptp(upright, axis=2).max())
@@ -204,9 +204,9 @@ class MeasuredTable(CosineSampled):
         table = 0.5 * (table + mirrored)
         table[:, 0] = table[:, 0].mean(axis=-1, keepdims=True)
         table[:, :, 0] = table[:, :, 0].mean(axis=-1, keepdims=True)
-        kept = (wavelength, polar, azimuth, table)
+        arrays = (wavelength, polar, azimuth, table)
         for name, values in zip(
-            ("wavelength_nm", "polar_deg", "azimuth_deg", "table"), kept, strict=True
+            ("wavelength_nm", "polar_deg", "azimuth_deg", "table"), arrays, strict=True
         ):
             object.__setattr__(self, name, read_only(values))
         object.__setattr__(self, "_albedo", read_only(self._albedos()))
@@ -250,7 +250,7 @@ class MeasuredTable(CosineSampled):
         """Return the table's bands at directions: linear in both polar angles and in azimuth, shape
         (band, ray).
         """
-        places = [
+        cells = [
             _place(self.polar_deg, _polar_deg(incoming)),
             _place(self.polar_deg, _polar_deg(outgoing)),
             _place(self.azimuth_deg, _azimuth_between_deg(incoming, outgoing)),
@@ -258,9 +258,9 @@ class MeasuredTable(CosineSampled):
         total = np.zeros((len(table), len(incoming)))
         for corner in np.ndindex(2, 2, 2):
             weight = np.ones(len(incoming))
-            for (_, along), up in zip(places, corner, strict=True):
+            for (_, along), up in zip(cells, corner, strict=True):
                 weight = weight * (along if up else 1.0 - along)
-            index = [place + up for (place, _), up in zip(places, corner, strict=True)]
+            index = [cell + up for (cell, _), up in zip(cells, corner, strict=True)]
             total += weight * table[:, index[0], index[1], index[2]]
         return total
 
@@ -275,10 +275,10 @@ class MeasuredTable(CosineSampled):
         edges = np.deg2rad(self.polar_deg)
         half = 0.5 * np.diff(edges)
         total = np.zeros((len(self.table), edges.size))
-        for at, share in zip(node, weight, strict=True):
+        for at, node_weight in zip(node, weight, strict=True):
             angle = edges[:-1] + half * (at + 1.0)
             rise = 0.5 * (at + 1.0)
-            ring = share * half * np.sin(angle) * np.cos(angle)
+            ring = node_weight * half * np.sin(angle) * np.cos(angle)
             light = around[:, :-1] * (1.0 - rise) + around[:, 1:] * rise
             total += np.einsum("bpo,p->bo", light, ring)
         return total
@@ -313,15 +313,15 @@ def read_measured(path: Path) -> MeasuredTable:
     require_regular(path, "a measured BRDF")
     try:
         with np.load(path, allow_pickle=False) as file:
-            found = {name: np.asarray(file[name], float) for name in ARRAYS if name in file}
+            arrays = {name: np.asarray(file[name], float) for name in ARRAYS if name in file}
     except (OSError, ValueError, EOFError, AttributeError, BadZipFile):
         raise BadInput(f"a measured BRDF must be a readable .npz file, got {path}") from None
-    missing = [name for name in ARRAYS if name not in found]
+    missing = [name for name in ARRAYS if name not in arrays]
     if missing:
         raise BadInput(
             f"a measured BRDF must hold {', '.join(ARRAYS)}, got no {missing[0]} in {path.name}"
         )
     try:
-        return MeasuredTable(**found)
+        return MeasuredTable(**arrays)
     except BadInput as error:
         raise BadInput(f"{error}, in {path.name}") from None

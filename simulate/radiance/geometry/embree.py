@@ -57,14 +57,14 @@ Planes = tuple[Array, ...]
 @cache
 def _library() -> ctypes.CDLL:
     try:
-        held = [file for file in files("embreex") or () if file.name.startswith("libembree4")]
+        libraries = [file for file in files("embreex") or () if file.name.startswith("libembree4")]
     except PackageNotFoundError:
-        held = []
-    if not held:
+        libraries = []
+    if not libraries:
         raise BadInput(
             "rays need the library libembree4 that embreex 4.4 ships, got an embreex without it"
         )
-    path = str(held[0].locate())
+    path = str(libraries[0].locate())
     llvmlite.binding.load_library_permanently(path)
     library = ctypes.CDLL(path)
     handle, number, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
@@ -181,13 +181,19 @@ class EmbreeScene:
         )
         return face, range_m
 
-    def is_occluded(self, origin: Array, direction: Array, reach: Array) -> NDArray[np.bool_]:
+    def is_occluded(
+        self, origin: Array, direction: Array, length_limit: Array
+    ) -> NDArray[np.bool_]:
         """Return whether rays hit a surface within a number of direction lengths, shape (ray,)."""
-        found = np.empty(len(origin), np.bool_)
+        occluded = np.empty(len(origin), np.bool_)
         _trace_occlusions(
-            self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found
+            self.address,
+            self.centre_m,
+            (origin, direction, length_limit),
+            new_packets(PACKET),
+            occluded,
         )
-        return found
+        return occluded
 
 
 def _triangles(vertices_m: Array, faces: NDArray[np.integer]) -> int:
@@ -216,46 +222,46 @@ _occluded: Any = types.ExternalFunction("rtcOccluded16", types.void(*(types.uint
 
 def new_packets(rays: int) -> NDArray[np.float32]:
     """Return empty ray packets: one row for each number and one column for each ray."""
-    many = -(-rays // PACKET)
-    room = np.zeros(many * ROWS * PACKET + ALIGNED // 4, np.float32)
+    packet_count = -(-rays // PACKET)
+    room = np.zeros(packet_count * ROWS * PACKET + ALIGNED // 4, np.float32)
     start = -room.ctypes.data % ALIGNED // 4
-    packets = room[start : start + many * ROWS * PACKET].reshape(many, ROWS, PACKET)
+    packets = room[start : start + packet_count * ROWS * PACKET].reshape(packet_count, ROWS, PACKET)
     packets.view(np.int32)[:, MASK] = NONE
     return packets
 
 
 @numba.njit(**INLINED)
-def set_ray(packets, slot, centre, origin, direction, reach):
+def set_ray(packets, slot, centre, origin, direction, length_limit):
     """Set one ray; its length is in units of its direction."""
     packet, lane = slot >> BITS, slot & (PACKET - 1)
     for axis in range(3):
         packets[packet, ORIGIN + axis, lane] = origin[axis] - centre[axis]
         packets[packet, DIRECTION + axis, lane] = direction[axis]
-    packets[packet, REACH, lane] = reach
+    packets[packet, REACH, lane] = length_limit
 
 
 @numba.njit(**INLINED)
-def intersect(scene, packets, many):
-    """Trace the first `many` rays; `triangle_of` returns their hits."""
-    for packet in range((many + PACKET - 1) >> BITS):
-        rays = _prepare_packet(packets, packet, many)
+def intersect(scene, packets, ray_count):
+    """Trace the first `ray_count` rays; `triangle_of` returns their hits."""
+    for packet in range((ray_count + PACKET - 1) >> BITS):
+        rays = _prepare_packet(packets, packet, ray_count)
         _intersect(rays + 4 * VALID * PACKET, scene, rays, 0)
 
 
 @numba.njit(**INLINED)
-def trace_occlusion(scene, packets, many):
-    """Trace the first `many` shadow rays; `is_ray_occluded` returns the results."""
-    for packet in range((many + PACKET - 1) >> BITS):
-        rays = _prepare_packet(packets, packet, many)
+def trace_occlusion(scene, packets, ray_count):
+    """Trace the first `ray_count` shadow rays; `is_ray_occluded` returns the results."""
+    for packet in range((ray_count + PACKET - 1) >> BITS):
+        rays = _prepare_packet(packets, packet, ray_count)
         _occluded(rays + 4 * VALID * PACKET, scene, rays, 0)
 
 
 @numba.njit(**INLINED)
-def _prepare_packet(packets, packet, many):
+def _prepare_packet(packets, packet, ray_count):
     """Reset a packet with its mask of valid rays, and return its address."""
     number = packets.view(np.int32)
     for lane in range(PACKET):
-        number[packet, VALID, lane] = -1 if (packet << BITS) + lane < many else 0
+        number[packet, VALID, lane] = -1 if (packet << BITS) + lane < ray_count else 0
         number[packet, GEOMETRY, lane] = NONE
     return packets.ctypes.data + 4 * ROWS * PACKET * packet
 
@@ -317,11 +323,11 @@ def meet_plane(planes, face, origin, direction):
 def _trace_hits(scene, centre, planes, rays, packets, face, range_m):
     origin, direction = rays
     for first in range(0, len(face), PACKET):
-        many = min(PACKET, len(face) - first)
-        for slot in range(many):
+        ray_count = min(PACKET, len(face) - first)
+        for slot in range(ray_count):
             set_ray(packets, slot, centre, origin[first + slot], direction[first + slot], np.inf)
-        intersect(scene, packets, many)
-        for slot in range(many):
+        intersect(scene, packets, ray_count)
+        for slot in range(ray_count):
             i = first + slot
             face[i], range_m[i] = triangle_of(packets, slot, planes), np.inf
             if face[i] >= 0:
@@ -329,19 +335,19 @@ def _trace_hits(scene, centre, planes, rays, packets, face, range_m):
 
 
 @numba.njit(**COMPILED)
-def _trace_occlusions(scene, centre, rays, packets, found):
-    origin, direction, reach = rays
-    for first in range(0, len(found), PACKET):
-        many = min(PACKET, len(found) - first)
-        for slot in range(many):
+def _trace_occlusions(scene, centre, rays, packets, occluded):
+    origin, direction, length_limit = rays
+    for first in range(0, len(occluded), PACKET):
+        ray_count = min(PACKET, len(occluded) - first)
+        for slot in range(ray_count):
             set_ray(
                 packets,
                 slot,
                 centre,
                 origin[first + slot],
                 direction[first + slot],
-                reach[first + slot],
+                length_limit[first + slot],
             )
-        trace_occlusion(scene, packets, many)
-        for slot in range(many):
-            found[first + slot] = is_ray_occluded(packets, slot)
+        trace_occlusion(scene, packets, ray_count)
+        for slot in range(ray_count):
+            occluded[first + slot] = is_ray_occluded(packets, slot)

@@ -53,12 +53,12 @@ class RayTracer:
 
     def normals(self, face: NDArray[np.integer]) -> Array:
         """Return unit normals of faces, shape (face, 3)."""
-        found, copy = self.planes[1][face & ROW], face >> COPY_BITS
+        normals, copy = self.planes[1][face & ROW], face >> COPY_BITS
         of = np.flatnonzero(copy)
         if len(of):
             turn, size = self.planes[3][copy[of]], self.planes[5][copy[of]]
-            found[of] = np.einsum("fij,fj->fi", turn, found[of]) / size[:, None]
-        return found
+            normals[of] = np.einsum("fij,fj->fi", turn, normals[of]) / size[:, None]
+        return normals
 
     def hits(self, origin_m: Array, direction: Array) -> Hits:
         """Return where rays of unit direction hit first, on the plane of the triangle in double
@@ -70,14 +70,16 @@ class RayTracer:
         return Hits(*self.scene.hits(self.planes, _plain(origin_m), _plain(direction)))
 
     def is_occluded(
-        self, origin_m: Array, direction: Array, reach: ArrayLike | None = None
+        self, origin_m: Array, direction: Array, length_limit: ArrayLike | None = None
     ) -> NDArray[np.bool_]:
         """Return whether rays (ray, 3) are occluded within so many lengths of their direction;
         None: infinite.
         """
         if self.scene is None:
             return np.zeros(len(origin_m), np.bool_)
-        limits = np.full(len(origin_m), np.inf if reach is None else reach, np.float64)
+        limits = np.full(
+            len(origin_m), np.inf if length_limit is None else length_limit, np.float64
+        )
         return self.scene.is_occluded(_plain(origin_m), _plain(direction), limits)
 
     def facing(self, face: NDArray[np.integer], direction: Array) -> tuple[Array, Array]:
@@ -93,8 +95,8 @@ class RayTracer:
         starts of rays, m.
         """
         # Column by column: ten times as fast in NumPy as over rows of three.
-        away = reduce(np.maximum, np.abs(place_m - self.centre_m).T)
-        shift = np.maximum(self.clearance_m[face & ROW], CLEARANCE_SHARE * away)
+        distance = reduce(np.maximum, np.abs(place_m - self.centre_m).T)
+        shift = np.maximum(self.clearance_m[face & ROW], CLEARANCE_SHARE * distance)
         return place_m + shift[:, None] * side
 
 
@@ -115,8 +117,8 @@ def tracer(
     if not len(faces):
         return RayTracer(None, np.zeros(3), _planes(corners, ()), np.zeros(0))
     ends = [corners.min(axis=(0, 1)), corners.max(axis=(0, 1)), *(mesh.shift_m for mesh in copied)]
-    whole = np.concatenate([np.atleast_2d(end) for end in ends])
-    centre = 0.5 * (whole.min(axis=0) + whole.max(axis=0))
+    corners_of_all = np.concatenate([np.atleast_2d(end) for end in ends])
+    centre = 0.5 * (corners_of_all.min(axis=0) + corners_of_all.max(axis=0))
     extent = [np.abs(corners - centre).max(axis=(1, 2)), *(_extent(mesh) for mesh in copied)]
     return RayTracer(
         EmbreeScene(vertices, faces, centre, copied),

@@ -152,8 +152,8 @@ def ground(side: float) -> Mesh:
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     quads = [[4 * (len(halves) - 1) + i for i in range(4)]]
     for ring in range(len(halves) - 1):
-        out, within = 4 * ring, 4 * (ring + 1)
-        quads += [[out + i, out + (i + 1) % 4, within + (i + 1) % 4, within + i] for i in range(4)]
+        out, inner = 4 * ring, 4 * (ring + 1)
+        quads += [[out + i, out + (i + 1) % 4, inner + (i + 1) % 4, inner + i] for i in range(4)]
     return Mesh(np.concatenate([half * square for half in halves]), _cut(quads))
 
 
@@ -178,8 +178,8 @@ def shed(width: float, depth: float, eaves: float, ridge: float) -> Mesh:
         [[thick, 0], [thick, -0.5 * thick], [0, -thick], [-thick, -0.5 * thick], [-thick, 0]]
     )
     inner = outer + drop
-    front, back, within = -0.5 * depth, 0.5 * depth, 0.5 * depth - thick
-    sides = ((outer, front), (outer, back), (inner, front), (inner, within))
+    front, back, inner_back = -0.5 * depth, 0.5 * depth, 0.5 * depth - thick
+    sides = ((outer, front), (outer, back), (inner, front), (inner, inner_back))
     rings = [np.insert(outline, 1, y, axis=1) for outline, y in sides]
     of_front, of_back, in_front, in_back = (5 * i for i in range(4))
     quads = []
@@ -265,11 +265,15 @@ class Surfaces:
         for mesh in self.copied:
             size = np.cbrt(np.linalg.det(mesh.turn))
             # Centre of the sphere in the frame of each copy.
-            there = np.einsum("cji,cj->ci", mesh.turn, place_m - mesh.shift_m) / size[:, None] ** 2
+            centre_in_copy = (
+                np.einsum("cji,cj->ci", mesh.turn, place_m - mesh.shift_m) / size[:, None] ** 2
+            )
             low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-            reach = (radius_m / size)[:, None]
+            copy_radius = (radius_m / size)[:, None]
             for copy in np.flatnonzero(
-                ((there > low - reach) & (there < high + reach)).all(axis=1)
+                ((centre_in_copy > low - copy_radius) & (centre_in_copy < high + copy_radius)).all(
+                    axis=1
+                )
             ):
                 placed = mesh.vertices_m @ mesh.turn[copy].T + mesh.shift_m[copy]
                 close = _boxes_touch(placed[mesh.faces], place_m, radius_m)
@@ -280,10 +284,10 @@ class Surfaces:
 
 def _boxes_touch(corners_m: Array, place_m: Array, radius_m: float) -> NDArray[np.int64]:
     """Return which triangles (face, corner, 3) have bounding boxes that overlap a sphere's."""
-    near = (corners_m.min(axis=1) <= place_m + radius_m) & (
+    overlaps = (corners_m.min(axis=1) <= place_m + radius_m) & (
         corners_m.max(axis=1) >= place_m - radius_m
     )
-    return np.flatnonzero(near.all(axis=1))
+    return np.flatnonzero(overlaps.all(axis=1))
 
 
 def collect_surfaces(

@@ -146,8 +146,8 @@ class Viewpoint:
         origin = np.broadcast_to(np.asarray(self.position_m, float), towards.shape)
         if self.scan is None:
             return origin, towards
-        moved, turn = self.scan.at(row)
-        return origin + moved, _turn_about_vertical(towards, turn)
+        displacement, turn = self.scan.at(row)
+        return origin + displacement, _turn_about_vertical(towards, turn)
 
     def exposures(self) -> Iterator[Exposure]:
         """Yield the rows taken at one time: all of a framing camera, each of a scanner."""
@@ -156,9 +156,9 @@ class Viewpoint:
             yield Exposure(eye_m=eye, turn_rad=0.0, first=0.0, rows=self.shape[0], picture_row=0)
             return
         for row in range(self.shape[0]):
-            moved, turn = self.scan.at(np.array([float(row)]))
+            displacement, turn = self.scan.at(np.array([float(row)]))
             yield Exposure(
-                eye_m=eye + moved[0],
+                eye_m=eye + displacement[0],
                 turn_rad=float(turn[0]),
                 first=0.5 * (self.shape[0] - 1),
                 rows=1,
@@ -177,8 +177,12 @@ class Viewpoint:
             np.divide(side, ahead, out=np.zeros_like(side), where=front) for side in (right, down)
         )
         radius = np.hypot(x, y) / self._corner
-        kept = np.minimum(radius, FARTHEST)
-        stretch = kept / np.maximum(radius, 1e-300) * (1.0 + self.distortion_fraction * kept**2)
+        limited_radius = np.minimum(radius, FARTHEST)
+        stretch = (
+            limited_radius
+            / np.maximum(radius, 1e-300)
+            * (1.0 + self.distortion_fraction * limited_radius**2)
+        )
         row = y * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[1] + 0.5 * self.shape[0]
         col = x * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[0] + 0.5 * self.shape[1]
         return row, col, front
@@ -189,11 +193,16 @@ class Viewpoint:
         |d1 x d2| of the unit directions' derivatives along row and column.
         """
         step = 0.25
-        _, left = self.rays(row, col - step)
-        _, right = self.rays(row, col + step)
-        _, over = self.rays(row - step, col)
-        _, under = self.rays(row + step, col)
-        return np.linalg.norm(np.cross(right - left, under - over), axis=1) / (2.0 * step) ** 2
+        _, towards_left = self.rays(row, col - step)
+        _, towards_right = self.rays(row, col + step)
+        _, towards_upper = self.rays(row - step, col)
+        _, towards_lower = self.rays(row + step, col)
+        return (
+            np.linalg.norm(
+                np.cross(towards_right - towards_left, towards_lower - towards_upper), axis=1
+            )
+            / (2.0 * step) ** 2
+        )
 
     @cached_property
     def _corner(self) -> float:

@@ -49,20 +49,20 @@ class AuxiliaryLayers:
         """Return the pixels at which object, face or, if requested, shadow changes, shape (row,
         col).
         """
-        found = np.zeros(self.material.shape, bool)
+        is_edge = np.zeros(self.material.shape, bool)
         for axis in (0, 1):
-            whole = (slice(None),) * axis
-            first, rest = (*whole, slice(None, -1)), (*whole, slice(1, None))
-            differs = (self.object[first] != self.object[rest]) | (
-                self.material[first] != self.material[rest]
+            all_rows = (slice(None),) * axis
+            first, second = (*all_rows, slice(None, -1)), (*all_rows, slice(1, None))
+            differs = (self.object[first] != self.object[second]) | (
+                self.material[first] != self.material[second]
             )
             if shadows:
-                differs |= self.shadow[first] != self.shadow[rest]
-            facing = np.sum(self.normal[first] * self.normal[rest], axis=-1)
+                differs |= self.shadow[first] != self.shadow[second]
+            facing = np.sum(self.normal[first] * self.normal[second], axis=-1)
             differs |= (facing < SAME_NORMAL) & (self.object[first] >= 0)
-            found[first] |= differs
-            found[rest] |= differs
-        return found
+            is_edge[first] |= differs
+            is_edge[second] |= differs
+        return is_edge
 
     def save(self, path: Path, geometry: Mapping[str, ArrayLike]) -> None:
         """Write the maps, and the geometry of the view under its own names, to an .npz file."""
@@ -96,13 +96,13 @@ def truth(stage: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
         "shadow": np.zeros(count, np.uint32),
     }
     row_of = hit.face[met] & ROW
-    seen = (
+    met_values = (
         surfaces.material_of[row_of],
         surfaces.object_of[row_of],
         points.normal,
         _shadows(stage, points),
     )
-    for layer, values in zip(layers.values(), seen, strict=True):
+    for layer, values in zip(layers.values(), met_values, strict=True):
         layer[met] = values
     layers["range_m"] = hit.range_m.astype(np.float32)
     shaped = {
@@ -119,14 +119,14 @@ def truth(stage: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
 
 def _shadows(stage: SpectralScene, points: ShadingPoints) -> NDArray[np.uint32]:
     """Return the bits of the sources whose centres are not visible from the points."""
-    found, tracer = np.zeros(len(points), np.uint32), stage.surfaces.tracer
+    shadow_bits, tracer = np.zeros(len(points), np.uint32), stage.surfaces.tracer
     for bit, light in enumerate((*stage.lighting.discs, *stage.lighting.lamps)[:BITS]):
         if isinstance(light, DiscLight):
-            way, reach = np.broadcast_to(light.direction, points.normal.shape), None
+            way, length_limit = np.broadcast_to(light.direction, points.normal.shape), None
         else:
-            way, reach = light.position_m - points.place_m, SHORT
+            way, length_limit = light.position_m - points.place_m, SHORT
         dark = dot(way, points.normal) <= 0.0
         lit = np.flatnonzero(~dark)
-        dark[lit] = tracer.is_occluded(ray_starts(points, lit, tracer), way[lit], reach)
-        found |= dark.astype(np.uint32) << np.uint32(bit)
-    return found
+        dark[lit] = tracer.is_occluded(ray_starts(points, lit, tracer), way[lit], length_limit)
+        shadow_bits |= dark.astype(np.uint32) << np.uint32(bit)
+    return shadow_bits

@@ -59,7 +59,7 @@ class Nodes:
 
     def smooth(self, values: Array, width: NDArray[np.int64], run: Run) -> Array:
         """Return values (row, col, band) smoothed over windows of half widths (row, col), nodes."""
-        found, rows = np.zeros_like(values), len(values)
+        smoothed, rows = np.zeros_like(values), len(values)
 
         def strip(first: int) -> None:
             _fit(
@@ -70,11 +70,11 @@ class Nodes:
                 width,
                 first,
                 min(first + STRIP, rows),
-                found,
+                smoothed,
             )
 
         list(run(strip, list(range(0, rows, STRIP))))
-        return found
+        return smoothed
 
     def between(
         self, values: NDArray[np.float32], row: Array, col: Array, place_m: Array, normal: Array
@@ -84,11 +84,23 @@ class Nodes:
 
         Coordinates (point,) are integers at nodes; positions and normals have shape (point, 3).
         """
-        found, has = np.zeros((len(row), values.shape[2]), np.float32), np.zeros(len(row), np.bool_)
-        _interpolate(
-            values, self.place_m, self.normal, self.face, row, col, place_m, normal, found, has
+        interpolated, has = (
+            np.zeros((len(row), values.shape[2]), np.float32),
+            np.zeros(len(row), np.bool_),
         )
-        return found, has
+        _interpolate(
+            values,
+            self.place_m,
+            self.normal,
+            self.face,
+            row,
+            col,
+            place_m,
+            normal,
+            interpolated,
+            has,
+        )
+        return interpolated, has
 
 
 def all_alike(
@@ -97,17 +109,17 @@ def all_alike(
     """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape
     (pair,).
     """
-    found = np.empty(len(place_m), np.bool_)
-    _all_alike(place_m, normal, other_place_m, other_normal, found)
-    return found
+    same_surface = np.empty(len(place_m), np.bool_)
+    _all_alike(place_m, normal, other_place_m, other_normal, same_surface)
+    return same_surface
 
 
 @numba.njit(**INLINED)
-def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
+def alike(position: Any, normal: Any, other_position: Any, other_normal: Any) -> bool:
     """Return whether two points lie on one smooth surface."""
     facing, off, off_other, square = 0.0, 0.0, 0.0, 0.0
     for axis in range(3):
-        step = other_place[axis] - place[axis]
+        step = other_position[axis] - position[axis]
         facing += normal[axis] * other_normal[axis]
         off += normal[axis] * step
         off_other += other_normal[axis] * step
@@ -117,14 +129,25 @@ def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
 
 
 @numba.njit(**COMPILED)
-def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, found: Any) -> None:
-    for pair in range(len(found)):
-        found[pair] = alike(place[pair], normal[pair], other_place[pair], other_normal[pair])
+def _all_alike(
+    position: Any, normal: Any, other_position: Any, other_normal: Any, same_surface: Any
+) -> None:
+    for pair in range(len(same_surface)):
+        same_surface[pair] = alike(
+            position[pair], normal[pair], other_position[pair], other_normal[pair]
+        )
 
 
 @numba.njit(**COMPILED)
 def _fit(
-    values: Any, place: Any, normal: Any, face: Any, width: Any, first: int, last: int, found: Any
+    values: Any,
+    position: Any,
+    normal: Any,
+    face: Any,
+    width: Any,
+    first: int,
+    last: int,
+    smoothed: Any,
 ) -> None:
     """Fit a plane over row and column to the values in the window of each node, and store its value
     at the centre.
@@ -135,8 +158,8 @@ def _fit(
     plane = np.zeros((3, bands))
     for r in range(first, last):
         for c in range(columns):
-            here = face[r, c]
-            if here == NOTHING:
+            centre_face = face[r, c]
+            if centre_face == NOTHING:
                 continue
             h = width[r, c]
             n, x1, y1, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -144,9 +167,9 @@ def _fit(
             for i in range(max(r - h, 0), min(r + h + 1, rows)):
                 for j in range(max(c - h, 0), min(c + h + 1, columns)):
                     # Nodes on one triangle are on one surface.
-                    if face[i, j] != here and (
+                    if face[i, j] != centre_face and (
                         face[i, j] == NOTHING
-                        or not alike(place[r, c], normal[r, c], place[i, j], normal[i, j])
+                        or not alike(position[r, c], normal[r, c], position[i, j], normal[i, j])
                     ):
                         continue
                     x, y = float(j - c), float(i - r)
@@ -163,51 +186,55 @@ def _fit(
                         plane[2, b] += value * y
             # Constant of the normal equations, by Cramer's rule.
             a, p, q = xx * yy - xy * xy, xy * y1 - x1 * yy, x1 * xy - xx * y1
-            whole = n * a + x1 * p + y1 * q
-            flat = n < ENOUGH or whole < 1e-6 * n * max(xx * yy, 1e-30)
+            determinant = n * a + x1 * p + y1 * q
+            flat = n < ENOUGH or determinant < 1e-6 * n * max(xx * yy, 1e-30)
             for b in range(bands):
                 if flat:
-                    found[r, c, b] = plane[0, b] / n
+                    smoothed[r, c, b] = plane[0, b] / n
                 else:
-                    found[r, c, b] = (plane[0, b] * a + plane[1, b] * p + plane[2, b] * q) / whole
+                    smoothed[r, c, b] = (
+                        plane[0, b] * a + plane[1, b] * p + plane[2, b] * q
+                    ) / determinant
 
 
 @numba.njit(**COMPILED)
 def _interpolate(
     values: Any,
-    place: Any,
+    position: Any,
     normal: Any,
     face: Any,
     row: Any,
     col: Any,
     at: Any,
     facing: Any,
-    found: Any,
+    interpolated: Any,
     has: Any,
 ) -> None:
     """Interpolate nodes at points (ray,) between them, among nodes on the same surface."""
     rows, columns, bands = values.shape
     for ray in range(len(row)):
-        top, left = int(np.floor(row[ray])), int(np.floor(col[ray]))
+        top, first_column = int(np.floor(row[ray])), int(np.floor(col[ray]))
         total = 0.0
-        for reach in range(2):
-            for i in range(max(top - reach, 0), min(top + 2 + reach, rows)):
-                for j in range(max(left - reach, 0), min(left + 2 + reach, columns)):
+        for margin in range(2):
+            for i in range(max(top - margin, 0), min(top + 2 + margin, rows)):
+                for j in range(
+                    max(first_column - margin, 0), min(first_column + 2 + margin, columns)
+                ):
                     if face[i, j] == NOTHING or not alike(
-                        at[ray], facing[ray], place[i, j], normal[i, j]
+                        at[ray], facing[ray], position[i, j], normal[i, j]
                     ):
                         continue
-                    span = 1.0 + reach
+                    span = 1.0 + margin
                     weight = (
                         max(span - abs(row[ray] - i), 0.0) * max(span - abs(col[ray] - j), 0.0)
                         + 1e-6
                     )
                     total += weight
                     for b in range(bands):
-                        found[ray, b] += weight * values[i, j, b]
+                        interpolated[ray, b] += weight * values[i, j, b]
             if total > 0.0:
                 break
         has[ray] = total > 0.0
         if total > 0.0:
             for b in range(bands):
-                found[ray, b] /= total
+                interpolated[ray, b] /= total

@@ -43,9 +43,9 @@ def reflect(
     """Return the reflected light of sources, as far as surfaces do not occlude it, through panes
     and air.
     """
-    reach, panes = None if samples.distance_m is None else SHORT, stage.bsdfs.panes
+    length_limit, panes = None if samples.distance_m is None else SHORT, stage.bsdfs.panes
     start = ray_starts(points, samples.which, stage.surfaces.tracer)
-    clear = np.flatnonzero(~stage.surfaces.tracer.is_occluded(start, samples.target, reach))
+    clear = np.flatnonzero(~stage.surfaces.tracer.is_occluded(start, samples.target, length_limit))
     lit = samples.which[clear]
     light = stage.bsdfs.value(points.some(lit), samples.direction[clear])
     light *= samples.factor[clear, None].astype(np.float32)
@@ -53,15 +53,17 @@ def reflect(
     if through is not None and samples.distance_m is not None:
         light *= through(samples.distance_m[clear])
     if panes is not None:
-        behind, left = panes.transmittance_along(start[clear], samples.target[clear], reach)
-        light[behind] *= left
+        behind, pane_transmittance = panes.transmittance_along(
+            start[clear], samples.target[clear], length_limit
+        )
+        light[behind] *= pane_transmittance
     return lit, light
 
 
 def sample_disc(points: ShadingPoints, disc: DiscLight, rng: np.random.Generator) -> LightSamples:
     """Draw a point of sun or moon, uniform over its solid angle, for each point."""
-    count, least = len(points), np.cos(disc.angular_radius_rad)
-    up, turn = 1.0 - rng.random(count) * (1.0 - least), 2.0 * np.pi * rng.random(count)
+    count, limb_cosine = len(points), np.cos(disc.angular_radius_rad)
+    up, turn = 1.0 - rng.random(count) * (1.0 - limb_cosine), 2.0 * np.pi * rng.random(count)
     sine = np.sqrt(np.maximum(1.0 - up**2, 0.0))
     local = np.stack([sine * np.cos(turn), sine * np.sin(turn), up], axis=1)
     towards = local @ shading_frames(disc.direction[None])[0]
@@ -104,9 +106,12 @@ def sample_one_lamp(
     for number, lamp in enumerate(lamps):
         which = np.flatnonzero((chosen == number) & (total > 0.0))
         if len(which):
-            found = sample_lamp(points.some(which), lamp, rng)
-            lit = which[found.which]
-            yield lamp.name, found._replace(which=lit, factor=found.factor / chance[number, lit])
+            samples = sample_lamp(points.some(which), lamp, rng)
+            lit = which[samples.which]
+            yield (
+                lamp.name,
+                samples._replace(which=lit, factor=samples.factor / chance[number, lit]),
+            )
 
 
 def sample_panels(
@@ -123,8 +128,8 @@ def sample_panels(
     (Veach and Guibas, 1995; `gather_mis_weight`), so that a close panel does not cause bright
     outliers.
     """
-    panel, place = panels.draw(len(points), rng)
-    way = place - points.place_m
+    panel, panel_point = panels.draw(len(points), rng)
+    way = panel_point - points.place_m
     distance = np.linalg.norm(way, axis=1)
     towards = np.divide(
         way, distance[:, None], out=np.zeros_like(way), where=distance[:, None] > 0.0
@@ -137,7 +142,9 @@ def sample_panels(
         distance[lit],
         panels.face[panel[lit]],
     )
-    target = tracer.above(face, place[lit], panels.normal[panel]) - ray_starts(points, lit, tracer)
+    target = tracer.above(face, panel_point[lit], panels.normal[panel]) - ray_starts(
+        points, lit, tracer
+    )
     by_area = panels.per_m2_of_face[face] * distance**2 / leaving[lit]
     by_gathering = gather_rays * bsdfs.density(points.some(lit), towards) if gather_rays else 0.0
     factor, glow = cosine[lit] / (by_area + by_gathering), panels.spectra[panels.kind_of_face[face]]

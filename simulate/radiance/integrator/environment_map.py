@@ -38,9 +38,11 @@ class EnvironmentMap:
     def radiance(self, direction: Array) -> NDArray[np.float32]:
         """Return spectral radiance from unit directions (ray, 3), shape (ray, band)."""
         height = np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)) / (0.5 * np.pi)
-        found = _interpolate(self.radiance_table, np.maximum(height, 0.0), azimuth_turns(direction))
-        found[direction[:, 2] < 0.0] = 0.0
-        return found
+        radiance = _interpolate(
+            self.radiance_table, np.maximum(height, 0.0), azimuth_turns(direction)
+        )
+        radiance[direction[:, 2] < 0.0] = 0.0
+        return radiance
 
     def irradiance(self, normal: Array) -> NDArray[np.float32]:
         """Return the unoccluded irradiance of surfaces with unit normals (point, 3), shape (point,
@@ -99,8 +101,8 @@ def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
     tilt, turn = _normals()
     normals = _directions(tilt, turn).astype(np.float32)
     towards = directions.T.astype(np.float32)
-    found = [np.maximum(part @ towards, 0.0) @ radiance for part in np.array_split(normals, 16)]
-    return np.concatenate(found).reshape(len(tilt), len(turn), bands)
+    parts = [np.maximum(part @ towards, 0.0) @ radiance for part in np.array_split(normals, 16)]
+    return np.concatenate(parts).reshape(len(tilt), len(turn), bands)
 
 
 def _normals() -> tuple[Array, Array]:
@@ -126,20 +128,21 @@ def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDAr
     """
     rows, columns, bands = table.shape
     row, col = down * (rows - 1), across * (columns - 1)
-    top, left = (
+    top, first_column = (
         np.minimum(row.astype(np.int64), rows - 2),
         np.minimum(col.astype(np.int64), columns - 2),
     )
-    below, right = (
-        (place - cell).astype(np.float32)[:, None] for place, cell in ((row, top), (col, left))
+    row_fraction, column_fraction = (
+        (position - cell).astype(np.float32)[:, None]
+        for position, cell in ((row, top), (col, first_column))
     )
-    flat, first = table.reshape(-1, bands), top * columns + left
+    flat, first = table.reshape(-1, bands), top * columns + first_column
     upper = flat[first]
-    upper += right * (flat[first + 1] - upper)
+    upper += column_fraction * (flat[first + 1] - upper)
     lower = flat[first + columns]
-    lower += right * (flat[first + columns + 1] - lower)
+    lower += column_fraction * (flat[first + columns + 1] - lower)
     lower -= upper
-    lower *= below
+    lower *= row_fraction
     upper += lower
     return upper
 
@@ -215,25 +218,25 @@ def sky_arrays(environment: EnvironmentMap, bright: SkyImportance | None) -> tup
 
 @numba.njit(**INLINED)
 def sky_light(
-    table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any
+    table: Any, x: float, y: float, z: float, fraction: float, weight: Any, total: Any
 ) -> None:
     """Add a fraction of the radiance from a unit direction above the horizon, weighted by band."""
-    _add(table, np.arcsin(min(z, 1.0)) / (0.5 * np.pi), x, y, share, weight, found)
+    _add(table, np.arcsin(min(z, 1.0)) / (0.5 * np.pi), x, y, fraction, weight, total)
 
 
 @numba.njit(**INLINED)
 def sky_irradiance(
-    table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any
+    table: Any, x: float, y: float, z: float, fraction: float, weight: Any, total: Any
 ) -> None:
     """Add a fraction of the unoccluded sky irradiance of a surface with a unit normal, weighted by
     band.
     """
-    _add(table, np.arccos(min(max(z, -1.0), 1.0)) / np.pi, x, y, share, weight, found)
+    _add(table, np.arccos(min(max(z, -1.0), 1.0)) / np.pi, x, y, fraction, weight, total)
 
 
 @numba.njit(**INLINED)
 def _add(
-    table: Any, down: float, x: float, y: float, share: float, weight: Any, found: Any
+    table: Any, down: float, x: float, y: float, fraction: float, weight: Any, total: Any
 ) -> None:
     """Add the interpolated value of a table at a fraction of its height and the azimuth of a
     direction.
@@ -241,12 +244,20 @@ def _add(
     rows, columns, bands = table.shape
     row, col = down * (rows - 1), np.arctan2(y, x) / (2.0 * np.pi)
     col = (col - np.floor(col)) * (columns - 1)
-    top, left = min(int(row), rows - 2), min(int(col), columns - 2)
-    below, right = row - top, col - left
+    top, first_column = min(int(row), rows - 2), min(int(col), columns - 2)
+    row_fraction, column_fraction = row - top, col - first_column
     for band in range(bands):
-        upper = table[top, left, band] * (1.0 - right) + table[top, left + 1, band] * right
-        lower = table[top + 1, left, band] * (1.0 - right) + table[top + 1, left + 1, band] * right
-        found[band] += share * weight[band] * (upper * (1.0 - below) + lower * below)
+        upper = (
+            table[top, first_column, band] * (1.0 - column_fraction)
+            + table[top, first_column + 1, band] * column_fraction
+        )
+        lower = (
+            table[top + 1, first_column, band] * (1.0 - column_fraction)
+            + table[top + 1, first_column + 1, band] * column_fraction
+        )
+        total[band] += (
+            fraction * weight[band] * (upper * (1.0 - row_fraction) + lower * row_fraction)
+        )
 
 
 @numba.njit(**INLINED)

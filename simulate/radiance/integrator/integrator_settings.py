@@ -144,11 +144,11 @@ def local_mean(values: Array, among: NDArray[np.bool_], half_width: int) -> Arra
     """Return means of values (row, col) over those `among` in squares around each."""
     from scipy.ndimage import uniform_filter
 
-    share, total = (
+    group_density, total = (
         uniform_filter(of, 2 * half_width + 1, mode="constant")
         for of in (among.astype(float), np.where(among, values, 0.0))
     )
-    return np.divide(total, share, out=np.zeros_like(total), where=share > 1e-9)
+    return np.divide(total, group_density, out=np.zeros_like(total), where=group_density > 1e-9)
 
 
 def additional_rays(
@@ -181,8 +181,8 @@ def additional_rays(
     # Running sums leave small negative values where nothing varies.
     single, some = np.clip(excess * sent, 0.0, max_rays), np.zeros(sent.shape, bool)
     for group in groups:
-        near = local_mean(single, group, LIMITS.variance_half_width)
-        single, some = np.where(group, np.maximum(single, near), single), some | group
+        group_mean = local_mean(single, group, LIMITS.variance_half_width)
+        single, some = np.where(group, np.maximum(single, group_mean), single), some | group
     root = np.sqrt(single[some])
     before = sent[some]
     if not before.size or (single[some] / before).mean() <= 1.0 or before.sum() >= total:
@@ -193,9 +193,9 @@ def additional_rays(
     # A single additional ray would give no variance.
     step = 2 ** np.maximum(np.round(np.log2(np.maximum(more, 1.0))), 1.0).astype(np.int64)
     step = np.where(before + step > max_rays, step // 2, step)
-    found = np.zeros(sent.shape, np.int64)
-    found[some] = np.where((more >= 0.5 * before) & (step > 1), step, 0)
-    return found
+    additional = np.zeros(sent.shape, np.int64)
+    additional[some] = np.where((more >= 0.5 * before) & (step > 1), step, 0)
+    return additional
 
 
 # Differences are compared with the noise, or with this fraction of the signal where that is larger.

@@ -106,24 +106,26 @@ def build_irradiance_cache(
         than two pixels.
     """
     step = 1 if fine else LIMITS.cache_step_px
-    seen = _trace_nodes(stage, view, sky_control_fraction, step)
-    white = seen.points.on_white_surface()
-    places = _Places(stage, view, seen, white, fine)
-    grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal, white.face)
-    direct, reflected = _known_signal(stage, seen.points, effort, weight)
+    traced = _trace_nodes(stage, view, sky_control_fraction, step)
+    white = traced.points.on_white_surface()
+    origins = _NodeOrigins(stage, view, traced, white, fine)
+    grid = Nodes.of(traced.row, traced.col, traced.shape, white.place_m, white.normal, white.face)
+    direct, reflected = _known_signal(stage, traced.points, effort, weight)
     light = np.zeros((2, len(white), stage.bands), np.float32)
     sent, half, turn = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1)), 0
     while True:
         for part in (0, 1):
-            for many in np.unique(half[half > 0]).tolist():
+            for ray_count in np.unique(half[half > 0]).tolist():
                 which, seeds = (
-                    np.flatnonzero(half == many),
-                    [[seed, kind, turn, part, many] for kind in (5, 6)],
+                    np.flatnonzero(half == ray_count),
+                    [[seed, kind, turn, part, ray_count] for kind in (5, 6)],
                 )
-                even = low_discrepancy_points(seen.row[which], seen.col[which], many, seeds[0])
-                found = _gather(stage, places, which, effort, even, seeds[1], run)
-                share = (many / (sent[which] + many)).astype(np.float32)[:, None]
-                light[part, which] += share * (found - light[part, which])
+                sequence = low_discrepancy_points(
+                    traced.row[which], traced.col[which], ray_count, seeds[0]
+                )
+                gathered = _gather(stage, origins, which, effort, sequence, seeds[1], run)
+                new_weight = (ray_count / (sent[which] + ray_count)).astype(np.float32)[:, None]
+                light[part, which] += new_weight * (gathered - light[part, which])
         sent += half
         signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(
             np.float64
@@ -132,10 +134,12 @@ def build_irradiance_cache(
         turn += 1
         if error_limit is None or turn == LIMITS.max_cache_turns or not len(white):
             break
-        signal = direct + reflected * smooth[seen.row, seen.col]
-        excess = excess_variance(reflected**2 * variance[seen.row, seen.col], signal, error_limit)
+        signal = direct + reflected * smooth[traced.row, traced.col]
+        excess = excess_variance(
+            reflected**2 * variance[traced.row, traced.col], signal, error_limit
+        )
         grids = grid.spread(excess), np.maximum(grid.spread(sent), 1)
-        half = additional_rays(*grids, (grid.there,), max_rays // 2)[seen.row, seen.col]
+        half = additional_rays(*grids, (grid.there,), max_rays // 2)[traced.row, traced.col]
         if not half.any():
             break
     change = _smooth(grid, grid.spread(light.mean(axis=0)), width, run)
@@ -186,22 +190,22 @@ def _trace_nodes(
     origin, towards = view.rays(step * (row + 0.5), step * (col + 0.5))
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = hit.met
-    share = sky_control_fraction[
+    control_fraction = sky_control_fraction[
         np.minimum(step * row[met], view.shape[0] - 1),
         np.minimum(step * col[met], view.shape[1] - 1),
     ]
-    points = stage.points(hit, origin, towards, met, share)
-    kept = np.flatnonzero(points.is_diffuse)
-    return _NodePoints(points.some(kept), row[met[kept]], col[met[kept]], shape)
+    points = stage.points(hit, origin, towards, met, control_fraction)
+    diffuse = np.flatnonzero(points.is_diffuse)
+    return _NodePoints(points.some(diffuse), row[met[diffuse]], col[met[diffuse]], shape)
 
 
 @dataclass(frozen=True)
-class _Places:
+class _NodeOrigins:
     """Ray origins of nodes: their centres or, for fine nodes, points spread over their pixels."""
 
     stage: SpectralScene
     view: Viewpoint
-    seen: _NodePoints
+    traced: _NodePoints
     white: ShadingPoints
     fine: bool
 
@@ -213,58 +217,66 @@ class _Places:
             else 1
         )
 
-    def of(self, nodes: NDArray[np.int64], each: int, rng: np.random.Generator) -> ShadingPoints:
-        """Return `each` origins of some nodes, node by node; the centre where another surface is
-        met.
+    def of(
+        self, nodes: NDArray[np.int64], origins_per_node: int, rng: np.random.Generator
+    ) -> ShadingPoints:
+        """Return ray origins of some nodes, node by node.
+
+        An origin on another surface than the node's centre is replaced by that centre.
         """
         start = rng.random((2, len(nodes), 1))
-        nodes = np.repeat(nodes, each)
+        nodes = np.repeat(nodes, origins_per_node)
         middle = self.white.some(nodes)
         if not self.fine:
             return middle
-        at = fraction(start + R2[:, None, None] * np.arange(each)).reshape(2, -1)
-        origin, towards = self.view.rays(self.seen.row[nodes] + at[0], self.seen.col[nodes] + at[1])
+        at = fraction(start + R2[:, None, None] * np.arange(origins_per_node)).reshape(2, -1)
+        origin, towards = self.view.rays(
+            self.traced.row[nodes] + at[0], self.traced.col[nodes] + at[1]
+        )
         hit = self.stage.surfaces.tracer.hits(origin, towards)
         met = hit.met
-        place = origin[met] + hit.range_m[met, None] * towards[met]
+        position = origin[met] + hit.range_m[met, None] * towards[met]
         face = hit.face[met]
         normal, _ = self.stage.surfaces.tracer.facing(face, towards[met])
-        same = all_alike(middle.place_m[met], middle.normal[met], place, normal)
-        for values, found in (
-            (middle.place_m, place),
+        same = all_alike(middle.place_m[met], middle.normal[met], position, normal)
+        for values, met_values in (
+            (middle.place_m, position),
             (middle.face, face),
             (middle.normal, normal),
         ):
-            values[met[same]] = found[same]
+            values[met[same]] = met_values[same]
         return middle
 
 
 def _gather(
     stage: SpectralScene,
-    start_from: _Places,
+    start_from: _NodeOrigins,
     nodes: NDArray[np.int64],
     effort: IntegratorSettings,
-    even: SequenceSlice,
+    sequence: SequenceSlice,
     seed: list[int],
     run: Run,
 ) -> NDArray[np.float32]:
     """Gather at nodes: irradiance minus that of an unoccluded sky, shape (node, band)."""
-    sky, places = stage.lighting.environment_map, start_from.each(even.rays)
+    sky, origins_per_node = stage.lighting.environment_map, start_from.each(sequence.rays)
 
     def gather_part(start: int) -> NDArray[np.float32]:
         part = np.arange(start, min(start + count, len(nodes)))
         rng = np.random.default_rng([*seed, start])
-        here, shared = start_from.of(nodes[part], places, rng), even.some(part).divide(places)
-        asked = {"rays": shared.rays, "even": shared, "light": "surroundings"}
-        light = outgoing_radiance(stage, here, effort, rng, **asked).total()
+        origins, shared = (
+            start_from.of(nodes[part], origins_per_node, rng),
+            sequence.some(part).divide(origins_per_node),
+        )
+        asked = {"rays": shared.rays, "sequence": shared, "light": "surroundings"}
+        light = outgoing_radiance(stage, origins, effort, rng, **asked).total()
         light *= np.float32(np.pi)
         if not sky.dark:
-            light -= sky.irradiance(here.normal)
-        return light.reshape(len(part), places, -1).mean(axis=1)
+            light -= sky.irradiance(origins.normal)
+        return light.reshape(len(part), origins_per_node, -1).mean(axis=1)
 
-    count = max(1, LIMITS.cache_batch_rays // even.rays)
-    found = list(run(gather_part, list(range(0, len(nodes), count))))
-    return np.concatenate(found) if found else np.zeros((0, stage.bands), np.float32)
+    count = max(1, LIMITS.cache_batch_rays // sequence.rays)
+    parts = list(run(gather_part, list(range(0, len(nodes), count))))
+    return np.concatenate(parts) if parts else np.zeros((0, stage.bands), np.float32)
 
 
 def _smooth(

@@ -129,8 +129,12 @@ def disc_arrays(discs: tuple[DiscLight, ...], bands: int) -> tuple[NDArray, NDAr
     (disc, band).
     """
     axes = np.array([shading_frames(disc.direction[None])[0] for disc in discs]).reshape(-1, 3, 3)
-    least = np.array([np.cos(disc.angular_radius_rad) for disc in discs])
-    return axes, least, np.array([disc.irradiance for disc in discs], np.float32).reshape(-1, bands)
+    limb_cosines = np.array([np.cos(disc.angular_radius_rad) for disc in discs])
+    return (
+        axes,
+        limb_cosines,
+        np.array([disc.irradiance for disc in discs], np.float32).reshape(-1, bands),
+    )
 
 
 def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
@@ -199,24 +203,26 @@ def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float
     col, along = _cell(polars, polar)
     row, across = (0, 0.0) if around == 1 else _cell(azimuths, azimuth)
     following = min(row + 1, around - 1)
-    near = candela[row * heights + col] * (1.0 - along) + candela[row * heights + col + 1] * along
-    far = (
+    row_candela = (
+        candela[row * heights + col] * (1.0 - along) + candela[row * heights + col + 1] * along
+    )
+    following_candela = (
         candela[following * heights + col] * (1.0 - along)
         + candela[following * heights + col + 1] * along
     )
-    return pattern[1] * (near * (1.0 - across) + far * across)
+    return pattern[1] * (row_candela * (1.0 - across) + following_candela * across)
 
 
 @numba.njit(**INLINED)
-def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
+def lamp_factor(lamps: Any, lamp: int, position_m: Any, normal: Any) -> float:
     """Return the unoccluded irradiance of a lamp over its spectrum, as
     `direct_lighting.lamp_factor`.
     """
     position, _, _, _, axes, ends, tables = lamps
     x, y, z = (
-        position[lamp, 0] - place[0],
-        position[lamp, 1] - place[1],
-        position[lamp, 2] - place[2],
+        position[lamp, 0] - position_m[0],
+        position[lamp, 1] - position_m[1],
+        position[lamp, 2] - position_m[2],
     )
     square = x * x + y * y + z * z
     distance = np.sqrt(square)
@@ -232,11 +238,11 @@ def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
 
 
 @numba.njit(**INLINED)
-def towards_lamp(lamps: Any, lamp: int, place: Any, state: Any, way: Any) -> None:
+def towards_lamp(lamps: Any, lamp: int, point: Any, state: Any, way: Any) -> None:
     """Set the vector from a point to one drawn on a lamp."""
     position, radius, square = lamps[0][lamp], lamps[1][lamp], 0.0
     for axis in range(3):
-        way[axis] = position[axis] - place[axis]
+        way[axis] = position[axis] - point[axis]
         square += way[axis] ** 2
     distance = np.sqrt(square)
     middle = (way[0] / distance, way[1] / distance, way[2] / distance)

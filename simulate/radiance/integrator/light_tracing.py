@@ -119,25 +119,28 @@ def _worth(lamp: LampLight, falls: Array, tracer: RayTracer) -> bool:
     first = tracer.hits(np.broadcast_to(lamp.position_m, way.shape), way)
     met = np.flatnonzero(first.face != NOTHING)
     way, face, range_m, per_sr = way[met], first.face[met], first.range_m[met], per_sr[met]
-    place, (normal, leaving) = lamp.position_m + range_m[:, None] * way, tracer.facing(face, way)
+    position, (normal, leaving) = lamp.position_m + range_m[:, None] * way, tracer.facing(face, way)
     by_light = per_sr * leaving / range_m**2
     local = cosine_lobe(rng.random((len(met), 2)))
     onwards = np.einsum("ri,rij->rj", local, shading_frames(normal))
-    then = tracer.hits(tracer.above(face, place, normal), onwards)
+    then = tracer.hits(tracer.above(face, position, normal), onwards)
     back = np.flatnonzero(then.face != NOTHING)
     if not len(back):
         return False
     arriving = tracer.facing(then.face[back], onwards[back])[1]
     with np.errstate(divide="ignore"):
         by_ray = local[back, 2] * arriving / (np.pi * then.range_m[back] ** 2)
-    share = by_light[back] / (by_light[back] + by_ray)
+    light_tracing_fraction = by_light[back] / (by_light[back] + by_ray)
     bright = lamp.per_sr(way[back]) * leaving[back] / range_m[back] ** 2
-    return bool(share.mean() >= SHARE or bright.sum() >= GAIN * (bright * (1.0 - share)).sum())
+    return bool(
+        light_tracing_fraction.mean() >= SHARE
+        or bright.sum() >= GAIN * (bright * (1.0 - light_tracing_fraction)).sum()
+    )
 
 
 @numba.njit(**INLINED)
 def light_tracing_weight(
-    beams: Any, lamps: Any, lamp: int, place: Any, normal: Any, by_ray: float
+    beams: Any, lamps: Any, lamp: int, point: Any, normal: Any, by_ray: float
 ) -> float:
     """Return the balance-heuristic weight of light tracing for a lamp's light at a point.
 
@@ -149,7 +152,7 @@ def light_tracing_weight(
     position, axes = lamps[0], lamps[4]
     square, leaving, up = 0.0, 0.0, 0.0
     for axis in range(3):
-        way = place[axis] - position[lamp, axis]
+        way = point[axis] - position[lamp, axis]
         square += way * way
         leaving -= way * normal[axis]
         up += way * axes[lamp, 2, axis]
@@ -159,8 +162,8 @@ def light_tracing_weight(
     by_light = (
         chance[lamp] * _per_sr(falls[lamp], 1.0 - up / distance) * leaving / (distance * square)
     )
-    share = by_light / (by_light + by_ray)
-    return share if share >= LEAST else 0.0
+    weight = by_light / (by_light + by_ray)
+    return weight if weight >= LEAST else 0.0
 
 
 @numba.njit(**INLINED)
@@ -196,21 +199,21 @@ def add_light_traced_paths(
     beams: Any,
     packets: Any,
     lanes: Any,
-    many: int,
+    path_count: int,
     state: Any,
-    found: Any,
+    irradiance: Any,
 ) -> None:
     """Add the light-traced part of lamp light by one reflection: the counterpart of `add_lamps`."""
     address, centre, planes, clearance = scene
     material_of, rho_by_pi, is_diffuse = bsdfs
-    position, spectrum, there = lamps[0], lamps[2], lanes.place
-    for k in range(many):
+    position, spectrum, vertices = lamps[0], lamps[2], lanes.vertex
+    for k in range(path_count):
         lane = lanes.active[k]
-        lanes.chosen[lane] = _shine(beams, lamps, state, there[lane])
-        set_ray(packets, k, centre, position[lanes.chosen[lane]], there[lane], np.inf)
-    intersect(address, packets, many)
+        lanes.chosen[lane] = _shine(beams, lamps, state, vertices[lane])
+        set_ray(packets, k, centre, position[lanes.chosen[lane]], vertices[lane], np.inf)
+    intersect(address, packets, path_count)
     asked = 0
-    for slot in range(many):
+    for slot in range(path_count):
         face, lane = triangle_of(packets, slot, planes), lanes.active[slot]
         if face < 0 or not is_diffuse[material_of[face & ROW]]:
             continue
@@ -218,15 +221,15 @@ def add_light_traced_paths(
         # used for the new normal.
         up = lanes.target_direction[lane]
         origin = position[lanes.chosen[lane]]
-        length, slope, normal = meet_plane(planes, face, origin, there[lane])
+        length, slope, normal = meet_plane(planes, face, origin, vertices[lane])
         for axis in range(3):
-            there[lane, axis] = origin[axis] + length * there[lane, axis]
+            vertices[lane, axis] = origin[axis] + length * vertices[lane, axis]
             up[axis] = -normal[axis] if slope > 0.0 else normal[axis]
         lanes.face[lane], lanes.factor[lane] = face, _path_irradiance(lamps, beams, lanes, lane, up)
         if lanes.factor[lane] > 0.0:
-            set_ray_start(clearance, centre, face, there[lane], up, there[lane])
+            set_ray_start(clearance, centre, face, vertices[lane], up, vertices[lane])
             for axis in range(3):
-                up[axis] = there[lane, axis] - lanes.start[lane, axis]
+                up[axis] = vertices[lane, axis] - lanes.start[lane, axis]
             # Slots before this one have been read.
             set_ray(packets, asked, centre, lanes.start[lane], up, SHORT)
             lanes.shadow_rays[asked] = lane
@@ -237,9 +240,9 @@ def add_light_traced_paths(
         if not is_ray_occluded(packets, slot):
             lane = lanes.shadow_rays[slot]
             towards_lamp(
-                lamps, lanes.chosen[lane], there[lane], state, lanes.target_direction[lane]
+                lamps, lanes.chosen[lane], vertices[lane], state, lanes.target_direction[lane]
             )
-            set_ray(packets, free, centre, there[lane], lanes.target_direction[lane], SHORT)
+            set_ray(packets, free, centre, vertices[lane], lanes.target_direction[lane], SHORT)
             lanes.shadow_rays[free] = lane
             free += 1
     trace_occlusion(address, packets, free)
@@ -251,9 +254,9 @@ def add_light_traced_paths(
                 lanes.chosen[lane],
                 material_of[lanes.face[lane] & ROW],
             )
-            for band in range(found.shape[1]):
+            for band in range(irradiance.shape[1]):
                 light = lanes.factor[lane] * spectrum[chosen, band] * rho_by_pi[material, band]
-                found[owner, band] += lanes.throughput[lane, band] * light
+                irradiance[owner, band] += lanes.throughput[lane, band] * light
 
 
 @numba.njit(**INLINED)
@@ -261,15 +264,15 @@ def _path_irradiance(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> 
     """Return the unoccluded, weighted irradiance by a light-traced point over spectrum and rho /
     pi.
     """
-    there, start, normal, lamp = (
-        lanes.place[lane],
+    vertex, start, normal, lamp = (
+        lanes.vertex[lane],
         lanes.start[lane],
         lanes.normal[lane],
         lanes.chosen[lane],
     )
     square, cosine, leaving = 0.0, 0.0, 0.0
     for axis in range(3):
-        off = there[axis] - start[axis]
+        off = vertex[axis] - start[axis]
         square += off * off
         cosine += off * normal[axis]
         leaving -= off * up[axis]
@@ -277,9 +280,9 @@ def _path_irradiance(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> 
         return 0.0
     form = cosine * leaving / (square * square)
     by_ray = form / np.pi
-    share = light_tracing_weight(beams, lamps, lamp, there, up, by_ray)
-    if share == 0.0:
+    weight = light_tracing_weight(beams, lamps, lamp, vertex, up, by_ray)
+    if weight == 0.0:
         return 0.0
     # The density of light tracing is by_ray * weight / (1 - weight); the estimate is weight over
     # that density.
-    return lamp_factor(lamps, lamp, there, up) * form * (1.0 - share) / by_ray
+    return lamp_factor(lamps, lamp, vertex, up) * form * (1.0 - weight) / by_ray

@@ -52,10 +52,10 @@ class RadianceComponents:
     def add(self, name: str, which: Rows, light: Array) -> None:
         """Add light to a component at some points, each named once."""
         if len(which):
-            found = self.found.setdefault(
+            component = self.found.setdefault(
                 name if self.split else "", np.zeros(self.shape, np.float32)
             )
-            found[slice(None) if len(which) == self.shape[0] else which] += light
+            component[slice(None) if len(which) == self.shape[0] else which] += light
 
     def total(self) -> Light:
         """Return the sum of all components."""
@@ -82,7 +82,7 @@ class ShadingRequest:
     rays: int  # gather rays of each point
     depth: int = 0  # bounces between the points and the surface that the camera sees
     # pairs from which directions of gather rays follow; None: drawn
-    even: SequenceSlice | None = None
+    sequence: SequenceSlice | None = None
 
     @property
     def reflections(self) -> bool:
@@ -94,8 +94,8 @@ class ShadingRequest:
         """The pairs of the gather rays, drawn where none are given."""
         return (
             SequenceSlice.random(len(self.points), self.rays, self.rng)
-            if self.even is None
-            else self.even
+            if self.sequence is None
+            else self.sequence
         )
 
     @cached_property
@@ -108,8 +108,10 @@ class ShadingRequest:
 
     def some(self, which: Rows) -> "ShadingRequest":
         """Return the request for some of the points."""
-        even = None if self.even is None else self.even.some(which)
-        return replace(self, points=self.points.some(which), rows=self.rows[which], even=even)
+        sequence = None if self.sequence is None else self.sequence.some(which)
+        return replace(
+            self, points=self.points.some(which), rows=self.rows[which], sequence=sequence
+        )
 
     def add(self, name: str, which: Rows, light: Array) -> None:
         """Add light to a component at some of the points, each named once."""
@@ -134,7 +136,7 @@ def outgoing_radiance(
     split: bool = False,
     depth: int = 0,
     shared: Shared | None = None,
-    even: SequenceSlice | None = None,
+    sequence: SequenceSlice | None = None,
     light: Literal["all", "lamps and discs", "surroundings"] = "all",
 ) -> RadianceComponents:
     """Return the reflected outgoing radiance of points, in components of shape (point, band).
@@ -155,7 +157,7 @@ def outgoing_radiance(
         Bounces between the points and the surface that the camera sees.
     shared
         Points with a cached irradiance, which do not gather: their component is "shared".
-    even
+    sequence
         Pairs of numbers from which the directions of gather rays follow; None: drawn.
     light
         All light, that of lamps and discs alone, or all other.
@@ -172,7 +174,7 @@ def outgoing_radiance(
         rng=rng,
         rays=rays,
         depth=depth,
-        even=even,
+        sequence=sequence,
     )
     if light != "surroundings":
         _add_direct(stage, asked)
@@ -245,11 +247,11 @@ def _add_around(stage: SpectralScene, asked: ShadingRequest) -> None:
 
 
 def _beyond(
-    stage: SpectralScene, asked: ShadingRequest, there: ShadingPoints, depth: int
+    stage: SpectralScene, asked: ShadingRequest, met_points: ShadingPoints, depth: int
 ) -> RadianceComponents:
     """Return the outgoing radiance of points that rays of a request meet."""
     return outgoing_radiance(
-        stage, there, asked.effort, asked.rng, rays=1, split=asked.parts.split, depth=depth
+        stage, met_points, asked.effort, asked.rng, rays=1, split=asked.parts.split, depth=depth
     )
 
 
@@ -263,14 +265,14 @@ def _add_paths(stage: SpectralScene, asked: ShadingRequest) -> None:
         return
     # Low-discrepancy rays of neighbouring points sample the sky well enough where only its
     # shadowing is computed.
-    bright = None if asked.even is not None and last else stage.bright_sky
-    even = asked.slices
+    bright = None if asked.sequence is not None and last else stage.bright_sky
+    sequence = asked.slices
     if bright is not None:
         _add_bright_sky(stage, asked)
-    found, back = follow_paths(
+    irradiance, back = follow_paths(
         stage,
         points,
-        even,
+        sequence,
         asked.effort,
         bright,
         control=asked.control,
@@ -283,59 +285,69 @@ def _add_paths(stage: SpectralScene, asked: ShadingRequest) -> None:
             back.owner[these],
             (back.face[these], back.place_m[these], back.direction[these]),
         )
-        there = stage.bsdfs.points(stage.surfaces, *at, points.sky_control_fraction[owner])
-        np.add.at(found, owner, _beyond(stage, asked, there, behind).total() * back.weight[these])
-    asked.parts.add("around", asked.rows, found * stage.bsdfs.diffuse_brdf(points))
+        met_points = stage.bsdfs.points(stage.surfaces, *at, points.sky_control_fraction[owner])
+        np.add.at(
+            irradiance,
+            owner,
+            _beyond(stage, asked, met_points, behind).total() * back.weight[these],
+        )
+    asked.parts.add("around", asked.rows, irradiance * stage.bsdfs.diffuse_brdf(points))
 
 
 def _gather(stage: SpectralScene, asked: ShadingRequest) -> None:
     """Add indirect light on any surface, in batches of rays."""
     rays, bsdfs, tracer = asked.rays, stage.bsdfs, stage.surfaces.tracer
-    many = (
+    ray_points = (
         asked.points
         if rays == 1
         else asked.points.some(np.repeat(np.arange(len(asked.points)), rays))
     )
-    direction, density = bsdfs.sample(many, asked.slices.pairs().reshape(-1, 2), asked.rng)
-    cosine = direct_lighting.dot(many.normal, direction)
+    direction, density = bsdfs.sample(ray_points, asked.slices.pairs().reshape(-1, 2), asked.rng)
+    cosine = direct_lighting.dot(ray_points.normal, direction)
     gives = (cosine > 0.0) & (density > 0.0)
     factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives).astype(
         np.float32
     )
-    start = direct_lighting.ray_starts(many, np.arange(len(many)), tracer)
+    start = direct_lighting.ray_starts(ray_points, np.arange(len(ray_points)), tracer)
     end = trace_segments(tracer, bsdfs.panes, start, direction, asked.rng)
     # BRDF times cosine over density and number of rays.
-    weight = bsdfs.value(many, direction) * factor[:, None]
+    weight = bsdfs.value(ray_points, direction) * factor[:, None]
     if not stage.lighting.environment_map.dark:
         _add_sky(stage, asked, direction, density, weight, end)
         _add_bright_sky(stage, asked)
     met = np.flatnonzero((end.hit.face != NOTHING) & gives)
     if not len(met) or not (asked.reflections or stage.lighting.panels):
         return
-    there = stage.points(end.hit, end.start_m, end.direction, met, many.sky_control_fraction[met])
+    met_points = stage.points(
+        end.hit, end.start_m, end.direction, met, ray_points.sky_control_fraction[met]
+    )
     weight = weight[met] * end.weight[met]
-    glows, glow = stage.emission(there)
+    glows, glow = stage.emission(met_points)
     if stage.lighting.panels is not None and len(glows):
         ray = met[glows]
         leaving, way = (
-            -direct_lighting.dot(there.normal[glows], end.direction[ray]),
+            -direct_lighting.dot(met_points.normal[glows], end.direction[ray]),
             end.hit.range_m + end.earlier_m,
         )
-        share = direct_lighting.gather_mis_weight(
-            stage.lighting.panels, there.face[glows], way[ray], leaving, density[ray], rays
+        mis_weight = direct_lighting.gather_mis_weight(
+            stage.lighting.panels, met_points.face[glows], way[ray], leaving, density[ray], rays
         )
         # Only gather rays sample light reflected by panes.
-        share = np.where(end.mirrored[ray], 1.0, share).astype(np.float32)
-        asked.add_rays("glow", ray, glow * share[:, None] * weight[glows])
+        mis_weight = np.where(end.mirrored[ray], 1.0, mis_weight).astype(np.float32)
+        asked.add_rays("glow", ray, glow * mis_weight[:, None] * weight[glows])
     if not asked.reflections:
         return
     roulette_depth = asked.effort.roulette_depth
     if roulette_depth is not None and asked.depth >= roulette_depth:
         chance = np.clip(weight.mean(axis=1) * rays, LEAST_CHANCE, MOST_CHANCE)
         stays = np.flatnonzero(asked.rng.random(len(met)) < chance)
-        there, met, weight = there.some(stays), met[stays], weight[stays] / chance[stays, None]
+        met_points, met, weight = (
+            met_points.some(stays),
+            met[stays],
+            weight[stays] / chance[stays, None],
+        )
     if len(met):
-        for name, light in _beyond(stage, asked, there, asked.depth + 1).found.items():
+        for name, light in _beyond(stage, asked, met_points, asked.depth + 1).found.items():
             order, source = bounce_order(name)
             asked.add_rays(f"bounce {order + 1} of {source}", met, light * weight)
 
@@ -356,17 +368,21 @@ def _add_sky(
     )
     control, missed = np.repeat(asked.control, asked.rays), end.hit.face == NOTHING
     # Balance heuristic against `_add_bright_sky`.
-    own = asked.rays * density
-    share = np.ones(len(own)) if bright is None else own / (own + bright.density(direction))
+    gather_density = asked.rays * density
+    mis_weight = (
+        np.ones(len(gather_density))
+        if bright is None
+        else gather_density / (gather_density + bright.density(direction))
+    )
     # Behind panes the control variate does not apply to the transmitted light.
-    unknown = (1.0 - control * ~(end.crossed & shadowing)) * share
-    seen = np.flatnonzero(missed & (unknown > 0.0))
-    light = weight[seen] * end.weight[seen] * sky.radiance(end.direction[seen])
-    asked.add_rays("sky", seen, light * unknown[seen, None].astype(np.float32))
-    behind = np.flatnonzero((~missed | end.crossed) & (control > 0.0)) if shadowing else seen[:0]
+    unknown = (1.0 - control * ~(end.crossed & shadowing)) * mis_weight
+    in_sky = np.flatnonzero(missed & (unknown > 0.0))
+    light = weight[in_sky] * end.weight[in_sky] * sky.radiance(end.direction[in_sky])
+    asked.add_rays("sky", in_sky, light * unknown[in_sky, None].astype(np.float32))
+    behind = np.flatnonzero((~missed | end.crossed) & (control > 0.0)) if shadowing else in_sky[:0]
     light = weight[behind] * sky.radiance(direction[behind])
     asked.add_rays(
-        "hidden sky", behind, light * (-control * share)[behind, None].astype(np.float32)
+        "hidden sky", behind, light * (-control * mis_weight)[behind, None].astype(np.float32)
     )
 
 
@@ -410,16 +426,16 @@ def radiance_along(
     gather_rays: int,
     sky_control_fraction: Light | None = None,
     split: bool = False,
-    share: Sharing | None = None,
+    cached_irradiance: Sharing | None = None,
     splits: int = LIMITS.max_pane_splits,
 ) -> RadianceComponents:
     """Return the radiance along rays of unit direction (ray, 3), in components as of
     `outgoing_radiance`.
 
     Apart from the sources, components are "in view" (sky and emission that the ray meets) and "air"
-    (path radiance less the light that air removes from all other components). `share` gives the
-    cached irradiance of points by ray number. Rays that meet a pane continue both transmitted and
-    reflected; after a few panes (`splits`) one of both at random.
+    (path radiance less the light that air removes from all other components). `cached_irradiance`
+    gives the cached irradiance of points by ray number. Rays that meet a pane continue both
+    transmitted and reflected; after a few panes (`splits`) one of both at random.
     """
     parts, airy = RadianceComponents((len(towards), stage.bands), split=split), stage.air.absorbs
     airy &= "air" not in effort.neglected
@@ -428,7 +444,7 @@ def radiance_along(
         glass = panes.met(origin, towards, stage.surfaces.tracer.hits(origin, towards).range_m)
         open_ = np.setdiff1d(np.arange(len(towards)), glass.which)
         ahead = towards[glass.which]
-        for which, start, ways, left, straight in (
+        for which, start, ways, pane_fraction, is_transmitted in (
             (open_, origin[open_], towards[open_], np.float32(1.0), True),
             (glass.which, panes.start(glass), ahead, glass.through, True),
             (
@@ -452,26 +468,26 @@ def radiance_along(
                 if sky_control_fraction is None
                 else sky_control_fraction[which],
                 split=split,
-                share=_of_some(share, which) if straight else None,
+                cached_irradiance=_of_some(cached_irradiance, which) if is_transmitted else None,
                 splits=0 if which is open_ else splits - 1,
             )
             for name, light in onwards.found.items():
-                parts.add(name, which, light * left)
+                parts.add(name, which, light * pane_fraction)
         if airy:
             _through_air(stage, parts, glass.range_m, ahead, glass.which)
         return parts
     end = trace_segments(stage.surfaces.tracer, stage.bsdfs.panes, origin, towards, rng)
-    met, away = end.hit.met, np.flatnonzero(end.hit.face == NOTHING)
-    parts.add("in view", away, stage.lighting.environment_map.radiance(end.direction[away]))
+    met, in_sky = end.hit.met, np.flatnonzero(end.hit.face == NOTHING)
+    parts.add("in view", in_sky, stage.lighting.environment_map.radiance(end.direction[in_sky]))
     control = None if sky_control_fraction is None else sky_control_fraction[met]
     points = stage.points(end.hit, end.start_m, end.direction, met, control)
     glows, glow = stage.emission(points)
     parts.add("in view", met[glows], glow)
     shared = None
-    if share is not None:
-        which, irradiance = share(points, met)
-        straight = ~end.mirrored[met[which]]
-        shared = which[straight], irradiance[straight]
+    if cached_irradiance is not None:
+        which, irradiance = cached_irradiance(points, met)
+        is_transmitted = ~end.mirrored[met[which]]
+        shared = which[is_transmitted], irradiance[is_transmitted]
     outgoing_radiance(
         stage, points, effort, rng, rays=gather_rays, into=(parts, met), shared=shared
     )
@@ -485,9 +501,13 @@ def radiance_along(
     return parts
 
 
-def _of_some(share: Sharing | None, which: Rows) -> Sharing | None:
+def _of_some(cached_irradiance: Sharing | None, which: Rows) -> Sharing | None:
     """Restrict a cache look-up to some of the rays."""
-    return None if share is None else lambda points, numbers: share(points, which[numbers])
+    return (
+        None
+        if cached_irradiance is None
+        else lambda points, numbers: cached_irradiance(points, which[numbers])
+    )
 
 
 def _through_air(

@@ -71,7 +71,7 @@ class PathStates(NamedTuple):
         np.float32
     ]  # contribution to the irradiance of the start per radiance from ahead, (path, band)
     throughput: NDArray[np.float32]  # and per irradiance of the current vertex
-    place: Array  # current vertex, (path, 3)
+    vertex: Array  # current vertex, (path, 3)
     start: Array  # ray start above it
     normal: Array  # on the side of the path
     direction: Array  # of the ray
@@ -86,9 +86,12 @@ class PathStates(NamedTuple):
     def of(cls, bands: int) -> "PathStates":
         """Return empty arrays for a wave."""
         shape = {"weight": (bands,), "throughput": (bands,)}
-        shape |= dict.fromkeys(("place", "start", "normal", "direction", "target_direction"), (3,))
-        whole = ("active", "shadow_rays", "point", "face", "chosen")
-        kind = dict.fromkeys(whole, np.int64) | {"weight": np.float32, "throughput": np.float32}
+        shape |= dict.fromkeys(("vertex", "start", "normal", "direction", "target_direction"), (3,))
+        integer_fields = ("active", "shadow_rays", "point", "face", "chosen")
+        kind = dict.fromkeys(integer_fields, np.int64) | {
+            "weight": np.float32,
+            "throughput": np.float32,
+        }
         arrays: Any = [
             np.zeros((WAVE, *shape.get(name, ())), kind.get(name, np.float64))
             for name in cls._fields
@@ -112,7 +115,7 @@ class DeferredPaths(NamedTuple):
 def follow_paths(
     stage: SpectralScene,
     points: ShadingPoints,
-    even: SequenceSlice,
+    sequence: SequenceSlice,
     effort: IntegratorSettings,
     bright: SkyImportance | None,
     *,
@@ -126,7 +129,7 @@ def follow_paths(
     ----------
     stage, points, effort, bright
         The scene, where, how far light is followed, and the importance sampling of the sky or None.
-    even
+    sequence
         Pairs of numbers for each ray of each point: directions follow by the cosine law.
     control
         Control-variate fraction of the sky of each point, and of all that its rays meet.
@@ -145,12 +148,12 @@ def follow_paths(
     tracer, bsdfs, light, bands = stage.surfaces.tracer, stage.bsdfs, stage.lighting, stage.bands
     diffuse = np.array([isinstance(brdf, Lambert) for brdf in bsdfs.brdfs])
     shine = np.array([lamp.name not in effort.neglected for lamp in light.lamps], np.bool_)
-    found = np.zeros((len(points), bands), np.float32)
-    room = 0 if diffuse.all() else len(points) * even.rays
+    irradiance = np.zeros((len(points), bands), np.float32)
+    room = 0 if diffuse.all() else len(points) * sequence.rays
     owner, at_depth, face = (np.empty(room, np.int64) for _ in range(3))
-    place, direction = np.empty((2, room, 3))
+    position, direction = np.empty((2, room, 3))
     back = DeferredPaths(
-        owner, at_depth, face, place, direction, np.empty((room, bands), np.float32)
+        owner, at_depth, face, position, direction, np.empty((room, bands), np.float32)
     )
     assert tracer.scene is not None
     start = tracer.above(points.face, points.place_m, points.normal)
@@ -166,15 +169,15 @@ def follow_paths(
             stage.beams.arrays(light.lamps, shine),
         ),
         (start, np.asarray(points.normal, np.float64), control),
-        (even.start, even.rays),
+        (sequence.start, sequence.rays),
         (depth, effort.max_bounces, roulette, effort.sky_shadowing, LIMITS.max_sampled_lamps),
         np.array([seed], np.uint64),
         (PathStates.of(bands), new_packets(WAVE)),
-        found,
+        irradiance,
         tuple(back),
     )
-    kept: Any = [values[:count] for values in back]
-    return found, DeferredPaths(*kept)
+    deferred_arrays: Any = [values[:count] for values in back]
+    return irradiance, DeferredPaths(*deferred_arrays)
 
 
 @numba.njit(**COMPILED)
@@ -183,86 +186,100 @@ def _follow(
     bsdfs: Any,
     lights: Any,
     points: Any,
-    even: Any,
+    sequence: Any,
     limits: Any,
     state: Any,
     room: Any,
-    found: Any,
+    irradiance: Any,
     back: Any,
 ) -> int:
     """Follow all paths of points, a wave at a time, and return the number of deferred ones."""
-    begin, each = even
+    begin, rays_per_point = sequence
     sky, discs, lamps, panels, beams = lights
     depth_first, max_bounces, _, sky_shadowing, asked_lamps = limits
     lanes, packets = room
     sky_counts, glows = sky_shadowing and sky[2], len(panels[0]) > 0
     n_deferred, now = 0, (0.0, 1.0, 0.0)
-    for first in range(0, len(begin) * each, WAVE):
-        many, now = _send(lanes, points, begin, each, now, first)
-        depth, sent = depth_first, each
+    for first in range(0, len(begin) * rays_per_point, WAVE):
+        path_count, now = _send(lanes, points, begin, rays_per_point, now, first)
+        depth, sent = depth_first, rays_per_point
         while True:
             goes_on = depth < max_bounces
             meets = goes_on or glows
             if goes_on and len(beams[0]):
                 add_light_traced_paths(
-                    scene, bsdfs, lamps, beams, packets, lanes, many, state, found
+                    scene, bsdfs, lamps, beams, packets, lanes, path_count, state, irradiance
                 )
-            many = _ask(scene, packets, lanes, many, meets)
-            many = _meet_sky(
-                scene, sky, packets, lanes, many, points[2], sent, meets, sky_counts, found
+            path_count = _ask(scene, packets, lanes, path_count, meets)
+            path_count = _meet_sky(
+                scene,
+                sky,
+                packets,
+                lanes,
+                path_count,
+                points[2],
+                sent,
+                meets,
+                sky_counts,
+                irradiance,
             )
             if meets:
-                _arrive(scene, lanes, many)
+                _arrive(scene, lanes, path_count)
             if glows:
-                add_glow(panels, scene[2], lanes, many, sent, found)
+                add_glow(panels, scene[2], lanes, path_count, sent, irradiance)
             if not goes_on:
                 break
-            many, n_deferred = _reflect(
-                scene, bsdfs, lanes, many, depth, limits, state, n_deferred, back
+            path_count, n_deferred = _reflect(
+                scene, bsdfs, lanes, path_count, depth, limits, state, n_deferred, back
             )
-            if many == 0:
+            if path_count == 0:
                 break
             if sky[2]:
-                add_known_sky(sky[1], lanes, many, points[2], sky_shadowing, found)
-            add_discs(scene, discs, packets, lanes, many, state, found)
-            add_lamps(scene, lamps, beams, asked_lamps, packets, lanes, many, state, found)
+                add_known_sky(sky[1], lanes, path_count, points[2], sky_shadowing, irradiance)
+            add_discs(scene, discs, packets, lanes, path_count, state, irradiance)
+            add_lamps(
+                scene, lamps, beams, asked_lamps, packets, lanes, path_count, state, irradiance
+            )
             if glows:
-                add_panels(scene, panels, packets, lanes, many, state, found)
+                add_panels(scene, panels, packets, lanes, path_count, state, irradiance)
             if sky_counts and len(sky[4]):
-                add_bright(scene, sky, packets, lanes, many, points[2], state, found)
+                add_bright(scene, sky, packets, lanes, path_count, points[2], state, irradiance)
             depth, sent = depth + 1, 1
             if not (depth < max_bounces or glows or sky_counts):
                 break
-            _turn(lanes, many, state)
+            _turn(lanes, path_count, state)
     return n_deferred
 
 
 @numba.njit(**COMPILED)
-def _send(lanes: Any, points: Any, begin: Any, each: int, now: Any, first: int) -> Any:
+def _send(lanes: Any, points: Any, begin: Any, rays_per_point: int, now: Any, first: int) -> Any:
     """Start paths at points, and return their number and the state of the last quasi-random
     slice.
     """
     starts, normals, _ = points
-    many = min(WAVE, len(begin) * each - first)
-    i, ray = first // each, first % each
-    for lane in range(many):
+    path_count = min(WAVE, len(begin) * rays_per_point - first)
+    i, ray = first // rays_per_point, first % rays_per_point
+    for lane in range(path_count):
         now = next_even(now) if ray else first_even(begin[i])
         lanes.active[lane], lanes.point[lane], lanes.reflectance[lane] = lane, i, 1.0
         lanes.cosine[lane] = by_cosine(normals[i], now, lanes.direction[lane])
         for axis in range(3):
             lanes.start[lane, axis], lanes.normal[lane, axis] = starts[i, axis], normals[i, axis]
         for band in range(lanes.weight.shape[1]):
-            lanes.weight[lane, band], lanes.throughput[lane, band] = np.pi / each, 1.0 / each
-        i, ray = (i, ray + 1) if ray + 1 < each else (i + 1, 0)
-    return many, now
+            lanes.weight[lane, band], lanes.throughput[lane, band] = (
+                np.pi / rays_per_point,
+                1.0 / rays_per_point,
+            )
+        i, ray = (i, ray + 1) if ray + 1 < rays_per_point else (i + 1, 0)
+    return path_count, now
 
 
 @numba.njit(**COMPILED)
-def _ask(scene: Any, packets: Any, lanes: Any, many: int, meets: bool) -> int:
+def _ask(scene: Any, packets: Any, lanes: Any, path_count: int, meets: bool) -> int:
     """Trace rays, or of last segments only their occlusion; return the number of rays traced."""
     address, centre = scene[0], scene[1]
     asked = 0
-    for k in range(many):
+    for k in range(path_count):
         lane = lanes.active[k]
         # A last ray below the horizon cannot meet the sky.
         if meets or lanes.direction[lane, 2] >= 0.0:
@@ -282,18 +299,18 @@ def _meet_sky(
     sky: Any,
     packets: Any,
     lanes: Any,
-    many: int,
+    path_count: int,
     control: Any,
     sent: int,
     meets: bool,
     sky_counts: bool,
-    found: Any,
+    irradiance: Any,
 ) -> int:
     """Add the sky for rays that escape, subtract the control variate for others; return the number
     that continue.
     """
-    kept = 0
-    for slot in range(many):
+    continuing = 0
+    for slot in range(path_count):
         lane = lanes.active[slot]
         i = lanes.point[lane]
         if meets:
@@ -301,22 +318,22 @@ def _meet_sky(
             hit = lanes.face[lane] >= 0
         else:
             hit = is_ray_occluded(packets, slot)
-        share = -float(control[i]) if hit else 1.0 - float(control[i])
+        sky_fraction = -float(control[i]) if hit else 1.0 - float(control[i])
         if hit and meets:
-            lanes.active[kept] = lane
-            kept += 1
+            lanes.active[continuing] = lane
+            continuing += 1
         x, y, z = lanes.direction[lane, 0], lanes.direction[lane, 1], lanes.direction[lane, 2]
-        if sky_counts and z >= 0.0 and share != 0.0:
-            own = sent * lanes.cosine[lane] / np.pi
-            share *= own / (own + bright_density(sky[4], x, y, z))
-            sky_light(sky[0], x, y, z, share, lanes.weight[lane], found[i])
-    return kept
+        if sky_counts and z >= 0.0 and sky_fraction != 0.0:
+            gather_density = sent * lanes.cosine[lane] / np.pi
+            sky_fraction *= gather_density / (gather_density + bright_density(sky[4], x, y, z))
+            sky_light(sky[0], x, y, z, sky_fraction, lanes.weight[lane], irradiance[i])
+    return continuing
 
 
 @numba.njit(**COMPILED)
-def _arrive(scene: Any, lanes: Any, many: int) -> None:
+def _arrive(scene: Any, lanes: Any, path_count: int) -> None:
     """Move paths to the surfaces that they met."""
-    for k in range(many):
+    for k in range(path_count):
         lane = lanes.active[k]
         length, slope, normal = meet_plane(
             scene[2], lanes.face[lane], lanes.start[lane], lanes.direction[lane]
@@ -324,7 +341,9 @@ def _arrive(scene: Any, lanes: Any, many: int) -> None:
         side = 1.0 if slope < 0.0 else -1.0
         lanes.by_ray[lane] = lanes.cosine[lane] * abs(slope) / (np.pi * length * length)
         for axis in range(3):
-            lanes.place[lane, axis] = lanes.start[lane, axis] + length * lanes.direction[lane, axis]
+            lanes.vertex[lane, axis] = (
+                lanes.start[lane, axis] + length * lanes.direction[lane, axis]
+            )
             lanes.normal[lane, axis] = side * normal[axis]
 
 
@@ -333,7 +352,7 @@ def _reflect(
     scene: Any,
     bsdfs: Any,
     lanes: Any,
-    many: int,
+    path_count: int,
     depth: int,
     limits: Any,
     state: Any,
@@ -343,8 +362,8 @@ def _reflect(
     """Reflect paths, with Russian roulette; defer those on surfaces that are not diffuse."""
     _, centre, _, clearance = scene
     material_of, rho_by_pi, is_diffuse = bsdfs
-    kept = 0
-    for k in range(many):
+    continuing = 0
+    for k in range(path_count):
         lane = lanes.active[k]
         weight, leaves = lanes.weight[lane], lanes.throughput[lane]
         if depth >= limits[2]:
@@ -356,14 +375,14 @@ def _reflect(
         face = lanes.face[lane]
         material = material_of[face & ROW]
         if not is_diffuse[material]:
-            owners, depths, faces, places, ways, weights = back
+            owners, depths, faces, positions, ways, weights = back
             owners[n_deferred], depths[n_deferred], faces[n_deferred] = (
                 lanes.point[lane],
                 depth + 1,
                 face,
             )
-            places[n_deferred], ways[n_deferred], weights[n_deferred] = (
-                lanes.place[lane],
+            positions[n_deferred], ways[n_deferred], weights[n_deferred] = (
+                lanes.vertex[lane],
                 lanes.direction[lane],
                 weight,
             )
@@ -376,16 +395,16 @@ def _reflect(
             reflected += rho_by_pi[material, band]
         lanes.reflectance[lane] = reflected * np.pi / len(weight)
         set_ray_start(
-            clearance, centre, face, lanes.place[lane], lanes.normal[lane], lanes.start[lane]
+            clearance, centre, face, lanes.vertex[lane], lanes.normal[lane], lanes.start[lane]
         )
-        lanes.active[kept] = lane
-        kept += 1
-    return kept, n_deferred
+        lanes.active[continuing] = lane
+        continuing += 1
+    return continuing, n_deferred
 
 
 @numba.njit(**COMPILED)
-def _turn(lanes: Any, many: int, state: Any) -> None:
+def _turn(lanes: Any, path_count: int, state: Any) -> None:
     """Draw new directions by the cosine law."""
-    for k in range(many):
+    for k in range(path_count):
         lane = lanes.active[k]
         lanes.cosine[lane] = by_cosine(lanes.normal[lane], in_disc(state), lanes.direction[lane])

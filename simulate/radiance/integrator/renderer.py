@@ -90,9 +90,9 @@ class _BatchRenderer:
         flat = 2 * wanted.ravel() + alone.ravel()
         for kind in np.unique(flat[flat > 1]).tolist():
             pixels, count = np.flatnonzero(flat == kind), kind // 2
-            most = max(1, LIMITS.batch_rays // (count * max(self.gather_rays, 1)))
-            for start in range(0, len(pixels), most):
-                yield _Batch(pixels[start : start + most], count, bool(kind % 2), turn)
+            batch_pixels = max(1, LIMITS.batch_rays // (count * max(self.gather_rays, 1)))
+            for start in range(0, len(pixels), batch_pixels):
+                yield _Batch(pixels[start : start + batch_pixels], count, bool(kind % 2), turn)
 
     def render(self, batch: _Batch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape
@@ -116,12 +116,12 @@ class _BatchRenderer:
             rng,
             gather_rays=self.gather_rays * factor,
             sky_control_fraction=np.repeat(self.control.ravel()[batch.pixels], batch.rays),
-            share=None
+            cached_irradiance=None
             if self.cache is None or batch.alone
             else partial(_irradiance_from_cache, self.cache, row, col),
         ).total()
-        each = (light @ self.weight).reshape(count, batch.rays)
-        return light.reshape(count, batch.rays, -1).mean(axis=1), _variance_of_mean(each)
+        ray_signals = (light @ self.weight).reshape(count, batch.rays)
+        return light.reshape(count, batch.rays, -1).mean(axis=1), _variance_of_mean(ray_signals)
 
 
 def _irradiance_from_cache(
@@ -130,13 +130,15 @@ def _irradiance_from_cache(
     return cache.at(points, row[which], col[which])
 
 
-def _variance_of_mean(each: NDArray[np.float32]) -> NDArray[np.float32]:
+def _variance_of_mean(ray_signals: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the variance of the mean of signals (pixel, ray), from means of slices."""
-    rays = each.shape[1]
+    rays = ray_signals.shape[1]
     first = np.arange(min(rays, LIMITS.variance_slices)) * rays // min(rays, LIMITS.variance_slices)
     length = np.diff(first, append=rays)
-    apart = np.add.reduceat(each, first, axis=1) / length - each.mean(axis=1, keepdims=True)
-    return (length * apart**2).sum(axis=1) / (max(len(first) - 1, 1) * rays)
+    slice_deviations = np.add.reduceat(ray_signals, first, axis=1) / length - ray_signals.mean(
+        axis=1, keepdims=True
+    )
+    return (length * slice_deviations**2).sum(axis=1) / (max(len(first) - 1, 1) * rays)
 
 
 def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> NDArray[np.float32]:
@@ -164,8 +166,8 @@ def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> ND
     for _ in range(LIMITS.control_rays):
         direction, _ = stage.bsdfs.sample(points, rng.random((len(points), 2)), rng)
         hidden[hit.met] += stage.surfaces.tracer.is_occluded(start, direction) / LIMITS.control_rays
-    share = 1.0 - hidden.reshape(*tiles, -1).mean(axis=-1)
-    return share.repeat(side, axis=0).repeat(side, axis=1)[:rows, :columns].astype(np.float32)
+    unoccluded = 1.0 - hidden.reshape(*tiles, -1).mean(axis=-1)
+    return unoccluded.repeat(side, axis=0).repeat(side, axis=1)[:rows, :columns].astype(np.float32)
 
 
 def render_scene(
@@ -177,7 +179,7 @@ def render_scene(
     weight: Array,
     seed: int,
     run: Run = one_by_one,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda fraction: None,
     announce: Callable[[float], None] = lambda seconds: None,
 ) -> Rendering:
     """Render a scene.
@@ -236,9 +238,9 @@ def render_scene(
         asked = done + int(wanted.sum())
         for batch, (light, spread) in zip(batches, run(look.render, batches), strict=True):
             pixels = batch.pixels
-            share = (batch.rays / (sent[pixels] + batch.rays)).astype(np.float32)
-            variance[pixels] = share**2 * spread + (1.0 - share) ** 2 * variance[pixels]
-            radiance[pixels] += share[:, None] * (light - radiance[pixels])
+            new_weight = (batch.rays / (sent[pixels] + batch.rays)).astype(np.float32)
+            variance[pixels] = new_weight**2 * spread + (1.0 - new_weight) ** 2 * variance[pixels]
+            radiance[pixels] += new_weight[:, None] * (light - radiance[pixels])
             sent[pixels] += batch.rays
             done += len(pixels) * batch.rays
             if turn:
@@ -296,5 +298,5 @@ def _with_cache(
         run=run,
         fine=fine,
     )
-    rest = None if limit is None else lambda signal: (1.0 - part) * limit(signal)
-    return replace(look, cache=cache), replace(rays, error_limit=rest)
+    camera_ray_limit = None if limit is None else lambda signal: (1.0 - part) * limit(signal)
+    return replace(look, cache=cache), replace(rays, error_limit=camera_ray_limit)

@@ -43,9 +43,9 @@ class SequenceSlice:
     rays: int
 
     @classmethod
-    def random(cls, places: int, rays: int, rng: np.random.Generator) -> "SequenceSlice":
+    def random(cls, points: int, rays: int, rng: np.random.Generator) -> "SequenceSlice":
         """Return slices with independent random starts."""
-        return cls(rng.random((places, 2)), rays)
+        return cls(rng.random((points, 2)), rays)
 
     def some(self, which: NDArray[np.int64]) -> "SequenceSlice":
         """Return the slices of some points."""
@@ -53,9 +53,9 @@ class SequenceSlice:
 
     def divide(self, parts: int) -> "SequenceSlice":
         """Split each slice into equal consecutive parts."""
-        each = self.rays // parts
-        start = self.start[:, None] + (each * np.arange(parts))[:, None] * R2
-        return SequenceSlice(fraction(start.reshape(-1, 2)), each)
+        part_rays = self.rays // parts
+        start = self.start[:, None] + (part_rays * np.arange(parts))[:, None] * R2
+        return SequenceSlice(fraction(start.reshape(-1, 2)), part_rays)
 
     def pairs(self) -> Array:
         """Return all pairs, shape (point, ray, 2)."""
@@ -73,15 +73,15 @@ class EvenNumbers:
     points: int
     rays: int
     rng: np.random.Generator
-    used: int = 0  # dimensions so far
+    dimensions: int = 0  # dimensions so far
 
     def random(self, shape: Any) -> Array:
         """Return numbers in [0, 1) of a shape whose first axis holds the rays of one point after
         the other.
         """
         count = int(np.prod(np.atleast_1d(shape))) // (self.points * self.rays)
-        step = R6 ** -(self.used + 1.0 + np.arange(count))
-        self.used += count
+        step = R6 ** -(self.dimensions + 1.0 + np.arange(count))
+        self.dimensions += count
         start = self.rng.random((self.points, 1, count))
         return fraction(start + (np.arange(self.rays)[:, None] + 1.0) * step).reshape(shape)
 
@@ -190,12 +190,12 @@ def by_cosine(normal: Any, foot: Any, way: Any) -> float:
 
 @numba.njit(**INLINED)
 def set_ray_start(
-    clearance: Any, centre: Any, face: Any, place: Any, normal: Any, start: Any
+    clearance: Any, centre: Any, face: Any, position: Any, normal: Any, start: Any
 ) -> None:
     """Set where a ray from a surface starts, as `RayTracer.above`."""
     shift = 0.0
     for axis in range(3):
-        shift = max(shift, abs(place[axis] - centre[axis]))
+        shift = max(shift, abs(position[axis] - centre[axis]))
     shift = max(clearance[face & ROW], CLEARANCE_SHARE * shift)
     for axis in range(3):
-        start[axis] = place[axis] + shift * normal[axis]
+        start[axis] = position[axis] + shift * normal[axis]

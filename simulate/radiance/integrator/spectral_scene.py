@@ -84,31 +84,31 @@ class Panes:
         return self.tracer.above(met.face, met.place_m, side)
 
     def transmittance_along(
-        self, start_m: Array, way: Array, reach: float | None
+        self, start_m: Array, way: Array, length_limit: float | None
     ) -> tuple[Rows, NDArray[np.float32]]:
         """Return indices of rays that meet panes, and their transmittances (ray, band).
 
-        Rays have a length of `reach` times that of their vectors `way` (ray, 3), or none.
+        Rays have a length of `length_limit` times that of their vectors `way` (ray, 3), or none.
         """
         length = np.linalg.norm(way, axis=1)
         ahead = way / np.maximum(length, 1e-300)[:, None]
-        rest = np.full(len(way), np.inf) if reach is None else reach * length
-        share = np.ones((len(way), self.transmittance.shape[1]), np.float32)
+        remaining_m = np.full(len(way), np.inf) if length_limit is None else length_limit * length
+        transmittance = np.ones((len(way), self.transmittance.shape[1]), np.float32)
         rows, start, touched = (
             np.arange(len(way)),
             np.asarray(start_m, float),
             np.zeros(len(way), bool),
         )
         for _ in range(LIMITS.max_panes):
-            met = self.met(start, ahead[rows], rest[rows])
+            met = self.met(start, ahead[rows], remaining_m[rows])
             rows = rows[met.which]
             if not len(rows):
                 break
-            share[rows] *= met.through
+            transmittance[rows] *= met.through
             touched[rows], start = True, self.start(met)
-            rest[rows] -= met.range_m
-        share[rows] = 0.0
-        return np.flatnonzero(touched), share[touched]
+            remaining_m[rows] -= met.range_m
+        transmittance[rows] = 0.0
+        return np.flatnonzero(touched), transmittance[touched]
 
 
 class Segments(NamedTuple):
@@ -133,13 +133,13 @@ def trace_segments(
     rng: np.random.Generator,
 ) -> Segments:
     """Follow rays of unit direction (ray, 3) to the opaque surface."""
-    hit, many = tracer.hits(start_m, direction), len(start_m)
-    no, plain = np.zeros(many, bool), np.ones((many, 1), np.float32)
+    hit, ray_count = tracer.hits(start_m, direction), len(start_m)
+    no, plain = np.zeros(ray_count, bool), np.ones((ray_count, 1), np.float32)
     if panes is None:
-        return Segments(start_m, direction, hit, np.zeros(many), no, no, plain)
+        return Segments(start_m, direction, hit, np.zeros(ray_count), no, no, plain)
     start, ahead, face, range_m = np.array(start_m), np.array(direction), hit.face, hit.range_m
-    earlier, crossed, mirrored = np.zeros(many), no.copy(), no.copy()
-    weight, rows = plain.repeat(panes.transmittance.shape[1], axis=1), np.arange(many)
+    earlier, crossed, mirrored = np.zeros(ray_count), no.copy(), no.copy()
+    weight, rows = plain.repeat(panes.transmittance.shape[1], axis=1), np.arange(ray_count)
     for _ in range(LIMITS.max_panes):
         met = panes.met(start[rows], ahead[rows], range_m[rows])
         rows = rows[met.which]
@@ -179,7 +179,7 @@ class ShadingPoints:
     face: Rows
     normal: Array  # on the side of the viewer
     outgoing: Array  # unit direction to the viewer
-    outside: NDArray[np.bool_]  # whether the viewer sees the outer side of the triangle
+    on_outer_side: NDArray[np.bool_]  # whether the viewer sees the outer side of the triangle
     material: Rows
     glossy: tuple[
         tuple[Rows, Brdf], ...
@@ -195,10 +195,10 @@ class ShadingPoints:
     @property
     def is_diffuse(self) -> NDArray[np.bool_]:
         """Whether each point is on a diffuse surface, shape (point,)."""
-        found = np.ones(len(self), np.bool_)
+        is_diffuse = np.ones(len(self), np.bool_)
         for which, _ in self.glossy:
-            found[which] = False
-        return found
+            is_diffuse[which] = False
+        return is_diffuse
 
     def on_white_surface(self) -> "ShadingPoints":
         """Return the same points on a perfectly reflecting diffuse surface."""
@@ -210,8 +210,8 @@ class ShadingPoints:
         for of, brdf in self.glossy:
             shines = np.zeros(len(self), bool)
             shines[of] = True
-            found = np.flatnonzero(shines[which])
-            glossy += [(found, brdf)] if len(found) else []
+            glossy_rows = np.flatnonzero(shines[which])
+            glossy += [(glossy_rows, brdf)] if len(glossy_rows) else []
         arrays = {name: values[which] for name, values in vars(self).items() if name != "glossy"}
         return ShadingPoints(glossy=tuple(glossy), **arrays)
 
@@ -251,16 +251,18 @@ class BsdfSet:
         `control` is the control-variate fraction of the sky; None: 1.
         """
         normal = surfaces.tracer.normals(face)
-        outside = np.einsum("ij,ij->i", normal, direction) < 0.0
+        on_outer_side = np.einsum("ij,ij->i", normal, direction) < 0.0
         material = surfaces.material_of[face & ROW]
         glossy = tuple(
             (np.flatnonzero(material == number), brdf)
             for number, brdf in enumerate(self.brdfs)
             if not isinstance(brdf, Lambert) and (material == number).any()
         )
-        facing = np.where(outside[:, None], normal, -normal)
+        facing = np.where(on_outer_side[:, None], normal, -normal)
         control = np.ones(len(face), np.float32) if control is None else control
-        return ShadingPoints(place_m, face, facing, -direction, outside, material, glossy, control)
+        return ShadingPoints(
+            place_m, face, facing, -direction, on_outer_side, material, glossy, control
+        )
 
     def diffuse_brdf(self, points: ShadingPoints) -> NDArray[np.float32]:
         """Return rho / pi of diffuse points and zero for others, shape (point, band), sr-1."""
@@ -270,12 +272,12 @@ class BsdfSet:
         """Return the BRDF of points for unit directions to the light above them, shape (point,
         band), sr-1.
         """
-        found = self.diffuse_brdf(points)
+        brdf_values = self.diffuse_brdf(points)
         for which, brdf in points.glossy:
             frame = shading_frames(points.normal[which])
             light, eye = within(frame, incoming[which]), within(frame, points.outgoing[which])
-            found[which] = brdf.value(light, eye, self.wavelength_nm).T
-        return found
+            brdf_values[which] = brdf.value(light, eye, self.wavelength_nm).T
+        return brdf_values
 
     def sample(
         self, points: ShadingPoints, pairs: Array, rng: np.random.Generator
@@ -296,12 +298,12 @@ class BsdfSet:
 
     def density(self, points: ShadingPoints, direction: Array) -> Array:
         """Return the density of `sample` in unit directions (point, 3), sr-1, shape (point,)."""
-        found = np.maximum(np.einsum("ij,ij->i", points.normal, direction), 0.0) / np.pi
+        densities = np.maximum(np.einsum("ij,ij->i", points.normal, direction), 0.0) / np.pi
         for which, brdf in points.glossy:
             frame = shading_frames(points.normal[which])
             light, eye = within(frame, direction[which]), within(frame, points.outgoing[which])
-            found[which] = 0.5 * (found[which] + brdf.pdf(light, eye))
-        return found
+            densities[which] = 0.5 * (densities[which] + brdf.pdf(light, eye))
+        return densities
 
 
 def within(frame: Array, direction: Array) -> Array:
@@ -356,11 +358,13 @@ class Air:
         The path radiance is J (1 - T of haze and molecules) (T of gases over half the path), see
         `Atmosphere.path_radiance`.
         """
-        left = self._particle_transmittance(range_m)
-        change = (left * self._gas_transmittance(range_m) - np.float32(1.0)) * light
+        particle_transmittance = self._particle_transmittance(range_m)
+        change = (
+            particle_transmittance * self._gas_transmittance(range_m) - np.float32(1.0)
+        ) * light
         if self.endless is not None:
             change += (
-                (1.0 - left)
+                (1.0 - particle_transmittance)
                 * self.endless.irradiance(direction)
                 * self._gas_transmittance(0.5 * range_m)
             )
@@ -374,10 +378,13 @@ class Air:
         """Interpolate the gas transmittance in the logarithm of the length, shape (ray, band)."""
         table = self.gas_transmittance
         assert table is not None
-        place = np.clip(NODES * np.log2(np.maximum(range_m, 1.0)), 0.0, len(table) - 1.0)
-        below = np.minimum(place.astype(np.int64), len(table) - 2)
-        share = (place - below).astype(np.float32)[:, None]
-        return np.asarray(table[below] + share * (table[below + 1] - table[below]), np.float32)
+        node_position = np.clip(NODES * np.log2(np.maximum(range_m, 1.0)), 0.0, len(table) - 1.0)
+        lower_node = np.minimum(node_position.astype(np.int64), len(table) - 2)
+        node_fraction = (node_position - lower_node).astype(np.float32)[:, None]
+        return np.asarray(
+            table[lower_node] + node_fraction * (table[lower_node + 1] - table[lower_node]),
+            np.float32,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -417,8 +424,10 @@ class SpectralScene:
         """Return the shading points of some of the rays of unit direction (ray, 3), which hit a
         surface.
         """
-        place = origin_m[which] + hit.range_m[which, None] * direction[which]
-        return self.bsdfs.points(self.surfaces, hit.face[which], place, direction[which], control)
+        position_m = origin_m[which] + hit.range_m[which, None] * direction[which]
+        return self.bsdfs.points(
+            self.surfaces, hit.face[which], position_m, direction[which], control
+        )
 
     def emission(self, points: ShadingPoints) -> tuple[Rows, NDArray[np.float32]]:
         """Return the indices of emitting points and their emitted radiance, shape (emitting point,
@@ -428,5 +437,5 @@ class SpectralScene:
         if panels is None:
             return np.zeros(0, np.int64), np.zeros((0, self.bands), np.float32)
         kind = panels.kind_of_face[points.face & ROW]
-        glows = np.flatnonzero((kind >= 0) & points.outside)
+        glows = np.flatnonzero((kind >= 0) & points.on_outer_side)
         return glows, panels.spectra[kind[glows]]

@@ -27,20 +27,20 @@ def coverage(row: Array, col: Array, shape: tuple[int, int]) -> Array:
     Green's theorem: each segment of the outline within a pixel adds its height times the width to
     its right in that pixel, and its full height to all pixels to the right.
     """
-    place = np.clip(np.stack([row, col], axis=1) + 0.0, -1.0, np.add(shape, 1.0))
-    start, end = _pieces(place)
+    corners = np.clip(np.stack([row, col], axis=1) + 0.0, -1.0, np.add(shape, 1.0))
+    start, end = _pieces(corners)
     middle, rise = 0.5 * (start + end), (end - start)[:, 0]
     line = np.floor(middle[:, 0]).astype(np.int64)
-    inside = (line >= 0) & (line < shape[0]) & (middle[:, 1] < shape[1])
-    line, at, rise = line[inside], np.maximum(middle[inside, 1], 0.0), rise[inside]
+    in_frame = (line >= 0) & (line < shape[0]) & (middle[:, 1] < shape[1])
+    line, at, rise = line[in_frame], np.maximum(middle[in_frame, 1], 0.0), rise[in_frame]
     pixel = np.floor(at).astype(np.int64)
     height = np.zeros((shape[0], shape[1] + 1))
     np.add.at(height, (line, pixel), rise * (pixel + 1.0 - at))
     np.add.at(height, (line, pixel + 1), rise * (at - pixel))
-    share = np.abs(np.cumsum(height, axis=1)[:, :-1])
+    covered = np.abs(np.cumsum(height, axis=1)[:, :-1])
     # Cancelling sums leave rounding errors.
     return np.where(
-        share > LIMITS.coverage_rounding * share.max(initial=0.0), np.minimum(share, 1.0), 0.0
+        covered > LIMITS.coverage_rounding * covered.max(initial=0.0), np.minimum(covered, 1.0), 0.0
     )
 
 
@@ -58,9 +58,9 @@ def _pieces(corner: Array) -> tuple[Array, Array]:
         line = first[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
         edge.append(which)
         along.append((line - corner[which, axis]) / side[which, axis])
-    which, share = np.concatenate(edge), np.concatenate(along)
-    order = np.lexsort((share, which))
-    start = corner[which[order]] + share[order, None] * side[which[order]]
+    which, side_fraction = np.concatenate(edge), np.concatenate(along)
+    order = np.lexsort((side_fraction, which))
+    start = corner[which[order]] + side_fraction[order, None] * side[which[order]]
     return start, np.roll(start, -1, axis=0)
 
 
@@ -126,53 +126,65 @@ def _add_disc(
     pixel = np.flatnonzero(covered)
     # For a disc within a pixel the solid angle at its position counts, not at the pixel's centre.
     middle = pixel // columns + 0.5, pixel % columns + 0.5
-    place = np.clip(middle[0], row.min(), row.max()), np.clip(middle[1], col.min(), col.max())
-    here, there = (
-        view.solid_angle_sr(exposure.picture_row + at[0], at[1]) for at in (place, middle)
+    disc_position = (
+        np.clip(middle[0], row.min(), row.max()),
+        np.clip(middle[1], col.min(), col.max()),
     )
-    part = (covered[pixel] * here / there).astype(np.float32)[:, None]
-    many = int(
+    disc_solid_angle, pixel_solid_angle = (
+        view.solid_angle_sr(exposure.picture_row + at[0], at[1]) for at in (disc_position, middle)
+    )
+    part = (covered[pixel] * disc_solid_angle / pixel_solid_angle).astype(np.float32)[:, None]
+    ray_count = int(
         np.clip(
             LIMITS.disc_rays_per_pixel * covered.sum(), LIMITS.min_disc_rays, LIMITS.max_disc_rays
         )
     )
-    way = _places(source, from_m, (np.arange(many) + 0.5) / many, GOLDEN_TURN * np.arange(many))
-    share = (
+    way = _places(
+        source, from_m, (np.arange(ray_count) + 0.5) / ray_count, GOLDEN_TURN * np.arange(ray_count)
+    )
+    transmittance = (
         _transmittance(stage, eye, way, source)
         if plane is None
         else _by_pane(stage, eye, from_m, way, plane, source)
     )
     row, col, _ = view.project(exposure.direction_before_turn(_image_directions(way, plane)))
-    left = _means(np.stack([row - exposure.first, col], axis=1), share, np.stack(middle, axis=1))
+    mean_transmittance = _means(
+        np.stack([row - exposure.first, col], axis=1), transmittance, np.stack(middle, axis=1)
+    )
     light = _irradiance(stage, source, from_m) / np.float32(_solid_angle_sr(source, from_m))
-    radiance[exposure.picture_row * columns + pixel] += part * left * light
+    radiance[exposure.picture_row * columns + pixel] += part * mean_transmittance * light
 
 
-def _means(place: Array, share: NDArray[np.float32], middle: Array) -> NDArray[np.float32]:
+def _means(
+    positions: Array, transmittance: NDArray[np.float32], middle: Array
+) -> NDArray[np.float32]:
     """Return means of pixels over the points (row, col) in them, or of the nearest, shape (pixel,
     band or 1).
     """
-    if (share == share[0]).all():
-        return share[:1]
+    if (transmittance == transmittance[0]).all():
+        return transmittance[:1]
     last = middle.max(axis=0) + 1.5
-    inside = ((place >= 0.0) & (place < last)).all(axis=1)
+    in_window = ((positions >= 0.0) & (positions < last)).all(axis=1)
     across = int(last[1])
     of_place, of_pixel = (
-        at[:, 0].astype(np.int64) * across + at[:, 1].astype(np.int64) for at in (place, middle)
+        at[:, 0].astype(np.int64) * across + at[:, 1].astype(np.int64) for at in (positions, middle)
     )
-    many = int(last[0]) * across
-    count = np.bincount(of_place[inside], minlength=many)[of_pixel]
+    cell_count = int(last[0]) * across
+    count = np.bincount(of_place[in_window], minlength=cell_count)[of_pixel]
     sums = np.stack(
-        [np.bincount(of_place[inside], band[inside], minlength=many)[of_pixel] for band in share.T],
+        [
+            np.bincount(of_place[in_window], band[in_window], minlength=cell_count)[of_pixel]
+            for band in transmittance.T
+        ],
         axis=1,
     )
     mean = (sums / np.maximum(count, 1)[:, None]).astype(np.float32)
     for pixel in np.flatnonzero(count == 0):
-        mean[pixel] = share[np.argmin(np.square(place - middle[pixel]).sum(axis=1))]
+        mean[pixel] = transmittance[np.argmin(np.square(positions - middle[pixel]).sum(axis=1))]
     return mean
 
 
-def _places(source: Source, eye: Array, within: Array, turn: Array) -> Array:
+def _places(source: Source, eye: Array, area_fraction: Array, turn: Array) -> Array:
     """Return vectors from the lens to points of a source, shape (point, 3); of unit length for sun
     and moon.
 
@@ -183,12 +195,12 @@ def _places(source: Source, eye: Array, within: Array, turn: Array) -> Array:
         middle, radius, length = (
             source.direction,
             1.0,
-            1.0 - within * (1.0 - np.cos(source.angular_radius_rad)),
+            1.0 - area_fraction * (1.0 - np.cos(source.angular_radius_rad)),
         )
         across = np.sqrt(np.maximum(1.0 - length**2, 0.0))
     else:
         middle = source.position_m - eye
-        radius, length, across = source.radius_m, np.ones(len(turn)), np.sqrt(within)
+        radius, length, across = source.radius_m, np.ones(len(turn)), np.sqrt(area_fraction)
     frame = shading_frames((middle / np.linalg.norm(middle))[None])[0]
     offset = np.cos(turn)[:, None] * frame[0] + np.sin(turn)[:, None] * frame[1]
     return length[:, None] * middle + radius * across[:, None] * offset
@@ -200,12 +212,16 @@ def _transmittance(
     """Return the transmittance to points of a source past surfaces and through panes, shape (point,
     band or 1).
     """
-    reach = None if isinstance(source, DiscLight) else SHORT
+    length_limit = None if isinstance(source, DiscLight) else SHORT
     start = np.broadcast_to(eye, way.shape)
-    share = (~stage.surfaces.tracer.is_occluded(start, way, reach)).astype(np.float32)[:, None]
+    transmittance = (~stage.surfaces.tracer.is_occluded(start, way, length_limit)).astype(
+        np.float32
+    )[:, None]
     if stage.bsdfs.panes is None:
-        return share
-    return _weaken(stage.bsdfs.panes, start, way, reach, np.repeat(share, stage.bands, axis=1))
+        return transmittance
+    return _weaken(
+        stage.bsdfs.panes, start, way, length_limit, np.repeat(transmittance, stage.bands, axis=1)
+    )
 
 
 def _irradiance(stage: SpectralScene, source: Source, eye: Array) -> NDArray[np.float32]:
@@ -214,8 +230,12 @@ def _irradiance(stage: SpectralScene, source: Source, eye: Array) -> NDArray[np.
         return source.irradiance
     middle = source.position_m - eye
     distance = float(np.linalg.norm(middle))
-    found = source.spectrum * np.float32(source.per_sr(-middle[None] / distance)[0] / distance**2)
-    return found * stage.air.through(np.array([distance]))[0] if stage.air.absorbs else found
+    irradiance = source.spectrum * np.float32(
+        source.per_sr(-middle[None] / distance)[0] / distance**2
+    )
+    return (
+        irradiance * stage.air.through(np.array([distance]))[0] if stage.air.absorbs else irradiance
+    )
 
 
 def _solid_angle_sr(source: Source, eye: Array) -> float:
@@ -229,11 +249,11 @@ def _solid_angle_sr(source: Source, eye: Array) -> float:
 
 
 def _weaken(
-    panes: Panes, start: Array, way: Array, reach: float | None, light: NDArray[np.float32]
+    panes: Panes, start: Array, way: Array, length_limit: float | None, light: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Attenuate light along paths by panes, in place."""
-    which, left = panes.transmittance_along(start, way, reach)
-    light[which] *= left
+    which, pane_transmittance = panes.transmittance_along(start, way, length_limit)
+    light[which] *= pane_transmittance
     return light
 
 
@@ -281,27 +301,27 @@ def _by_pane(
     """
     panes, tracer = stage.bsdfs.panes, stage.surfaces.tracer
     assert panes is not None
-    share = np.zeros((len(way), stage.bands), np.float32)
+    transmittance = np.zeros((len(way), stage.bands), np.float32)
     height, rises = plane.height(eye), way @ plane.normal
     on = np.flatnonzero(rises * height > 0.0)
     way, leg = way[on], height / rises[on]
     foot = image_eye + leg[:, None] * way
     ahead = way / np.linalg.norm(way, axis=1, keepdims=True)
     off_m = LIMITS.pane_test_length_m
-    near = panes.met(foot - off_m * ahead, ahead, np.full(len(way), 2.0 * off_m))
-    near_plane = np.isin(near.face, plane.faces)
-    which, back = near.which[near_plane], near.mirrored[near_plane]
-    foot, way, rest = foot[which], way[which], (1.0 - leg[which])[:, None] * way[which]
+    pane_hits = panes.met(foot - off_m * ahead, ahead, np.full(len(way), 2.0 * off_m))
+    near_plane = np.isin(pane_hits.face, plane.faces)
+    which, back = pane_hits.which[near_plane], pane_hits.mirrored[near_plane]
+    foot, way, onward_way = foot[which], way[which], (1.0 - leg[which])[:, None] * way[which]
     start = np.broadcast_to(eye, foot.shape)
     # The reflected segment starts at a small distance from the pane, on the side of the lens.
     side = np.sign(np.einsum("ij,j->i", start - foot, plane.normal))[:, None] * plane.normal
-    above = foot + off_m * side
-    reach, onward = (None, way) if isinstance(source, DiscLight) else (SHORT, rest)
+    above_pane = foot + off_m * side
+    length_limit, onward = (None, way) if isinstance(source, DiscLight) else (SHORT, onward_way)
     clear = ~tracer.is_occluded(start, foot - start, SHORT) & ~tracer.is_occluded(
-        above, onward, reach
+        above_pane, onward, length_limit
     )
     light = back[clear]
-    _weaken(panes, start[clear], above[clear] - start[clear], SHORT, light)
-    _weaken(panes, above[clear], onward[clear], reach, light)
-    share[on[which[clear]]] = light
-    return share
+    _weaken(panes, start[clear], above_pane[clear] - start[clear], SHORT, light)
+    _weaken(panes, above_pane[clear], onward[clear], length_limit, light)
+    transmittance[on[which[clear]]] = light
+    return transmittance

@@ -154,15 +154,17 @@ class MeasuredDistribution:
             np.searchsorted(self.polar_deg, polar, side="right") - 1, 0, self.polar_deg.size - 2
         )
         along = (polar - self.polar_deg[column]) / np.diff(self.polar_deg)[column]
-        inside = (polar >= self.polar_deg[0]) & (polar <= self.polar_deg[-1])
+        in_range = (polar >= self.polar_deg[0]) & (polar <= self.polar_deg[-1])
         row, across = self._row(azimuth)
         following = np.minimum(row + 1, self.azimuth_deg.size - 1)
-        near = self.candela[row, column] * (1.0 - along) + self.candela[row, column + 1] * along
-        far = (
+        row_candela = (
+            self.candela[row, column] * (1.0 - along) + self.candela[row, column + 1] * along
+        )
+        following_candela = (
             self.candela[following, column] * (1.0 - along)
             + self.candela[following, column + 1] * along
         )
-        return np.where(inside, near * (1.0 - across) + far * across, 0.0)
+        return np.where(in_range, row_candela * (1.0 - across) + following_candela * across, 0.0)
 
     def _row(self, azimuth: Array) -> tuple[NDArray[np.intp], Array]:
         last = self.azimuth_deg[-1]
@@ -285,14 +287,14 @@ def parse_photometry(text: str) -> Photometry:
 def _after_tilt(lines: list[str]) -> Iterator[str]:
     """Return the lines after the keywords; raise BadInput if there is a correction for tilt."""
     for number, line in enumerate(lines):
-        said = line.strip()
-        if said.upper().startswith("TILT"):
-            what = said.partition("=")[2].strip().upper()
+        text = line.strip()
+        if text.upper().startswith("TILT"):
+            what = text.partition("=")[2].strip().upper()
             if what == "NONE":
                 return iter(lines[number + 1 :])
             if what == "INCLUDE":
                 return _without_tilt(lines[number + 1 :])
-            raise BadInput(f"TILT must be NONE or INCLUDE, got {said[:40]!r}")
+            raise BadInput(f"TILT must be NONE or INCLUDE, got {text[:40]!r}")
     raise BadInput("a photometric file must have a line TILT=, got none")
 
 
@@ -328,17 +330,19 @@ class _Numbers:
             self._held += line.replace(",", " ").split()
         words, self._held = self._held[:count], self._held[count:]
         try:
-            found = np.array([float(word) for word in words])
+            numbers = np.array([float(word) for word in words])
         except ValueError:
             raise BadInput(f"{what} must be numbers, got {' '.join(words)[:60]!r}") from None
-        if not np.isfinite(found).all():
+        if not np.isfinite(numbers).all():
             raise BadInput(f"{what} must be finite, got {' '.join(words)[:60]!r}")
-        return found
+        return numbers
 
     def end(self) -> None:
-        left = [*self._held, *(word for line in self.lines for word in line.split())]
-        if left:
-            raise BadInput(f"a photometric file must end after its candela, got {len(left)} more")
+        remaining_words = [*self._held, *(word for line in self.lines for word in line.split())]
+        if remaining_words:
+            raise BadInput(
+                f"a photometric file must end after its candela, got {len(remaining_words)} more"
+            )
 
 
 def _count(what: str, number: float) -> int:
@@ -361,7 +365,7 @@ def _from_zero(azimuth: Array, candela: Array) -> tuple[Array, Array]:
     rows = np.concatenate([candela, candela])[first]
     if angles[0] != 0.0:
         # Between the last angle and 360 + the first lies 0: by both, linearly.
-        share = angles[0] / (360.0 - angles[-1] + angles[0])
+        last_weight = angles[0] / (360.0 - angles[-1] + angles[0])
         angles = np.concatenate([[0.0], angles])
-        rows = np.concatenate([[(1.0 - share) * rows[0] + share * rows[-1]], rows])
+        rows = np.concatenate([[(1.0 - last_weight) * rows[0] + last_weight * rows[-1]], rows])
     return np.append(angles, 360.0), np.concatenate([rows, rows[:1]])

@@ -90,19 +90,19 @@ def spectrum(
             raise BadInput(
                 f"an incandescent lamp has no near_infrared_share, got {near_infrared_share:g}"
             )
-        whole = _incandescent(temperature_k)
+        black_body = _incandescent(temperature_k)
         total = STEFAN_BOLTZMANN * temperature_k**4 / np.pi
-        return scale_to(whole, lumens, watts, kind, total)
+        return scale_to(black_body, lumens, watts, kind, total)
     if kind == NARROW and wavelength_nm is not None:
         return scale_to(_narrow(wavelength_nm, width_nm), lumens, watts, f"{wavelength_nm:g} nm")
     if kind not in KINDS:
         raise BadInput(
             f"a lamp must be of one of the kinds {', '.join((*KINDS, NARROW))}, got {kind!r}"
         )
-    share = (
+    infrared_fraction = (
         NEAR_INFRARED_SHARE.get(kind, 0.0) if near_infrared_share is None else near_infrared_share
     )
-    return scale_to(_discharge(kind, share), lumens, watts, kind)
+    return scale_to(_discharge(kind, infrared_fraction), lumens, watts, kind)
 
 
 def read_spectrum(
@@ -115,32 +115,36 @@ def read_spectrum(
     """
     rows = _rows(Path(path))
     try:
-        found = SourceSpectrum(wavelength_nm=rows[:, 0], density=rows[:, 1])
+        unscaled = SourceSpectrum(wavelength_nm=rows[:, 0], density=rows[:, 1])
     except BadInput as error:
         raise BadInput(f"{error}, in {path}") from None
-    return scale_to(found, lumens, watts, str(path))
+    return scale_to(unscaled, lumens, watts, str(path))
 
 
 def scale_to(
-    found: SourceSpectrum, lumens: float, watts: float | None, name: str, total: float | None = None
+    unscaled: SourceSpectrum,
+    lumens: float,
+    watts: float | None,
+    name: str,
+    total: float | None = None,
 ) -> SourceSpectrum:
     """Return a spectrum scaled to watts, by its own total or one given, or else to lumens."""
     for unit, power in (("lumens", lumens), ("watts", watts)):
         if power is not None and not power >= 0.0:
             raise BadInput(f"{unit} must not be negative, got {power:g}")
-    whole, asked, unit = (
-        (found.lumens, lumens, "lumens")
+    power_before, asked, unit = (
+        (unscaled.lumens, lumens, "lumens")
         if watts is None
-        else (total or found.total(), watts, "watts")
+        else (total or unscaled.total(), watts, "watts")
     )
-    if not whole > 0.0:
+    if not power_before > 0.0:
         needed = (
             "have visible light to be scaled to lumens (state watts)"
             if unit == "lumens"
             else "have some power"
         )
         raise BadInput(f"the spectrum of a lamp must {needed}, got none in {name}")
-    return found.scale(asked / whole)
+    return unscaled.scale(asked / power_before)
 
 
 def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:
@@ -204,8 +208,8 @@ def _incandescent(temperature_k: float) -> SourceSpectrum:
 def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
     if not near_infrared_share >= 0.0:
         raise BadInput(f"near_infrared_share must not be negative, got {near_infrared_share:g}")
-    beyond = NEAR_INFRARED_LINES.get(kind, ())
-    if near_infrared_share > 0.0 and not beyond:
+    infrared_lines = NEAR_INFRARED_LINES.get(kind, ())
+    if near_infrared_share > 0.0 and not infrared_lines:
         raise BadInput(
             f"near_infrared_share must be 0 for {kind}, of which no lines are known, got "
             f"{near_infrared_share:g}"
@@ -219,7 +223,11 @@ def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
         wavelength, density = visible["wavelength_nm"], visible[column]
     lines = (
         *lines,
-        *((nm, near_infrared_share * part) for nm, part in beyond if near_infrared_share > 0.0),
+        *(
+            (nm, near_infrared_share * part)
+            for nm, part in infrared_lines
+            if near_infrared_share > 0.0
+        ),
     )
     return SourceSpectrum(
         wavelength_nm=wavelength,

@@ -31,11 +31,11 @@ def _read_map(path: Path, count: int) -> NDArray[np.int64]:
     from labdata.importers import read_frames
 
     values = np.asarray(read_frames(path).data[0])
-    wrong = values[(values < 0) | (values >= count) | (values != np.round(values))]
-    if wrong.size:
+    invalid_values = values[(values < 0) | (values >= count) | (values != np.round(values))]
+    if invalid_values.size:
         raise BadInput(
-            f"a material map must hold whole numbers from 0 to {count - 1}, got {wrong.flat[0]:g} "
-            f"in {path.name}"
+            f"a material map must hold whole numbers from 0 to {count - 1}, got "
+            f"{invalid_values.flat[0]:g} in {path.name}"
         )
     return values.astype(np.int64)
 
@@ -74,11 +74,11 @@ def _runs(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
     columns = values.shape[1]
     begins = np.ones(values.shape, bool)
     begins[:, 1:] = values[:, 1:] != values[:, :-1]
-    place = np.flatnonzero(begins)
-    row, first = place // columns, place % columns
+    starts = np.flatnonzero(begins)
+    row, first = starts // columns, starts % columns
     last = np.append(first[1:], 0)
     last[last == 0] = columns
-    return row, first, last, values.ravel()[place]
+    return row, first, last, values.ravel()[starts]
 
 
 def _rectangles(x: Array, y: Array) -> Mesh:
@@ -187,16 +187,18 @@ def _pieces(scene: OutdoorScene, thing: Object) -> tuple[list[tuple[str, Mesh]],
     meshes, colours = read_mesh(scene.file(thing.file), METRE[thing.unit])
     if not thing.file_materials:
         named = [name for name in meshes if name]
-        own = [
+        file_contents = [
             *([f"materials ({', '.join(sorted(named))})"] if named else []),
             *(["colours"] if colours else []),
         ]
-        words = " and ".join(own)
+        words = " and ".join(file_contents)
         unused = (
             f"{thing.file} has {words}, which are not used: all of {thing.label!r} is "
             f"{thing.material!r}"
         )
-        return [(thing.material, join_meshes(list(meshes.values())))], [unused] if own else []
+        return [(thing.material, join_meshes(list(meshes.values())))], [
+            unused
+        ] if file_contents else []
     known = ", ".join(sorted(repr(name) for name in meshes))
     for name in thing.file_materials:
         if name not in meshes:
@@ -228,15 +230,15 @@ def split_by_texture(
     """
     corners, uv = [], []
     for part in _load(path):
-        own = getattr(part.visual, "uv", None)
-        if own is None or len(own) != len(part.vertices):
+        texture_uv = getattr(part.visual, "uv", None)
+        if texture_uv is None or len(texture_uv) != len(part.vertices):
             raise BadInput(
                 f"a mesh with a map must have texture coordinates, got none in {path.name}"
             )
         _check_mesh(path.name, part.vertices, part.faces)
         corners.append(metre * np.asarray(part.vertices, float)[part.faces])
-        uv.append(np.asarray(own, float)[part.faces])
-    place, texel = np.concatenate(corners), np.concatenate(uv) * numbers.shape[::-1]
+        uv.append(np.asarray(texture_uv, float)[part.faces])
+    positions, texel = np.concatenate(corners), np.concatenate(uv) * numbers.shape[::-1]
     if not np.isfinite(texel).all():
         raise BadInput(f"texture coordinates must be finite, got others in {path.name}")
     sides = np.linalg.norm(texel - np.roll(texel, 1, axis=1), axis=2).max(axis=1)
@@ -254,11 +256,11 @@ def split_by_texture(
             np.int64
         )
         which = numbers[(-1 - row) % numbers.shape[0], col % numbers.shape[1]]
-        whole = (which == which[:, :1]).all(axis=1)
-        parts.append((place[of[whole]], which[whole, 0]))
-        small = np.einsum("pck,fkx->fpcx", weights, place[of[~whole]])
-        parts.append((small.reshape(-1, 3, 3), which[~whole].ravel()))
-    every, which = (np.concatenate(each) for each in zip(*parts, strict=True))
+        is_uniform = (which == which[:, :1]).all(axis=1)
+        parts.append((positions[of[is_uniform]], which[is_uniform, 0]))
+        small = np.einsum("pck,fkx->fpcx", weights, positions[of[~is_uniform]])
+        parts.append((small.reshape(-1, 3, 3), which[~is_uniform].ravel()))
+    every, which = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     meshes = (
         (name, every[which == number].reshape(-1, 3)) for number, name in enumerate(materials)
     )
@@ -285,19 +287,19 @@ def read_mesh(path: Path, metre: float) -> tuple[dict[str, Mesh], bool]:
     has colours.
     """
     parts = _load(path)
-    found = [
+    parts_by_material = [
         (_material_of(part), np.array(part.vertices, float), np.array(part.faces, np.int64))
         for part in parts
     ]
     colours = any(part.visual.defined and part.visual.kind in ("vertex", "face") for part in parts)
-    for _, vertices, faces in found:
+    for _, vertices, faces in parts_by_material:
         _check_mesh(path.name, vertices, faces)
-    names = dict.fromkeys(name for name, _, _ in found)
+    names = dict.fromkeys(name for name, _, _ in parts_by_material)
     meshes = {
-        name: [Mesh(metre * xyz, faces) for other, xyz, faces in found if other == name]
+        name: [Mesh(metre * xyz, faces) for other, xyz, faces in parts_by_material if other == name]
         for name in names
     }
-    return {name: join_meshes(each) for name, each in meshes.items()}, colours
+    return {name: join_meshes(part_meshes) for name, part_meshes in meshes.items()}, colours
 
 
 def _load(path: Path) -> list[Any]:

@@ -35,12 +35,12 @@ class BuiltScene:
     @cached_property
     def surfaces(self) -> Surfaces:
         """All surfaces; raises BadInput if a lamp touches one."""
-        found = build_surfaces(self.scene)
+        surfaces = build_surfaces(self.scene)
         for post in self.scene.lamp:
-            _refuse_touching(post, found)
-            if found.panes is not None:
-                _refuse_touching(post, found.panes)
-        return found
+            _refuse_touching(post, surfaces)
+            if surfaces.panes is not None:
+                _refuse_touching(post, surfaces.panes)
+        return surfaces
 
     @cached_property
     def sky(self) -> NightSky | None:
@@ -55,9 +55,11 @@ class BuiltScene:
             "starlight": sky.starlight,
             "towns": towns,
         }
-        found = NightSky.at(where, where.moment, atmosphere=_atmosphere(weather), **parts)
+        night_sky = NightSky.at(where, where.moment, atmosphere=_atmosphere(weather), **parts)
         shining = {"moon": sky.moon, "sun": sky.sun}
-        return replace(found, bodies=tuple(body for body in found.bodies if shining[body.name]))
+        return replace(
+            night_sky, bodies=tuple(body for body in night_sky.bodies if shining[body.name])
+        )
 
     @cached_property
     def lamps(self) -> tuple[tuple[LampPlacement, Lamp], ...]:
@@ -87,12 +89,16 @@ class BuiltScene:
 
     def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> Array:
         """Return the bands for the sources, materials and a sensor, see `spectral_grid`."""
-        used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
-        used |= set() if self.surfaces.panes is None else set(self.surfaces.panes.materials)
+        used_labels = {
+            self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)
+        }
+        used_labels |= set() if self.surfaces.panes is None else set(self.surfaces.panes.materials)
         spectra = [
-            self._spectrum(surface) for surface in self.scene.material if surface.label in used
+            self._spectrum(surface)
+            for surface in self.scene.material
+            if surface.label in used_labels
         ]
-        spectra = [(nm, share) for nm, share in spectra if len(nm) > 1]
+        spectra = [(nm, reflectance) for nm, reflectance in spectra if len(nm) > 1]
         return spectral_grid(
             self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra
         )
@@ -143,14 +149,14 @@ class BuiltScene:
 
     def _lighting(self, grid: Array) -> Lighting:
         sky = self.sky
-        above = (
+        sky_map = (
             environment_map.black(len(grid))
             if sky is None
             else environment_map.environment_map(lambda way: sky.radiance(way, grid))
         )
         discs = () if sky is None else sky.discs()
         return Lighting(
-            environment_map=above,
+            environment_map=sky_map,
             discs=tuple(
                 DiscLight(
                     name=disc.name,
@@ -260,14 +266,14 @@ def _frame(axis: Array, heading_deg: float) -> Array:
 
 def _refuse_touching(post: LampPlacement, surfaces: Surfaces) -> None:
     """Raise BadInput if a lamp's sphere touches a surface, which would occlude it in part."""
-    place = np.asarray(post.position_m, float)
-    for corners, name in surfaces.near(place, post.radius_m):
+    centre = np.asarray(post.position_m, float)
+    for corners, name in surfaces.near(centre, post.radius_m):
         import trimesh
 
         closest = trimesh.triangles.closest_point(
-            corners, np.broadcast_to(place, (len(corners), 3))
+            corners, np.broadcast_to(centre, (len(corners), 3))
         )
-        distance = np.linalg.norm(closest - place, axis=1).min()
+        distance = np.linalg.norm(closest - centre, axis=1).min()
         if distance < post.radius_m:
             raise BadInput(
                 f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got "

@@ -72,7 +72,7 @@ class MaterialSpec:
 
     def __post_init__(self) -> None:
         kinds = (self.library, self.reflectance, self.measured, self.pane_transmittance)
-        if sum(given is not None for given in kinds) != 1:
+        if sum(kind is not None for kind in kinds) != 1:
             raise BadInput(
                 "a material must have a library entry, a reflectance, a measured file or a "
                 f"pane's transmittance, got {self.label!r}"
@@ -107,12 +107,12 @@ class MaterialSpec:
                 f"pane_transmittance must be one for all wavelengths or one for each, got {count} "
                 f"for {len(self.wavelength_nm)} of {self.label!r}"
             )
-        most = clearest(self.glass_index)
-        for share in self.pane_transmittance:
-            if not 0.0 <= share <= most:
+        limit = clearest(self.glass_index)
+        for transmittance in self.pane_transmittance:
+            if not 0.0 <= transmittance <= limit:
                 raise BadInput(
-                    f"pane_transmittance must lie between 0 and what the faces leave, {most:.4f}, "
-                    f"got {share:g} of {self.label!r}"
+                    f"pane_transmittance must lie between 0 and what the faces leave, {limit:.4f}, "
+                    f"got {transmittance:g} of {self.label!r}"
                 )
 
     @property
@@ -123,8 +123,8 @@ class MaterialSpec:
     def let_through(self, wavelength_nm: Array) -> Array:
         """Return a pane's transmittance at normal incidence, shape (band,)."""
         shares = self.pane_transmittance or (0.0,)
-        each = shares * len(self.wavelength_nm) if len(shares) == 1 else shares
-        return np.interp(wavelength_nm, self.wavelength_nm, each)
+        transmittances = shares * len(self.wavelength_nm) if len(shares) == 1 else shares
+        return np.interp(wavelength_nm, self.wavelength_nm, transmittances)
 
     @cached_property
     def material(self) -> Material:
@@ -246,13 +246,13 @@ class Slab:
             ("", self),
             *((f"layer {number} ", layer) for number, layer in enumerate(self.layer, 1)),
         ]
-        found = {
-            place + item.name: value
-            for place, table in tables
+        parameters = {
+            prefix + item.name: value
+            for prefix, table in tables
             for item in fields(table)
             if isinstance(value := getattr(table, item.name), Parameter)
         }
         return {
             name: value if value.source else replace(value, source=self.source)
-            for name, value in found.items()
+            for name, value in parameters.items()
         }

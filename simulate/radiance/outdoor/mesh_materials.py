@@ -54,7 +54,7 @@ def with_materials_of_files(mapping: dict[str, Any], folder: Path) -> dict[str, 
         ):
             things.append(thing)
             continue
-        label, given = str(thing.get("label", file)), {}
+        label, label_of_material = str(thing.get("label", file)), {}
         for part in _load(folder / file):
             name = _material_of(part)
             if not name:
@@ -62,10 +62,12 @@ def with_materials_of_files(mapping: dict[str, Any], folder: Path) -> dict[str, 
                     f"each part of {file} must have a material, or {label!r} one of the scene, "
                     f"got neither"
                 )
-            if name not in given:
-                given[name] = f"{label}: {name}"
-                tables.append({"label": given[name], **_table(part.visual.material, name, file)})
-        things.append(thing | {"file_materials": given})
+            if name not in label_of_material:
+                label_of_material[name] = f"{label}: {name}"
+                tables.append(
+                    {"label": label_of_material[name], **_table(part.visual.material, name, file)}
+                )
+        things.append(thing | {"file_materials": label_of_material})
     return (
         mapping
         if tables == list(mapping.get("material", ()))
@@ -87,7 +89,7 @@ def _table(visual: Any, name: str, file: str) -> dict[str, Any]:
         )
     table = {
         "wavelength_nm": list(BLUE_GREEN_RED_NM),
-        "reflectance": [round(float(share), 4) for share in colour[::-1]],
+        "reflectance": [round(float(reflectance), 4) for reflectance in colour[::-1]],
     }
     source = (
         f"{name!r} of {file} has the reflectance of its colour at 450, 550 and 610 nm, "

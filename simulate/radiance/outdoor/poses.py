@@ -63,9 +63,9 @@ class ObjectKeyframe:
 def _stated(keyframe: Any) -> dict[str, Any]:
     """Return the values that a keyframe states, by their names."""
     values = {
-        each.name: getattr(keyframe, each.name)
-        for each in fields(keyframe)
-        if each.name != "time_s"
+        keyframe_field.name: getattr(keyframe, keyframe_field.name)
+        for keyframe_field in fields(keyframe)
+        if keyframe_field.name != "time_s"
     }
     return {name: value for name, value in values.items() if value is not None}
 
@@ -110,7 +110,10 @@ def pose_at(
 
 def _between(start: Any, end: Any, part: float) -> Any:
     if isinstance(start, tuple):
-        return tuple(_between(one, other, part) for one, other in zip(start, end, strict=True))
+        return tuple(
+            _between(start_value, end_value, part)
+            for start_value, end_value in zip(start, end, strict=True)
+        )
     return start + part * (end - start)
 
 

@@ -114,7 +114,7 @@ class RenderSettings:
 
     def text(self) -> str:
         """Return the settings as text."""
-        few, most, chance, bounces = (
+        fewest_rays, most_rays, chance, bounces = (
             self.rays.min_rays,
             self.rays.max_rays,
             self.chance,
@@ -129,8 +129,9 @@ class RenderSettings:
                 f"{len(self.wavelength_nm)} bands from {self.wavelength_nm[0]:.0f} to "
                 f"{self.wavelength_nm[-1]:.0f} nm, which change no source's signal by more than "
                 f"{100.0 * self.spectral_error:.2g} %",
-                f"{few} to {most} rays a pixel, rms Monte Carlo error {100.0 * chance:.2g} % of "
-                f"the noise (or {100.0 * KNOWN * chance:.2g} % of the signal where that is more)",
+                f"{fewest_rays} to {most_rays} rays a pixel, rms Monte Carlo error "
+                f"{100.0 * chance:.2g} % of the noise "
+                f"(or {100.0 * KNOWN * chance:.2g} % of the signal where that is more)",
                 f"bounces followed: {bounces}",
             )
         )
@@ -265,9 +266,11 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
         """Return mean signals of each counted point, separately by first and second rays, shape
         (point, ray).
         """
-        each = signal.reshape(-1, limits.pilot_rays).astype(float)
+        ray_signals = signal.reshape(-1, limits.pilot_rays).astype(float)
         return (
-            np.stack([np.bincount(pixel, ray, minlength=len(count)) for ray in each.T], axis=1)
+            np.stack(
+                [np.bincount(pixel, ray, minlength=len(count)) for ray in ray_signals.T], axis=1
+            )
             / count
         )
 
@@ -281,10 +284,10 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
     effort = IntegratorSettings(
         max_bounces=limits.pilot_max_bounces, roulette_depth=limits.pilot_bounces
     )
-    found = radiance_along(
+    components = radiance_along(
         stage, origin, towards, effort, rng, gather_rays=limits.pilot_gather_rays, split=True
     ).found
-    by_name = {name: means(light @ weight) for name, light in found.items()}
+    by_name = {name: means(light @ weight) for name, light in components.items()}
     signal = np.asarray(
         sum(by_name.values(), start=np.zeros((len(count), limits.pilot_rays)))
     ).mean(axis=1)
@@ -299,11 +302,11 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
                 stage,
                 origin,
                 towards,
-                IntegratorSettings(max_bounces=0, sky_shadowing=False, path_air=between),
+                IntegratorSettings(max_bounces=0, sky_shadowing=False, path_air=path_air),
                 np.random.default_rng([seed, 3]),
                 gather_rays=1,
             ).total()
-            for between in (True, False)
+            for path_air in (True, False)
         )
         parts["air before surfaces"] = means((without - with_air) @ weight)
     return PilotEstimate(signal, parts, shape)

@@ -232,15 +232,15 @@ class LampPlacement:
             raise BadInput(
                 f"a beam must be one of {', '.join(BEAMS)} or an .ies file, got {self.beam!r}"
             )
-        given = [power for power in (self.lumens, self.watts) if power is not None]
-        if len(given) == 2 or not (given or self.has_photometric_file):
+        powers = [power for power in (self.lumens, self.watts) if power is not None]
+        if len(powers) == 2 or not (powers or self.has_photometric_file):
             raise BadInput(
                 "a lamp must have either lumens or watts, or neither with a photometric file, got "
-                f"{'both' if given else 'none'} of {self.label!r}"
+                f"{'both' if powers else 'none'} of {self.label!r}"
             )
-        if not all(power >= 0.0 for power in given):
+        if not all(power >= 0.0 for power in powers):
             raise BadInput(
-                f"lumens and watts must not be negative, got {given[0]:g} of {self.label!r}"
+                f"lumens and watts must not be negative, got {powers[0]:g} of {self.label!r}"
             )
         if self.kind != NARROW and (self.wavelength_nm is not None or self.width_nm):
             raise BadInput(
@@ -336,8 +336,8 @@ class Object(Pose):
             raise BadInput(
                 f"file_materials must be those of a mesh file, got {self.label!r} without a file"
             )
-        one = bool(self.material or self.file_materials)
-        if (self.map is None) != (not self.map_materials) or (self.map is None) != one:
+        has_material = bool(self.material or self.file_materials)
+        if (self.map is None) != (not self.map_materials) or (self.map is None) != has_material:
             raise BadInput(
                 f"an object must have either a material or a map and its materials, got "
                 f"{self.label!r}"

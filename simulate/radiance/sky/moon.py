@@ -103,13 +103,13 @@ class Ephemeris:
         """Fraction of the sun's disc that the moon does not cover for the observer,
         dimensionless.
         """
-        apart = np.deg2rad(angle_deg(self.sun.position_km, self.moon.position_km))
+        separation_rad = np.deg2rad(angle_deg(self.sun.position_km, self.moon.position_km))
         return visible_disc_fraction(
-            self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(apart)
+            self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(separation_rad)
         )
 
 
-def ephemeris(place: ObserverLocation, time: datetime) -> Ephemeris:
+def ephemeris(location: ObserverLocation, time: datetime) -> Ephemeris:
     """Return sun and moon for an observer at a time with its zone, topocentric and without
     refraction.
 
@@ -122,8 +122,8 @@ def ephemeris(place: ObserverLocation, time: datetime) -> Ephemeris:
     import ephem
 
     observer = ephem.Observer()
-    observer.lat, observer.lon = str(place.latitude_deg), str(place.longitude_deg)
-    observer.elevation, observer.pressure = place.altitude_m, 0.0
+    observer.lat, observer.lon = str(location.latitude_deg), str(location.longitude_deg)
+    observer.elevation, observer.pressure = location.altitude_m, 0.0
     observer.date = ephem.Date(_universal(time).replace(tzinfo=None))
     sun, moon = ephem.Sun(observer), ephem.Moon(observer)
     return Ephemeris(
@@ -146,9 +146,9 @@ def _universal(time: datetime) -> datetime:
     return universal
 
 
-def _body(found: object, radius_km: float) -> Body:
-    elevation, azimuth = float(found.alt), float(found.az)  # pyright: ignore[reportAttributeAccessIssue]
-    distance_km = float(found.earth_distance) * AU_KM  # pyright: ignore[reportAttributeAccessIssue]
+def _body(ephemeris_body: object, radius_km: float) -> Body:
+    elevation, azimuth = float(ephemeris_body.alt), float(ephemeris_body.az)  # pyright: ignore[reportAttributeAccessIssue]
+    distance_km = float(ephemeris_body.earth_distance) * AU_KM  # pyright: ignore[reportAttributeAccessIssue]
     level = np.cos(elevation)
     direction = (
         float(level * np.sin(azimuth)),
@@ -162,28 +162,34 @@ def _wrap_angle(angle: float) -> float:
     return float((angle + 180.0) % 360.0 - 180.0)
 
 
-def angle_deg(one: Array, other: Array) -> float:
+def angle_deg(first: Array, second: Array) -> float:
     """Return the angle between two vectors, degrees, exact for small ones."""
-    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(one, other)), np.dot(one, other))))
+    return float(
+        np.rad2deg(np.arctan2(np.linalg.norm(np.cross(first, second)), np.dot(first, second)))
+    )
 
 
-def visible_disc_fraction(radius: float, cover_radius: float, apart: float) -> float:
+def visible_disc_fraction(radius: float, cover_radius: float, separation: float) -> float:
     """Return the fraction of a disc that another one in front of it does not cover; radii and
     distance in rad.
     """
-    if apart >= radius + cover_radius:
+    if separation >= radius + cover_radius:
         return 1.0
-    if apart <= abs(radius - cover_radius):
+    if separation <= abs(radius - cover_radius):
         return max(0.0, 1.0 - (cover_radius / radius) ** 2)
-    own = (apart**2 + radius**2 - cover_radius**2) / (2.0 * apart * radius)
-    others = (apart**2 + cover_radius**2 - radius**2) / (2.0 * apart * cover_radius)
-    kite = 0.5 * np.sqrt(
-        (radius + cover_radius - apart)
-        * (apart + radius - cover_radius)
-        * (apart - radius + cover_radius)
-        * (apart + radius + cover_radius)
+    cosine_at_disc = (separation**2 + radius**2 - cover_radius**2) / (2.0 * separation * radius)
+    cosine_at_cover = (separation**2 + cover_radius**2 - radius**2) / (
+        2.0 * separation * cover_radius
     )
-    covered = radius**2 * np.arccos(own) + cover_radius**2 * np.arccos(others) - kite
+    kite = 0.5 * np.sqrt(
+        (radius + cover_radius - separation)
+        * (separation + radius - cover_radius)
+        * (separation - radius + cover_radius)
+        * (separation + radius + cover_radius)
+    )
+    covered = (
+        radius**2 * np.arccos(cosine_at_disc) + cover_radius**2 * np.arccos(cosine_at_cover) - kite
+    )
     return float(1.0 - covered / (np.pi * radius**2))
 
 
@@ -265,8 +271,8 @@ def moon_reflectance(wavelength_nm: ArrayLike, *geometry: float) -> Array:
     Outside 405 to 1059.5 nm it is that of the nearer end.
     """
     bands, reflectance = band_reflectance(*geometry)
-    inside = np.clip(np.asarray(wavelength_nm, float), bands[0], bands[-1])
-    return np.exp(np.polyval(_smoother() @ np.log(reflectance), _scale_wavelength(inside)))
+    limited_nm = np.clip(np.asarray(wavelength_nm, float), bands[0], bands[-1])
+    return np.exp(np.polyval(_smoother() @ np.log(reflectance), _scale_wavelength(limited_nm)))
 
 
 def moon_spectrum(
@@ -279,9 +285,9 @@ def moon_spectrum(
     -----
     E = A Omega / pi E_sun / (d_sun/AU)^2 (384,400 km / d_moon)^2, Omega 6.4177e-5 sr.
     """
-    share = 6.4177e-5 / np.pi * (STANDARD_KM / moon_distance_km) ** 2
+    albedo_factor = 6.4177e-5 / np.pi * (STANDARD_KM / moon_distance_km) ** 2
     return sun_spectrum(sun_distance_au).multiply(
-        lambda nm: share * moon_reflectance(nm, *geometry)
+        lambda nm: albedo_factor * moon_reflectance(nm, *geometry)
     )
 
 
@@ -330,5 +336,7 @@ class Disc:
         # Absorption bands of gases are narrower than spectral bands: transmittance is applied
         # before averaging.
         air, height = self.atmosphere, self.elevation_deg
-        left = self.extraterrestrial.multiply(lambda nm: air.slant_transmittance(height, nm)[:, 0])
-        return self.visible_share * left.on(grid)
+        transmitted = self.extraterrestrial.multiply(
+            lambda nm: air.slant_transmittance(height, nm)[:, 0]
+        )
+        return self.visible_share * transmitted.on(grid)

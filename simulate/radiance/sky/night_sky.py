@@ -88,26 +88,26 @@ def dark_sky() -> DarkSky:
         line_nm=LINES_NM,
         line_power=LINES_W_M2_SR,
     )
-    whole = sum_spectra([smooth, lines])
+    total_spectrum = sum_spectra([smooth, lines])
     sunlight = np.interp(smooth.wavelength_nm, sun_spectrum().wavelength_nm, sun_spectrum().density)
-    zodiacal = _share(whole, sunlight, 0.30)
+    zodiacal = _share(total_spectrum, sunlight, 0.30)
     # Colour of the stars' integrated light: redder than the sun.
     # Shares of the zenith's luminance, after Leinert et al., Astron. Astrophys. Suppl. 127, 1
     # (1998).
-    starlight = _share(whole, planck(smooth.wavelength_nm, 4700.0), 0.20)
-    rest = whole.density - zodiacal.density - starlight.density
+    starlight = _share(total_spectrum, planck(smooth.wavelength_nm, 4700.0), 0.20)
+    residual_density = total_spectrum.density - zodiacal.density - starlight.density
     airglow = SourceSpectrum(
-        wavelength_nm=whole.wavelength_nm,
-        density=rest,
-        line_nm=whole.line_nm,
-        line_power=whole.line_power,
+        wavelength_nm=total_spectrum.wavelength_nm,
+        density=residual_density,
+        line_nm=total_spectrum.line_nm,
+        line_power=total_spectrum.line_power,
     )
     return DarkSky(airglow, zodiacal, starlight)
 
 
-def _share(whole: SourceSpectrum, shape: Array, luminance_share: float) -> SourceSpectrum:
-    one = SourceSpectrum(wavelength_nm=whole.wavelength_nm, density=shape)
-    return one.scale(luminance_share * whole.lumens / one.lumens)
+def _share(total_spectrum: SourceSpectrum, shape: Array, luminance_share: float) -> SourceSpectrum:
+    component = SourceSpectrum(wavelength_nm=total_spectrum.wavelength_nm, density=shape)
+    return component.scale(luminance_share * total_spectrum.lumens / component.lumens)
 
 
 def _continuum() -> SourceSpectrum:
@@ -134,9 +134,9 @@ def _continuum() -> SourceSpectrum:
 
 def _band_mean(knots: Array, low_nm: float) -> Array:
     """Return the weights that average a broken line over a band; its ends are knots."""
-    inside = (knots >= low_nm) & (knots <= low_nm + BAND_NM)
-    weight = np.where(inside, 1.0, 0.0)
-    weight[np.flatnonzero(inside)[[0, -1]]] = 0.5
+    in_band = (knots >= low_nm) & (knots <= low_nm + BAND_NM)
+    weight = np.where(in_band, 1.0, 0.0)
+    weight[np.flatnonzero(in_band)[[0, -1]]] = 0.5
     return weight / weight.sum()
 
 
@@ -167,8 +167,8 @@ def twilight_magnitude(depression_deg: float) -> Array:
     # Beyond 12 degrees the measured sky approaches its night level; the twilight is extrapolated
     # with the slope there.
     x = min(depression_deg, TANGENT_DEG) - FIRST_DEG
-    beyond = max(depression_deg - TANGENT_DEG, 0.0)
-    return A0 + A1 * x + A2 * x**2 + beyond * (A1 + 2.0 * A2 * (TANGENT_DEG - FIRST_DEG))
+    extrapolated_deg = max(depression_deg - TANGENT_DEG, 0.0)
+    return A0 + A1 * x + A2 * x**2 + extrapolated_deg * (A1 + 2.0 * A2 * (TANGENT_DEG - FIRST_DEG))
 
 
 def twilight_spectrum(elevation_deg: float, relative: float = 1.0) -> SourceSpectrum | None:
@@ -277,7 +277,7 @@ class NightSky:
     @classmethod
     def at(
         cls,
-        place: ObserverLocation,
+        location: ObserverLocation,
         time: datetime,
         *,
         atmosphere: Atmosphere | None = None,
@@ -291,7 +291,7 @@ class NightSky:
         Raises BadInput if the time has no zone or lies outside 1900 to 2100.
         """
         air = atmosphere or Atmosphere()
-        return cls(atmosphere=air, bodies=_bodies(ephemeris(place, time), air), **parts)  # pyright: ignore[reportArgumentType]
+        return cls(atmosphere=air, bodies=_bodies(ephemeris(location, time), air), **parts)  # pyright: ignore[reportArgumentType]
 
     def discs(self) -> tuple[Disc, ...]:
         """Return sun and moon, those that stand above the horizon."""
@@ -344,8 +344,8 @@ class NightSky:
             glow = self._twilight(body)
             if glow is not None:
                 around += glow.on(grid) * (twilight_shape(directions, body.direction) @ cosine)
-        even = 0.5 * (1.0 + self.ground_albedo) / np.pi * around + self._night_air(grid)
-        return total + even[:, None]
+        isotropic = 0.5 * (1.0 + self.ground_albedo) / np.pi * around + self._night_air(grid)
+        return total + isotropic[:, None]
 
     def air(self) -> Atmosphere:
         """Return the atmosphere, lit by this sky."""
@@ -398,18 +398,19 @@ class NightSky:
     def _night_radiance(self, direction: Array, grid: Array) -> Array:
         """Return airglow, zodiacal light, stars and towns, shape (band, path).
 
-        Each part comes through the air, and what the air takes from it it gives back evenly from
-        above and below.
+        The air attenuates each part, and scatters the light lost isotropically up and down.
         """
         elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)))
-        straight, slant = (
+        zenith_direct, slant = (
             self._direct_fraction(np.array([90.0]), grid),
             self._direct_fraction(elevation, grid),
         )
         total = np.zeros((grid.size, len(direction)))
         for zenith, shape, back in self._night_parts(elevation, grid):
-            seen = shape * slant + back * (1.0 - slant)
-            total += zenith[:, None] * seen / (straight + back * (1.0 - straight))
+            apparent_shape = shape * slant + back * (1.0 - slant)
+            total += (
+                zenith[:, None] * apparent_shape / (zenith_direct + back * (1.0 - zenith_direct))
+            )
         for town in self.towns:
             total += town.spectrum.on(grid)[:, None] * town.shape(direction)
         return total
@@ -418,27 +419,32 @@ class NightSky:
         """Return the radiance of an endless path lit by airglow, zodiacal light and stars, shape
         (band,).
         """
-        straight = self._direct_fraction(np.array([90.0]), grid)[:, 0]
+        zenith_direct = self._direct_fraction(np.array([90.0]), grid)[:, 0]
         parts = self._night_parts(np.array([90.0]), grid)
         return np.sum(
-            [zenith * back / (straight + back * (1.0 - straight)) for zenith, _, back in parts],
+            [
+                zenith * back / (zenith_direct + back * (1.0 - zenith_direct))
+                for zenith, _, back in parts
+            ],
             axis=0,
         )
 
     def _night_parts(
         self, elevation_deg: Array, grid: Array
     ) -> tuple[tuple[Array, Array, float], ...]:
-        """Return of even light and of airglow: the zenith, its shape above the air, and what an
-        endless path has of it.
+        """Return zenith radiance, shape above the air and fraction along an endless path.
 
-        Half of what lights the air comes from above and half from ground of the albedo given.
+        The two parts are isotropic light and airglow. Half of the light that the air scatters comes
+        from above, half from ground of the given albedo.
         """
         dark = dark_sky()
-        even = self.zodiacal * dark.zodiacal.on(grid) + self.starlight * dark.starlight.on(grid)
+        isotropic = self.zodiacal * dark.zodiacal.on(grid) + self.starlight * dark.starlight.on(
+            grid
+        )
         glow = self.airglow * dark.airglow.on(grid)
         half = 0.5 * (1.0 + self.ground_albedo)
         return (
-            (even, np.ones(elevation_deg.shape), half),
+            (isotropic, np.ones(elevation_deg.shape), half),
             (glow, van_rhijn(elevation_deg), half * AIRGLOW_HEMISPHERE),
         )
 

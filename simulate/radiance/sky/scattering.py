@@ -65,12 +65,12 @@ def _layers(
     atmosphere: Atmosphere, wavelength_nm: Array, mass: float
 ) -> tuple[Array, Array, Array]:
     """Return what is left after scattering by molecules, by haze, and after absorption by haze."""
-    share = scattering_albedo(wavelength_nm)
+    albedo = scattering_albedo(wavelength_nm)
     haze = atmosphere.haze_depth(wavelength_nm) * mass
     return (
         np.exp(-atmosphere.molecules_depth(wavelength_nm) * mass),
-        np.exp(-share * haze),
-        np.exp(-(1.0 - share) * haze),
+        np.exp(-albedo * haze),
+        np.exp(-(1.0 - albedo) * haze),
     )
 
 

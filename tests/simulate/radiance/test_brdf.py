@@ -10,7 +10,7 @@ from simulate.radiance.brdf.microfacet import specular_albedo
 from simulate.radiance.brdf.protocol import Lambert, MeasuredTable, Reflectance, grey
 
 WAVELENGTH = np.array([450.0, 650.0, 850.0])
-TABLE = Reflectance(wavelength_nm=(450.0, 650.0, 850.0), share=(0.2, 0.6, 1.0))
+TABLE = Reflectance(wavelength_nm=(450.0, 650.0, 850.0), fraction=(0.2, 0.6, 1.0))
 POLAR, AZIMUTH = np.linspace(0.0, 90.0, 10), np.linspace(0.0, 180.0, 7)
 
 
@@ -33,8 +33,8 @@ BRDFS = {
     "metal-1": Metal(reflectance=TABLE, roughness=1.0),
     "glossy-.1": Glossy(reflectance=TABLE, roughness=0.1),
     "water-.6": Glossy(reflectance=TABLE, roughness=0.6, refractive_index=1.33),
-    "retro-.5": Retroreflector(share=grey(0.5), reflectance=TABLE, half_width_deg=0.5),
-    "retro-10": Retroreflector(share=TABLE, reflectance=grey(0.4), half_width_deg=10.0),
+    "retro-.5": Retroreflector(retroreflectance=grey(0.5), reflectance=TABLE, half_width_deg=0.5),
+    "retro-10": Retroreflector(retroreflectance=TABLE, reflectance=grey(0.4), half_width_deg=10.0),
     "measured": measured(),
 }
 ANGLES = (0.0, 40.0, 75.0, 86.0)
@@ -131,7 +131,7 @@ def test_glass_and_water_in_an_even_glow(index, reflectance):
 
 
 def test_a_retroreflector_is_brightest_to_the_lamps_own_eye():
-    sheet = Retroreflector(share=grey(0.1), reflectance=grey(0.3), half_width_deg=0.5)
+    sheet = Retroreflector(retroreflectance=grey(0.1), reflectance=grey(0.3), half_width_deg=0.5)
     towards = np.array([eye(30.0)[0], eye(30.5)[0], eye(35.0)[0], eye(-30.0)[0]])
     value = sheet.value(towards, eye(30.0, 4), [550.0])[0]
     base = value[3]
@@ -195,7 +195,9 @@ def bad_table(**change):
             r"must lie in \(1, 4\], got 1",
         ),
         (
-            lambda: Retroreflector(share=grey(0.5), reflectance=grey(0.1), half_width_deg=0.0),
+            lambda: Retroreflector(
+                retroreflectance=grey(0.5), reflectance=grey(0.1), half_width_deg=0.0
+            ),
             "half_width_deg must lie",
         ),
     ],
