@@ -78,8 +78,8 @@ def bins_of(band_um: tuple[float, float]) -> tuple[float, ...]:
         windows = " or ".join(f"{first:g} to {last:g} um" for first, last in WINDOWS_UM)
         raise BadInput(f"an infrared band must lie within {windows}, got {low:g} to {high:g} um")
     table = _table()
-    used = table[(table["high_um"] > low) & (table["low_um"] < high)]
-    return (*used["low_um"].tolist(), float(used["high_um"][-1]))
+    overlapping = table[(table["high_um"] > low) & (table["low_um"] < high)]
+    return (*overlapping["low_um"].tolist(), float(overlapping["high_um"][-1]))
 
 
 def _lines(depth: Array, saturation: Array, power: Array | float) -> Array:
@@ -168,13 +168,13 @@ class InfraredAir:
         transmittance of a band is within 0.015 of LOWTRAN7's from 8 to 14 um, and up to 0.05 higher
         from 3 to 5 um, where MODTRAN's is.
         """
-        dry, water, continuum = (
+        dry_path, water, continuum = (
             np.asarray(km, float).reshape(-1, 1) for km in (dry_km, water_km, continuum_km)
         )
         row, vapour = self.rows, self.vapour_g_m3
         warmth = np.exp(row["continuum_k"] * (1.0 / self.temperature_k - 1.0 / CONTINUUM_K))
         return (
-            _lines(row["dry_per_km"] * dry, row["dry_saturation"], row["dry_power"])
+            _lines(row["dry_per_km"] * dry_path, row["dry_saturation"], row["dry_power"])
             + _lines(row["water_m3_per_g_km"] * vapour * water, row["water_saturation"], 0.5)
             + row["continuum"] * vapour**2 * warmth * continuum
         )
@@ -294,14 +294,15 @@ def modtran_air(
         f"a camera {height_m:.0f} m up": height_m > MODTRAN.height_m,
     }
     if any(differs.values()):
-        raise BadInput(
-            f"{HOLDS}, got {', '.join(value for value, wrong in differs.items() if wrong)}"
-        )
+        values = ", ".join(value for value, is_outside in differs.items() if is_outside)
+        raise BadInput(f"{HOLDS}, got {values}")
     folder = _folder(scene, scene.weather)
     known = np.genfromtxt(
         folder / "fileDecoder.csv", delimiter=",", skip_header=1, usecols=(0, 1, 2, 3)
     )
-    lengths = np.array([np.hypot(height, km) for height, each in PATHS_KM for km in each])
+    lengths = np.array(
+        [np.hypot(height, km) for height, lengths_km in PATHS_KM for km in lengths_km]
+    )
     hazy, clear = (_bin_depths(folder, known, code, air) for code in CODE_OF_KM.values())
     # The depth of haze is as the reciprocal of the visibility.
     ends = [1.0 / km for km in CODE_OF_KM]
@@ -345,13 +346,13 @@ def _bin_depths(folder: Path, known: Array, code: int, air: InfraredAir) -> Arra
     weight = band_radiance(um - 1e-3, um + 1e-3, air.temperature_k)
     weight /= weight.sum(axis=1, keepdims=True)
     depths = []
-    for height, each in PATHS_KM:
-        for km in each:
+    for height, lengths_km in PATHS_KM:
+        for km in lengths_km:
             through = np.interp(
                 um, WAVELENGTH_UM, _transmittance(folder, known, (height, km, code))
             )
-            depths.append(-np.log(np.maximum((weight * through).sum(axis=1), MODTRAN.least)))
-    return np.maximum(depths, MODTRAN.least)
+            depths.append(-np.log(np.maximum((weight * through).sum(axis=1), MODTRAN.negligible)))
+    return np.maximum(depths, MODTRAN.negligible)
 
 
 def _transmittance(folder: Path, known: Array, path: tuple[float, float, int]) -> Array:

@@ -135,15 +135,17 @@ class Balance:
     @cached_property
     def sunlight_by_reflection(self) -> Array:
         """Sunlight by way of one reflection, shape (step, facet), W m-2."""
-        beyond = GROUND_REFLECTANCE * self.weather.global_w_m2[:, None] * self.exposure.beyond
-        return self._reflect(self.sunlight) + beyond
+        from_ground = (
+            GROUND_REFLECTANCE * self.weather.global_w_m2[:, None] * self.exposure.off_scene
+        )
+        return self._reflect(self.sunlight) + from_ground
 
     def longwave(self, faces_k: Array) -> tuple[Array, Array]:
         """Return longwave from the sky and from surfaces of given temperatures, shape (step,
         facet), W m-2.
         """
         exposure, steps = self.exposure, slice(len(self.weather) - len(faces_k), None)
-        ground = STEFAN_BOLTZMANN * self.weather.air_k[steps, None] ** 4 * exposure.beyond
+        ground = STEFAN_BOLTZMANN * self.weather.air_k[steps, None] ** 4 * exposure.off_scene
         return self.rings[steps] @ exposure.rings.T, self.radiosity(
             faces_k
         ) @ exposure.sees.T + ground
@@ -205,8 +207,8 @@ class Balance:
             shrink = (
                 (1.0 - self.exposure.sky[free]) * radiative / forcing.loss(faces[-1, free], -1)[1]
             )
-            rest = _effect(kernel, new - flux) / (1.0 - float(shrink.max()))
-            if rest <= tolerance or passes == LIMITS.max_neighbour_passes:
+            remaining_k = _effect(kernel, new - flux) / (1.0 - float(shrink.max()))
+            if remaining_k <= tolerance or passes == LIMITS.max_neighbour_passes:
                 break
             flux, passes = new, passes + 1
         kernel[:, free] = kernels(columns, forcing.part(LAST), faces[LAST][:, free])
@@ -214,16 +216,16 @@ class Balance:
             name: _effect(kernel, term)
             for name, term in self._terms(free, flux, faces, at_air).items()
         }
-        left = {
-            f"neighbours at their own temperatures, pass {passes + 1} and further": rest,
+        neglected = {
+            f"neighbours at their own temperatures, pass {passes + 1} and further": remaining_k,
             "moonlight, were the moon full": _effect(
                 kernel, np.full((DAY_STEPS, 1), FULL_MOON_W_M2)
             ),
         }
-        (left if by_two <= tolerance else terms)["sunlight by two reflections"] = by_two
+        (neglected if by_two <= tolerance else terms)["sunlight by two reflections"] = by_two
         effects, left_out = (
             tuple(OptionalEffect(name=name, influence=1e3 * size) for name, size in table.items())
-            for table in (terms, left)
+            for table in (terms, neglected)
         )
         errors = self._errors_k(free, columns, forcing, faces, kernel)
         forcing = self._forcing(free, flux - self.heating * self.direct_sunlight)
@@ -267,35 +269,37 @@ class Balance:
             "absorptivity": UNCERTAINTY.absorptivity * (1.0 - evaporated) * sun,
             "emissivity": UNCERTAINTY.emissivity * gained,
         }
-        found = {name: (kernel * flux).sum(axis=0) for name, flux in fluxes.items()}
+        errors_by_input = {name: (kernel * flux).sum(axis=0) for name, flux in fluxes.items()}
         factor = 1.0 + UNCERTAINTY.inertia
         heavier = replace(
             columns, capacity=factor * columns.capacity, conductance=factor * columns.conductance
         )
-        found["thermal inertia"] = np.zeros(len(self.slabs))
-        found["thermal inertia"][free] = _face_temperatures(heavier, forcing)[-1] - faces[-1, free]
-        found["prescribed temperature"] = self._sd_of_prescribed_k()
+        errors_by_input["thermal inertia"] = np.zeros(len(self.slabs))
+        errors_by_input["thermal inertia"][free] = (
+            _face_temperatures(heavier, forcing)[-1] - faces[-1, free]
+        )
+        errors_by_input["prescribed temperature"] = self._sd_of_prescribed_k()
         slope = 4.0 * STEFAN_BOLTZMANN * self.emissivity * np.mean(faces[LAST] ** 3, axis=0)
         of_neighbours = (self.emissivity * kernel.sum(axis=0))[:, None] * self.exposure.sees * slope
         through = np.linalg.inv(np.eye(len(slope)) - of_neighbours)
-        return {name: through @ error for name, error in found.items()}
+        return {name: through @ error for name, error in errors_by_input.items()}
 
     def _sd_of_prescribed_k(self) -> Array:
         """Standard deviation of temperatures that slabs prescribe with 95 % bounds, else 0, shape
         (facet,), K.
         """
-        found = np.zeros(len(self.slabs))
+        sd_k = np.zeros(len(self.slabs))
         for facet, (slab, thing) in enumerate(zip(self.slabs, self.things, strict=True)):
-            given = slab.temperature_c or slab.above_air_k or slab.above_mean_air_k
+            prescribed = slab.temperature_c or slab.above_air_k or slab.above_mean_air_k
             stated = thing.temperature_c is not None or thing.above_air_k is not None
             if (
-                given is not None
+                prescribed is not None
                 and not stated
-                and given.low is not None
-                and given.high is not None
+                and prescribed.low is not None
+                and prescribed.high is not None
             ):
-                found[facet] = (given.high - given.low) / (2.0 * 1.96)
-        return found
+                sd_k[facet] = (prescribed.high - prescribed.low) / (2.0 * 1.96)
+        return sd_k
 
     def _rule_temperature_k(self, facet: int) -> Array | None:
         """The temperature that an object or else its slab prescribes, shape (step,), K; None where
@@ -319,11 +323,13 @@ class Balance:
         hour = np.array(
             [time.hour + time.minute / 60.0 + time.second / 3600.0 for time in self.weather.times]
         )
-        found = np.zeros((len(hour), len(self.things)))
+        heat_w_m2 = np.zeros((len(hour), len(self.things)))
         for facet, thing in enumerate(self.things):
             start, end = thing.heat_hours or (0.0, 24.0)
-            found[(hour - start) % 24.0 < ((end - start) % 24.0 or 24.0), facet] = thing.heat_w_m2
-        return found
+            heat_w_m2[(hour - start) % 24.0 < ((end - start) % 24.0 or 24.0), facet] = (
+                thing.heat_w_m2
+            )
+        return heat_w_m2
 
     def _reflect(self, light: Array) -> Array:
         """Light that facets get of each other of what falls on them."""
@@ -369,11 +375,11 @@ class Balance:
             self._forcing(free, flux, condensation=on).loss(last, LAST)[0] for on in (True, False)
         ]
         condensed[:, free] = losses[0] - losses[1]
-        even = self.weather.longwave_w_m2[LAST, None] * self.exposure.sky
+        isotropic_sky = self.weather.longwave_w_m2[LAST, None] * self.exposure.sky
         return {
             "sun, with its shadows": self.heating * self.sunlight,
             "sunlight by one reflection": self.heating * self.sunlight_by_reflection,
-            "sky by its directions, not its mean": self.emissivity * (sky - even),
+            "sky by its directions, not its mean": self.emissivity * (sky - isotropic_sky),
             "neighbours at their own temperatures": self.emissivity
             * (neighbours - self.longwave(at_air[LAST])[1]),
             "evaporation": (self.absorptivity - self.heating)

@@ -22,18 +22,18 @@ NIGHT_WIND, DAY_WIND = 0.3, 0.4
 CLOUD_EMISSIVITY = 0.9
 
 
-def sun_directions(place: ObserverLocation, times: list[datetime]) -> tuple[Array, Array]:
+def sun_directions(location: ObserverLocation, times: list[datetime]) -> tuple[Array, Array]:
     """Return the sun's direction (time, 3), x east, y north, z up, and its distance (time,), au."""
-    bodies = [ephemeris(place, time).sun for time in times]
+    bodies = [ephemeris(location, time).sun for time in times]
     return np.array([body.direction for body in bodies]), np.array(
         [body.distance_km / AU_KM for body in bodies]
     )
 
 
-def solar_hour(place: ObserverLocation, times: list[datetime]) -> Array:
+def solar_hour(location: ObserverLocation, times: list[datetime]) -> Array:
     """Return the local mean solar time, hours in [0, 24)."""
     return (
-        np.array([time.timestamp() for time in times]) / 3600.0 + place.longitude_deg / 15.0
+        np.array([time.timestamp() for time in times]) / 3600.0 + location.longitude_deg / 15.0
     ) % 24.0
 
 
@@ -62,13 +62,13 @@ def clear_sun(
     cosine = np.where(shines, np.maximum(up, 0.01), 1.0)
     elevation = np.rad2deg(np.arcsin(cosine))
     mass = np.exp(-altitude_m / 8434.5) / (cosine + 0.50572 * (elevation + 6.07995) ** -1.6364)
-    outside = SOLAR_CONSTANT_W_M2 / np.square(distance_au)
+    extraterrestrial = SOLAR_CONSTANT_W_M2 / np.square(distance_au)
     low, high = np.exp(-altitude_m / 8000.0), np.exp(-altitude_m / 1250.0)
-    total = (5.09e-5 * altitude_m + 0.868) * outside * cosine
+    total = (5.09e-5 * altitude_m + 0.868) * extraterrestrial * cosine
     total = total * np.exp(
         -(3.92e-5 * altitude_m + 0.0387) * mass * (low + high * (turbidity - 1.0))
     )
-    direct = (0.664 + 0.163 / low) * outside * np.exp(-0.09 * mass * (turbidity - 1.0))
+    direct = (0.664 + 0.163 / low) * extraterrestrial * np.exp(-0.09 * mass * (turbidity - 1.0))
     limit = 1.0 - (0.1 - 0.2 * np.exp(-turbidity)) / (0.1 + 0.882 / low)
     direct = np.minimum(direct, total * limit / cosine)
     return np.where(shines, direct, 0.0), np.where(shines, total - direct * cosine, 0.0)
@@ -124,10 +124,10 @@ def sky_radiance(emissivity: Array, air_k: Array, dew_point_k: Array, sine: Arra
     path = np.sqrt((np.arange(200) + 0.5) / 200.0) ** -steepness
     depth = -np.log(1.0 - 0.945 * clear)
     for _ in range(LIMITS.newton_steps):
-        left = np.exp(-depth * path)
-        depth += (left.mean(axis=1, keepdims=True) - 1.0 + clear) / (path * left).mean(
-            axis=1, keepdims=True
-        )
+        transmittance = np.exp(-depth * path)
+        depth += (transmittance.mean(axis=1, keepdims=True) - 1.0 + clear) / (
+            path * transmittance
+        ).mean(axis=1, keepdims=True)
     directional = -np.expm1(-depth * np.maximum(np.asarray(sine), 1e-3) ** -steepness)
     return np.where(overcast, emissivity, directional) * black
 

@@ -88,10 +88,10 @@ class Facets:
     @cached_property
     def _of_row(self) -> Index:
         """Facet of each triangle that is there once."""
-        found = np.zeros(len(self.surfaces.mesh.faces), np.int64)
+        facet_of_row = np.zeros(len(self.surfaces.mesh.faces), np.int64)
         for facet, faces in enumerate(self.faces):
-            found[faces] = facet
-        return found
+            facet_of_row[faces] = facet
+        return facet_of_row
 
     def of_faces(self, face: Index) -> Index:
         """Return the facet of each face, shape (face,): for a direction that a copy alone has, the
@@ -101,12 +101,12 @@ class Facets:
             return self._of_row[face]
         normal = self.surfaces.tracer.normals(face)
         key = _keys(self.surfaces, face & ROW, normal)
-        found = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
-        for lacking in np.unique(key[self.key[found] != key]):
+        facet = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
+        for lacking in np.unique(key[self.key[facet] != key]):
             same = np.flatnonzero(self.key // DIRECTIONS == lacking // DIRECTIONS)
-            here = key == lacking
-            found[here] = same[np.argmax(self.normal[same] @ normal[here][0])]
-        return found
+            has_key = key == lacking
+            facet[has_key] = same[np.argmax(self.normal[same] @ normal[has_key][0])]
+        return facet
 
 
 def _keys(surfaces: Surfaces, row: Index, normal: Array) -> Index:
@@ -179,16 +179,16 @@ def sun_cosines(shades: RayTracer, spots: Spots, sun: Array) -> Array:
     sun
         Directions of the sun, shape (time, 3).
     """
-    found = np.maximum(sun @ spots.normal.T, 0.0) * (sun[:, 2] > 0.0)[:, None]
+    cosines = np.maximum(sun @ spots.normal.T, 0.0) * (sun[:, 2] > 0.0)[:, None]
     for time, way in enumerate(sun):
-        lit = np.flatnonzero(found[time])
+        lit = np.flatnonzero(cosines[time])
         if len(lit):
             hidden = shades.is_occluded(spots.start_m[lit], np.broadcast_to(way, (len(lit), 3)))
-            found[time, lit[hidden]] = 0.0
-    return found
+            cosines[time, lit[hidden]] = 0.0
+    return cosines
 
 
-def view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> tuple[Array, Index]:
+def view(surfaces: Surfaces, spots: Spots, sequence: SequenceSlice) -> tuple[Array, Index]:
     """Return what spots see by rays of the cosine law.
 
     Returns
@@ -199,14 +199,14 @@ def view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> tuple[Array, 
     face
         What each ray hits, `NOTHING` for sky or the ground's end, shape (spot, ray).
     """
-    pairs = even.pairs()
+    pairs = sequence.pairs()
     along = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
     ways = (along @ shading_frames(spots.normal)).reshape(-1, 3)
-    face = surfaces.tracer.hits(np.repeat(spots.start_m, even.rays, axis=0), ways).face
+    face = surfaces.tracer.hits(np.repeat(spots.start_m, sequence.rays, axis=0), ways).face
     sky = np.flatnonzero((face == NOTHING) & (ways[:, 2] > 0.0))
     ring = np.minimum((ways[sky, 2] ** 2 * RINGS).astype(np.int64), RINGS - 1)
-    count = np.bincount(sky // even.rays * RINGS + ring, minlength=len(pairs) * RINGS)
-    return count.reshape(-1, RINGS) / even.rays, face.reshape(-1, even.rays)
+    count = np.bincount(sky // sequence.rays * RINGS + ring, minlength=len(pairs) * RINGS)
+    return count.reshape(-1, RINGS) / sequence.rays, face.reshape(-1, sequence.rays)
 
 
 @cache
@@ -231,10 +231,10 @@ def open_rings(normal: Array) -> Array:
     """Return what planes of unit normals (point, 3) see of each ring without obstacles, shape
     (point, ring).
     """
-    place = np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi * (OPEN_TILTS - 1)
-    below = np.minimum(place.astype(np.int64), OPEN_TILTS - 2)
-    along, table = (place - below)[:, None], _open_rings()
-    return table[below] * (1.0 - along) + table[below + 1] * along
+    tilt_position = np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi * (OPEN_TILTS - 1)
+    tilt_node = np.minimum(tilt_position.astype(np.int64), OPEN_TILTS - 2)
+    along, table = (tilt_position - tilt_node)[:, None], _open_rings()
+    return table[tilt_node] * (1.0 - along) + table[tilt_node + 1] * along
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,7 +248,7 @@ class Views:
     face, weight, range_m
         What each ray hits, `NOTHING` for sky or the ground's end, its weight where it hits, and how
         far away, m, shape (spot, ray).
-    beyond
+    off_scene
         Below the horizon where the scene ends, shape (spot,).
     """
 
@@ -256,7 +256,7 @@ class Views:
     face: Index
     weight: Array
     range_m: Array
-    beyond: Array
+    off_scene: Array
 
     def surfaces(self) -> tuple[Index, Index, Array, Array]:
         """Return the spot, the face, the weight and the length of each ray that hits a surface."""
@@ -264,7 +264,7 @@ class Views:
         return spot, self.face[spot, ray], self.weight[spot, ray], self.range_m[spot, ray]
 
 
-def precise_view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> Views:
+def precise_view(surfaces: Surfaces, spots: Spots, sequence: SequenceSlice) -> Views:
     """Return what spots see, as `view`, with less noise where little hides the sky.
 
     Notes
@@ -273,36 +273,36 @@ def precise_view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> Views
     find what hides the sky, and which surfaces lie below; where more than half of the sky is
     hidden, they find the open rest instead.
     """
-    pairs, spot = even.pairs(), np.arange(len(spots.normal))[:, None]
+    pairs, spot = sequence.pairs(), np.arange(len(spots.normal))[:, None]
     along = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
     ways = (along @ shading_frames(spots.normal)).reshape(-1, 3)
-    hit = surfaces.tracer.hits(np.repeat(spots.start_m, even.rays, axis=0), ways)
-    face = hit.face.reshape(-1, even.rays)
+    hit = surfaces.tracer.hits(np.repeat(spots.start_m, sequence.rays, axis=0), ways)
+    face = hit.face.reshape(-1, sequence.rays)
     height = ways[:, 2].reshape(face.shape)
     up, hits = height > 0.0, face != NOTHING
     known = open_rings(spots.normal)
-    above = known.sum(axis=1)
+    open_fraction = known.sum(axis=1)
     count = up.sum(axis=1)
     weight = np.where(
         up,
-        (above / np.maximum(count, 1))[:, None],
-        ((1.0 - above) / np.maximum(even.rays - count, 1))[:, None],
+        (open_fraction / np.maximum(count, 1))[:, None],
+        ((1.0 - open_fraction) / np.maximum(sequence.rays - count, 1))[:, None],
     )
     ring = np.minimum((height**2 * RINGS).astype(np.int64), RINGS - 1)
     hidden = (up & hits).sum(axis=1)
     by_rest = 2 * hidden > count
     counted = up & (hits ^ by_rest[:, None])
-    found = np.bincount((spot * RINGS + ring)[counted], weight[counted], len(face) * RINGS).reshape(
-        -1, RINGS
-    )
-    rings = np.where(by_rest[:, None], found, known - found)
+    ring_sums = np.bincount(
+        (spot * RINGS + ring)[counted], weight[counted], len(face) * RINGS
+    ).reshape(-1, RINGS)
+    rings = np.where(by_rest[:, None], ring_sums, known - ring_sums)
     # Without a ray above or below the horizon, that part counts as open.
     return Views(
         rings=rings,
         face=face,
         weight=weight,
         range_m=hit.range_m.reshape(face.shape),
-        beyond=1.0 - rings.sum(axis=1) - np.where(hits, weight, 0.0).sum(axis=1),
+        off_scene=1.0 - rings.sum(axis=1) - np.where(hits, weight, 0.0).sum(axis=1),
     )
 
 
@@ -317,7 +317,7 @@ class Exposure:
     sees
         Fraction of the hemisphere in which one facet sees the other, cosine-weighted, shape (facet,
         facet).
-    beyond
+    off_scene
         Fraction that is neither sky nor surface: below the horizon where the scene ends, shape
         (facet,).
     lit
@@ -326,7 +326,7 @@ class Exposure:
 
     rings: Array
     sees: Array
-    beyond: Array
+    off_scene: Array
     lit: Array
 
     @property
@@ -344,14 +344,14 @@ def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposur
     rings = rings.reshape(count, LIMITS.points, RINGS).mean(axis=1)
     face = face.reshape(count, -1)
     viewer, ray = np.nonzero(face != NOTHING)
-    seen = facets.of_faces(face[viewer, ray])
-    sees = np.bincount(viewer * count + seen, minlength=count**2).reshape(count, count) / (
+    seen_facet = facets.of_faces(face[viewer, ray])
+    sees = np.bincount(viewer * count + seen_facet, minlength=count**2).reshape(count, count) / (
         LIMITS.points * LIMITS.rays
     )
     return Exposure(
         rings=rings,
         sees=sees,
-        beyond=np.maximum(1.0 - rings.sum(axis=1) - sees.sum(axis=1), 0.0),
+        off_scene=np.maximum(1.0 - rings.sum(axis=1) - sees.sum(axis=1), 0.0),
         lit=sun_cosines(facets.shades, spots, sun)
         .reshape(len(sun), count, LIMITS.points)
         .mean(axis=2),

@@ -85,8 +85,8 @@ class _Look:
             np.arange(start, stop), np.arange(self.viewpoint.shape[1]), indexing="ij"
         )
         row, col = (axis.ravel() for axis in grid)
-        even = low_discrepancy_points(row, col, self.rays, [self.seed, start])
-        return self.see(row + 0.5, col + 0.5, even, np.random.default_rng([self.seed, start]))
+        sequence = low_discrepancy_points(row, col, self.rays, [self.seed, start])
+        return self.see(row + 0.5, col + 0.5, sequence, np.random.default_rng([self.seed, start]))
 
     def mean_radiance(self, pixels: Index) -> tuple[Array, Array]:
         """Return the radiance of pixels (pixel,) as means over parts of each, (pixel, bin), and
@@ -98,17 +98,21 @@ class _Look:
         side, rng = INFRARED.edge_parts, np.random.default_rng([self.seed, 3, int(pixels[0])])
         part = (np.indices((side, side)).reshape(2, -1, 1) + 0.5) / side
         row, col = (
-            place + at
-            for place, at in zip(np.divmod(pixels, self.viewpoint.shape[1]), part, strict=True)
+            pixel_coordinate + at
+            for pixel_coordinate, at in zip(
+                np.divmod(pixels, self.viewpoint.shape[1]), part, strict=True
+            )
         )
-        even = SequenceSlice.random(row.size, max(self.rays // side, 1), rng)
+        sequence = SequenceSlice.random(row.size, max(self.rays // side, 1), rng)
         few = replace(self, mirror_rays=max(self.mirror_rays // side**2, 1))
-        parts = few.see(row.ravel(), col.ravel(), even, rng).radiance.reshape(
+        parts = few.see(row.ravel(), col.ravel(), sequence, rng).radiance.reshape(
             side**2, len(pixels), -1
         )
         return parts.mean(axis=0), parts.sum(axis=2).std(axis=0) / side**1.5
 
-    def see(self, row: Array, col: Array, even: SequenceSlice, rng: np.random.Generator) -> _Seen:
+    def see(
+        self, row: Array, col: Array, sequence: SequenceSlice, rng: np.random.Generator
+    ) -> _Seen:
         """Return points of the image, at coordinates (point,), by the rays of a sequence for
         each.
         """
@@ -117,20 +121,22 @@ class _Look:
         origin, towards = self.viewpoint.rays(row, col)
         hit = tracer.hits(origin, towards)
         met, radiance = hit.met, self.sky.radiance(towards)
-        place = origin[met] + hit.range_m[met, None] * towards[met]
-        points = self.surfaces.bsdfs.points(facets.surfaces, hit.face[met], place, towards[met])
-        spots = Spots.on(facets.surfaces, points.face, place)
-        seen = precise_view(facets.surfaces, spots, even.some(met))
-        kelvin, incoming = (
-            self.temperatures.spots_k(facets.of_faces(points.face), spots, seen),
-            self._diffuse(seen),
+        position_m = origin[met] + hit.range_m[met, None] * towards[met]
+        points = self.surfaces.bsdfs.points(
+            facets.surfaces, hit.face[met], position_m, towards[met]
         )
-        start_m = tracer.above(points.face, place, points.normal)
+        spots = Spots.on(facets.surfaces, points.face, position_m)
+        views = precise_view(facets.surfaces, spots, sequence.some(met))
+        kelvin, incoming = (
+            self.temperatures.spots_k(facets.of_faces(points.face), spots, views),
+            self._diffuse(views),
+        )
+        start_m = tracer.above(points.face, position_m, points.normal)
         behind = np.flatnonzero(~points.on_outer_side)
         if len(behind):
             spots = Spots(start_m=start_m[behind], normal=points.normal[behind])
             incoming[behind] = self._diffuse(
-                precise_view(facets.surfaces, spots, even.some(met[behind]))
+                precise_view(facets.surfaces, spots, sequence.some(met[behind]))
             )
         albedo = np.pi * self.surfaces.bsdfs.diffuse_brdf(points)
         for which, brdf in points.glossy:
@@ -146,8 +152,8 @@ class _Look:
         if len(clear):
             # No more than the pane does not reflect.
             through = np.minimum(through, 1.0 - albedo[clear])
-            below = tracer.above(points.face[clear], place[clear], -points.normal[clear])
-            behind_it = self._along(below, towards[met[clear]], INFRARED.panes - 1)
+            below_pane = tracer.above(points.face[clear], position_m[clear], -points.normal[clear])
+            behind_it = self._along(below_pane, towards[met[clear]], INFRARED.panes - 1)
             leaving[clear] += through * (behind_it - self.air.black_body(kelvin[clear]))
         lit = self._lit(points, start_m)
         if len(lit) and SUN not in self.without:
@@ -161,7 +167,7 @@ class _Look:
         radiance[met] = (
             leaving if AIR in self.without else self.air.after_path(leaving, hit.range_m[met])
         )
-        seen = _Seen(
+        image_points = _Seen(
             radiance=radiance,
             kelvin=np.full(len(row), np.nan),
             glossy=np.zeros(len(row), np.bool_),
@@ -171,29 +177,33 @@ class _Look:
             shadow=np.ones(len(met), np.bool_),
             albedo=albedo.mean(axis=1),
         )
-        seen.kelvin[met], seen.glossy[met], seen.shadow[lit] = kelvin, ~points.is_diffuse, False
-        return seen
+        image_points.kelvin[met], image_points.glossy[met], image_points.shadow[lit] = (
+            kelvin,
+            ~points.is_diffuse,
+            False,
+        )
+        return image_points
 
     @property
     def of_facets(self) -> Array:
         """Radiance of facets as they are seen by reflection, shape (facet, bin)."""
         return self.surfaces.black if MORE in self.without else self.surfaces.facets
 
-    def _diffuse(self, seen: Views) -> Array:
+    def _diffuse(self, views: Views) -> Array:
         """Mean radiance that spots see by the cosine law, shape (spot, bin)."""
-        spot, face, part, range_m = seen.surfaces()
+        spot, face, part, range_m = views.surfaces()
         of, ground = (
             self.temperatures.balance.facets.of_faces(face),
             self.air.black_body(self.air.temperature_k),
         )
-        found = seen.rings @ self.surfaces.rings + seen.beyond[:, None] * ground
+        radiance = views.rings @ self.surfaces.rings + views.off_scene[:, None] * ground
         step = self._step_of(range_m)
         for number, light in enumerate(self.of_facets.T):
             ray = light[of]
             if BETWEEN not in self.without:
                 ray = ground[number] + self._through[step, number] * (ray - ground[number])
-            found[:, number] += np.bincount(spot, part * ray, len(found))
-        return found
+            radiance[:, number] += np.bincount(spot, part * ray, len(radiance))
+        return radiance
 
     @cached_property
     def _through(self) -> Array:
@@ -214,10 +224,10 @@ class _Look:
         The mean over the weights rather than their expectation: surroundings of one radiance are
         seen without noise.
         """
-        found = np.empty((len(normal), len(self.air.low_um)))
-        each = max(1, INFRARED.batch_rays // self.mirror_rays)
-        for first in range(0, len(normal), each):
-            part = slice(first, first + each)
+        radiance = np.empty((len(normal), len(self.air.low_um)))
+        batch_points = max(1, INFRARED.batch_rays // self.mirror_rays)
+        for first in range(0, len(normal), batch_points):
+            part = slice(first, first + batch_points)
             count = len(normal[part])
             out = np.repeat(outgoing[part], self.mirror_rays, axis=0)
             numbers = cast(np.random.Generator, EvenNumbers(count, self.mirror_rays, rng))
@@ -233,8 +243,8 @@ class _Look:
             weight = weight.T.reshape(count, self.mirror_rays, -1)
             # A lobe of which all is below the surface is seen as it is drawn.
             weight += np.where(weight.sum(axis=1, keepdims=True) > 0.0, 0.0, 1.0)
-            found[part] = np.average(light.reshape(weight.shape), axis=1, weights=weight)
-        return found
+            radiance[part] = np.average(light.reshape(weight.shape), axis=1, weights=weight)
+        return radiance
 
     def _clear(self, material: Index, cosine: Array) -> tuple[Index, Array]:
         """Rays that see through panes, and the transmittance of each."""
@@ -247,7 +257,7 @@ class _Look:
         facets = self.temperatures.balance.facets
         tracer = facets.surfaces.tracer
         hit = tracer.hits(start_m, direction)
-        found = self.sky.radiance(direction)
+        radiance = self.sky.radiance(direction)
         face = hit.face[hit.met]
         light = self.of_facets[facets.of_faces(face)]
         if panes and self.surfaces.clear.any():
@@ -255,16 +265,18 @@ class _Look:
             clear, through = self._clear(facets.surfaces.material_of[face & ROW], cosine)
             if len(clear):
                 rays = hit.met[clear]
-                place = start_m[rays] + hit.range_m[rays, None] * direction[rays]
+                pane_position_m = start_m[rays] + hit.range_m[rays, None] * direction[rays]
                 behind = self._along(
-                    tracer.above(face[clear], place, -facing[clear]), direction[rays], panes - 1
+                    tracer.above(face[clear], pane_position_m, -facing[clear]),
+                    direction[rays],
+                    panes - 1,
                 )
                 light[clear] += through * (behind - light[clear])
         if BETWEEN not in self.without:
             ground = self.air.black_body(self.air.temperature_k)
             light = ground + self._through[self._step_of(hit.range_m[hit.met])] * (light - ground)
-        found[hit.met] = light
-        return found
+        radiance[hit.met] = light
+        return radiance
 
     def _lit(self, points: ShadingPoints, start_m: Array) -> Index:
         """Points on which the sun shines."""
@@ -369,7 +381,7 @@ def _render(
     look: _Look, netd_k: float, tolerance: float | None, progress: Callable[[float], None]
 ) -> InfraredPicture:
     look, error_k, short = _enough_rays(look, netd_k)
-    kept, left_out = _effects(look, netd_k, tolerance)
+    kept_effects, left_out = _effects(look, netd_k, tolerance)
     look = replace(look, without=frozenset(effect.name for effect in left_out))
     starts, parts = list(range(0, look.viewpoint.shape[0], INFRARED.rows)), []
     with workers(min(2, os.cpu_count() or 1)) as run:
@@ -394,7 +406,7 @@ def _render(
         truth=truth,
         error_k=error_k,
         rays=(look.rays, look.mirror_rays),
-        effects=kept,
+        effects=kept_effects,
         left_out=left_out,
         notes=(
             f"infrared radiance by {look.rays} rays of a pixel, {look.mirror_rays} of glossy ones "
@@ -432,9 +444,11 @@ def _enough_rays(look: _Look, netd_k: float) -> tuple[_Look, float, tuple[str, .
     )
     while True:
         first, second = _pilot(look, 1), _pilot(look, 2)
-        apart = (first.radiance - second.radiance).sum(axis=1) * per_radiance / np.sqrt(2.0)
+        differences_k = (first.radiance - second.radiance).sum(axis=1) * per_radiance / np.sqrt(2.0)
         surface = np.isfinite(first.kelvin)
-        errors = [_root_mean_square(apart[of]) for of in (surface & ~first.glossy, first.glossy)]
+        errors = [
+            _root_mean_square(differences_k[of]) for of in (surface & ~first.glossy, first.glossy)
+        ]
         more = replace(
             look,
             rays=min(2 * look.rays, INFRARED.max_rays) if errors[0] > limit else look.rays,
@@ -448,8 +462,8 @@ def _enough_rays(look: _Look, netd_k: float) -> tuple[_Look, float, tuple[str, .
     short = tuple(
         f"{name} are uncertain by {1e3 * error:.2g} mK by chance, more than "
         f"{INFRARED.error_share:g} of the imager's {1e3 * netd_k:.3g} mK: there are at most "
-        f"{most} rays of a pixel"
-        for name, error, most in zip(
+        f"{max_rays} rays of a pixel"
+        for name, error, max_rays in zip(
             ("diffuse surfaces", "glossy surfaces and metals"),
             errors,
             (INFRARED.max_rays, INFRARED.max_mirror_rays),
@@ -457,7 +471,7 @@ def _enough_rays(look: _Look, netd_k: float) -> tuple[_Look, float, tuple[str, .
         )
         if error > limit
     )
-    return look, _root_mean_square(apart[surface]), short
+    return look, _root_mean_square(differences_k[surface]), short
 
 
 def _root_mean_square(values: Array) -> float:
@@ -510,11 +524,11 @@ def _effects(
     finer = OptionalEffect(
         name=FINER, influence=INFRARED.finer_bins_metal_mk if metals else INFRARED.finer_bins_mk
     )
-    inside = look.surfaces.change_by_lit_interiors(look.sky, ground) * per_radiance
+    lit_interiors = look.surfaces.change_by_lit_interiors(look.sky, ground) * per_radiance
     return (*plan.kept, *always), (
         *plan.left_out,
         finer,
-        OptionalEffect(name=INSIDE, influence=inside),
+        OptionalEffect(name=INSIDE, influence=lit_interiors),
     )
 
 

@@ -97,19 +97,19 @@ class InfraredSky:
         sine = direction[:, 2]
         clear = self.clear_transmittance(sine)
         base = self.air.black_body(self.air.temperature_k - LAPSE_K_PER_KM * CLOUD_BASE_KM)
-        seen = (1.0 - clear) * self.air.black_body(
+        sky_radiance = (1.0 - clear) * self.air.black_body(
             self.air.temperature_k
         ) + self.cloud * clear * base
-        seen[sine < 0.0] = self.air.black_body(self.air.temperature_k)
-        return seen
+        sky_radiance[sine < 0.0] = self.air.black_body(self.air.temperature_k)
+        return sky_radiance
 
     @property
     def sunlight(self) -> Array:
         """Irradiance of a surface that faces the sun, W m-2, shape (bin,)."""
         if self.sun is None:
             return np.zeros(len(self.air.low_um))
-        outside = SUN_SR * band_radiance(self.air.low_um, self.air.high_um, SUN_K)
-        return (1.0 - self.cloud) * outside * self.clear_transmittance(self.sun[2:])[0]
+        extraterrestrial = SUN_SR * band_radiance(self.air.low_um, self.air.high_um, SUN_K)
+        return (1.0 - self.cloud) * extraterrestrial * self.clear_transmittance(self.sun[2:])[0]
 
 
 def notes_on_sky(air: InfraredAir) -> tuple[str, ...]:
@@ -152,7 +152,7 @@ def sky_of(band_um: tuple[float, float], weather: Weather, state: State) -> Infr
     weather itself uses; none where a clear sky of wet air is black itself.
     """
     air_k, dew_k = weather.air_k[-1:], weather.dew_point_k[-1:]
-    hour = solar_hour(weather.place, weather.times[-1:])
+    hour = solar_hour(weather.location, weather.times[-1:])
     clear = sky_emissivity(dew_k, hour, weather.pressure_hpa[-1:], 0.0)
     emissivity = weather.longwave_w_m2[-1:] / (STEFAN_BOLTZMANN * air_k**4)
     seen_through = 1.0 - float(clear[0])

@@ -96,14 +96,16 @@ def pane_transmittance(thickness_mm: float, edges_um: tuple[float, ...]) -> Arra
     with (resources.files("simulate.thermal") / "glass.csv").open(encoding="utf-8") as file:
         known_um, extinction = np.genfromtxt(file, delimiter=",", skip_header=1).T
     depth = 4e3 * np.pi * np.interp(um, known_um, extinction) * thickness_mm / um
-    inside = np.where(um < known_um[-1], np.exp(-depth), 0.0)
+    internal = np.where(um < known_um[-1], np.exp(-depth), 0.0)
     face = float(dielectric(1.0, GLASS_INDEX))
-    found = ((1.0 - face) ** 2 * inside / (1.0 - (face * inside) ** 2)).mean(axis=1)
-    return np.where(found > INFRARED.opaque, found, 0.0)
+    transmittance = ((1.0 - face) ** 2 * internal / (1.0 - (face * internal) ** 2)).mean(axis=1)
+    return np.where(transmittance > INFRARED.opaque, transmittance, 0.0)
 
 
 def _reflectance(shares: Any) -> Reflectance:
-    return Reflectance(wavelength_nm=BETWEEN_NM, fraction=tuple(float(share) for share in shares))
+    return Reflectance(
+        wavelength_nm=BETWEEN_NM, fraction=tuple(float(reflectance) for reflectance in shares)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,11 +144,11 @@ class InfraredSurfaces:
             Of what each ray meets, and of its angle from the normal, shape (ray,).
         """
         glass = np.flatnonzero((self.clear.max(axis=1) > 0.0)[material])
-        found = np.zeros((len(glass), self.clear.shape[1]))
+        transmittance = np.zeros((len(glass), self.clear.shape[1]))
         for number in np.unique(material[glass]):
             of = np.flatnonzero(material[glass] == number)
-            found[of] = pane_shares(cosine[glass[of]], self.clear[number], GLASS_INDEX)[1]
-        return glass, found
+            transmittance[of] = pane_shares(cosine[glass[of]], self.clear[number], GLASS_INDEX)[1]
+        return glass, transmittance
 
     def change_by_lit_interiors(self, sky: Surroundings, ground: Array) -> float:
         """Return an upper bound of what sky and sun through panes change of diffuse surfaces behind
@@ -179,13 +181,15 @@ def infrared_surfaces(
     brdfs = tuple(infrared_brdf(surface, slab) for surface, slab in zip(specs, slabs, strict=True))
     reflects = np.array([brdf.albedo(UP, air.centre_nm)[:, 0] for brdf in brdfs])[facets.material]
     black, rings = air.black_body(temperatures.solution.faces_k[-1]), ring_radiance(sky)
-    outside = exposure.rings @ rings + exposure.beyond[:, None] * air.black_body(air.temperature_k)
-    outside += exposure.lit[-1][:, None] * sky.sunlight / np.pi
-    found, emitted = black, (1.0 - reflects) * black
+    surroundings = exposure.rings @ rings + exposure.off_scene[:, None] * air.black_body(
+        air.temperature_k
+    )
+    surroundings += exposure.lit[-1][:, None] * sky.sunlight / np.pi
+    radiosity, emitted = black, (1.0 - reflects) * black
     for _ in range(MOST_REFLECTIONS):
-        new = emitted + reflects * (outside + exposure.sees @ found)
-        change, found = np.abs(new - found).max(), new
-        if change <= CONVERGED * found.max():
+        new = emitted + reflects * (surroundings + exposure.sees @ radiosity)
+        change, radiosity = np.abs(new - radiosity).max(), new
+        if change <= CONVERGED * radiosity.max():
             break
     clear = [
         pane_transmittance(sum(float(layer.thickness_mm) for layer in slab.layer), air.edges_um)
@@ -197,6 +201,6 @@ def infrared_surfaces(
         bsdfs=BsdfSet.of(brdfs, air.centre_nm),
         clear=np.array(clear),
         rings=rings,
-        facets=found,
+        facets=radiosity,
         black=black,
     )

@@ -126,16 +126,18 @@ class Columns:
     @classmethod
     def of(cls, slabs: Sequence[Slab], cells: int = LIMITS.cells) -> "Columns":
         """Return the cells of slabs that have layers, so many for each layer."""
-        each = [_cells(slab, cells) for slab in slabs]
-        count = max(len(capacity) for capacity, _ in each)
+        cells_of_slabs = [_cells(slab, cells) for slab in slabs]
+        count = max(len(capacity) for capacity, _ in cells_of_slabs)
         capacity, conductance = np.ones((count, len(slabs))), np.zeros((count + 1, len(slabs)))
         back = np.ones((count, len(slabs)))
-        for number, (slab, (stored, between)) in enumerate(zip(slabs, each, strict=True)):
+        for number, (slab, (stored, interfaces)) in enumerate(
+            zip(slabs, cells_of_slabs, strict=True)
+        ):
             capacity[: len(stored), number] = stored
-            conductance[: len(stored), number] = between[:-1]
+            conductance[: len(stored), number] = interfaces[:-1]
             behind = float(slab.back_w_m2_k)
             back[: len(stored), number] = 0.0
-            back[len(stored) - 1, number] = behind * between[-1] / (behind + between[-1])
+            back[len(stored) - 1, number] = behind * interfaces[-1] / (behind + interfaces[-1])
         back_k = np.array(
             [np.nan if slab.back_c is None else float(slab.back_c) + ZERO_C for slab in slabs]
         )
@@ -217,8 +219,8 @@ class Forcing:
         """Return the heat flux of convection, without condensation, from faces at some steps, W
         m-2.
         """
-        dry = replace(self.exchange, condensation=False)
-        return dry.loss(
+        dry_exchange = replace(self.exchange, condensation=False)
+        return dry_exchange.loss(
             surface_k,
             self.air_k[steps],
             self.wind_m_s[steps],
@@ -254,15 +256,17 @@ def march(
     Backward Euler. Crank-Nicolson rings on thin metal: 0.08 K with steps of an hour.
     """
     eliminated = _Elimination.of(columns.conductance, columns.diagonal(1.0 / step_s))
-    inside, face = start_k, start_k[0]
-    found = np.empty((len(forcing), columns.capacity.shape[1]))
+    cells_k, face = start_k, start_k[0]
+    faces = np.empty((len(forcing), columns.capacity.shape[1]))
     for step in range(len(forcing)):
-        source = columns.capacity / step_s * inside + columns.back * forcing.behind_k(columns, step)
+        source = columns.capacity / step_s * cells_k + columns.back * forcing.behind_k(
+            columns, step
+        )
         reduced = eliminated.reduce(source)
         face = _balance_faces(columns, forcing, step, eliminated, reduced[0], face)
-        inside = eliminated.substitute(reduced, face)
-        found[step] = face
-    return found, inside
+        cells_k = eliminated.substitute(reduced, face)
+        faces[step] = face
+    return faces, cells_k
 
 
 def _balance_faces(
@@ -312,12 +316,12 @@ class _Elimination:
 
     def substitute(self, reduced: Any, face: Any) -> Any:
         """Return the temperature of each cell from that of the face."""
-        inside, before = np.empty_like(reduced), face
+        cells_k, before = np.empty_like(reduced), face
         for cell in range(len(reduced)):
-            before = inside[cell] = (reduced[cell] + self.coupling[cell] * before) / self.pivot[
+            before = cells_k[cell] = (reduced[cell] + self.coupling[cell] * before) / self.pivot[
                 cell
             ]
-        return inside
+        return cells_k
 
 
 def periodic_start(
@@ -356,12 +360,12 @@ def periodic_start(
         new = np.fft.irfft((remainder + offset) / (linear + admittance), steps, axis=0)
         # Melting takes what would warm the face beyond its limit; the limit is met when it no
         # longer changes.
-        taken = np.where(
+        melting_flux = np.where(
             columns.max_k < np.inf, np.maximum(melting + linear * (new - columns.max_k), 0.0), 0.0
         )
         new = np.minimum(new, columns.max_k)
-        change = max(np.abs(new - face).max(), np.abs((taken - melting) / linear).max())
-        face, melting = new, taken
+        change = max(np.abs(new - face).max(), np.abs((melting_flux - melting) / linear).max())
+        face, melting = new, melting_flux
         if change < LIMITS.periodic_k:
             cells = eliminated.substitute(reduced, np.fft.rfft(face, axis=0))
             weight = np.where(
@@ -400,7 +404,7 @@ def kernels(
     slope = np.array([forcing.loss(faces_k[step], step)[1] for step in range(len(forcing))])
     slope = np.where(faces_k < columns.max_k, slope, np.inf)
     front = columns.conductance[0]
-    found = np.zeros_like(slope)
+    effects = np.zeros_like(slope)
 
     def backwards(source: Array, steps: Sequence[int], length_s: float, last: bool) -> Array:
         """Follow the sources of the transposed problem back through steps, and return those of the
@@ -414,18 +418,20 @@ def kernels(
             if last:
                 source[0] += passed
             # Nothing comes through the face: what it passes on stands in the diagonal.
-            seen = eliminated.substitute(eliminated.reduce(source), np.zeros(slope.shape[1]))
-            effect = seen[0] * passed + (1.0 / (slope[step] + front) if last else 0.0)
-            within = round(length_s / step_s)
-            found[step - within + 1 : step + 1] += effect / within
-            source, last = columns.capacity / length_s * seen, False
+            sensitivities = eliminated.substitute(
+                eliminated.reduce(source), np.zeros(slope.shape[1])
+            )
+            effect = sensitivities[0] * passed + (1.0 / (slope[step] + front) if last else 0.0)
+            steps_per_length = round(length_s / step_s)
+            effects[step - steps_per_length + 1 : step + 1] += effect / steps_per_length
+            source, last = columns.capacity / length_s * sensitivities, False
         return source
 
     source = backwards(np.zeros_like(columns.capacity), range(len(slope) - 1, -1, -1), step_s, True)
     hours = range(len(slope) - 1, -1, -LIMITS.steps_of_hour)
     for _ in range(LIMITS.max_days):
-        before = found.sum(axis=0)
+        before = effects.sum(axis=0)
         source = backwards(source, hours, LIMITS.steps_of_hour * step_s, False)
-        if (found.sum(axis=0) - before <= LIMITS.kernel_fraction * before).all():
+        if (effects.sum(axis=0) - before <= LIMITS.kernel_fraction * before).all():
             break
-    return found
+    return effects

@@ -137,9 +137,11 @@ class Temperatures:
         """
         poses = {thing.label: thing for thing in scene.object}
         pairs = [(thing, poses[thing.label]) for thing in self.balance.things]
-        if all(replace(rest, keyframe=()) == replace(now, keyframe=()) for rest, now in pairs):
+        if all(
+            replace(rest_pose, keyframe=()) == replace(now, keyframe=()) for rest_pose, now in pairs
+        ):
             return self
-        turn = np.array([rotation_of(rest) @ rotation_of(now).T for rest, now in pairs])
+        turn = np.array([rotation_of(rest_pose) @ rotation_of(now).T for rest_pose, now in pairs])
         rest_m, now_m = (
             np.array([pose.position_m for pose in poses]) for poses in zip(*pairs, strict=True)
         )
@@ -180,14 +182,14 @@ class Temperatures:
         """
         facets = self.balance.facets
         left_out_k = 1e-3 * sum(effect.influence for effect in self.solution.left_out)
-        found = {}
+        sd_of_name = {}
         for name in dict.fromkeys(facets.names):
             of = np.array([other == name for other in facets.names])
             errors, area = self.solution.errors_k.values(), facets.area_m2[of]
             parts = [float(np.average(error[of], weights=area)) for error in errors]
             free = self.solution.kernel[:, of].any()
-            found[name] = math.hypot(*parts, left_out_k if free else 0.0)
-        return found
+            sd_of_name[name] = math.hypot(*parts, left_out_k if free else 0.0)
+        return sd_of_name
 
     def map_k(
         self, viewpoint: Viewpoint, progress: Callable[[float], None] = lambda fraction: None
@@ -220,49 +222,52 @@ class Temperatures:
             surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met]
         )
         kelvin = np.full(len(row), np.nan, np.float32)
-        even = low_discrepancy_points(row[met], col[met], LIMITS.pixel_rays, [start])
+        sequence = low_discrepancy_points(row[met], col[met], LIMITS.pixel_rays, [start])
         kelvin[met] = self.spots_k(
-            self.balance.facets.of_faces(hit.face[met]), spots, precise_view(surfaces, spots, even)
+            self.balance.facets.of_faces(hit.face[met]),
+            spots,
+            precise_view(surfaces, spots, sequence),
         )
         return kelvin.reshape(stop - start, -1)
 
-    def spots_k(self, facet: NDArray[np.int64], spots: Spots, seen: Views) -> Array:
+    def spots_k(self, facet: NDArray[np.int64], spots: Spots, views: Views) -> Array:
         """Return the temperatures of spots on facets (spot,) at the scene's time by what they see,
         shape (spot,), K.
         """
         if self.at_rest is not None and self.returns is not None:
-            turn, shift = (each[facet] for each in self.returns)
+            turn, shift = (returns[facet] for returns in self.returns)
             before = Spots(
                 start_m=np.einsum("sij,sj->si", turn, spots.start_m) + shift,
                 normal=np.einsum("sij,sj->si", turn, spots.normal),
             )
-            even = SequenceSlice.random(
+            sequence = SequenceSlice.random(
                 len(facet), LIMITS.pixel_rays, np.random.default_rng(len(facet))
             )
-            seen = precise_view(self.at_rest.balance.facets.surfaces, before, even)
-            return self.at_rest.spots_k(facet, before, seen)
+            views = precise_view(self.at_rest.balance.facets.surfaces, before, sequence)
+            return self.at_rest.spots_k(facet, before, views)
         facets, slots = (
             self.balance.facets,
             np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps),
         )
-        spot, face, part, _ = seen.surfaces()
+        spot, face, part, _ = views.surfaces()
         other = facets.of_faces(face)
         sun = self.balance.weather.sun[LAST][slots]
         up = np.flatnonzero(sun[:, 2] > 0.0)
         lit = sun_cosines(facets.shades, spots, sun[up])
-        found, weight = [], []
+        kelvin, weight = [], []
         for by in self._references:
             change = (
-                np.einsum("sr,sr->s", by.rings[facet], seen.rings) + by.beyond[facet] * seen.beyond
+                np.einsum("sr,sr->s", by.rings[facet], views.rings)
+                + by.off_scene[facet] * views.off_scene
             )
             change += (
                 np.bincount(spot, part * by.surfaces[facet[spot], other], len(facet))
                 - by.due_k[facet]
             )
             change += np.einsum("ts,ts->s", by.sun[np.ix_(up, facet)], lit)
-            found.append(by.last_k[facet] + change)
+            kelvin.append(by.last_k[facet] + change)
             weight.append(1.0 / (change**2 + LIMITS.near_k**2))
-        return np.average(found, axis=0, weights=weight)
+        return np.average(kelvin, axis=0, weights=weight)
 
     @cached_property
     def _references(self) -> "tuple[_Reference, ...]":
@@ -293,11 +298,11 @@ class Temperatures:
         surfaces = heating[:, None] * (kernel.T @ sunlight) + emissivity[:, None] * (
             kernel.T @ longwave
         )
-        beyond = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
+        off_scene = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
         due = (
             (rings * exposure.rings).sum(axis=1)
             + (surfaces * exposure.sees).sum(axis=1)
-            + beyond * exposure.beyond
+            + off_scene * exposure.off_scene
         )
         due += (
             sun
@@ -306,7 +311,7 @@ class Temperatures:
             ]
         ).sum(axis=0)
         return _Reference(
-            last_k=last_k, due_k=due, sun=sun, rings=rings, surfaces=surfaces, beyond=beyond
+            last_k=last_k, due_k=due, sun=sun, rings=rings, surfaces=surfaces, off_scene=off_scene
         )
 
 
@@ -320,7 +325,7 @@ class _Reference:
         The temperature, and what of it is due to all that the facet sees, shape (facet,).
     sun
         By the sun in each slot of the day at a cosine of 1, shape (slot, facet).
-    rings, surfaces, beyond
+    rings, surfaces, off_scene
         By all that comes from each ring of the sky (facet, ring), from each facet (facet, facet)
         and from the ground where the scene ends (facet,), were it all that is seen.
     """
@@ -330,7 +335,7 @@ class _Reference:
     sun: Array
     rings: Array
     surfaces: Array
-    beyond: Array
+    off_scene: Array
 
 
 def temperatures_of(

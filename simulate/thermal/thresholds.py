@@ -122,7 +122,7 @@ class ModtranLimits:
     # Slanted paths count as level: height of the camera, m.
     height_m: float = 100.0
     # Transmittance and optical depth that count as zero.
-    least: float = 1e-12
+    negligible: float = 1e-12
 
 
 MODTRAN = ModtranLimits()

@@ -44,7 +44,7 @@ class Weather:
 
     Parameters
     ----------
-    place, moment
+    location, moment
         Where, and when it ends.
     air_k, dew_point_k
         Temperature and dew point of the air, K.
@@ -60,7 +60,7 @@ class Weather:
         Standard deviation of the longwave, W m-2.
     """
 
-    place: ObserverLocation
+    location: ObserverLocation
     moment: datetime
     air_k: Array
     dew_point_k: Array
@@ -83,7 +83,7 @@ class Weather:
     @cached_property
     def sun(self) -> Array:
         """Direction of the sun, shape (step, 3)."""
-        return sun_directions(self.place, self.times)[0]
+        return sun_directions(self.location, self.times)[0]
 
     @property
     def global_w_m2(self) -> Array:
@@ -111,16 +111,16 @@ def weather_of(scene: OutdoorScene) -> Weather:
             "a scene must have a [weather] with wind_m_s or with a file for surface "
             f"temperatures, got {'none' if state is None else 'neither'} in {scene.name!r}"
         )
-    place = ObserverLocation(
+    location = ObserverLocation(
         latitude_deg=where.latitude_deg,
         longitude_deg=where.longitude_deg,
         altitude_m=where.altitude_m,
     )
     if not state.file:
-        return _synthetic_day(state, place, where.moment)
+        return _synthetic_day(state, location, where.moment)
     names = (state.file,) if isinstance(state.file, str) else state.file
     return weather_from_files(
-        [scene.file(name) for name in names], place, where.moment, state.linke_turbidity
+        [scene.file(name) for name in names], location, where.moment, state.linke_turbidity
     )
 
 
@@ -128,11 +128,11 @@ def _times(moment: datetime, steps: int) -> list[datetime]:
     return [moment - timedelta(seconds=(steps - 1 - step) * LIMITS.step_s) for step in range(steps)]
 
 
-def _synthetic_day(state: State, place: ObserverLocation, moment: datetime) -> Weather:
+def _synthetic_day(state: State, location: ObserverLocation, moment: datetime) -> Weather:
     """A day that passes through the state at the scene's time."""
     times = _times(moment, DAY_STEPS)
-    sun, distance = sun_directions(place, times)
-    hour, pressure = solar_hour(place, times), np.full(DAY_STEPS, _pressure(place))
+    sun, distance = sun_directions(location, times)
+    hour, pressure = solar_hour(location, times), np.full(DAY_STEPS, _pressure(location))
     air, wind = course(hour, sun[:, 2] > 0.0)
     if state.day == "constant":
         air, wind = np.zeros(DAY_STEPS), np.ones(DAY_STEPS)
@@ -152,10 +152,10 @@ def _synthetic_day(state: State, place: ObserverLocation, moment: datetime) -> W
                 f"{dew - ZERO_C:.1f} C"
             ),
         )
-    direct, diffuse = clear_sun(sun[:, 2], distance, place.altitude_m, state.linke_turbidity)
+    direct, diffuse = clear_sun(sun[:, 2], distance, location.altitude_m, state.linke_turbidity)
     direct, diffuse = sun_under_cloud(direct, diffuse, sun[:, 2], state.cloud)
     return Weather(
-        place=place,
+        location=location,
         moment=moment,
         air_k=air_k,
         dew_point_k=dew_k,
@@ -171,16 +171,16 @@ def _synthetic_day(state: State, place: ObserverLocation, moment: datetime) -> W
 
 
 def weather_from_files(
-    paths: list[Path], place: ObserverLocation, moment: datetime, turbidity: float = 3.8
+    paths: list[Path], location: ObserverLocation, moment: datetime, turbidity: float = 3.8
 ) -> Weather:
     """Return the weather of files up to a moment; see `weather_of`."""
     records = [read_weather(path, moment) for path in paths]
     names = ", ".join(record.name for record in records)
-    away = max(_distance_km(record.place, place) for record in records)
-    if away > LIMITS.farthest_km:
+    distance_km = max(_distance_km(record.location, location) for record in records)
+    if distance_km > LIMITS.farthest_km:
         raise BadInput(
             f"a weather file must be from within {LIMITS.farthest_km:g} km of the scene, got "
-            f"{names} {away:.0f} km away"
+            f"{names} {distance_km:.0f} km away"
         )
     record = _join(records, names)
     begins = np.concatenate(
@@ -189,15 +189,15 @@ def weather_from_files(
     begin = begins[begins <= moment.timestamp()].max(initial=record.time_s[0])
     covered = (moment.timestamp() - begin + record.interval_s) / 86400.0
     times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, LIMITS.max_weather_days)))
-    _refuse_sun_at_night(record, place, times)
-    found = {name: _column_at(record, name, times) for name in record.columns}
-    sun, distance = sun_directions(place, times)
-    clear = clear_sun(sun[:, 2], distance, place.altitude_m, turbidity)
+    _refuse_sun_at_night(record, location, times)
+    columns = {name: _column_at(record, name, times) for name in record.columns}
+    sun, distance = sun_directions(location, times)
+    clear = clear_sun(sun[:, 2], distance, location.altitude_m, turbidity)
     for name, light in zip(("direct_w_m2", "diffuse_w_m2"), clear, strict=True):
         if record.interval_s > LIMITS.step_s:
-            found[name] = _sunlight(record, name, times, light)
-    air_k, dew_k = (found[name] + ZERO_C for name in ("air_c", "dew_point_c"))
-    pressure = found.get("pressure_hpa", np.full(len(times), _pressure(place)))
+            columns[name] = _sunlight(record, name, times, light)
+    air_k, dew_k = (columns[name] + ZERO_C for name in ("air_c", "dew_point_c"))
+    pressure = columns.get("pressure_hpa", np.full(len(times), _pressure(location)))
     notes = tuple(note for record in records for note in record.notes)
     if record.interval_s > LIMITS.step_s:
         notes += (
@@ -209,22 +209,22 @@ def weather_from_files(
     if len(times) == DAY_STEPS:
         notes += ("one day of weather: slabs start as if the days before it had been alike",)
     longwave_sd = max(record.longwave_sd_w_m2 for record in records)
-    if "longwave_w_m2" not in found:
+    if "longwave_w_m2" not in columns:
         longwave_sd = UNCERTAINTY.modelled_longwave_w_m2
-        cloud = found.get("cloud", np.zeros(len(times)))
-        emissivity = sky_emissivity(dew_k, solar_hour(place, times), pressure, cloud)
-        found["longwave_w_m2"] = emissivity * STEFAN_BOLTZMANN * air_k**4
-        notes += (MODELLED if "cloud" in found else f"{MODELLED}, for a clear sky",)
+        cloud = columns.get("cloud", np.zeros(len(times)))
+        emissivity = sky_emissivity(dew_k, solar_hour(location, times), pressure, cloud)
+        columns["longwave_w_m2"] = emissivity * STEFAN_BOLTZMANN * air_k**4
+        notes += (MODELLED if "cloud" in columns else f"{MODELLED}, for a clear sky",)
     return Weather(
-        place=place,
+        location=location,
         moment=moment,
         air_k=air_k,
         dew_point_k=np.minimum(dew_k, air_k),
         pressure_hpa=pressure,
-        notes=(f"weather of {names}, {away:.0f} km away", *notes),
+        notes=(f"weather of {names}, {distance_km:.0f} km away", *notes),
         longwave_sd_w_m2=longwave_sd,
         **{
-            name: found[name]
+            name: columns[name]
             for name in ("wind_m_s", "direct_w_m2", "diffuse_w_m2", "longwave_w_m2")
         },
     )
@@ -252,27 +252,27 @@ def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
     known = record.time_s[fine]
     # Rows stand for the interval before or around them: one may lack at either end.
     ends = [seconds[0] - record.interval_s, seconds[-1] + record.interval_s]
-    inside = np.concatenate([ends[:1], known[(known > ends[0]) & (known < ends[1])], ends[1:]])
-    gap = int(np.argmax(np.diff(inside)))
-    if inside[gap + 1] - inside[gap] > max(LIMITS.step_s, 1.01 * record.interval_s):
-        start, end = (utc_text(float(inside[index])) for index in (gap, gap + 1))
+    known_s = np.concatenate([ends[:1], known[(known > ends[0]) & (known < ends[1])], ends[1:]])
+    gap = int(np.argmax(np.diff(known_s)))
+    if known_s[gap + 1] - known_s[gap] > max(LIMITS.step_s, 1.01 * record.interval_s):
+        start, end = (utc_text(float(known_s[index])) for index in (gap, gap + 1))
         raise BadInput(
             "a weather file must cover the day before the scene's time without gaps, got "
             f"{record.name} without {name} between {start} and {end}"
         )
     values, (low, high) = record.columns[name][fine], WEATHER_BOUNDS[name]
-    wrong = np.flatnonzero(
+    invalid = np.flatnonzero(
         ((values < low) | (values > high)) & (known > ends[0]) & (known < ends[1])
     )
-    if len(wrong):
+    if len(invalid):
         raise BadInput(
             f"{name} of a weather file must lie from {low:g} to {high:g}, got "
-            f"{values[wrong[0]]:g} at {utc_text(float(known[wrong[0]]))} in {record.name}"
+            f"{values[invalid[0]]:g} at {utc_text(float(known[invalid[0]]))} in {record.name}"
         )
     return np.interp(seconds, known, values)
 
 
-def _refuse_sun_at_night(record: Record, place: ObserverLocation, times: list[datetime]) -> None:
+def _refuse_sun_at_night(record: Record, location: ObserverLocation, times: list[datetime]) -> None:
     """Refuse a file in which the sun shines at night at a place, for its hours are those of another
     time zone.
     """
@@ -285,14 +285,14 @@ def _refuse_sun_at_night(record: Record, place: ObserverLocation, times: list[da
     for row in rows:
         # The row is the mean of the interval before it.
         end = float(record.time_s[row])
-        whole = [
+        interval_times = [
             datetime.fromtimestamp(end - part * record.interval_s, UTC) for part in (0.0, 0.5, 1.0)
         ]
-        sine = sun_directions(place, whole)[0][:, 2].max()
+        sine = sun_directions(location, interval_times)[0][:, 2].max()
         if sine < LIMITS.night_sine:
             raise BadInput(
                 f"sunlight of a weather file must fall by day, got {light[row]:.0f} W/m2 at "
-                f"{whole[0].isoformat()} in {record.name} with the sun "
+                f"{interval_times[0].isoformat()} in {record.name} with the sun "
                 f"{np.rad2deg(np.arcsin(-sine)):.0f} degrees below the horizon: its time zone or "
                 "its place is wrong"
             )
@@ -311,23 +311,23 @@ def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) ->
         record.time_s - record.interval_s, ends, total
     )
     mean /= record.interval_s
-    within = (record.time_s - record.interval_s >= ends[0]) & (record.time_s <= ends[-1])
-    lit = (mean > SHINES_W_M2) & within & np.isfinite(record.columns[name])
+    in_period = (record.time_s - record.interval_s >= ends[0]) & (record.time_s <= ends[-1])
+    lit = (mean > SHINES_W_M2) & in_period & np.isfinite(record.columns[name])
     if not lit.any():
         return np.zeros(len(times))
     middle = record.time_s[lit] - 0.5 * record.interval_s
     return clear * np.interp(seconds, middle, record.columns[name][lit] / mean[lit])
 
 
-def _pressure(place: ObserverLocation) -> float:
-    return float(STANDARD_HPA * np.exp(-place.altitude_m / SCALE_M))
+def _pressure(location: ObserverLocation) -> float:
+    return float(STANDARD_HPA * np.exp(-location.altitude_m / SCALE_M))
 
 
-def _distance_km(one: ObserverLocation, other: ObserverLocation) -> float:
+def _distance_km(first: ObserverLocation, second: ObserverLocation) -> float:
     """Distance of two places, straight through the earth, km."""
     points = []
-    for place in (one, other):
-        latitude, longitude = np.deg2rad([place.latitude_deg, place.longitude_deg])
+    for location in (first, second):
+        latitude, longitude = np.deg2rad([location.latitude_deg, location.longitude_deg])
         level = np.cos(latitude)
         points.append(
             np.array([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)])

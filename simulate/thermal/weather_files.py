@@ -58,7 +58,7 @@ class Record:
 
     Parameters
     ----------
-    name, place
+    name, location
         Its name, and where it was recorded.
     time_s
         Seconds since 1970 UTC, ascending, shape (row,).
@@ -74,7 +74,7 @@ class Record:
     """
 
     name: str
-    place: ObserverLocation
+    location: ObserverLocation
     time_s: Array
     columns: dict[str, Array]
     interval_s: float
@@ -152,15 +152,21 @@ def _epw(name: str, lines: list[str], moment: datetime) -> Record:
 def _tmy3(name: str, lines: list[str], moment: datetime) -> Record:
     head, rows = lines[0].split(","), list(csv.DictReader(lines[1:]))
     dates = [(*map(int, row[DATE].split("/")[:2]), int(row[HOUR].split(":")[0])) for row in rows]
-    place = [head[4], head[5], head[3], head[6]]
+    head_fields = [head[4], head[5], head[3], head[6]]
     return _typical_year(
-        name, place, dates, float(head[3]), _read(rows, TMY3), moment, f"{name} has no longwave"
+        name,
+        head_fields,
+        dates,
+        float(head[3]),
+        _read(rows, TMY3),
+        moment,
+        f"{name} has no longwave",
     )
 
 
 def _typical_year(
     name: str,
-    place: list[str],
+    location_fields: list[str],
     dates: list,
     zone_h: float,
     columns: dict[str, Array],
@@ -170,21 +176,21 @@ def _typical_year(
     """Rows of a typical year, whose hours stamp their end, as of the year of a moment and the one
     before.
     """
-    wrong = next((hour for _, _, hour in dates if not 1 <= hour <= 24), None)
-    if wrong is not None:
+    invalid_hour = next((hour for _, _, hour in dates if not 1 <= hour <= 24), None)
+    if invalid_hour is not None:
         raise BadInput(
-            f"hours of a typical year stamp their end and must lie from 1 to 24, got {wrong} in "
-            f"{name}"
+            f"hours of a typical year stamp their end and must lie from 1 to 24, got "
+            f"{invalid_hour} in {name}"
         )
     if not -14.0 <= zone_h <= 14.0:
         raise BadInput(
             f"the time zone of a weather file must lie within 14 h of UTC, got {zone_h:g} in {name}"
         )
-    zone, found = timezone(timedelta(hours=zone_h)), []
+    zone, stamped_rows = timezone(timedelta(hours=zone_h)), []
     for year in (moment.year - 1, moment.year):
         for row, (month, day, hour) in enumerate(dates):
             if (month, day) != (2, 29):
-                found.append(
+                stamped_rows.append(
                     (
                         (
                             datetime(year, month, day, tzinfo=zone) + timedelta(hours=hour)
@@ -192,11 +198,14 @@ def _typical_year(
                         row,
                     )
                 )
-    found.sort()
-    time_s, picked = np.array([time for time, _ in found]), np.array([row for _, row in found])
+    stamped_rows.sort()
+    time_s, picked = (
+        np.array([time for time, _ in stamped_rows]),
+        np.array([row for _, row in stamped_rows]),
+    )
     return Record(
         name=name,
-        place=_place(place[0], place[1], place[3]),
+        location=_place(location_fields[0], location_fields[1], location_fields[3]),
         time_s=time_s,
         columns={column: values[picked] for column, values in columns.items()},
         interval_s=3600.0,
@@ -219,7 +228,7 @@ def _surfrad(name: str, lines: list[str], moment: datetime) -> Record:
     return Record(
         name=name,
         # Stations are in the United States: longitudes are west, whether signed or not.
-        place=_place(latitude, -abs(float(longitude)), altitude),
+        location=_place(latitude, -abs(float(longitude)), altitude),
         time_s=np.array(time_s),
         columns=columns
         | sunlight
@@ -234,12 +243,12 @@ def _csv(name: str, lines: list[str], moment: datetime) -> Record:
     if any(DATE in line for line in lines[:2]):
         return _tmy3(name, lines, moment)
     comments = ",".join(line.lstrip("# ") for line in lines if line.startswith("#"))
-    place = {
+    location_fields = {
         key.strip(): value
         for key, _, value in (part.partition("=") for part in comments.split(","))
     }
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-    headings = {*place, *(rows[0] if rows else ())}
+    headings = {*location_fields, *(rows[0] if rows else ())}
     for lacking in (needed for needed in (*OWN_PLACE, "time", *OWN) if needed not in headings):
         raise BadInput(
             f"a weather .csv must have a line '# {' = ..., '.join(OWN_PLACE)} = ...' and the "
@@ -259,7 +268,7 @@ def _csv(name: str, lines: list[str], moment: datetime) -> Record:
     }
     return Record(
         name=name,
-        place=_place(*(place[key] for key in OWN_PLACE)),
+        location=_place(*(location_fields[key] for key in OWN_PLACE)),
         time_s=time_s,
         columns=_read(rows, present),
         interval_s=float(np.median(np.diff(time_s))),
@@ -271,12 +280,12 @@ def _csv(name: str, lines: list[str], moment: datetime) -> Record:
 
 def _read(rows: Sequence[Any], columns: Columns) -> dict[str, Array]:
     """Return columns of rows in our units, NaN where a value is missing."""
-    found = {}
+    columns_read = {}
     for name, (column, unit, missing) in columns.items():
         values = np.array([float(row[column] or np.nan) for row in rows])
         gone = values <= missing if missing < 0.0 else values >= missing
-        found[name] = np.where(gone, np.nan, unit * values)
-    return found
+        columns_read[name] = np.where(gone, np.nan, unit * values)
+    return columns_read
 
 
 def _place(latitude: str, longitude: str | float, altitude: str) -> ObserverLocation:

@@ -226,7 +226,7 @@ def still(longwave: float) -> Weather:
         "longwave_w_m2": longwave,
     }
     return Weather(
-        place=ObserverLocation(latitude_deg=43.0, longitude_deg=-77.0, altitude_m=0.0),
+        location=ObserverLocation(latitude_deg=43.0, longitude_deg=-77.0, altitude_m=0.0),
         moment=datetime.fromisoformat("1998-06-24T02:00:00-04:00"),
         direct_w_m2=np.zeros(1),
         diffuse_w_m2=np.zeros(1),

@@ -95,7 +95,7 @@ def test_facets_see_sky_ground_and_each_other():
     assert seen.sky[walls] == pytest.approx(0.5, abs=0.01) and seen.sky[top] == 1.0
     ground = int(np.argmax(facets.area_m2))
     assert seen.sees[walls, ground] == pytest.approx(0.5, abs=0.01)
-    total = seen.sky + seen.sees.sum(axis=1) + seen.beyond
+    total = seen.sky + seen.sees.sum(axis=1) + seen.off_scene
     assert total == pytest.approx(1.0) and seen.rings.shape == (7, 12)
     # Level ground sees all rings alike; a wall sees more of the sky near the horizon.
     assert seen.rings[top] == pytest.approx(1.0 / 12.0, abs=0.01)
@@ -111,7 +111,7 @@ def test_the_view_factor_of_two_facing_squares_is_the_textbooks():
         scene_of(plane("floor", 1.0), plane("roof", 1.0, "paint", height=1.0, roll_deg=180.0))
     )
     assert seen.sees[0, 1] == pytest.approx(0.1998, abs=0.015) == seen.sees[1, 0]
-    assert seen.beyond[1] == pytest.approx(0.8002, abs=0.015)
+    assert seen.off_scene[1] == pytest.approx(0.8002, abs=0.015)
     assert seen.sky[0] == pytest.approx(0.8002, abs=0.015)
 
 
