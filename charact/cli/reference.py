@@ -307,7 +307,7 @@ class VirtualPair(AbstractContextManager["VirtualPair"]):
     def driver(self) -> Any:
         """Reopen the line and return a driver on it."""
         self._close()
-        self._line = self.model.open_line(self._instruments.port(self._virtual.place), ADDRESS)
+        self._line = self.model.open_line(self._instruments.port(self._virtual.bench_name), ADDRESS)
         return self.model.driver(self._line)
 
     def outputs(self) -> Mapping[str, Any]:
@@ -317,15 +317,15 @@ class VirtualPair(AbstractContextManager["VirtualPair"]):
             found |= json.loads(path.read_text())
         return found
 
-    def suffer(self, wrong: str, setting: str = "") -> None:
+    def suffer(self, fault: str, setting: str = "") -> None:
         """Start one fault and end all others; "panel" changes a setting at the instrument's front
         panel.
         """
-        self._power_cycles += wrong == "power-cycle"
-        self._tripped = wrong == "trip"
-        if wrong == "panel":
+        self._power_cycles += fault == "power-cycle"
+        self._tripped = fault == "trip"
+        if fault == "panel":
             self._now(panel=self._virtual.panel[setting])
-        self._now(**_FAULTS[wrong])
+        self._now(**_FAULTS[fault])
 
     def heal(self) -> None:
         """End all faults; a trip is cleared by a power cycle."""
@@ -337,7 +337,9 @@ class VirtualPair(AbstractContextManager["VirtualPair"]):
         from simulate.virtual_bench.faults import Faults, inject_faults
 
         inject_faults(
-            self._folder, self._virtual.place, Faults(**faults, power_cycles=self._power_cycles)
+            self._folder,
+            self._virtual.bench_name,
+            Faults(**faults, power_cycles=self._power_cycles),
         )
         # Time until a virtual instrument reads its fault file, s.
         time.sleep(0.06)

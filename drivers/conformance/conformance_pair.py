@@ -42,7 +42,7 @@ class ConformancePair(Protocol):
         """
         ...
 
-    def suffer(self, wrong: str, setting: str = "") -> None:
+    def suffer(self, fault: str, setting: str = "") -> None:
         """Begin one of `WRONGS` and end all others.
 
         "panel" needs a setting: of a gate "source", "idle level", "width" or "busy" (every second
@@ -90,10 +90,10 @@ def must_raise(kind: type[Exception], action: Callable[[], object]) -> None:
     raise AssertionError(f"it must end in {kind.__name__}, got {result!r}")
 
 
-def wait_for(there: Callable[[], bool], within_s: float = 5.0) -> None:
+def wait_for(condition: Callable[[], bool], within_s: float = 5.0) -> None:
     """Wait until a condition is true."""
     deadline_s = time.monotonic() + within_s
-    while not there():
+    while not condition():
         assert time.monotonic() < deadline_s, f"the outputs must follow within {within_s:g} s"
         time.sleep(0.01)
 
@@ -130,8 +130,8 @@ def half_lines_and_garbage_are_no_answers(pair: ConformancePair) -> None:
     afterwards.
     """
     driver, identity = _new_driver(pair)
-    for wrong in ("half-lines", "garbage"):
-        pair.suffer(wrong)
+    for fault in ("half-lines", "garbage"):
+        pair.suffer(fault)
         must_raise(BenchError, lambda: _probe(pair, driver))
         pair.heal()
         assert driver.identify() == identity

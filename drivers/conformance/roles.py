@@ -263,10 +263,10 @@ def a_trip_and_a_loss_of_power_are_reported(pair: ConformancePair) -> None:
     """A supply that switched itself off, or lost its power while on, is InstrumentTripped, and its
     output falls.
     """
-    for wrong in ("trip", "power-cycle"):
+    for fault in ("trip", "power-cycle"):
         driver = _supply_at(300.0, pair)
         driver.check_on()
-        pair.suffer(wrong)
+        pair.suffer(fault)
         wait_for(lambda: pair.outputs()["mcp_v"] < 290.0)
         # The line may have fallen out of step with the power: what is silent now must be reported
         # at the next look.
@@ -277,7 +277,7 @@ def a_trip_and_a_loss_of_power_are_reported(pair: ConformancePair) -> None:
         except InstrumentTripped:
             pass
         else:
-            raise AssertionError(f"a {wrong} must be reported, got a supply reported as on")
+            raise AssertionError(f"a {fault} must be reported, got a supply reported as on")
         pair.heal()
         pair.driver().off()
 

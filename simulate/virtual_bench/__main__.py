@@ -35,11 +35,11 @@ def main() -> None:
     instrument = model.make(asked.address, asked.time_scale)
     if isinstance(instrument, PowerMeter):
         instrument.connect_light(partial(light_at, asked.folder))
-    terminal = PseudoTerminal(asked.folder / model.place, baud=model.baud)
+    terminal = PseudoTerminal(asked.folder / model.bench_name, baud=model.baud)
     instrument.publish(asked.folder)
-    replace_file(asked.folder / f"{model.place}.ready.json", "{}")
+    replace_file(asked.folder / f"{model.bench_name}.ready.json", "{}")
     try:
-        faults = FaultFile(asked.folder, model.place)
+        faults = FaultFile(asked.folder, model.bench_name)
         serve(instrument, terminal, folder=asked.folder, faults=faults, parent=asked.parent)
     finally:
         terminal.close()

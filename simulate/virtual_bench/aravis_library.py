@@ -111,11 +111,11 @@ class FakeCamera:
             "arv_fake_camera_write_memory", self._registers, Register.MODEL_NAME, len(text), text
         )
 
-    def lose_packets(self, share: float) -> None:
+    def lose_packets(self, fraction: float) -> None:
         """Lose a fraction of the packets of each frame on the wire."""
         gobject = ctypes.CDLL("libgobject-2.0.so.0")
         gobject.g_object_set.argtypes = (c_void_p, c_char_p, c_double, c_void_p)
-        gobject.g_object_set(self._camera, b"gvsp-lost-ratio", share, None)
+        gobject.g_object_set(self._camera, b"gvsp-lost-ratio", fraction, None)
 
     def fill_frames(self, pixels: Callable[[int], bytes]) -> None:
         """Give every frame the pixels that `pixels` returns for its number; called by the wire's
@@ -164,12 +164,12 @@ def genicam_description(longest_exposure_us: float) -> str:
     text = library.arv_fake_camera_get_genicam_xml(
         library.arv_fake_camera_new(b"description"), byref(size)
     )
-    own = ctypes.string_at(text, size.value).decode()
-    longest = own.replace("<Max>10000000.0</Max>", f"<Max>{longest_exposure_us:.1f}</Max>")
+    original = ctypes.string_at(text, size.value).decode()
+    longest = original.replace("<Max>10000000.0</Max>", f"<Max>{longest_exposure_us:.1f}</Max>")
     grey = re.sub(
         r'\s*<EnumEntry Name="(?:Bayer|RGB)\w+".*?</EnumEntry>', "", longest, flags=re.DOTALL
     )
-    if longest == own or grey == longest:
+    if longest == original or grey == longest:
         raise BadInput(
             "the fake camera's description must be that of Aravis 0.8, got one of another form"
         )
@@ -178,8 +178,8 @@ def genicam_description(longest_exposure_us: float) -> str:
 
 def load() -> ctypes.CDLL:
     """Load the library; raises `BadInput` where it is absent."""
-    found = ctypes.util.find_library("aravis-0.8")
-    for name in (*_NAMES, *([found] if found else [])):
+    installed_name = ctypes.util.find_library("aravis-0.8")
+    for name in (*_NAMES, *([installed_name] if installed_name else [])):
         try:
             library = ctypes.CDLL(name)
         except OSError:

@@ -75,7 +75,7 @@ class VirtualBench:
             raise BadInput(
                 "a virtual bench must be virtual or in-process, got the wires of a real one"
             )
-        named = [one for one in wires.instruments if one.port]
+        named = [connection for connection in wires.instruments if connection.port]
         if wires.bench == "in-process" and named:
             raise BadInput(
                 f"a bench inside a process must have no serial ports, got {named[0].port} for a "
@@ -110,7 +110,7 @@ class VirtualBench:
     def wires(self) -> InstrumentConfig:
         """How the instruments are reached."""
         ports: dict[Role, str | None] = {
-            one.role: self._port(one) for one in self._asked.instruments
+            connection.role: self._port(connection) for connection in self._asked.instruments
         }
         reached = self._asked.with_ports(ports)
         return replace(reached, camera=self.camera.identifier) if self.camera else reached
@@ -145,8 +145,13 @@ class VirtualBench:
         """Inject faults into a virtual instrument, the camera or the surroundings; BadInput for a
         real instrument.
         """
-        there = [one for one in self._asked.instruments if not one.port]
-        virtual: dict[str, Role] = {virtual_model(one.model).place: one.role for one in there}
+        virtual_connections = [
+            connection for connection in self._asked.instruments if not connection.port
+        ]
+        virtual: dict[str, Role] = {
+            virtual_model(connection.model).bench_name: connection.role
+            for connection in virtual_connections
+        }
         if instrument in virtual and self.inside is not None:
             self.inside.ports[virtual[instrument]].faults = faults
         elif instrument in (*virtual, "surroundings") or (
@@ -168,15 +173,20 @@ class VirtualBench:
             if "light-meter" in self.inside.ports:
                 self.inside.ports["light-meter"].far_end().connect_light(self._illuminance_lux)
             return
-        real = [one for one in self._asked.instruments if one.port]
-        self.real = tuple(f"the {one.role} is a real {one.model} at {one.port}" for one in real)
+        real = [connection for connection in self._asked.instruments if connection.port]
+        self.real = tuple(
+            f"the {connection.role} is a real {connection.model} at {connection.port}"
+            for connection in real
+        )
         for sentence in self.real:
             self._say(
                 f"Of this virtual bench {sentence}; the virtual tube feels nothing of what it does."
             )
         instruments = VirtualInstruments(
             self._wires_folder,
-            models=tuple(one.model for one in self._asked.instruments if not one.port),
+            models=tuple(
+                connection.model for connection in self._asked.instruments if not connection.port
+            ),
             gate_address=self._asked.gate_address,
             supply_address=self._asked.supply_address,
             time_scale=self._time_scale,
@@ -186,11 +196,11 @@ class VirtualBench:
     def _illuminance_lux(self) -> float:
         return self.truth().illuminance_lux(read_placement(self.folder), self.outputs())
 
-    def _port(self, one: InstrumentConnection) -> str | None:
+    def _port(self, connection: InstrumentConnection) -> str | None:
         """Port of a real instrument, or of one that stands at this bench; none inside a process."""
-        if one.port or self._instruments is None:
-            return one.port
-        return self._instruments.port(virtual_model(one.model).place)
+        if connection.port or self._instruments is None:
+            return connection.port
+        return self._instruments.port(virtual_model(connection.model).bench_name)
 
     def _camera_has_a_wire(self) -> bool:
         if self._asked.bench == "in-process":

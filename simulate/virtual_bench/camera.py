@@ -112,11 +112,11 @@ class VirtualCamera:
     def turn(self) -> None:
         """Expose the next frame if one is requested; otherwise render a changed target."""
         self._wire.hold_trigger()
-        wrong = self._faults.now()
-        self._lose_packets(max(wrong.lost_packet_share, self._lost_packet_share))
-        self._wire.clock_jump_ns = round(wrong.clock_jump_s * 1e9)
+        faults = self._faults.now()
+        self._lose_packets(max(faults.lost_packet_share, self._lost_packet_share))
+        self._wire.clock_jump_ns = round(faults.clock_jump_s * 1e9)
         scene = self._scene()
-        if wrong.stalled:
+        if faults.stalled:
             self._take_back()
             time.sleep(IDLE_S)
         elif not self._wire.read(aravis.Register.ACQUISITION):
@@ -132,10 +132,10 @@ class VirtualCamera:
         else:
             time.sleep(IDLE_S)
 
-    def _lose_packets(self, share: float) -> None:
-        if share != self._losing:
-            self._wire.lose_packets(share)
-            self._losing = share
+    def _lose_packets(self, fraction: float) -> None:
+        if fraction != self._losing:
+            self._wire.lose_packets(fraction)
+            self._losing = fraction
 
     def _scene(self) -> Scene:
         return self._tube.scene(
@@ -226,12 +226,12 @@ def _open_lock(path: Path) -> IO[bytes]:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     except OSError as error:
         raise BadInput(f"{rule}, got {error.strerror!r}, {remedy}") from None
-    there = os.fstat(descriptor)
-    if not stat.S_ISREG(there.st_mode) or there.st_uid != os.getuid() or there.st_nlink != 1:
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_uid != os.getuid() or status.st_nlink != 1:
         os.close(descriptor)
         raise BadInput(
-            f"{rule}, got one of type {stat.filemode(there.st_mode)}, user {there.st_uid} and "
-            f"{there.st_nlink} names, {remedy}"
+            f"{rule}, got one of type {stat.filemode(status.st_mode)}, user {status.st_uid} and "
+            f"{status.st_nlink} names, {remedy}"
         )
     return os.fdopen(descriptor, "r+b")
 

@@ -109,10 +109,12 @@ class InProcessInstruments:
     """The serial instruments of a bench in this process, by default gate and supply."""
 
     def __init__(self, wires: InstrumentConfig | None = None, *, time_scale: float = 1.0) -> None:
-        there = (wires or InstrumentConfig()).instruments
+        connections = (wires or InstrumentConfig()).instruments
         self.ports: dict[Role, InProcessPort] = {
-            one.role: InProcessPort(virtual_model(one.model).make(one.address, time_scale))
-            for one in there
+            connection.role: InProcessPort(
+                virtual_model(connection.model).make(connection.address, time_scale)
+            )
+            for connection in connections
         }
 
     @property
@@ -178,16 +180,18 @@ class InProcessCamera:
         """Set the settings that are not None and return all; size and pixel format are fixed by the
         sensor.
         """
-        given = {
+        stated = {
             item.name: value
             for item in fields(settings)
             if (value := getattr(settings, item.name)) is not None
         }
         for name in ("rows", "columns", "pixel_format"):
-            own = getattr(self._settings, name)
-            if given.get(name, own) != own:
-                raise BadInput(f"{name} of the in-process camera must be {own}, got {given[name]}")
-        self._settings = replace(self._settings, **given)
+            fixed_value = getattr(self._settings, name)
+            if stated.get(name, fixed_value) != fixed_value:
+                raise BadInput(
+                    f"{name} of the in-process camera must be {fixed_value}, got {stated[name]}"
+                )
+        self._settings = replace(self._settings, **stated)
         return self._settings
 
     def capture(
@@ -234,11 +238,11 @@ class InProcessCapture:
         return None
 
     def __iter__(self) -> Iterator[Frame]:
-        for taken in range(self._discard + self._frames):
+        for index in range(self._discard + self._frames):
             self._while_waiting()
             drawing = self._camera.begin_exposure()
             while not wait([drawing], POLL_S).done:
                 self._while_waiting()
             frame = drawing.result()
-            if taken >= self._discard:
+            if index >= self._discard:
                 yield frame

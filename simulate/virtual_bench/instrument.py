@@ -53,7 +53,7 @@ class VirtualModel:
     name: str  #: Name of the model, such as "dg645"
     #: Where it stands at the bench, such as "delay_generator": the name of its port and of its
     #: faults
-    place: str
+    bench_name: str
     #: Makes it, from its address on a bus and how much faster than life it moves
     make: Callable[[int, float], SerialInstrument]
     baud: int | None  #: Rate set on it, baud; None: a USB adapter, which has none
@@ -96,13 +96,15 @@ class LineInstrument(VirtualInstrument):
         *lines, self._line = (self._line + data.replace(b"\r", b"\n")).split(b"\n")
         if len(self._line) > self.longest_line:
             self._line = self._overrun(self._line)
-        said = (
-            each
+        replies = (
+            reply
             for line in lines
             if line.strip()
-            for each in self._replies(line.decode("ascii", "replace"))
+            for reply in self._replies(line.decode("ascii", "replace"))
         )
-        return [(seconds, answer.encode("latin-1") + self.answer_end) for seconds, answer in said]
+        return [
+            (seconds, answer.encode("latin-1") + self.answer_end) for seconds, answer in replies
+        ]
 
     def _overrun(self, line: bytes) -> bytes:
         """Return what is kept of a line that is too long."""
@@ -134,8 +136,8 @@ class BusInstrument(VirtualInstrument):
 
     def talk(self) -> bytes:
         """Return the answer, EOI with its last byte; empty without a query."""
-        said, self._output = self._output, b""
-        return said
+        answer, self._output = self._output, b""
+        return answer
 
     def clear(self) -> None:
         """Device clear: empty both buffers."""
@@ -180,14 +182,14 @@ class RefusedCommand(Exception):
         self.code = code
 
 
-def parse_number(text: str, kind: type, wrong: int) -> Any:
+def parse_number(text: str, kind: type, code: int) -> Any:
     """Return the finite number of a command; any other text is refused with a code."""
     try:
         value = kind(text)
     except ValueError:
-        raise RefusedCommand(wrong) from None
+        raise RefusedCommand(code) from None
     if not math.isfinite(value):
-        raise RefusedCommand(wrong)
+        raise RefusedCommand(code)
     return value
 
 
@@ -218,8 +220,10 @@ def _command(text: str) -> Command | None:
     match = _COMMAND.match(text.strip())
     if match is None:
         return None
-    mnemonic, mark, rest = match.groups()
-    arguments = tuple(part.strip() for part in rest.split(",")) if rest.strip() else ()
+    mnemonic, mark, arguments_text = match.groups()
+    arguments = (
+        tuple(part.strip() for part in arguments_text.split(",")) if arguments_text.strip() else ()
+    )
     return Command(mnemonic=mnemonic, query=bool(mark), arguments=arguments)
 
 
@@ -237,19 +241,19 @@ class EdgeDelays:
 
     def with_edge(self, edge: int, reference: int, steps: int) -> "EdgeDelays":
         """Return other delays, with one edge moved."""
-        moved = EdgeDelays({**self.reference, edge: reference}, self.start)
-        moved.steps = {**self.steps, edge: steps}
-        return moved
+        delays = EdgeDelays({**self.reference, edge: reference}, self.start)
+        delays.steps = {**self.steps, edge: steps}
+        return delays
 
     def total(self, edge: int) -> int:
         """Steps of an edge after the trigger; edges that refer to each other in a ring are a
         RecursionError.
         """
-        steps, seen = 0, set()
+        steps, visited = 0, set()
         while edge != self.start:
-            if edge in seen:
+            if edge in visited:
                 raise RecursionError
-            seen.add(edge)
+            visited.add(edge)
             steps, edge = steps + self.steps[edge], self.reference[edge]
         return steps
 

@@ -31,7 +31,7 @@ class VirtualInstruments:
         time_scale: float = 1.0,
     ) -> None:
         self.folder = Path(folder).absolute()
-        self._models = {virtual_model(name).place: name for name in models}
+        self._models = {virtual_model(name).bench_name: name for name in models}
         self._addresses = {"delay_generator": gate_address, "high_voltage": supply_address}
         self._time_scale = time_scale
         self._processes: dict[str, subprocess.Popen] = {}
@@ -46,9 +46,9 @@ class VirtualInstruments:
         """Serial port of the adapter in front of the supply."""
         return self.port("high_voltage")
 
-    def port(self, place: str) -> str:
+    def port(self, bench_name: str) -> str:
         """Serial port of the instrument at a place of the bench."""
-        return str(self.folder / place)
+        return str(self.folder / bench_name)
 
     def __enter__(self) -> "VirtualInstruments":
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -89,10 +89,10 @@ class VirtualInstruments:
         while not all(map(Path.exists, map(self._ready, self._models))):
             for instrument, process in self._processes.items():
                 if process.poll() is not None:
-                    said = self._complaints(instrument).read_text().strip().splitlines()[-1:]
+                    last_line = self._complaints(instrument).read_text().strip().splitlines()[-1:]
                     raise BadInput(
                         f"the virtual {instrument} must start, got exit {process.returncode}: "
-                        f"{said}"
+                        f"{last_line}"
                     )
             if time.monotonic() > deadline_s:
                 raise BadInput(

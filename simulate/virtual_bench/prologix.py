@@ -48,8 +48,8 @@ class PrologixAdapter:
         """Take bytes from the USB side; return answers, each with the time it takes, s."""
         return [
             answer
-            for line, own in self._lines(data)
-            for answer in (self._own(line) if own else self._pass(line))
+            for line, is_command in self._lines(data)
+            for answer in (self._own(line) if is_command else self._pass(line))
         ]
 
     def _lines(self, data: bytes) -> Iterator[tuple[bytes, bool]]:
@@ -77,11 +77,11 @@ class PrologixAdapter:
 
     def _read(self) -> list[tuple[float, bytes]]:
         instrument = self._bus.get(self._address)
-        said = instrument.talk() if instrument is not None else b""
-        if not said:
+        answer = instrument.talk() if instrument is not None else b""
+        if not answer:
             return []
         mark = bytes([self._settings["eot_char"]]) if self._settings["eot_enable"] else b""
-        return [(BUS_S, said + mark)]
+        return [(BUS_S, answer + mark)]
 
     def _own(self, line: bytes) -> list[tuple[float, bytes]]:
         name, *arguments = line.decode("ascii", "replace").lower().split()

@@ -98,30 +98,33 @@ def serve(
     heard_s, before = time.monotonic(), Faults()
     while os.getppid() == parent or time.monotonic() - heard_s < ORPHAN_S:
         data = terminal.read(_patience(waiting))
-        now_s, wrong = time.monotonic(), faults.now()
-        if not wrong.disobedient:
-            instrument.advance(now_s, wrong)
-        if terminal.plugged == wrong.unplugged or before.port_name != wrong.port_name:
+        now_s, present_faults = time.monotonic(), faults.now()
+        if not present_faults.disobedient:
+            instrument.advance(now_s, present_faults)
+        if (
+            terminal.plugged == present_faults.unplugged
+            or before.port_name != present_faults.port_name
+        ):
             terminal.close()
             waiting.clear()
-            if not wrong.unplugged:
-                terminal.plug(wrong.port_name)
-        if wrong.power_cycles > before.power_cycles:
+            if not present_faults.unplugged:
+                terminal.plug(present_faults.port_name)
+        if present_faults.power_cycles > before.power_cycles:
             instrument.power_cycle()
             waiting.clear()
-        if wrong.panel != before.panel:
-            enter_at_panel(instrument, wrong.panel)
-        before = wrong
+        if present_faults.panel != before.panel:
+            enter_at_panel(instrument, present_faults.panel)
+        before = present_faults
         if data:
             heard_s = now_s
-        if data and not wrong.silent:
+        if data and not present_faults.silent:
             free_s = max(now_s, waiting[-1][0] if waiting else 0.0)
             for making_s, answer in instrument.receive(data):
                 free_s += making_s + terminal.seconds(len(answer))
-                waiting.append((free_s + wrong.late_s, wrong.arrives(answer)))
+                waiting.append((free_s + present_faults.late_s, present_faults.arrives(answer)))
         while waiting and waiting[0][0] <= time.monotonic():
             terminal.write(waiting.popleft()[1])
-        if not wrong.disobedient:
+        if not present_faults.disobedient:
             instrument.publish(folder)
 
 

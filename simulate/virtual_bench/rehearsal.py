@@ -138,12 +138,12 @@ class ScriptedFault:
     @property
     def faults(self) -> Faults:
         """The fault as `Faults`; the caller counts power cycles."""
-        others = {
+        uncounted_values = {
             "power cycle": 1,
             "front panel": self.panel,
             "port renamed": f"{self.instrument}.renamed",
         }
-        value: Any = self.value if self.kind in _COUNTED else others.get(self.kind, True)
+        value: Any = self.value if self.kind in _COUNTED else uncounted_values.get(self.kind, True)
         return Faults(**{_FIELDS[self.kind]: value})
 
 
@@ -163,11 +163,11 @@ def combine_faults(strikes: list[ScriptedFault], power_cycles: int) -> Faults:
     one.
     """
     names = vars(Faults())
-    wrong = {
-        name: max((getattr(each.faults, name) for each in strikes), default=names[name])
+    combined = {
+        name: max((getattr(strike.faults, name) for strike in strikes), default=names[name])
         for name in names
     }
-    return Faults(**{**wrong, "power_cycles": power_cycles})
+    return Faults(**{**combined, "power_cycles": power_cycles})
 
 
 TICK_S = 0.02
@@ -207,11 +207,11 @@ class Rehearsal:
 
     def __enter__(self) -> Self:
         logged = read_events(self._log_path) if self._log_path.exists() else []
-        struck = {each["number"] for each in logged if each["event"] == STRUCK}
+        struck = {event["number"] for event in logged if event["event"] == STRUCK}
         self._left = {
-            number: one for number, one in enumerate(self._script.fault) if number not in struck
+            number: fault for number, fault in enumerate(self._script.fault) if number not in struck
         }
-        for instrument in {one.instrument for one in self._script.fault}:
+        for instrument in {fault.instrument for fault in self._script.fault}:
             self._provoke(instrument, Faults())
         self._log = EventLog(self._log_path)
         self._began_s = time.monotonic()
@@ -229,39 +229,41 @@ class Rehearsal:
         while not self._over.wait(TICK_S):
             now_s = time.monotonic()
             self._steps.look(now_s)
-            for number, one in list(self._left.items()):
-                if (begins_s := self._begins_s(one)) is not None and now_s >= begins_s:
+            for number, fault in list(self._left.items()):
+                if (begins_s := self._begins_s(fault)) is not None and now_s >= begins_s:
                     del self._left[number]
-                    self._begin(number, one, now_s)
+                    self._begin(number, fault, now_s)
             for number, until_s in list(self._holding.items()):
                 if now_s >= until_s:
                     self._end(number)
 
-    def _begins_s(self, one: ScriptedFault) -> float | None:
+    def _begins_s(self, fault: ScriptedFault) -> float | None:
         """Start time of a fault; None before its step has begun."""
-        since_s = self._began_s if one.at_step is None else self._steps.began_s.get(one.at_step)
-        return None if since_s is None else since_s + one.at_s
+        since_s = self._began_s if fault.at_step is None else self._steps.began_s.get(fault.at_step)
+        return None if since_s is None else since_s + fault.at_s
 
-    def _begin(self, number: int, one: ScriptedFault, now_s: float) -> None:
-        self._log(STRUCK, number=number, instrument=one.instrument, kind=one.kind, for_s=one.for_s)
-        self._say(f"Rehearsal: {one.words} for {one.for_s:g} s.")
-        self._holding[number] = now_s + one.for_s
-        self._power_cycles[one.instrument] += one.kind == "power cycle"
-        self._tell(one.instrument)
+    def _begin(self, number: int, fault: ScriptedFault, now_s: float) -> None:
+        self._log(
+            STRUCK, number=number, instrument=fault.instrument, kind=fault.kind, for_s=fault.for_s
+        )
+        self._say(f"Rehearsal: {fault.words} for {fault.for_s:g} s.")
+        self._holding[number] = now_s + fault.for_s
+        self._power_cycles[fault.instrument] += fault.kind == "power cycle"
+        self._tell(fault.instrument)
 
     def _end(self, number: int) -> None:
         del self._holding[number]
-        one = self._script.fault[number]
+        fault = self._script.fault[number]
         # The latch of a trip is cleared by a person, who switches the instrument off and on.
-        self._power_cycles[one.instrument] += one.kind == "trip"
-        self._tell(one.instrument)
+        self._power_cycles[fault.instrument] += fault.kind == "trip"
+        self._tell(fault.instrument)
         self._log("fault ends", number=number)
 
     def _tell(self, instrument: str) -> None:
         holding = [
-            one
+            fault
             for number in self._holding
-            if (one := self._script.fault[number]).instrument == instrument
+            if (fault := self._script.fault[number]).instrument == instrument
         ]
         self._provoke(instrument, combine_faults(holding, self._power_cycles[instrument]))
 
@@ -282,9 +284,9 @@ class _Steps:
         with self._log.open("rb") as file:
             file.seek(self._read)
             text = file.read()
-        whole = text[: text.rfind(b"\n") + 1]
-        self._read += len(whole)
-        for line in whole.splitlines():
+        complete_lines = text[: text.rfind(b"\n") + 1]
+        self._read += len(complete_lines)
+        for line in complete_lines.splitlines():
             event = json.loads(line)
             if event["event"] == "step begins":
                 self.began_s.setdefault(event["step"], now_s)

@@ -119,11 +119,11 @@ def load_or_draw_truth(
         folder.mkdir(parents=True, exist_ok=True)
         replace_file(folder / _LAMP, to_toml(_true_lamp(lamp, seed)))
     if (folder / "truth.json").is_file():
-        there = json.loads((folder / "truth.json").read_text())
-        if {name: there[name] for name in asked} != asked:
+        stored = json.loads((folder / "truth.json").read_text())
+        if {name: stored[name] for name in asked} != asked:
             raise BadInput(
                 f"a virtual bench must keep its seed and sensor, got {asked} for the bench of "
-                f"{there}"
+                f"{stored}"
             )
         return read_truth(folder)
     meter = np.random.default_rng(np.random.SeedSequence((seed, 0x1D)))

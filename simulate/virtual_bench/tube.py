@@ -65,7 +65,8 @@ class Fields:
         """Return the same to a `STEPS`-th of an opening, ns."""
         step_ns = self.width_ns / STEPS
         return tuple(
-            float(one) for one in np.round(self.open_ns(first_field, fields) / step_ns) * step_ns
+            float(light_ns)
+            for light_ns in np.round(self.open_ns(first_field, fields) / step_ns) * step_ns
         )
 
     @property
@@ -194,7 +195,7 @@ class VirtualTube:
         count = 2 if self.sensor.video.interlaced else 1
         open_ns = fields.lights_ns(self._frame * count, count)
         self._frame += 1
-        pictures = {one: next(self._light(scene, one)) for one in set(open_ns)}
+        pictures = {light_ns: next(self._light(scene, light_ns)) for light_ns in set(open_ns)}
         frame = pictures[open_ns[0]].copy()
         for field in range(1, count):
             frame[field::count] = pictures[open_ns[field]][field::count]

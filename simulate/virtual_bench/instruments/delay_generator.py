@@ -70,7 +70,7 @@ class Setting:
     count: int = 0  #: Number of indices; 0: none
     form: str = "{:d}"  #: How the value is answered
     step: float = 0.0  #: Resolution to which values are rounded; 0: none
-    wrong: int = Dg645Error.ILLEGAL_VALUE
+    refusal_code: int = Dg645Error.ILLEGAL_VALUE
 
     @property
     def kind(self) -> type:
@@ -173,13 +173,13 @@ class DelayGenerator(LineInstrument, GateGenerator):
         name = command.mnemonic
         if name in SETTINGS:
             return self._setting(command, SETTINGS[name])
-        mine, other, wrong = (
+        mine, other, code = (
             (_QUERIES, _SETS, Dg645Error.ILLEGAL_QUERY)
             if command.query
             else (_SETS, _QUERIES, Dg645Error.ILLEGAL_SET)
         )
         if name not in mine:
-            raise RefusedCommand(wrong if name in other else Dg645Error.UNDEFINED_COMMAND)
+            raise RefusedCommand(code if name in other else Dg645Error.UNDEFINED_COMMAND)
         kinds, method = mine[name]
         return method(self, *_numbers(command.arguments, kinds))
 
@@ -198,14 +198,16 @@ class DelayGenerator(LineInstrument, GateGenerator):
 
     def _setting(self, command: Command, setting: Setting) -> str | None:
         indices = (int,) if setting.count else ()
-        given = _numbers(command.arguments, indices if command.query else (*indices, setting.kind))
-        place = command.mnemonic, _within(given[0] if indices else 0, max(1, setting.count))
+        numbers = _numbers(
+            command.arguments, indices if command.query else (*indices, setting.kind)
+        )
+        key = command.mnemonic, _within(numbers[0] if indices else 0, max(1, setting.count))
         if command.query:
-            return setting.form.format(setting.kind(self._memory.values[place]))
-        if not setting.low <= given[-1] <= setting.high:
-            raise RefusedCommand(setting.wrong)
-        self._memory.values[place] = (
-            round(given[-1] / setting.step) * setting.step if setting.step else given[-1]
+            return setting.form.format(setting.kind(self._memory.values[key]))
+        if not setting.low <= numbers[-1] <= setting.high:
+            raise RefusedCommand(setting.refusal_code)
+        self._memory.values[key] = (
+            round(numbers[-1] / setting.step) * setting.step if setting.step else numbers[-1]
         )
         return None
 
@@ -256,8 +258,8 @@ class DelayGenerator(LineInstrument, GateGenerator):
     # Registers and memory
 
     def _status_byte(self) -> str:
-        inside = bool(self._instrument_status & int(self._now("INSE")))
-        byte = inside | bool(self._event_status & int(self._now("*ESE"))) << 5
+        has_instrument_event = bool(self._instrument_status & int(self._now("INSE")))
+        byte = has_instrument_event | bool(self._event_status & int(self._now("*ESE"))) << 5
         return str(byte | bool(byte & int(self._now("*SRE"))) << 6)
 
     def _take_event_status(self) -> str:
@@ -272,15 +274,15 @@ class DelayGenerator(LineInstrument, GateGenerator):
         self._errors.clear()
         self._event_status = self._instrument_status = 0
 
-    def _save(self, place: int) -> None:
-        if not 1 <= place <= 9:
+    def _save(self, location: int) -> None:
+        if not 1 <= location <= 9:
             raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
-        self._saved[place] = self._memory.copy()
+        self._saved[location] = self._memory.copy()
 
-    def _recall(self, place: int) -> None:
-        if place and _within(place, 10) not in self._saved:
+    def _recall(self, location: int) -> None:
+        if location and _within(location, 10) not in self._saved:
             raise RefusedCommand(Dg645Error.RECALL_FAILED)
-        self._memory = self._saved[place].copy() if place else Memory()
+        self._memory = self._saved[location].copy() if location else Memory()
 
     def _set_terminator(self, *codes: int) -> None:
         self.answer_end = bytes(code for code in codes if _within(code, 256))
@@ -358,14 +360,20 @@ _QUERIES = {
     "*STB": ((), DelayGenerator._status_byte),
     "*ESR": ((), DelayGenerator._take_event_status),
     "INSR": ((), DelayGenerator._take_instrument_status),
-    "LERR": ((), lambda one: str(one._errors.popleft() if one._errors else 0)),
+    "LERR": ((), lambda generator: str(generator._errors.popleft() if generator._errors else 0)),
     "DLAY": ((int,), DelayGenerator._get_delay),
-    "LINK": ((int,), lambda one, edge: str(one._delays.reference[_within(edge, EDGES)])),
-    "XTRM": ((), lambda one: ",".join(str(code) for code in one.answer_end.ljust(3, b"\0"))),
+    "LINK": (
+        (int,),
+        lambda generator, edge: str(generator._delays.reference[_within(edge, EDGES)]),
+    ),
+    "XTRM": (
+        (),
+        lambda generator: ",".join(str(code) for code in generator.answer_end.ljust(3, b"\0")),
+    ),
 }
 
 _SETS = {
-    "*RST": ((), lambda one: one._recall(0)),
+    "*RST": ((), lambda generator: generator._recall(0)),
     "*CLS": ((), DelayGenerator._clear),
     "*OPC": ((), DelayGenerator._operation_complete),
     "*WAI": ((), lambda _: None),
@@ -381,7 +389,7 @@ _SETS = {
 
 MODEL = VirtualModel(
     name="dg645",
-    place="delay_generator",
+    bench_name="delay_generator",
     make=lambda address, scale: DelayGenerator(),
     baud=9600,
     panel={

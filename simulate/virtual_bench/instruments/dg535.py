@@ -156,13 +156,13 @@ class Dg535(BusInstrument, GateGenerator):
         seconds = _number(arguments[2], float)
         if not abs(seconds) < LONGEST_S:
             raise RefusedCommand(ErrorStatus.RANGE)
-        moved = self._delays.with_edge(edge, reference[0], round(seconds / STEP_S))
+        delays = self._delays.with_edge(edge, reference[0], round(seconds / STEP_S))
         try:
-            if any(not 0 <= moved.total(other) * STEP_S < LONGEST_S for other in EDGES):
+            if any(not 0 <= delays.total(other) * STEP_S < LONGEST_S for other in EDGES):
                 raise RefusedCommand(ErrorStatus.RANGE)
         except RecursionError:
             raise RefusedCommand(ErrorStatus.LINKAGE) from None
-        self._delays = moved
+        self._delays = delays
         return None
 
     def _register(self, name: str, arguments: list[str]) -> str:
@@ -221,7 +221,7 @@ def _number(text: str, kind: type = int) -> Any:
 
 MODEL = VirtualModel(
     name="dg535",
-    place="delay_generator",
+    bench_name="delay_generator",
     make=lambda address, scale: PrologixAdapter({address: Dg535()}),
     baud=None,
     panel={

@@ -39,18 +39,20 @@ class FilterWheel(VirtualInstrument):
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
         """Take bytes; return echo, answers and prompts, each with the time it takes, s."""
-        said: list[tuple[float, bytes]] = []
+        replies: list[tuple[float, bytes]] = []
         for value in data:
             byte = bytes([value])
-            said.append((0.0, byte))
+            replies.append((0.0, byte))
             if byte != b"\r":
                 self._line = (self._line + byte)[-BUFFER_LENGTH:]
                 continue
             line, self._line = self._line.decode("ascii", "replace").strip(), b""
             seconds, answer = self._obey(line) if line else (0.0, "")
             end = b"\n" if answer.startswith("Command error") else b"\r"
-            said.append((COMMAND_S + seconds, (answer.encode() + end if answer else b"") + PROMPT))
-        return said
+            replies.append(
+                (COMMAND_S + seconds, (answer.encode() + end if answer else b"") + PROMPT)
+            )
+        return replies
 
     def _obey(self, line: str) -> tuple[float, str]:
         """Return the time of the command, s, and its answer."""
@@ -95,7 +97,7 @@ class FilterWheel(VirtualInstrument):
 
 MODEL = VirtualModel(
     name="fw102c",
-    place="filter_wheel",
+    bench_name="filter_wheel",
     make=lambda address, scale: FilterWheel(time_scale=scale),
     baud=115200,
 )

@@ -99,8 +99,8 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
                 answers.append(self._obey(command))
             except RefusedCommand as refusal:
                 self._event_status |= refusal.code
-        if said := [answer for answer in answers if answer is not None]:
-            self._output = ";".join(said).encode() + b"\n"
+        if texts := [answer for answer in answers if answer is not None]:
+            self._output = ";".join(texts).encode() + b"\n"
 
     def _obey(self, command: Command | None) -> str | None:
         if command is None:
@@ -159,8 +159,8 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
         if name == "*ESR":
             value, self._event_status = read_register(self._event_status, bit)
         else:
-            value, left = read_register(self.serial_poll(), bit)
-            self._latched &= left | ~LATCHED
+            value, remaining_bits = read_register(self.serial_poll(), bit)
+            self._latched &= remaining_bits | ~LATCHED
         return str(value)
 
     def _switch_on(self) -> None:
@@ -221,7 +221,7 @@ _ACTIONS = {
 
 MODEL = VirtualModel(
     name="ps350",
-    place="high_voltage",
+    bench_name="high_voltage",
     make=lambda address, scale: PrologixAdapter({address: HighVoltageSupply(time_scale=scale)}),
     baud=None,
     panel={"voltage": ("VSET 350",), "on": ("VSET 100", "HVON")},

@@ -45,19 +45,19 @@ class IsegSupply(VoltageSource):
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
         """Take bytes; return echo and answers, each character with the break before it, s."""
-        said: list[tuple[float, bytes]] = []
+        replies: list[tuple[float, bytes]] = []
         for value in data:
             byte = bytes([value])
-            said.append((self._break_ms * 1e-3, byte))
+            replies.append((self._break_ms * 1e-3, byte))
             self._line += byte
             if byte == b"\n":
                 line, self._line = self._line.decode("ascii", "replace").strip(), b""
                 if line:
-                    said += self._answer(line)
+                    replies += self._answer(line)
             elif len(self._line) > BUFFER_LENGTH:
                 self._line = b""
-                said += self._spoken(SYNTAX)
-        return said
+                replies += self._spoken(SYNTAX)
+        return replies
 
     def _answer(self, line: str) -> list[tuple[float, bytes]]:
         try:
@@ -181,7 +181,7 @@ def _number(text: str) -> float:
 
 MODEL = VirtualModel(
     name="iseg",
-    place="high_voltage",
+    bench_name="high_voltage",
     make=lambda address, scale: IsegSupply(time_scale=scale),
     baud=9600,
     panel={"voltage": ("D1=350", "G1"), "on": ("D1=100", "G1")},

@@ -102,5 +102,5 @@ class LightSource(LineInstrument):
 
 
 MODEL = VirtualModel(
-    name="dc2100", place="light_source", make=lambda address, scale: LightSource(), baud=115200
+    name="dc2100", bench_name="light_source", make=lambda address, scale: LightSource(), baud=115200
 )

@@ -114,8 +114,8 @@ class Thermometer(LineInstrument):
 
 
 LIGHT_METER = VirtualModel(
-    name="pm101", place="light_meter", make=lambda address, scale: PowerMeter(), baud=115200
+    name="pm101", bench_name="light_meter", make=lambda address, scale: PowerMeter(), baud=115200
 )
 THERMOMETER = VirtualModel(
-    name="ctc100", place="thermometer", make=lambda address, scale: Thermometer(), baud=9600
+    name="ctc100", bench_name="thermometer", make=lambda address, scale: Thermometer(), baud=9600
 )
