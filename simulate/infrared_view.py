@@ -58,11 +58,11 @@ class InfraredView:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user of the frames."""
         names = ", ".join(effect.name for effect in self.picture.left_out)
-        left = (
+        neglected_note = (
             f"infrared radiance without: {names}; see light; the truth of each pixel is in "
             f"truth, next to the frames"
         )
-        return (left, *self.picture.notes, *self.set_for_scene)
+        return (neglected_note, *self.picture.notes, *self.set_for_scene)
 
     def text(self) -> str:
         """Return retained and neglected terms of temperatures and radiance, as lines."""
@@ -92,20 +92,20 @@ class InfraredView:
             "temperatures": (solution.effects, solution.left_out),
             "radiance": (picture.effects, picture.left_out),
         }
-        found: dict[str, Any] = {
+        effects_of_table: dict[str, Any] = {
             name: [
-                {**_row(effect), "kept": kept}
-                for kept, of in zip((True, False), both, strict=True)
+                {**_row(effect), "kept": is_kept}
+                for is_kept, of in zip((True, False), effects, strict=True)
                 for effect in of
             ]
-            for name, both in tables.items()
+            for name, effects in tables.items()
         }
         numbers = {
             "netd_mk": self.netd_mk,
             "by_chance_mk": 1e3 * picture.error_k,
             "rays": list(picture.rays),
         }
-        return json.dumps(numbers | found, indent=1).encode()
+        return json.dumps(numbers | effects_of_table, indent=1).encode()
 
     @property
     def signal(self) -> NDArray[np.floating]:
@@ -118,8 +118,8 @@ class InfraredView:
 
 
 def _row(effect: Any) -> dict[str, Any]:
-    given = asdict(effect)
-    return {"name": given["name"], "changes_mk": given["influence"]}
+    effect_fields = asdict(effect)
+    return {"name": effect_fields["name"], "changes_mk": effect_fields["influence"]}
 
 
 def view_infrared(

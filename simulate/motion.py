@@ -53,9 +53,9 @@ class Motion:
 
     def is_still(self, times_s: Iterable[float]) -> bool:
         """Whether nothing moves from one of the times to another."""
-        first, *others = times_s
+        first, *later_s = times_s
         start = self.at(first)
-        return all(self.at(time_s) == start for time_s in others)
+        return all(self.at(time_s) == start for time_s in later_s)
 
     def looks(self, first: Look, times_s: Iterable[float]) -> Iterator[Look]:
         """Yield the look at each time, the same one while nothing moves; `first` is that at the

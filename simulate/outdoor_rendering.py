@@ -82,8 +82,8 @@ def _numbers(
             read,
             1.0,
         )
-    wide = tuple(side + 2 * ACCURACY.scene_margin_px for side in camera.shape)
-    budget = NoiseBudget(camera, np.zeros(wide, np.float32), conditions)
+    scene_shape = tuple(side + 2 * ACCURACY.scene_margin_px for side in camera.shape)
+    budget = NoiseBudget(camera, np.zeros(scene_shape, np.float32), conditions)
     cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
     read = (float(camera.sensor.ccd.read_noise_e) / budget.of_chain.gain_e) ** 2
     factor = budget.mcp.excess_noise_factor
@@ -131,15 +131,15 @@ class RenderedView:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user of the frames."""
         out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
-        below = self.picture.below_zero
+        below_zero = self.picture.below_zero
         return (
             (
                 f"light by rays: left out {out}; see light; the truth of each pixel is in truth, "
                 "next to the frames"
             ),
             *(
-                (f"{below} pixels came out below zero by chance and count as dark",)
-                if below
+                (f"{below_zero} pixels came out below zero by chance and count as dark",)
+                if below_zero
                 else ()
             ),
             f"by the scatter of their rays pixels are uncertain by {100.0 * self.chance:.2g} % of "
@@ -212,7 +212,7 @@ class OutdoorRendering:
         preview: bool = False,
         like: RenderedView | None = None,
         threads: int | None = None,
-        progress: Callable[[float], None] = lambda share: None,
+        progress: Callable[[float], None] = lambda fraction: None,
         announce: Callable[[float], None] = lambda seconds: None,
     ) -> RenderedView:
         """Render the scene for the camera.
@@ -250,7 +250,7 @@ class OutdoorRendering:
         )
         count = min(2, os.cpu_count() or 1) if threads is None else threads
         with workers(count) as run:
-            found = render_scene(
+            picture = render_scene(
                 stage,
                 view,
                 rays,
@@ -262,7 +262,7 @@ class OutdoorRendering:
                 announce=lambda seconds: announce(seconds / count),
             )
         return RenderedView(
-            picture=found,
+            picture=picture,
             plan=plan,
             stage=stage,
             eye=eye,
@@ -270,7 +270,7 @@ class OutdoorRendering:
             title=self._title(),
             left_out=(
                 *self.site.surfaces.notes,
-                *(one.note for one in self.scene.material if one.note),
+                *(surface.note for surface in self.scene.material if surface.note),
             ),
         )
 

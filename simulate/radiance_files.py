@@ -73,8 +73,8 @@ def _write_fits(content: dict[str, Any], path: Path) -> None:
     for name, key in (("position_m", "POS"), ("forward", "AXIS")):
         for axis, value in zip("XYZ", content[name], strict=True):
             image.header[f"{key}{axis}"] = value
-    others = [name for name in ("range_m", "wavelength_nm", "edges_um") if name in content]
-    tables = [fits.ImageHDU(np.asarray(content[name]), name=name.upper()) for name in others]
+    table_names = [name for name in ("range_m", "wavelength_nm", "edges_um") if name in content]
+    tables = [fits.ImageHDU(np.asarray(content[name]), name=name.upper()) for name in table_names]
     fits.HDUList([image, *tables]).writeto(path, overwrite=True)
 
 
@@ -170,12 +170,12 @@ def _write_exr(content: dict[str, Any], path: Path) -> None:
     # magic number, version of single scan-line images
     before = pack("<2i", 20000630, 2) + header + b"\0"
     row_bytes = data[0].nbytes
-    places = len(before) + 8 * rows + (8 + row_bytes) * np.arange(rows, dtype="<u8")
+    row_offsets = len(before) + 8 * rows + (8 + row_bytes) * np.arange(rows, dtype="<u8")
     blocks = np.empty(
         rows, np.dtype([("row", "<i4"), ("size", "<i4"), ("data", "<f4", data.shape[1:])])
     )
     blocks["row"], blocks["size"], blocks["data"] = np.arange(rows), row_bytes, data
-    write_atomically(path, before + places.astype("<u8").tobytes() + blocks.tobytes())
+    write_atomically(path, before + row_offsets.astype("<u8").tobytes() + blocks.tobytes())
 
 
 def _content(view: "RenderedView | InfraredView") -> dict[str, Any]:
