@@ -128,8 +128,8 @@ def read_array(array: object, plane: str | None = None, *, axis: str | None = No
             f"{type(array).__name__} of type {data.dtype} and shape {data.shape}"
         )
     data = data.astype(np.uint8) if data.dtype.kind == "b" else data
-    found = Recorded(data=data, names=names_of_shape(data.shape))
-    return with_full_scale(_stack(found, plane, axis, "the array"))
+    recorded = Recorded(data=data, names=names_of_shape(data.shape))
+    return with_full_scale(_stack(recorded, plane, axis, "the array"))
 
 
 def _read_recorded(path: Path) -> Recorded | FrameStack:
@@ -147,38 +147,42 @@ def _read_recorded(path: Path) -> Recorded | FrameStack:
 
 
 def _stack(
-    found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str
+    recorded: Recorded | FrameStack, plane: str | None, axis: str | None, name: str
 ) -> FrameStack:
     """Return the frames of a reader's result."""
-    if isinstance(found, FrameStack):
+    if isinstance(recorded, FrameStack):
         if plane in (None, "mono"):
-            return found
-        one = require_monochrome(found.data, plane, name)
+            return recorded
+        selected = require_monochrome(recorded.data, plane, name)
         return replace(
-            found,
-            data=one.data,
-            plane=one.plane,
-            sample_pitch_px=one.sample_pitch_px,
-            notes=(*found.notes, *one.notes),
+            recorded,
+            data=selected.data,
+            plane=selected.plane,
+            sample_pitch_px=selected.sample_pitch_px,
+            notes=(*recorded.notes, *selected.notes),
         )
-    data = found.data.astype(found.data.dtype.newbyteorder("="), copy=False)
-    stack = frames_of(data, found.names, plane=plane, axis=axis, name=name, pattern=found.pattern)
-    black_dn = _black_dn(found, stack.plane)
+    data = recorded.data.astype(recorded.data.dtype.newbyteorder("="), copy=False)
+    stack = frames_of(
+        data, recorded.names, plane=plane, axis=axis, name=name, pattern=recorded.pattern
+    )
+    black_dn = _black_dn(recorded, stack.plane)
     swapped = byte_order_note(stack.data)
     return replace(
         stack,
         black_level_dn=stack.black_level_dn if black_dn is None else black_dn,
-        full_scale_dn=found.full_scale_dn if stack.full_scale_dn is None else stack.full_scale_dn,
-        notes=(*found.notes, *(() if axis else found.doubts), *stack.notes, *swapped),
+        full_scale_dn=recorded.full_scale_dn
+        if stack.full_scale_dn is None
+        else stack.full_scale_dn,
+        notes=(*recorded.notes, *(() if axis else recorded.doubts), *stack.notes, *swapped),
     )
 
 
-def _black_dn(found: Recorded, plane: str) -> float | None:
+def _black_dn(recorded: Recorded, plane: str) -> float | None:
     """Return the black level of the selected plane."""
-    if len(found.black_dn) < 2 or found.pattern is None:
-        return found.black_dn[0] if found.black_dn else None
-    row, col = planes_of(found.pattern)[plane]
-    return found.black_dn[2 * row + col]
+    if len(recorded.black_dn) < 2 or recorded.pattern is None:
+        return recorded.black_dn[0] if recorded.black_dn else None
+    row, col = planes_of(recorded.pattern)[plane]
+    return recorded.black_dn[2 * row + col]
 
 
 def module_of(path: Path) -> str | None:

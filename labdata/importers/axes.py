@@ -33,16 +33,19 @@ def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tu
         gaps |= ~np.isfinite(block).all(axis=(0, *range(3, data.ndim)))
     if not gaps.any():
         return data, (0, 0), ()
-    top, bottom, left, right = _inside(_gaps_at_border(gaps))
+    first_row, end_row, first_col, end_col = _inside(_gaps_at_border(gaps))
     rows, cols = data.shape[1:3]
     notes = []
-    if bottom - top < rows or right - left < cols:
+    if end_row - first_row < rows or end_col - first_col < cols:
         notes.append(
-            f"a border that is not finite was cut off: rows {top} to {bottom - 1} of {rows} and "
-            f"columns {left} to {right - 1} of {cols} are measured; regions count from the file's "
-            "first row and column"
+            f"a border that is not finite was cut off: rows {first_row} to {end_row - 1} of {rows} "
+            f"and columns {first_col} to {end_col - 1} of {cols} are measured; regions count "
+            "from the file's first row and column"
         )
-    data, gaps = data[:, top:bottom, left:right], gaps[top:bottom, left:right]
+    data, gaps = (
+        data[:, first_row:end_row, first_col:end_col],
+        gaps[first_row:end_row, first_col:end_col],
+    )
     if not gaps.size:
         raise BadInput("every pixel must be finite, but for a border, got none that is")
     count = int(np.count_nonzero(gaps))
@@ -58,7 +61,7 @@ def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tu
             f"{count} pixels inside the picture are not finite and were filled from their "
             f"neighbours"
         )
-    return data, (top, left), tuple(notes)
+    return data, (first_row, first_col), tuple(notes)
 
 
 def _gaps_at_border(gaps: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -76,16 +79,20 @@ def _inside(gaps: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     """Return the rows and columns left after border lines with gaps are removed, the worst
     first.
     """
-    top, left = 0, 0
-    bottom, right = gaps.shape
-    while top < bottom and left < right and (inner := gaps[top:bottom, left:right]).any():
+    first_row, first_col = 0, 0
+    end_row, end_col = gaps.shape
+    while (
+        first_row < end_row
+        and first_col < end_col
+        and (inner := gaps[first_row:end_row, first_col:end_col]).any()
+    ):
         lines = (inner[0].mean(), inner[-1].mean(), inner[:, 0].mean(), inner[:, -1].mean())
         worst = int(np.argmax(lines))
         if lines[worst] == 0.0:  # gaps inside, connected to the border only by a removed line
             break
-        top, bottom = top + (worst == 0), bottom - (worst == 1)
-        left, right = left + (worst == 2), right - (worst == 3)
-    return top, bottom, left, right
+        first_row, end_row = first_row + (worst == 0), end_row - (worst == 1)
+        first_col, end_col = first_col + (worst == 2), end_col - (worst == 3)
+    return first_row, end_row, first_col, end_col
 
 
 def _fill_gaps(data: NDArray, gaps: NDArray[np.bool_]) -> NDArray:
@@ -95,14 +102,15 @@ def _fill_gaps(data: NDArray, gaps: NDArray[np.bool_]) -> NDArray:
     data = np.array(data)
     rows, cols = gaps.shape
     for row, col in np.argwhere(gaps):
-        reach = 1
+        half_width = 1
         while True:
             where = np.s_[
-                max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1
+                max(0, row - half_width) : row + half_width + 1,
+                max(0, col - half_width) : col + half_width + 1,
             ]
-            if np.count_nonzero(~gaps[where]) >= 4 or reach > max(rows, cols):
+            if np.count_nonzero(~gaps[where]) >= 4 or half_width > max(rows, cols):
                 break
-            reach += 1
+            half_width += 1
         around = data[(slice(None), *where)][:, ~gaps[where]]
         data[:, row, col] = np.median(around, axis=1)
     return data
@@ -196,33 +204,35 @@ def frames_of(
             "an array of frames must have rows and columns, got the axes "
             f"{_describe_axes(names, data.shape)} in {name}"
         )
-    others = [at for at, what in enumerate(names) if data.shape[at] > 1 and what not in KNOWN]
+    further_axes = [at for at, what in enumerate(names) if data.shape[at] > 1 and what not in KNOWN]
     if (
-        len(others) == 1
-        and data.shape[others[0]] in (3, 4)
+        len(further_axes) == 1
+        and data.shape[further_axes[0]] in (3, 4)
         and plane in ("r", "g", "b", "luminance")
     ):
-        names[others[0]], others = COLOUR, []
+        names[further_axes[0]], further_axes = COLOUR, []
     index: list[int | slice] = [
         slice(None) if size > 1 or what in (ROW, COL) else 0
         for size, what in zip(data.shape, names, strict=True)
     ]
     for at, number in zip(
-        others, _plane_index(data.shape, names, others, plane, name), strict=True
+        further_axes, _plane_index(data.shape, names, further_axes, plane, name), strict=True
     ):
         index[at] = number
-    left = [what for what, at in zip(names, index, strict=True) if isinstance(at, slice)]
-    data = data[tuple(index)].transpose([left.index(what) for what in KNOWN if what in left])
-    data = data if FRAME in left else data[None]
+    kept_axes = [what for what, at in zip(names, index, strict=True) if isinstance(at, slice)]
+    data = data[tuple(index)].transpose(
+        [kept_axes.index(what) for what in KNOWN if what in kept_axes]
+    )
+    data = data if FRAME in kept_axes else data[None]
     require_picture(data.shape[1], data.shape[2], name)
     data, origin, notes = without_gaps(data, name)
-    if COLOUR in left and data.shape[-1] >= 3:
+    if COLOUR in kept_axes and data.shape[-1] >= 3:
         stack = colour_planes.select_plane(data, plane, name)
     else:
-        data = data[..., 0] if COLOUR in left else data
+        data = data[..., 0] if COLOUR in kept_axes else data
         stack = (
             FrameStack(data=data, plane=f"plane {plane}")
-            if others
+            if further_axes
             else colour_planes.require_monochrome(data, plane, name, pattern, origin)
         )
     return replace(stack, origin=origin, notes=(*notes, *stack.notes))
@@ -244,9 +254,9 @@ def _with_frame_axis(
         )
     names = [UNNAMED if what == FRAME else what for what in names]
     names[at] = FRAME
-    rest = [where for where, what in enumerate(names) if what not in (FRAME, COLOUR)]
-    if len(rest) == 2:
-        names[rest[0]], names[rest[1]] = ROW, COL
+    unassigned = [where for where, what in enumerate(names) if what not in (FRAME, COLOUR)]
+    if len(unassigned) == 2:
+        names[unassigned[0]], names[unassigned[1]] = ROW, COL
     return names
 
 
@@ -258,27 +268,28 @@ def _index(names: list[str], axis: str) -> int | None:
 
 
 def _plane_index(
-    shape: Sequence[int], names: list[str], others: list[int], plane: str | None, name: str
+    shape: Sequence[int], names: list[str], further_axes: list[int], plane: str | None, name: str
 ) -> list[int]:
     """Return the plane index along every other axis; BadInput where none was selected."""
     chosen = [] if plane is None else plane.split(",")
-    if not others:
+    if not further_axes:
         return []
-    if len(chosen) == len(others) and all(
-        word.isdecimal() and int(word) < shape[at] for word, at in zip(chosen, others, strict=True)
+    if len(chosen) == len(further_axes) and all(
+        word.isdecimal() and int(word) < shape[at]
+        for word, at in zip(chosen, further_axes, strict=True)
     ):
         return [int(word) for word in chosen]
-    first = others[0]
+    first = further_axes[0]
     colours = (
         " (or r, g, b, luminance if they are colours)"
-        if shape[first] in (3, 4) and len(others) == 1
+        if shape[first] in (3, 4) and len(further_axes) == 1
         else ""
     )
     frames = "" if FRAME in names else f"--axis {first} takes axis {first} for frames, "
     raise BadInput(
         f"an axis must be known to count frames, got the axes {_describe_axes(names, shape)} in "
-        f"{name}: {frames}--plane {','.join('0' for _ in others)} takes one plane, counted from "
-        f"0{colours}" + ("" if plane is None else f"; got --plane {plane}")
+        f"{name}: {frames}--plane {','.join('0' for _ in further_axes)} takes one plane, counted "
+        f"from 0{colours}" + ("" if plane is None else f"; got --plane {plane}")
     )
 
 

@@ -80,7 +80,7 @@ def _ser(path: Path) -> Recorded:
         header = file.read(SER_HEADER_BYTES)
     if not header.startswith(SER_MAGIC):
         raise BadInput(f"a .ser file must be a SER recording, got something else in {path}")
-    colour, little, columns, rows, bits, frames = struct.unpack_from("<6I", header, 18)
+    colour, is_little_endian, columns, rows, bits, frames = struct.unpack_from("<6I", header, 18)
     samples = 1 if colour in SER_MOSAICS else SER_COLOURS.get(colour)
     if samples is None or not 1 <= bits <= 16:
         raise BadInput(
@@ -88,7 +88,7 @@ def _ser(path: Path) -> Recorded:
             f"{colour} in {path}"
         )
     # Most writers invert the byte-order flag: 0 is little-endian (Siril, FireCapture, PIPP).
-    kind = np.dtype("u1" if bits <= 8 else ">u2" if little else "<u2")
+    kind = np.dtype("u1" if bits <= 8 else ">u2" if is_little_endian else "<u2")
     shape = (frames, rows, columns, samples)
     if SER_HEADER_BYTES + int(np.prod(shape, dtype=object)) * kind.itemsize > path.stat().st_size:
         raise BadInput(

@@ -102,9 +102,9 @@ def planes_of(pattern: str) -> dict[str, tuple[int, int]]:
             f"{pattern!r}"
         )
     sites: dict[str, tuple[int, int]] = {}
-    for place, name in enumerate(pattern):
-        full = f"{name}{pattern[:place].count(name) + 1}" if pattern.count(name) > 1 else name
-        sites[full] = divmod(place, 2)
+    for index, name in enumerate(pattern):
+        full = f"{name}{pattern[:index].count(name) + 1}" if pattern.count(name) > 1 else name
+        sites[full] = divmod(index, 2)
     return dict(sorted(sites.items()))
 
 

@@ -34,10 +34,10 @@ def read(path: Path) -> Recorded:
         warnings.simplefilter("always")
         _check_headers(path)
         with fits.open(content, memmap=False) as file:
-            found = _image_of(file, path)
+            image = _image_of(file, path)
     if any("truncated" in str(warning.message) for warning in warned):
         raise BadInput(f"a FITS file must be whole, got {path} without its end")
-    return found
+    return image
 
 
 def _image_of(file, path: Path) -> Recorded:

@@ -26,8 +26,8 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
         return stack
     if stack.data.dtype == np.uint8:
         return replace(stack, full_scale_dn=255.0)
-    highest, held = _highest(stack.data)
-    if held < LEAST_PIXELS or highest <= 0:
+    highest, pixels_at_highest = _highest(stack.data)
+    if pixels_at_highest < LEAST_PIXELS or highest <= 0:
         return stack
     bits = _bits_of(stack.data, highest)
     if bits is None:
@@ -35,20 +35,20 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
     step = highest / (2**bits - 1)
     steps = "" if step == 1 else f" in steps of {step:.6g} DN"
     note = (
-        f"{FOUND}: {held} pixels hold the highest code, {highest:g} DN, which is that of "
-        f"{bits} bits{steps}"
+        f"{FOUND}: {pixels_at_highest} pixels hold the highest code, {highest:g} DN, which is that "
+        f"of {bits} bits{steps}"
     )
     return replace(stack, full_scale_dn=float(highest), notes=(*stack.notes, note))
 
 
-def ends_at(highest: int, held: int) -> bool:
+def ends_at(highest: int, pixels_at_highest: int) -> bool:
     """Return whether the highest value, with its number of pixels, is the full scale of a
     digitiser.
     """
     return (
         highest.bit_length() >= LEAST_BITS
         and highest == 2 ** highest.bit_length() - 1
-        and held >= LEAST_PIXELS
+        and pixels_at_highest >= LEAST_PIXELS
     )
 
 
@@ -62,10 +62,10 @@ def _bits_of(data: NDArray, highest: float) -> int | None:
     multiples of the highest one over 2^n - 1 within their rounding.
     """
     if data.dtype.kind in "ui":
-        used = 0
+        used_bits = 0
         for block in blocks(data):
-            used |= int(np.bitwise_or.reduce(block, axis=None))
-        top = int(highest) // (used & -used)
+            used_bits |= int(np.bitwise_or.reduce(block, axis=None))
+        top = int(highest) // (used_bits & -used_bits)
         return top.bit_length() if ends_at(top, LEAST_PIXELS) else None
     values = np.unique(np.asarray(data[0], np.float64)) / highest
     if values.size <= MOST_BITS:  # a few round numbers are multiples of many steps
@@ -80,13 +80,13 @@ def _bits_of(data: NDArray, highest: float) -> int | None:
 
 def _highest(data: NDArray) -> tuple[float | int, int]:
     """Return the highest value and its number of pixels, in one pass."""
-    highest, held = None, 0
+    highest, count = None, 0
     for block in blocks(data):
         top = block.max()
         if highest is None or top > highest:
-            highest, held = top, 0
-        held += int(np.count_nonzero(block == top)) if top == highest else 0
-    return (0 if highest is None else highest.item()), held
+            highest, count = top, 0
+        count += int(np.count_nonzero(block == top)) if top == highest else 0
+    return (0 if highest is None else highest.item()), count
 
 
 def byte_order_note(data: NDArray) -> tuple[str, ...]:
@@ -101,8 +101,8 @@ def byte_order_note(data: NDArray) -> tuple[str, ...]:
     """
     if data.dtype.kind not in "ui" or data.dtype.itemsize != 2:
         return ()
-    used = int(np.bitwise_or.reduce(np.asarray(data[0]).view(np.uint16), axis=None))
-    high, low = divmod(used, 256)
+    used_bits = int(np.bitwise_or.reduce(np.asarray(data[0]).view(np.uint16), axis=None))
+    high, low = divmod(used_bits, 256)
     if high != 255 or not 0 < low < 64:
         return ()
     return (

@@ -70,13 +70,19 @@ def _read_series(file, path: Path) -> Recorded:
 
 def _largest(file, path: Path) -> tuple:
     """Return the series of the largest images, and a note on reduced copies."""
-    sizes = [math.prod(one.keyframe.shape[:2]) for one in file.series]
+    sizes = [math.prod(image_series.keyframe.shape[:2]) for image_series in file.series]
     series = file.series[int(np.argmax(sizes))]
-    others = [size for one, size in zip(file.series, sizes, strict=True) if one is not series]
-    if any(size > THUMBNAIL * max(sizes) for size in others):
-        shapes = sorted({one.shape for one in file.series})
+    other_sizes = [
+        size
+        for image_series, size in zip(file.series, sizes, strict=True)
+        if image_series is not series
+    ]
+    if any(size > THUMBNAIL * max(sizes) for size in other_sizes):
+        shapes = sorted({image_series.shape for image_series in file.series})
         raise BadInput(f"the pages of a TIFF file must have one shape, got {shapes} in {path}")
-    return series, (f"the largest of {len(sizes)} pictures in the file was read",) if others else ()
+    return series, (
+        f"the largest of {len(sizes)} pictures in the file was read",
+    ) if other_sizes else ()
 
 
 def _names(file, series) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ def read_frames(
     """
     runs = [
         [frame for _, frame in run]
-        for _, run in groupby(enumerate(frames), lambda each: each[1].index - each[0])
+        for _, run in groupby(enumerate(frames), lambda entry: entry[1].index - entry[0])
     ]
     parts = [_pixels(path, array, run[0].index, run[-1].index + 1) for run in runs]
     data = parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -100,12 +100,14 @@ class ArrayFollower:
             raise BadInput(
                 f"an array that is followed must stay where it is, got no {self.path}"
             ) from None
-        found: dict[int, Acknowledged] = {}
+        frames: dict[int, Acknowledged] = {}
         for line in lines:
-            found |= {frame.index: frame for frame in records_of(line, self._read_lines, self.path)}
+            frames |= {
+                frame.index: frame for frame in records_of(line, self._read_lines, self.path)
+            }
             self._read_bytes += len(line) + 1
             self._read_lines += 1
-        news = tuple(frame for index, frame in sorted(found.items()) if index >= self._end)
+        news = tuple(frame for index, frame in sorted(frames.items()) if index >= self._end)
         self._frames += len(news)
         self._end = news[-1].index + 1 if news else self._end
         return news

@@ -113,17 +113,19 @@ class ArrayWriter:
         """Write and sync the chunks; digests are computed meanwhile."""
         files: list[int] = []
         try:
-            for place, frame in enumerate(frames):
+            for offset, frame in enumerate(frames):
                 files.append(
                     os.open(
-                        chunk(self.path, self._end + place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+                        chunk(self.path, self._end + offset), os.O_WRONLY | os.O_CREAT | os.O_TRUNC
                     )
                 )
                 write_whole(files[-1], frame_bytes(frame.pixels))
                 _start_writing_out(files[-1])
-            for place, file in enumerate(files):
-                self._disk[place % FORCED_AT_ONCE].enqueue(file)
-            entries = tuple(_entry(self._end + place, frame) for place, frame in enumerate(frames))
+            for offset, file in enumerate(files):
+                self._disk[offset % FORCED_AT_ONCE].enqueue(file)
+            entries = tuple(
+                _entry(self._end + offset, frame) for offset, frame in enumerate(frames)
+            )
         finally:
             for disk in self._disk:  # no file is closed while a thread syncs it
                 disk.flush(None)
@@ -164,7 +166,7 @@ class ArrayWriter:
             return ()
         try:
             for file in self.path.glob("c.*.0.0"):
-                if (place := file.name.split(".")[1]).isdecimal() and int(place) in behind:
+                if (index := file.name.split(".")[1]).isdecimal() and int(index) in behind:
                     file.rename(
                         next(
                             other

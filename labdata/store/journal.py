@@ -137,8 +137,8 @@ class Journal:
         if not self.damaged_lines and not self.lost_frames:
             return ()
         lines = f": {_subject('line', self.damaged_lines)} damaged" if self.damaged_lines else ""
-        there = {frame.index for frame in self.frames}
-        missing = [place for place in range(self.end) if place not in there]
+        indices = {frame.index for frame in self.frames}
+        missing = [index for index in range(self.end) if index not in indices]
         if (behind := max(self.end, self.array_frames) - self.end) > 0:
             missing += range(self.end, self.end + min(behind, MAX_NAMED + 1))
         frames = f"; {_subject('frame', missing, self.lost_frames)} not read" if missing else ""
@@ -151,8 +151,8 @@ class Journal:
     def require_frames(self) -> None:
         """Require at least one readable frame."""
         if not self.frames:
-            found = self.notes[0] if self.notes else f"got none in {self.path}"
-            raise BadInput(f"a stack must hold at least one frame, {found}")
+            note = self.notes[0] if self.notes else f"got none in {self.path}"
+            raise BadInput(f"a stack must hold at least one frame, {note}")
 
 
 def is_ours(path: Path) -> bool:
@@ -176,28 +176,29 @@ def read_journal(path: str | Path) -> Journal:
         ) from None
     frames: dict[int, Acknowledged] = {}
     damaged: dict[int, bytes] = {}
-    for place, line in enumerate((*lines, last)):
-        found = records_of(line, place, path)
-        frames |= {frame.index: frame for frame in found}
-        if place < len(lines) and (len(found) != 1 or not RECORD.fullmatch(line)):
-            damaged[place] = line
+    for line_index, line in enumerate((*lines, last)):
+        records = records_of(line, line_index, path)
+        frames |= {frame.index: frame for frame in records}
+        if line_index < len(lines) and (len(records) != 1 or not RECORD.fullmatch(line)):
+            damaged[line_index] = line
     for frame in _restore_frames(damaged, frames, path):
         frames[frame.index] = frame
     return Journal(
         path=path,
         frames=tuple(frames[index] for index in sorted(frames)),
         array_frames=array_frames,
-        damaged_lines=tuple(place + 1 for place in damaged),
+        damaged_lines=tuple(line_index + 1 for line_index in damaged),
     )
 
 
-def records_of(line: bytes, place: int, path: Path) -> tuple[Acknowledged, ...]:
-    """Return the complete records of a line, the `place`-th; one with a damaged line end includes
-    those of the next.
+def records_of(line: bytes, line_index: int, path: Path) -> tuple[Acknowledged, ...]:
+    """Return the complete records of a line; one with a damaged line end includes the next's.
+
+    `line_index`: index of the line, from 0.
 
     A record without checksum must be at its index, or its frame's chunk must have its digest.
     """
-    found = []
+    records = []
     for match in RECORD.finditer(line):
         frame = Acknowledged(
             index=int(match["index"]),
@@ -206,12 +207,12 @@ def records_of(line: bytes, place: int, path: Path) -> tuple[Acknowledged, ...]:
             sha256=match["sha256"].decode(),
         )
         if match["checksum"] is None:
-            whole = frame.index == place or _has_chunk(path, frame)
+            is_valid = frame.index == line_index or _has_chunk(path, frame)
         else:
-            whole = match["checksum"] == _checksum(match["body"])
-        if whole and frame.frame_number in NUMBERS:
-            found.append(frame)
-    return tuple(found)
+            is_valid = match["checksum"] == _checksum(match["body"])
+        if is_valid and frame.frame_number in NUMBERS:
+            records.append(frame)
+    return tuple(records)
 
 
 def sha256(frame: NDArray) -> str:
@@ -234,23 +235,25 @@ def _has_chunk(path: Path, frame: Acknowledged) -> bool:
 
 
 def _restore_frames(
-    damaged: Mapping[int, bytes], there: Container[int], path: Path
+    damaged: Mapping[int, bytes], known_indices: Container[int], path: Path
 ) -> Iterator[Acknowledged]:
     """Yield missing frames whose damaged line has exactly one single-byte correction."""
     if len(damaged) > MAX_RESTORED_LINES:
         return
-    for place, line in damaged.items():
+    for line_index, line in damaged.items():
         # The byte may have become a line end, or be an inserted line end.
-        for text in (line, line + b"\n" + damaged[place + 1]) if place + 1 in damaged else (line,):
-            found = {
+        for text in (
+            (line, line + b"\n" + damaged[line_index + 1]) if line_index + 1 in damaged else (line,)
+        ):
+            candidates = {
                 frame
                 for restored in _one_byte_from(text)
                 if RECORD.fullmatch(restored) and b"checksum" in restored
-                for frame in records_of(restored, place, path)
-                if frame.index not in there and _has_chunk(path, frame)
+                for frame in records_of(restored, line_index, path)
+                if frame.index not in known_indices and _has_chunk(path, frame)
             }
-            if len(found) == 1:
-                yield found.pop()
+            if len(candidates) == 1:
+                yield candidates.pop()
 
 
 def _one_byte_from(text: bytes) -> Iterator[bytes]:
@@ -258,14 +261,14 @@ def _one_byte_from(text: bytes) -> Iterator[bytes]:
     if len(text) > MAX_LINE_BYTES:
         return
     begins, ends = BEGINNING.match(text), END.search(text)
-    places, alphabet = range(len(text) + 1), LINE_BYTES
+    positions, alphabet = range(len(text) + 1), LINE_BYTES
     if RECORD.fullmatch(text):
         alphabet = VALUE_BYTES
     elif not begins:
-        places = range(min(EDGE_BYTES, len(text)) + 1)
+        positions = range(min(EDGE_BYTES, len(text)) + 1)
     elif not ends:
-        places = range(max(0, len(text) - EDGE_BYTES), len(text) + 1)
-    for at in places:
+        positions = range(max(0, len(text) - EDGE_BYTES), len(text) + 1)
+    for at in positions:
         before, after = text[:at], text[at:]
         yield before + after[1:]
         for byte in alphabet:
