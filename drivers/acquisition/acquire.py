@@ -41,7 +41,7 @@ def acquire(
     operator: Operator,
     judge: Judge | None = None,
     resume: bool = False,
-    progress: Callable[[str, float], None] = lambda sentence, share: None,
+    progress: Callable[[str, float], None] = lambda sentence, fraction: None,
     requests: RunControl | None = None,
 ) -> Session:
     """Acquire a plan's stacks into a session, and return it.
@@ -136,8 +136,8 @@ class _Reporter:
             lambda item: progress(*item), name="progress"
         )
 
-    def __call__(self, sentence: str, share: float) -> None:
-        self._writer.enqueue((sentence, share))
+    def __call__(self, sentence: str, fraction: float) -> None:
+        self._writer.enqueue((sentence, fraction))
 
     def __enter__(self) -> Self:
         return self
@@ -168,20 +168,20 @@ def _bit_depth(sensor: Sensor | None, settings: CameraSettings) -> int:
 
 def _keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
     """Save the plan in the session folder, or compare it with the saved one."""
-    kept = folder / PLAN
+    saved_path = folder / PLAN
     if not resume:
-        if kept.exists() or (folder / MANIFEST).exists():
+        if saved_path.exists() or (folder / MANIFEST).exists():
             raise BadInput(
                 f"a run must begin in a folder without a session, or be resumed, got {folder}"
             )
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(kept, plan_toml(plan).encode())
+        write_atomically(saved_path, plan_toml(plan).encode())
         return
-    if not kept.exists():
+    if not saved_path.exists():
         raise BadInput(f"a resumed run must have been begun before, got no {PLAN} in {folder}")
-    if difference := same_but_wires(plan, read_plan(kept)):
+    if difference := same_but_wires(plan, read_plan(saved_path)):
         raise BadInput(
-            f"a resumed run must keep its plan, got another {difference} than {kept} has"
+            f"a resumed run must keep its plan, got another {difference} than {saved_path} has"
         )
 
 

@@ -62,15 +62,16 @@ def field_hz(sensor: Sensor | None) -> float:
 
 def picture_of(plan: Plan, sensor: Sensor | None) -> CameraSettings:
     """Return the frame format of a plan, by default the full sensor at its bit depth."""
-    whole = CameraSettings()
+    full_frame = CameraSettings()
     if sensor is not None:
         rows, columns = sensor.ccd.rows, sensor.ccd.columns
-        wide = "Mono8" if sensor.video.bit_depth <= 8 else "Mono16"
-        whole = CameraSettings(
-            rows=rows, columns=columns, first_row=0, first_column=0, pixel_format=wide
+        pixel_format = "Mono8" if sensor.video.bit_depth <= 8 else "Mono16"
+        full_frame = CameraSettings(
+            rows=rows, columns=columns, first_row=0, first_column=0, pixel_format=pixel_format
         )
     return replace(
-        whole, **{name: value for name, value in vars(plan.picture).items() if value is not None}
+        full_frame,
+        **{name: value for name, value in vars(plan.picture).items() if value is not None},
     )
 
 
@@ -188,14 +189,15 @@ def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
     if sensor is None:
         return
     asked = picture_of(plan, sensor)
-    for first, size, there in (
+    for first, size, sensor_size in (
         ("first_row", "rows", sensor.ccd.rows),
         ("first_column", "columns", sensor.ccd.columns),
     ):
         end = (getattr(asked, first) or 0) + (getattr(asked, size) or 0)
-        if end > there:
+        if end > sensor_size:
             raise BadInput(
-                f"{first} + {size} of the picture must not exceed the sensor's {there}, got {end}"
+                f"{first} + {size} of the picture must not exceed the sensor's "
+                f"{sensor_size}, got {end}"
             )
     if sensor.video.interlaced and (asked.first_row or 0) % 2:
         raise BadInput(
@@ -211,8 +213,8 @@ def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
 
 
 def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    free, needed = shutil.disk_usage(there).free, bytes_of(plan, sensor) + (64 << 20)
+    existing_folder = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free, needed = shutil.disk_usage(existing_folder).free, bytes_of(plan, sensor) + (64 << 20)
     if free < needed:
         raise BadInput(
             f"the disk must have {needed // 10**6} MB free for this plan, got {free // 10**6} MB"
@@ -248,17 +250,17 @@ class Forecast:
     @property
     def seconds(self) -> float:
         """Duration of the plan, s."""
-        return sum(one.seconds for one in self.steps)
+        return sum(step.seconds for step in self.steps)
 
     @property
     def dose(self) -> Dose:
         """Total dose of the tube."""
-        return total_dose(one.dose for one in self.steps)
+        return total_dose(step.dose for step in self.steps)
 
     @property
     def hottest(self) -> StepForecast:
         """The step nearest to the limit of current density."""
-        return max(self.steps, key=lambda one: one.share_of_limit)
+        return max(self.steps, key=lambda step: step.share_of_limit)
 
 
 def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
@@ -283,13 +285,13 @@ def sentences_out_of_step(plan: Plan, sensor: Sensor | None) -> tuple[str, ...]:
     fields.
     """
     rate_hz = field_hz(sensor)
-    asked = (one.conditions for one in plan.steps)
-    pairs = dict.fromkeys((one.gate_ns or 0.0, one.exposure_s or 1.0 / rate_hz) for one in asked)
+    asked = (step.conditions for step in plan.steps)
+    pairs = dict.fromkeys((step.gate_ns or 0.0, step.exposure_s or 1.0 / rate_hz) for step in asked)
     sentences = (
         out_of_step(plan.gating, width_ns=gate_ns, exposure_s=exposure_s, field_hz=rate_hz)
         for gate_ns, exposure_s in pairs
     )
-    return tuple(dict.fromkeys(one for one in sentences if one is not None))
+    return tuple(dict.fromkeys(step for step in sentences if step is not None))
 
 
 def _step(

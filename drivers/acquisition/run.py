@@ -83,21 +83,21 @@ class Run:
 
     def _search(self, step: Step, wanted: SaturationSearch, requests: RunControl) -> None:
         """Search for the light that saturates, one stack per level; finished levels are read."""
-        seen: list[tuple[float, bool]] = []
+        levels: list[tuple[float, bool]] = []
         is_new = False
         begin_lux = step.conditions.illuminance_lux or 0.0
-        while (lux := wanted.next_lux(begin_lux, seen)) is not None:
-            level = step.level(lux, f"{step.label}-{len(seen) + 1}")
+        while (lux := wanted.next_lux(begin_lux, levels)) is not None:
+            level = step.level(lux, f"{step.label}-{len(levels) + 1}")
             if level.label in self._finished:
                 self._look_back(level, watcher := self._watcher(level))
                 self._pace.done += level.frames
-                seen.append((lux, watcher.is_saturated()))
+                levels.append((lux, watcher.is_saturated()))
                 continue
             self._between_steps(requests)
-            seen.append((lux, self._take(level)))
+            levels.append((lux, self._take(level)))
             is_new = True
         if is_new:
-            sentence = f"search {step.label!r}: {wanted.verdict(seen)}"
+            sentence = f"search {step.label!r}: {wanted.verdict(levels)}"
             self.log("remark", sentence=sentence)
             self.storage.remark(sentence)
 
@@ -115,15 +115,15 @@ class Run:
         self._tell(step, 0)
         self.log("step begins", step=step.label)
         anew, watcher = self._set_aside(step), self._watcher(step)
-        there = 0 if anew else self._partial.get(step.label, 0)
-        before = self._look_back(step, watcher) if there else None
+        stored_frames = 0 if anew else self._partial.get(step.label, 0)
+        before = self._look_back(step, watcher) if stored_frames else None
         conditions = self._set(step, clock)
         conditions, silent = self._read_meters(conditions, clock)
         if before is not None:
             _require_same(before, conditions, label=step.label)
         stack = self._begin(step, conditions)
-        losses, enough = self._fill(step, stack, there, watcher, clock)
-        stack.finish(losses, (*self._notes(there, anew, enough, watcher), *silent))
+        losses, enough = self._fill(step, stack, stored_frames, watcher, clock)
+        stack.finish(losses, (*self._notes(stored_frames, anew, enough, watcher), *silent))
         self._pace.done += step.frames
         self.log(
             "step finished",
@@ -255,13 +255,13 @@ class Run:
         )
 
     def _fill(
-        self, step: Step, stack: StoredStack, there: int, watcher: Watcher, clock: StepClock
+        self, step: Step, stack: StoredStack, stored_frames: int, watcher: Watcher, clock: StepClock
     ) -> tuple[tuple[LostFrames, ...], str | None]:
         """Acquire frames until the stack is full or its criterion is met; return lost frames and
         the criterion.
         """
-        taken, enough = there, watcher.enough() if there else None
-        if taken >= step.frames or enough:
+        frame_count, enough = stored_frames, watcher.enough() if stored_frames else None
+        if frame_count >= step.frames or enough:
             self._shut(step, stack, clock)
             return (), enough
         allowed = step.max_saturated_fraction
@@ -269,7 +269,7 @@ class Run:
             with clock.wire():
                 capture = running.enter_context(
                     self.camera.capture(
-                        frames=step.frames - there,
+                        frames=step.frames - stored_frames,
                         discard=DISCARDED_FRAMES,
                         while_waiting=self._look,
                     )
@@ -281,7 +281,7 @@ class Run:
                             self._show(step, frame.pixels, allowed)
                             self._look()
                         stack.enqueue(frame)
-                        taken += 1
+                        frame_count += 1
                         watcher.see(frame.pixels)
                         self._tell(step, stack.acknowledged)
                         if enough := watcher.enough():
@@ -311,10 +311,12 @@ class Run:
             self.bench.set_conditions(replace(step.conditions, gate_ns=None))
 
     def _notes(
-        self, there: int, anew: str | None, enough: str | None, watcher: Watcher
+        self, stored_frames: int, anew: str | None, enough: str | None, watcher: Watcher
     ) -> tuple[str, ...]:
         filled_up = (
-            f"broken off after {there} frames and filled up by a later run" if there else None
+            f"broken off after {stored_frames} frames and filled up by a later run"
+            if stored_frames
+            else None
         )
         return tuple(note for note in (anew, filled_up, enough, watcher.complaint()) if note)
 

@@ -63,31 +63,32 @@ class RunProgress:
         """Begin a step; its frame rate counts from its first frame."""
         self._step_began_s = None
 
-    def share(self, taken: int) -> float:
-        """Return the completed fraction of the plan with `taken` frames of the present step,
+    def share(self, step_frames: int) -> float:
+        """Return the completed fraction of the plan with `step_frames` frames of the present step,
         0..1.
         """
-        return min(1.0, (self.done + taken) / self._frames)
+        return min(1.0, (self.done + step_frames) / self._frames)
 
-    def words(self, taken: int) -> str:
-        """Return frame rate and time left with `taken` frames of the present step; empty while
-        unknown.
+    def words(self, step_frames: int) -> str:
+        """Return frame rate and time left; empty while unknown.
+
+        `step_frames`: frames of the present step.
         """
         now_s = time.monotonic()
-        if taken and self._step_began_s is None:
-            self._step_began_s, self._first = now_s, taken
-        if self._step_began_s is None or now_s <= self._step_began_s or taken <= self._first:
+        if step_frames and self._step_began_s is None:
+            self._step_began_s, self._first = now_s, step_frames
+        if self._step_began_s is None or now_s <= self._step_began_s or step_frames <= self._first:
             return ""
-        rate_hz = (taken - self._first) / (now_s - self._step_began_s)
-        now_done = self.done + taken
+        rate_hz = (step_frames - self._first) / (now_s - self._step_began_s)
+        now_done = self.done + step_frames
         left_s = (now_s - self._began_s) / (now_done - self._before) * (self._frames - now_done)
         return f", {rate_hz:.1f} frames/s, {duration(max(0.0, left_s))} left"
 
 
 def duration(seconds: float) -> str:
     """Return a time in two units: "2 h 5 min", "3 min 20 s", "12 s"."""
-    whole = round(seconds)
-    hours, minutes = whole // 3600, whole % 3600 // 60
+    whole_seconds = round(seconds)
+    hours, minutes = whole_seconds // 3600, whole_seconds % 3600 // 60
     if hours:
         return f"{hours} h {minutes} min"
-    return f"{minutes} min {whole % 60} s" if minutes else f"{whole} s"
+    return f"{minutes} min {whole_seconds % 60} s" if minutes else f"{whole_seconds} s"

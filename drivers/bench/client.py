@@ -256,11 +256,13 @@ class BenchClient:
 
     def _driver(self, role: Role) -> Any:
         """Return a driver on the server's port, for the safe action."""
-        one = next(each for each in self._setup.wires.instruments if each.role == role)
-        model = model_of(one)
-        open_again = partial(model.open_port, str(one.port), exclusive=False)
+        connection = next(
+            instrument for instrument in self._setup.wires.instruments if instrument.role == role
+        )
+        model = model_of(connection)
+        open_again = partial(model.open_port, str(connection.port), exclusive=False)
         port = InheritedPort(self._ports[role], name=model.title, open_again=open_again)
-        return model.driver(model.line(port, one.address))
+        return model.driver(model.line(port, connection.address))
 
     # Closing
 

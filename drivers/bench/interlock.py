@@ -284,7 +284,9 @@ def alarm(
     """Return the sentence of the first reaction that requires the safe state; None if there is
     none.
     """
-    return next((why for one in reactions if (why := one.reason(state, limits, now_s))), None)
+    return next(
+        (why for reaction in reactions if (why := reaction.reason(state, limits, now_s))), None
+    )
 
 
 Watcher = Callable[

@@ -124,7 +124,9 @@ def open_bench(
         lives in this process, and no other process makes the tube safe.
     """
     if lines is None and (
-        without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]
+        without := [
+            PORT_KEYS[connection.role] for connection in wires.instruments if not connection.port
+        ]
     ):
         raise BadInput(
             f"every instrument must have its serial port, got none for {' and '.join(without)}"

@@ -155,4 +155,4 @@ class DoseMeter:
         )
 
     def _has_charge(self) -> bool:
-        return any(one.charge_c_per_cm2 > 0.0 for one in self._pending)
+        return any(dose.charge_c_per_cm2 > 0.0 for dose in self._pending)

@@ -100,8 +100,8 @@ class Crew:
         ended = [threading.Event() for _ in tasks]
         for job in zip(tasks, ended, strict=True):
             self._jobs.put(job)
-        for one in ended:
-            one.wait()
+        for event in ended:
+            event.wait()
 
     def dismiss(self) -> None:
         """End the threads."""
@@ -283,8 +283,10 @@ def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
 
     The report names instruments whose port could not be opened within 15 s.
     """
-    there: dict[Role, InstrumentConnection] = {
-        one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port
+    connections: dict[Role, InstrumentConnection] = {
+        connection.role: connection
+        for connection in wires.instruments
+        if connection.role in DANGEROUS and connection.port
     }
     drivers: dict[Role, Any] = {}
     failures: dict[Role, str] = {}
@@ -297,33 +299,33 @@ def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
         )
 
     report = None
-    while report is None or (len(drivers) < len(there) and time.monotonic() < give_up_s):
-        found = False
-        for role, one in there.items():
+    while report is None or (len(drivers) < len(connections) and time.monotonic() < give_up_s):
+        has_new_driver = False
+        for role, connection in connections.items():
             if role in drivers:
                 continue
             try:
-                drivers[role] = _driver_on_port(one, record)
-                found = True
+                drivers[role] = _driver_on_port(connection, record)
+                has_new_driver = True
             except BenchError as error:
                 failures[role] = str(error)
-        if found or report is None:
+        if has_new_driver or report is None:
             report = secure()
         else:
             time.sleep(FOLLOW_S)
-    missing = tuple(failures[role] for role in there if role not in drivers)
+    missing = tuple(failures[role] for role in connections if role not in drivers)
     for driver in drivers.values():
         driver.line.close()
     return replace(report, failures=(*missing, *report.failures))
 
 
-def _driver_on_port(one: InstrumentConnection, record: Record) -> Any:
+def _driver_on_port(connection: InstrumentConnection, record: Record) -> Any:
     """Return a driver on a serial port, shared with a program that has opened it."""
-    model = model_of(one)
+    model = model_of(connection)
     try:
-        line = model.open_line(str(one.port), one.address)
+        line = model.open_line(str(connection.port), connection.address)
     except BenchError as error:
-        line = model.open_line(str(one.port), one.address, exclusive=False)
+        line = model.open_line(str(connection.port), connection.address, exclusive=False)
         record(
             f"{model.title}: port shared with the program that holds it", ok=True, error=str(error)
         )

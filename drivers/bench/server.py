@@ -211,13 +211,15 @@ class BenchServer:
     def _open_stations(self) -> dict[Role, Station]:
         lines: dict[Role, InstrumentLine] = {}
         missing: BenchError | None = None
-        for one in with_present_ports(self._setup.wires).instruments:
+        for connection in with_present_ports(self._setup.wires).instruments:
             try:
-                lines[one.role] = model_of(one).open_line(str(one.port), one.address)
-                self._log("port opened", line=one.role)
+                lines[connection.role] = model_of(connection).open_line(
+                    str(connection.port), connection.address
+                )
+                self._log("port opened", line=connection.role)
             except BenchError as error:
-                self._log("port not opened", line=one.role, error=str(error))
-                if one.role not in DISPENSABLE:
+                self._log("port not opened", line=connection.role, error=str(error))
+                if connection.role not in DISPENSABLE:
                     missing = missing or error
         roles: tuple[Role, ...] = tuple(role for role in DANGEROUS if role in lines)
         self._client.send(Ports(roles=roles), tuple(lines[role].fileno() for role in roles))
@@ -320,14 +322,14 @@ def inhibit_suspend(log: Record) -> subprocess.Popen | None:
     command += ["--why=an image intensifier may be hot", "cat"]
     try:
         # `cat` ends with this process, and the inhibitor with `cat`.
-        held = subprocess.Popen(
+        inhibitor = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
     except OSError as error:
         log("suspend not inhibited", error=str(error))
         return None
     log("suspend inhibited")
-    return held
+    return inhibitor
 
 
 def main() -> None:

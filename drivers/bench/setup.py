@@ -45,7 +45,9 @@ def remember_bench(wires: InstrumentConfig) -> None:
     """
     adapters = usb_ports()
     numbers = {
-        one.role: adapters.get(os.path.realpath(one.port)) for one in wires.instruments if one.port
+        connection.role: adapters.get(os.path.realpath(connection.port))
+        for connection in wires.instruments
+        if connection.port
     }
     path = _path()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,8 +62,8 @@ def last_bench() -> InstrumentConfig:
     """
     path = _path()
     try:
-        kept = json.loads(path.read_text())
-        return with_present_ports(InstrumentConfig(**kept["wires"]))
+        saved = json.loads(path.read_text())
+        return with_present_ports(InstrumentConfig(**saved["wires"]))
     except FileNotFoundError:
         raise BadInput(
             "no real bench was used on this machine yet; name the plan whose bench is meant"
@@ -82,14 +84,14 @@ def with_present_ports(wires: InstrumentConfig) -> InstrumentConfig:
     except (OSError, ValueError, TypeError, KeyError):
         return wires
     ports: dict[tuple[str, ...], str] = {adapter: path for path, adapter in usb_ports().items()}
-    moved: dict[Role, str | None] = {
-        one.role: ports[adapter]
-        for one in wires.instruments
-        if one.port
-        and not Path(one.port).exists()
-        and (adapter := tuple(numbers.get(one.role) or ())) in ports
+    present_ports: dict[Role, str | None] = {
+        connection.role: ports[adapter]
+        for connection in wires.instruments
+        if connection.port
+        and not Path(connection.port).exists()
+        and (adapter := tuple(numbers.get(connection.role) or ())) in ports
     }
-    return wires.with_ports(moved)
+    return wires.with_ports(present_ports)
 
 
 def _path() -> Path:

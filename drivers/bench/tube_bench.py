@@ -61,9 +61,11 @@ def stations_on(
 ) -> dict[Role, Station]:
     """Return the instruments of a bench that have a line, by role."""
     return {
-        one.role: Station(lines[one.role], model_of(one).driver(lines[one.role]))
-        for one in wires.instruments
-        if one.role in lines
+        connection.role: Station(
+            lines[connection.role], model_of(connection).driver(lines[connection.role])
+        )
+        for connection in wires.instruments
+        if connection.role in lines
     }
 
 
@@ -410,10 +412,10 @@ class TubeBench(LightControl):
     @contextmanager
     def _using(self, *roles: Role) -> Iterator[None]:
         """Run a procedure on several instruments; an error makes the tube safe."""
-        with ExitStack() as held:
+        with ExitStack() as procedures:
             for role in roles:
                 if role in self.stations:
-                    held.enter_context(self.stations[role].procedure)
+                    procedures.enter_context(self.stations[role].procedure)
             try:
                 yield
             except BenchStopped:

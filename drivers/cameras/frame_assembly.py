@@ -90,8 +90,8 @@ class FrameCapture:
         """Yield complete frames; CameraError if the camera is silent, gone or sends only incomplete
         frames.
         """
-        whole = broken = 0
-        while whole < self._discard + self._wanted:
+        complete = broken = 0
+        while complete < self._discard + self._wanted:
             self._while_waiting()
             frame = self._next_frame()
             if (
@@ -109,12 +109,12 @@ class FrameCapture:
                 if broken > 20 + self._wanted:
                     raise CameraError(
                         f"camera {self._identifier} must send whole frames, got {broken} broken "
-                        f"ones (the last: {frame.fault}) and {whole} whole"
+                        f"ones (the last: {frame.fault}) and {complete} whole"
                     )
                 continue
-            self._count_lost(frame.number, is_returned=whole >= self._discard)
-            whole += 1
-            if whole > self._discard:
+            self._count_lost(frame.number, is_returned=complete >= self._discard)
+            complete += 1
+            if complete > self._discard:
                 yield frame
 
     def _count_lost(self, number: int, *, is_returned: bool) -> None:

@@ -83,8 +83,8 @@ class DelayGenerator(Gate):
         self._set(f"DLAY {EDGE_A},0,{delay_ns * 1e-9:.12f}")
         self._set(f"DLAY {EDGE_B},{EDGE_A},{width_ns * 1e-9:.12f}")
         if sync == "free-running":
-            self._verify("trigger rate", "TRAT?", rate_hz, within=1e-5 * rate_hz)
-        self._verify("amplitude", f"LAMP? {OUTPUT_AB}", GATE_LEVEL_V, within=0.05)
+            self._verify("trigger rate", "TRAT?", rate_hz, tolerance=1e-5 * rate_hz)
+        self._verify("amplitude", f"LAMP? {OUTPUT_AB}", GATE_LEVEL_V, tolerance=0.05)
         self._verify_delay("gate delay", EDGE_A, 0, delay_ns)
         return self._verify_delay("gate width", EDGE_B, EDGE_A, width_ns)
 
@@ -97,7 +97,7 @@ class DelayGenerator(Gate):
             self._set(f"PRES {prescaler},1")
         self._set(f"HOLD {seconds:.12f}")
         self._set("ADVT 1")
-        self.line.verify_read_back("HOLD?", seconds, within=1e-9)
+        self.line.verify_read_back("HOLD?", seconds, tolerance=1e-9)
         self.line.verify_read_back("ADVT?", 1)
 
     def _refuse_errors(self, command: str) -> None:

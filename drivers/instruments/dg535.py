@@ -74,7 +74,7 @@ class Dg535(Gate):
         self._set(f"DT {B},{A},{width_ns * 1e-9:.12f}")
         if sync == "free-running":
             self._verify(
-                "trigger rate", "TR 0", rate_hz, within=0.5 * 10.0 ** (1 - RATE_DIGITS) * rate_hz
+                "trigger rate", "TR 0", rate_hz, tolerance=0.5 * 10.0 ** (1 - RATE_DIGITS) * rate_hz
             )
         self._verify_delay("gate delay", A, T0, delay_ns)
         return self._verify_delay("gate width", B, A, width_ns)

@@ -34,12 +34,12 @@ class PromptLine(EchoCheckedLine):
 
     def _exchange(self, question: str) -> str:
         self._send((question + END).encode("ascii"))
-        said = self._until(
+        reply = self._until(
             PROMPT, question, within_s=TURN_S if question.startswith(TURNING) else None
         )
-        echo, mark, answer = said.partition(END)
+        echo, mark, answer = reply.partition(END)
         if echo != question or not mark:
-            raise self.reply_error(f"echo {question!r}", repr(said[:80]))
+            raise self.reply_error(f"echo {question!r}", repr(reply[:80]))
         return answer.strip()
 
     def _refusal(self, answer: str) -> str | None:

@@ -153,16 +153,19 @@ class Gate(Instrument):
             self.line.write(command)
         self._refuse_errors("; ".join(commands))
 
-    def _verify(self, setting: str, question: str, value: float, *, within: float = 0.0) -> None:
+    def _verify(self, setting: str, question: str, value: float, *, tolerance: float = 0.0) -> None:
         """Read a setting back and keep the answer; one that is not as it was set is
         InstrumentRejected.
         """
-        kept = self._kept  # a reply from before a safe action is discarded with its dictionary
-        kept[question] = setting, self.line.verify_read_back(question, value, within=within)
+        replies = self._kept  # a reply from before a safe action is discarded with its dictionary
+        replies[question] = (
+            setting,
+            self.line.verify_read_back(question, value, tolerance=tolerance),
+        )
 
     def _verify_delay(self, setting: str, edge: int, reference: int, delay_ns: float) -> float:
         """Read back the delay of an edge after another, ns, and store the reply."""
-        kept, question = self._kept, self.delay_question.format(edge)
+        replies, question = self._kept, self.delay_question.format(edge)
         answer = self.line.ask(question)
         after, _, seconds = answer.partition(",")
         if after != str(reference):
@@ -172,5 +175,5 @@ class Gate(Instrument):
             raise self.line.rejection(
                 f"keep a {setting} of {delay_ns:g} ns", f"{read_ns:g} ns back"
             )
-        kept[question] = setting, answer
+        replies[question] = setting, answer
         return read_ns

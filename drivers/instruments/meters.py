@@ -29,7 +29,7 @@ class PowerMeter(Instrument):
     def tune(self, wavelength_nm: float) -> None:
         """Set the wavelength of the head's sensitivity correction, nm, and read it back."""
         self._set(f"SENS:CORR:WAV {wavelength_nm:g}")
-        self.line.verify_read_back("SENS:CORR:WAV?", wavelength_nm, within=0.5)
+        self.line.verify_read_back("SENS:CORR:WAV?", wavelength_nm, tolerance=0.5)
 
     def power_w(self) -> float:
         """Power on the head, W."""

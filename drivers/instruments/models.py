@@ -26,11 +26,11 @@ def models() -> dict[str, InstrumentModel]:
 def model(name: str, role: Role) -> InstrumentModel:
     """Return a model by name; an unknown one, or one of another role, is BadInput."""
     known = models()
-    found = known.get(name)
-    if found is None or found.role != role:
-        names = sorted(each.name for each in known.values() if each.role == role)
+    known_model = known.get(name)
+    if known_model is None or known_model.role != role:
+        names = sorted(candidate.name for candidate in known.values() if candidate.role == role)
         raise BadInput(f"the {role} must be one of {', '.join(names)}, got {name!r}")
-    return found
+    return known_model
 
 
 def model_of(reached: InstrumentConnection) -> InstrumentModel:
@@ -42,4 +42,7 @@ def model_of(reached: InstrumentConnection) -> InstrumentModel:
 
 def lines_on(ports: Mapping[Role, Port], wires: InstrumentConfig) -> dict[Role, InstrumentLine]:
     """Return lines to the instruments of a bench on open ports, by role."""
-    return {one.role: model_of(one).line(ports[one.role], one.address) for one in wires.instruments}
+    return {
+        connection.role: model_of(connection).line(ports[connection.role], connection.address)
+        for connection in wires.instruments
+    }

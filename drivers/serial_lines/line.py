@@ -97,12 +97,12 @@ class InstrumentLine(ABC):
             raise self.reply_error(f"answer {question} with a number", repr(answer))
         return value
 
-    def verify_read_back(self, question: str, value: float, *, within: float = 0.0) -> str:
+    def verify_read_back(self, question: str, value: float, *, tolerance: float = 0.0) -> str:
         """Query a setting and return the reply; InstrumentRejected if it differs from the set
         value.
         """
         answer = self.ask(question)
-        if abs((read := self.parse_float(answer, question)) - value) > within:
+        if abs((read := self.parse_float(answer, question)) - value) > tolerance:
             raise self.rejection(f"answer {question} with {value:g} as set", f"{read:g}")
         return answer
 

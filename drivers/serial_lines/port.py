@@ -51,8 +51,8 @@ class _DescriptorPort:
     descriptor.
     """
 
-    def __init__(self, descriptor: int, *, name: str, place: str) -> None:
-        self._descriptor, self._name, self._place = descriptor, name, place
+    def __init__(self, descriptor: int, *, name: str, location: str) -> None:
+        self._descriptor, self._name, self._place = descriptor, name, location
 
     def fileno(self) -> int:
         return self._descriptor
@@ -115,7 +115,7 @@ class SerialPort(_DescriptorPort):
         hardware_handshake: bool = False,
         exclusive: bool = True,
     ) -> None:
-        super().__init__(-1, name=name, place=port)
+        super().__init__(-1, name=name, location=port)
         self._path = port
         self._settings = {
             "baudrate": baud,
@@ -126,7 +126,7 @@ class SerialPort(_DescriptorPort):
         adapters = usb_ports()
         adapter = adapters.get(os.path.realpath(port))
         # Some makers give all adapters the same serial number, which then identifies none.
-        self._usb = adapter if sum(found == adapter for found in adapters.values()) == 1 else None
+        self._usb = adapter if sum(other == adapter for other in adapters.values()) == 1 else None
 
     def reopen(self) -> None:
         """Reopen the port, at the present path of its USB serial number, if it has one."""
@@ -134,12 +134,12 @@ class SerialPort(_DescriptorPort):
         if self._usb is None:
             self._open(self._path)
             return
-        found = [path for path, adapter in usb_ports().items() if adapter == self._usb]
-        if not found:
+        paths = [path for path, adapter in usb_ports().items() if adapter == self._usb]
+        if not paths:
             raise self._not_open(
                 self._path, f"no adapter with the USB serial number {self._usb[0]}"
             )
-        self._open(found[0])
+        self._open(paths[0])
 
     def close(self) -> None:
         """Close the port, even one that is gone."""
@@ -173,7 +173,7 @@ class InheritedPort(_DescriptorPort):
     def __init__(
         self, descriptor: int, *, name: str, open_again: "Callable[[], SerialPort] | None" = None
     ) -> None:
-        super().__init__(descriptor, name=name, place=f"the inherited descriptor {descriptor}")
+        super().__init__(descriptor, name=name, location=f"the inherited descriptor {descriptor}")
         self._open_again = open_again
         os.set_blocking(descriptor, False)
 
@@ -189,9 +189,9 @@ def usb_ports() -> dict[str, tuple[str, str]]:
     """Return serial number and interface of each USB adapter, by device path."""
     try:
         return {
-            found.device: (found.serial_number, (found.location or "").partition(":")[2])
-            for found in list_ports.comports()
-            if found.serial_number
+            adapter.device: (adapter.serial_number, (adapter.location or "").partition(":")[2])
+            for adapter in list_ports.comports()
+            if adapter.serial_number
         }
     except (
         OSError,

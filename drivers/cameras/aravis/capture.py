@@ -60,10 +60,10 @@ class Packing:
     def unpack(self, packed: NDArray[np.uint8], pixels: int) -> NDArray[np.uint16]:
         """Return the first `pixels` pixels of packed bytes, shape (pixel,), DN."""
         groups = -(-pixels // self.pixels)
-        whole = np.zeros(groups * self.bytes, np.uint8)
-        there = packed[: self.size_bytes(pixels)]
-        whole[: len(there)] = there
-        byte = whole.reshape(groups, self.bytes).T.astype(np.uint16)
+        complete = np.zeros(groups * self.bytes, np.uint8)
+        available = packed[: self.size_bytes(pixels)]
+        complete[: len(available)] = available
+        byte = complete.reshape(groups, self.bytes).T.astype(np.uint16)
         return np.stack(self.split(byte), axis=1).reshape(-1)[:pixels]
 
 

@@ -192,8 +192,8 @@ class Aravis:
 @cache
 def aravis() -> Aravis:
     """Load the library; CameraError with the installation command if it is missing."""
-    found = ctypes.util.find_library("aravis-0.8")
-    for name in (*NAMES, *([found] if found else [])):
+    installed_name = ctypes.util.find_library("aravis-0.8")
+    for name in (*NAMES, *([installed_name] if installed_name else [])):
         try:
             library = ctypes.CDLL(name)
         except OSError:
@@ -259,13 +259,13 @@ def list_cameras() -> tuple[CameraFound, ...]:
 
 def only_camera() -> str:
     """Return the identifier of the only camera; none or several are a `CameraError`."""
-    found = [camera.identifier for camera in list_cameras()]
-    if len(found) != 1:
+    identifiers = [camera.identifier for camera in list_cameras()]
+    if len(identifiers) != 1:
         raise CameraError(
             "a camera must be named unless there is exactly one, found "
-            f"{', '.join(found) or 'none'}"
+            f"{', '.join(identifiers) or 'none'}"
         )
-    return found[0]
+    return identifiers[0]
 
 
 class Connection:
@@ -384,9 +384,9 @@ class Connection:
         try:
             return self.library.call("arv_camera_new", self.identifier.encode())
         except CameraError as error:
-            there = ", ".join(camera.identifier for camera in list_cameras()) or "none"
+            identifiers = ", ".join(camera.identifier for camera in list_cameras()) or "none"
             raise CameraError(
-                f"camera {self.identifier} cannot be opened ({error}); cameras found: {there}"
+                f"camera {self.identifier} cannot be opened ({error}); cameras found: {identifiers}"
             ) from None
 
 

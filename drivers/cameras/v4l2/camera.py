@@ -83,9 +83,9 @@ class V4l2Camera:
         A value outside the camera's range is BadInput, a refused one or another read-back
         CameraError.
         """
-        own = V4l2Settings(self._open, self.identifier)
-        own.apply(settings)
-        return own.read()
+        device_settings = V4l2Settings(self._open, self.identifier)
+        device_settings.apply(settings)
+        return device_settings.read()
 
     def controls(self) -> tuple[Control, ...]:
         """Return the controls of the camera."""
@@ -103,13 +103,13 @@ class V4l2Camera:
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
     ) -> V4l2Capture:
         """Return a capture of `frames` complete frames after `discard` discarded ones."""
-        own = V4l2Settings(self._open, self.identifier)
-        settings, form = own.read(), own.form()
+        device_settings = V4l2Settings(self._open, self.identifier)
+        settings, form = device_settings.read(), device_settings.form()
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
         return V4l2Capture(
             self._open,
             form=form,
-            standard=own.standard(),
+            standard=device_settings.standard(),
             patience_s=self._silence_s
             + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),
             start_s=3.0
@@ -121,7 +121,7 @@ class V4l2Camera:
         )
 
     def _control_named(self, name: str) -> Control:
-        offered = {one.name: one for one in self.controls()}
+        offered = {control.name: control for control in self.controls()}
         if name not in offered:
             raise BadInput(f"a control must be one of {', '.join(offered) or 'none'}, got {name!r}")
         return offered[name]
@@ -185,7 +185,7 @@ class V4l2Settings:
         """Return every setting as the camera reads it back."""
         form = self.form()
         picture = picture_of(form)
-        exposure, gain = (self._value(one) for one in (listing.EXPOSURE, listing.GAIN))
+        exposure, gain = (self._value(control) for control in (listing.EXPOSURE, listing.GAIN))
         return CameraSettings(
             rows=fields.rows_of(picture.rows, form.of.pix.field),
             columns=picture.columns,
@@ -246,19 +246,22 @@ class V4l2Settings:
             f"camera {self._identifier} must take a picture format",
         )
 
-    def _complaint(self, settings: CameraSettings, given: Any, *, code: int) -> str | None:
+    def _complaint(self, settings: CameraSettings, form: Any, *, code: int) -> str | None:
         """Return the first difference between the format in force and the requested one; None if
         there is none.
         """
-        pix = given.of.pix
-        there = fields.rows_of(pix.height, pix.field)
-        rows, columns = settings.rows or there, settings.columns or pix.width
-        if (there, pix.width) != (rows, columns):
+        pix = form.of.pix
+        rows_read = fields.rows_of(pix.height, pix.field)
+        rows, columns = settings.rows or rows_read, settings.columns or pix.width
+        if (rows_read, pix.width) != (rows, columns):
             sizes = list_sizes(self._device, code)
-            offered = ", ".join(f"{one}x{other}" for one, other in sizes) or "others"
+            offered = (
+                ", ".join(f"{size_rows}x{size_columns}" for size_rows, size_columns in sizes)
+                or "others"
+            )
             return (
                 f"a picture of camera {self._identifier} must have rows and columns that it "
-                f"offers ({offered}), got {rows}x{columns}, which it makes {there}x{pix.width}"
+                f"offers ({offered}), got {rows}x{columns}, which it makes {rows_read}x{pix.width}"
             )
         if settings.field_order is not None:
             order = fields.field_order(pix.field, self.standard())
@@ -283,7 +286,7 @@ class V4l2Settings:
         codes = self._codes(name)
         if not codes:
             names = dict.fromkeys(
-                LAYOUTS[one].name for one in format_codes(self._device) if one in LAYOUTS
+                LAYOUTS[code].name for code in format_codes(self._device) if code in LAYOUTS
             )
             offered = ", ".join(names) or "none"
             raise BadInput(

@@ -67,10 +67,10 @@ class V4l2Capture(FrameCapture):
         self._patience_s, self._start_s = patience_s, start_s
         self._memory: list[MappedBuffer] = []
         self._numbers = RunningNumbers(1 << 32)
-        apart = form.of.pix.field == ALTERNATE
+        is_alternate = form.of.pix.field == ALTERNATE
         self._pairs = (
             FieldPairs(older_field(standard), lambda: self._take_buffer(self._as_field))
-            if apart
+            if is_alternate
             else None
         )
 

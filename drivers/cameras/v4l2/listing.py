@@ -43,12 +43,12 @@ class Control:
 
 def list_controls(device: Device) -> tuple[Control, ...]:
     """Return the controls of a device; kinds with more than a number are omitted."""
-    found: list[Control] = []
+    controls: list[Control] = []
     last = 0
     for _ in range(MOST_LISTED):
         query = structures.ControlQuery(id=last | structures.NEXT_CONTROL)
         if not offers(device, structures.QUERY_CONTROL, query):
-            return tuple(found)
+            return tuple(controls)
         if query.id <= last:
             raise CameraError(
                 f"controls must come in the order of their numbers, got {query.id:#x} after "
@@ -56,7 +56,7 @@ def list_controls(device: Device) -> tuple[Control, ...]:
             )
         last = query.id
         if query.type in _KINDS and not query.flags & structures.CONTROL_DISABLED:
-            found.append(_control(device, query))
+            controls.append(_control(device, query))
     raise CameraError(f"the list of controls must end, got {MOST_LISTED} entries")
 
 
@@ -163,19 +163,19 @@ class VideoDevice:
 
 def list_devices() -> tuple[VideoDevice, ...]:
     """Return the devices of this machine that can be opened and can capture."""
-    found = []
+    devices = []
     for path in sorted(glob.glob("/dev/video*")):
         try:
             device = Device(path)
         except CameraError:
             continue
         try:
-            found.append(describe(device, path))
+            devices.append(describe(device, path))
         except CameraError:
             continue
         finally:
             device.close()
-    return tuple(found)
+    return tuple(devices)
 
 
 def describe(device: Device, path: str) -> VideoDevice:
@@ -187,8 +187,8 @@ def describe(device: Device, path: str) -> VideoDevice:
         driver=words(capability.driver),
         bus=words(capability.bus_info),
         inputs=tuple(
-            OfferedInput(number=one.index, name=words(one.name))
-            for one in list_structures(device, structures.LIST_INPUTS)
+            OfferedInput(number=offered.index, name=words(offered.name))
+            for offered in list_structures(device, structures.LIST_INPUTS)
         ),
         formats=list_formats(device),
     )
@@ -201,8 +201,8 @@ def capture_capability(device: Device, path: str) -> Any:
         device.ask(structures.CAPABILITIES, capability)
     except OSError as error:
         raise CameraError(f"{path} must be a video device, got: {error.strerror}") from None
-    own = capability.capabilities & structures.HAS_OWN_CAPABILITIES
-    able = capability.device_caps if own else capability.capabilities
+    has_device_caps = capability.capabilities & structures.HAS_OWN_CAPABILITIES
+    able = capability.device_caps if has_device_caps else capability.capabilities
     if not (able & structures.CAN_CAPTURE and able & structures.CAN_STREAM):
         raise CameraError(
             f"{path} must capture video into mapped memory, {words(capability.card)!r} does not"
@@ -214,18 +214,19 @@ def list_formats(device: Device) -> tuple[OfferedFormat, ...]:
     """Return the pixel formats of a device's present input."""
     return tuple(
         OfferedFormat(
-            letters=four_letters(one.pixelformat),
-            name=LAYOUTS[one.pixelformat].name if one.pixelformat in LAYOUTS else None,
-            sizes=list_sizes(device, one.pixelformat),
+            letters=four_letters(offered.pixelformat),
+            name=LAYOUTS[offered.pixelformat].name if offered.pixelformat in LAYOUTS else None,
+            sizes=list_sizes(device, offered.pixelformat),
         )
-        for one in list_structures(device, structures.LIST_FORMATS, type=CAPTURE)
+        for offered in list_structures(device, structures.LIST_FORMATS, type=CAPTURE)
     )
 
 
 def format_codes(device: Device) -> tuple[int, ...]:
     """Return the kernel's numbers of the pixel formats of a device's present input."""
     return tuple(
-        one.pixelformat for one in list_structures(device, structures.LIST_FORMATS, type=CAPTURE)
+        offered.pixelformat
+        for offered in list_structures(device, structures.LIST_FORMATS, type=CAPTURE)
     )
 
 
@@ -234,8 +235,8 @@ def list_sizes(device: Device, code: int) -> tuple[tuple[int, int], ...]:
     offered.
     """
     sizes = []
-    for one in list_structures(device, structures.LIST_SIZES, pixel_format=code):
-        if one.type != 1:  # discrete
+    for offered in list_structures(device, structures.LIST_SIZES, pixel_format=code):
+        if offered.type != 1:  # discrete
             return ()
-        sizes.append((one.sizes[1], one.sizes[0]))
+        sizes.append((offered.sizes[1], offered.sizes[0]))
     return tuple(sizes)

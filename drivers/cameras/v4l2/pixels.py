@@ -66,11 +66,11 @@ class BufferImage:
                 f"a picture must have 1 to {MOST_PIXELS_A_SIDE} rows and columns, got {self.rows} "
                 f"and {self.columns}"
             )
-        least = self.layout.row_bytes(self.columns)
-        if not least <= self.row_bytes <= 16 * least + 65536:
+        least_bytes = self.layout.row_bytes(self.columns)
+        if not least_bytes <= self.row_bytes <= 16 * least_bytes + 65536:
             raise BadInput(
-                f"a row of {self.columns} {self.layout.name} pixels must take {least} bytes, got "
-                f"{self.row_bytes}"
+                f"a row of {self.columns} {self.layout.name} pixels must take {least_bytes} bytes, "
+                f"got {self.row_bytes}"
             )
         if self.first_field is not None and (self.rows % 2 or self.layout.planes != 1.0):
             raise BadInput(
@@ -95,8 +95,8 @@ class BufferImage:
         """
         kind, layout = np.dtype(self.layout.kind), self.layout
         plane = np.zeros((self.rows, self.row_bytes), np.uint8)
-        there = data[: plane.size]
-        plane.reshape(-1)[: len(there)] = there
+        available = data[: plane.size]
+        plane.reshape(-1)[: len(available)] = available
         values = (
             plane[:, : layout.row_bytes(self.columns)]
             .copy()

@@ -41,8 +41,8 @@ def _structure(
     or parts.
     """
     made = []
-    for one in fields.split():
-        field, _, kind = one.partition(":")
+    for field_text in fields.split():
+        field, _, kind = field_text.partition(":")
         kind, _, count = (kind or "u32").partition("*")
         type_ = parts[kind] if kind in parts else _KINDS[kind]
         made.append((field, type_ * int(count) if count else type_))
