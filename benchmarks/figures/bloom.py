@@ -18,10 +18,7 @@ from charact.study.bloom.scene import bloom_session
 from charact.study.bloom.source import GLARE_SIDE_PX, BloomScene, radial_light
 from charact.study.bloom.truth import truth
 from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.measurement import Result
-from labdata.session import Session
+from labdata import Conditions, FrameStack, Result, Session
 
 FOLDER = Path("docs/pictures/bloom")
 SEED = 5

@@ -28,7 +28,7 @@ from charact.study.edge.scene import TrueBlur
 from charact.study.harness import judge_measurement
 from charact.study.stability_sweep import one_thread_each
 from charact.study.study_figures import COLOURS, _pyplot
-from labdata.measurement import Measurement
+from labdata import Measurement
 
 TABLE = Path(__file__).with_name("tables") / "bar_bias.json"
 # Bias that is allowed, percent, and by how many of its standard errors a cell may seem to exceed

@@ -21,13 +21,8 @@ from charact.study.edge.scene import EdgeScene, TrueBlur, level_crossing
 from charact.study.flats.flat_cases import InMemoryStack
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
 from charact.study.point.scene import PointScene
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.measurement import Result
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
-from labdata.session import Kind, Session
-from labdata.target import Target
+from labdata import Conditions, FrameStack, Result, Sensor, Session, Target, load_sensor
+from labdata.session import Kind
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.harness import judge_measurement
 from charact.study.speed_accuracy import write_json
 from charact.study.stability_sweep import one_thread_each
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 TABLE = Path(__file__).with_name("tables") / "edge_coverage.json"
 METHODS = ("edge-parametric", "edge-free", "edge-slanted", "edge-gradient", "edge-forward")

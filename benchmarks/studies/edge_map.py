@@ -27,10 +27,11 @@ from benchmarks.studies.scenario_map import (
 )
 from charact.method import Context
 from charact.method.registry import methods_of_kind
+from charact.study import Case
 from charact.study.edge.scene import EdgeScene, TrueBlur
-from charact.study.harness import Case, attempt
+from charact.study.harness import attempt
 from charact.study.study_figures import plain_numbers
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 TABLE = Path(__file__).with_name("tables") / "edge_map.json"
 METHOD = "edge-parametric"

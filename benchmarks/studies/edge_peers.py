@@ -25,7 +25,7 @@ from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.harness import judge_measurement
 from charact.study.speed_accuracy import write_json
 from charact.study.study_figures import COLOURS, _pyplot, plain_numbers
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 TABLE = Path(__file__).with_name("tables") / "edge_peers.json"
 FIGURE = Path("docs/pictures/mtf/edge-peers.png")

@@ -36,9 +36,7 @@ from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.harness import Progress
 from charact.study.speed_accuracy import write_json
 from charact.study.study_figures import COLOURS, _pyplot, _save
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Posterior
+from labdata import BadInput, FrameStack, Posterior
 
 Array = NDArray[np.float64]
 

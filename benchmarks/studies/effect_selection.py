@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 import charact
 from benchmarks.studies.effect_selection_scenes import CAMERAS, SceneCase, case_of
 from charact.study.study_figures import _pyplot
-from labdata.conditions import Conditions
+from labdata import Conditions
 from labdata.numba_cache import stamp_of
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
 from simulate.outdoor_rendering import RenderedView

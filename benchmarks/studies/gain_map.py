@@ -28,14 +28,11 @@ from benchmarks.studies.scenario_map import (
 )
 from charact.method import Context
 from charact.method.registry import methods_of_kind
+from charact.study import Case
 from charact.study.flats.flat_cases import InMemoryStack
-from charact.study.harness import Case, attempt
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
-from labdata.session import Kind, Session
-from labdata.target import Target
+from charact.study.harness import attempt
+from labdata import Conditions, FrameStack, Sensor, Session, Target, load_sensor
+from labdata.session import Kind
 
 SENSOR = "pulnix-ag5745ef3"
 GATE_NS = 1.6e7

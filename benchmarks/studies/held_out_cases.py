@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from charact.method import Context
-from charact.method.registry import choose, reach_percent
-from charact.study.harness import CaseResult, run
+from charact.method import Context, choose
+from charact.method.registry import reach_percent
+from charact.study import CaseResult, run
 from charact.study.speed_accuracy import write_json
 from charact.study.study_registry import methods_of, studies_of
 

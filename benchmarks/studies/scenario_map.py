@@ -19,7 +19,7 @@ import numpy as np
 
 import charact
 from charact.method.registry import methods_of_kind
-from charact.study.harness import Case, CaseResult
+from charact.study import Case, CaseResult
 from charact.study.stability_sweep import one_thread_each
 from charact.study.study_figures import _pyplot, plain_numbers
 

@@ -25,8 +25,9 @@ from benchmarks.studies.scenario_map import (
 )
 from charact.method import Context
 from charact.method.registry import methods_of_kind
+from charact.study import Case
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
-from charact.study.harness import Case, attempt
+from charact.study.harness import attempt
 
 TABLE = Path(__file__).with_name("tables") / "spectrum_map.json"
 METHOD, QUANTITY = "noise-spectrum", "post_gain_mtf50"

@@ -18,10 +18,7 @@ from charact.estimators import bloom
 from charact.method import Context
 from charact.study.flats.flat_cases import InMemoryStack
 from charact.study.harness import judge_measurement
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement
-from labdata.session import Session
+from labdata import Conditions, FrameStack, Measurement, Session
 
 Array = NDArray[np.float64]
 

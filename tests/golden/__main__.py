@@ -75,7 +75,7 @@ def _charact(*arguments: str) -> str:
 
 
 def _digest_of(session: Path) -> str:
-    from labdata.session import open_session
+    from labdata import open_session
 
     digest = hashlib.sha256()
     for stack in open_session(session).stacks:

@@ -8,9 +8,8 @@ from pathlib import Path
 from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
 from charact.study.flats.flat_cases import InMemoryStack
+from labdata import Conditions, load_sensor
 from labdata.camera_description import Parameter
-from labdata.conditions import Conditions
-from labdata.sensors import load_sensor
 from simulate.iiccd.true_quantities import true_quantities
 from simulate.lab import LabBench, Target
 

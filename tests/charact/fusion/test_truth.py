@@ -18,7 +18,7 @@ from charact.fusion.truth_scores import (
     truth_scores,
 )
 from charact.study.fusion.pair import ZONES, Pair, bands_of
-from labdata.errors import BadInput
+from labdata import BadInput
 
 FRAMES, COMPARED = 24, 2
 OURS, OTHERS = ("noise-aware", "noise-aware-colour"), ("weighted", "laplacian", "guided-filter")

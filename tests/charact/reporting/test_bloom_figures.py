@@ -12,7 +12,8 @@ from charact.reporting.style import white_style
 from charact.study.bloom.scene import bloom_session
 from charact.study.bloom.source import BloomScene
 from charact.study.bloom.truth import truth
-from labdata.measurement import Posterior, Result, measurement_from_draws, measurement_from_sd
+from labdata import Posterior, Result
+from labdata.measurement import measurement_from_draws, measurement_from_sd
 
 SCENE = BloomScene(frames=2)
 OVERLOADS = (0.3, 30.0, 3000.0)

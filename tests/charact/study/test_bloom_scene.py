@@ -18,7 +18,7 @@ from charact.study.bloom.source import (
     rings_blurred,
 )
 from charact.study.bloom.truth import truth
-from labdata.errors import BadInput
+from labdata import BadInput
 
 # Densities of electrons that land at r/d = 0.1, 0.3 .. 1.9, in units of 1/d^2, by Monte Carlo of
 # the cosine law.

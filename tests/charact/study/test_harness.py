@@ -10,17 +10,17 @@ import pytest
 from scipy.stats import binom
 
 from charact.method import Context, Method, registry
-from charact.study import STUDIES, chart, run, stability, summary
+from charact.study import STUDIES, Case, chart, run, stability, summary
 from charact.study.bars import cases as bar_cases
 from charact.study.bloom import cases as bloom_cases
 from charact.study.edge import cases as edge_cases
 from charact.study.edge.cases import chart_cases
 from charact.study.edge.scene import EdgeScene, TrueBlur
-from charact.study.harness import Case, percentile_limit
+from charact.study.harness import percentile_limit
 from charact.study.point import cases as point_cases
 from charact.study.study_registry import methods_of
-from labdata.errors import BadInput
-from labdata.measurement import Result, make_measurement, make_refusal, measurement_from_sd
+from labdata import BadInput, Result
+from labdata.measurement import make_measurement, make_refusal, measurement_from_sd
 
 TRUTH = TrueBlur().mtf50(5.0)
 

@@ -14,9 +14,7 @@ from charact.method import Context
 from charact.study.bloom.scene import bloom_session, stack
 from charact.study.bloom.source import BloomScene
 from charact.study.bloom.truth import truth
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement
-from labdata.sensors import load_sensor
+from labdata import FrameStack, Measurement, load_sensor
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")

@@ -8,7 +8,7 @@ from charact.estimators import bloom
 from charact.method import Context
 from charact.study.bloom.scene import bloom_session
 from charact.study.bloom.source import BloomScene
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 LEVELS = tuple(np.geomspace(0.5, 500.0, 5))
 

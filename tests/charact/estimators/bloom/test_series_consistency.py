@@ -12,7 +12,7 @@ from charact.method import Context
 from charact.study.bloom.scene import bloom_session, noiseless_frame
 from charact.study.bloom.source import BloomScene
 from charact.study.flats.flat_cases import InMemoryStack
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = (0.7, 10.0, 300.0, 1e4)

@@ -15,7 +15,7 @@ from charact.method import Context
 from charact.study.bloom.scene import bloom_session, stack
 from charact.study.bloom.source import BloomScene
 from charact.study.bloom.truth import truth
-from labdata.measurement import Measurement
+from labdata import Measurement
 
 QUICK = Context(seed=1, quick=True)
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from charact.study.edge.scene import TrueBlur
 from charact.study.noise import correlate_noise
 from charact.study.sharpening_camera import boost, sharpen_images
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack
 
 Array = NDArray[np.floating]
 

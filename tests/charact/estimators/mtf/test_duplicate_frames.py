@@ -9,7 +9,7 @@ from charact.method import Context
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.point.scene import PointScene
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 QUICK = Context(quick=True)
 TARGETS = {

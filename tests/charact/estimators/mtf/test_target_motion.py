@@ -13,7 +13,7 @@ from charact.method import Context
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import EdgeScene, TrueBlur, level_crossing
 from charact.study.point.scene import PointScene
-from labdata.frames import FrameStack
+from labdata import FrameStack
 from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
 
 QUICK = Context(quick=True)

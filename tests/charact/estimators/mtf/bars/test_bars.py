@@ -14,7 +14,7 @@ from charact.estimators.mtf import measure
 from charact.method import Context
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import TrueBlur
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 SHAPE = (96, 112)
 PEDESTAL_DN = 12.0

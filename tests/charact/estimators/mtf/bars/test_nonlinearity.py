@@ -13,7 +13,7 @@ from charact.estimators.mtf.bars.nonlinearity import BarNonlinearity, linearise_
 from charact.method import Context
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import TrueBlur
-from labdata.frames import FrameStack
+from labdata import FrameStack
 from tests.charact.estimators.mtf.bars.photoelectron_bars import PulsedBars
 
 FINE = PulsedBars(

@@ -11,8 +11,7 @@ import pytest
 from charact.estimators import mtf
 from charact.method import Context
 from charact.study.edge.cases import chart_cases
-from labdata.frames import FrameStack
-from labdata.measurement import Result
+from labdata import FrameStack, Result
 
 QUICK = Context(quick=True)
 STEP = 1500.0

@@ -26,7 +26,7 @@ from charact.estimators.mtf.noise_spectrum.result import (
 )
 from charact.method import Context
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
-from labdata.errors import BadInput
+from labdata import BadInput
 
 
 def measured(scene: ScintillatingFlats, seed: int, method: str = "auto", **more):

@@ -14,7 +14,7 @@ from scipy import special
 
 from charact.study.edge.scene import level_crossing
 from charact.study.noise import correlate_noise
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,7 @@ from charact.method import Context
 from charact.study.edge.scene import TrueBlur
 from charact.study.point.scene import PointScene
 from charact.video_filter import VideoFilter
-from labdata.frames import FrameStack
-from labdata.sensors import load_sensor
+from labdata import FrameStack, load_sensor
 
 SHAPE = (64, 64)
 BACKGROUND_DN, READ_DN, GAIN_DN = 20.0, 2.0, 0.3

@@ -24,8 +24,7 @@ from charact.inference import importance_sample, sampling
 from charact.method import Context
 from charact.study.edge.scene import TrueBlur
 from charact.study.point.scene import PointScene
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack
 from tests.charact.estimators.mtf.point.photon_spots import Spot, SpotCamera
 
 QUICK = Context(quick=True)

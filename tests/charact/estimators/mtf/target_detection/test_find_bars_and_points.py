@@ -12,7 +12,7 @@ from charact.estimators.mtf.target_detection import find_bar_groups, find_pinhol
 from charact.method import Context
 from charact.study.edge.scene import TrueBlur, edge_spread
 from charact.study.point.scene import PointScene
-from labdata.errors import BadInput
+from labdata import BadInput
 
 FREQUENCIES, FEW = (0.06, 0.09, 0.14, 0.2, 0.27), (0.06, 0.14, 0.27)
 
