@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
 from charact.validation.figure_data import (
     BINS_SD,
     BLOCK_PX,
@@ -22,6 +21,7 @@ from charact.validation.frame_features import features_of
 from charact.validation.frames import MatchedFrames, MatchedStacks
 from labdata import Conditions, FrameStack, Session, Target
 from labdata.session import Kind
+from tests.truth.sessions import InMemoryStack
 
 SHAPE, FRAMES, DRAWS = (48, 64), 8, 6
 CYCLES = 10  # of the hum over the height of a frame
