@@ -43,9 +43,9 @@ check: $(READY)
 bench: $(READY)
 	$(BIN)/python -m benchmarks
 
-# `make study` lists the studies, `make study NAME=edge-map` runs one.
+# `make study` lists the studies, `make study NAME=edge-map` runs one; QUANTITY and OPTIONS are its arguments.
 study: $(READY)
-	$(QUIET) $(BIN)/python -m benchmarks.studies $(if $(NAME),run $(NAME),list)
+	$(QUIET) $(BIN)/python -m benchmarks.studies $(if $(NAME),run $(NAME) $(QUANTITY) $(OPTIONS),list)
 
 # The documentation as a site, docs/_build/index.html; warnings are errors.
 docs: $(READY)

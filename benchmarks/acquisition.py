@@ -19,11 +19,10 @@ import numpy as np
 from benchmarks.synthetic_rig import COLUMNS, ROWS, NoOperator, PacedCamera, SlowBench
 from charact.cli.benches import SaturationJudge
 from drivers.acquisition.acquire import LOG, acquire
+from labdata import Conditions, Session
 from labdata.capture import Frame
-from labdata.conditions import Conditions
 from labdata.event_log import read_events
 from labdata.plan import Plan, Step
-from labdata.session import Session
 from labdata.session_writer import SessionWriter
 from labdata.storage_thread import CAPACITY_BYTES, Storage
 

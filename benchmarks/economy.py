@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from labdata.conditions import Conditions
-from labdata.sensors import load_sensor
+from labdata import Conditions, load_sensor
 from simulate.iiccd import pattern, stage_image
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.effect_bounds import (

@@ -17,8 +17,7 @@ import numpy as np
 from benchmarks.plain_chain import PlainChain
 from benchmarks.scenes import uneven
 from benchmarks.simulator import median_seconds, seconds_a_frame
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
+from labdata import Sensor, load_sensor
 from tests.simulate import event_by_event as events
 from tests.simulate.conftest import PLAIN
 from tests.simulate.samplers import SAMPLERS, Sampler

@@ -15,7 +15,7 @@ from benchmarks.row import Row, best_seconds
 
 if TYPE_CHECKING:
     from charact.estimators.mtf.edge.fit.model_selection import EvidenceWeightedModels
-    from labdata.frames import FrameStack
+    from labdata import FrameStack
 
 Array = NDArray[np.float64]
 ROWS, COLS, TILT = 256, 64, np.tan(np.radians(5.0))
@@ -31,10 +31,10 @@ EDGES = 20
 
 def rows() -> Iterator[Row]:
     """The three promises, each beside its plain way."""
-    from charact.estimators.mtf.dispatch import measure_all
+    from charact.estimators.mtf import measure_all
     from charact.estimators.mtf.edge.parametric import edge_parametric
     from charact.method import Context
-    from labdata.frames import FrameStack
+    from labdata import FrameStack
 
     edge = plain_edge(np.random.default_rng(1))
     stack = FrameStack(data=edge[None], full_scale_dn=1e9)

@@ -25,7 +25,7 @@ def rows() -> Iterator[Row]:
     from charact.estimators import noise
     from charact.estimators.noise.gain.series import read_levels
     from charact.session_measurement import method_context
-    from labdata.session import open_session
+    from labdata import open_session
 
     with tempfile.TemporaryDirectory() as folder:
         _series(Path(folder))

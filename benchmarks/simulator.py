@@ -70,8 +70,7 @@ def seconds_a_frame(
     """Median time of a frame of the shipped camera, geometry and local depletion on, nothing left
     out, s.
     """
-    from labdata.conditions import Conditions
-    from labdata.sensors import load_sensor
+    from labdata import Conditions, load_sensor
     from simulate.iiccd.camera import IntensifiedCamera
     from simulate.iiccd.scene_to_photoelectrons import (
         camera_from_description,

@@ -29,9 +29,8 @@ def rows() -> Iterator[Row]:
 
 
 def _store(folder: Path, frames: np.ndarray) -> None:
-    from labdata.conditions import Conditions
+    from labdata import Conditions, Target
     from labdata.session_writer import SessionWriter
-    from labdata.target import Target
 
     writer = SessionWriter.create(folder, name="benchmark")
     stack = writer.begin_stack(

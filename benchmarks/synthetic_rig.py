@@ -11,10 +11,9 @@ from typing import Self
 import numpy as np
 
 from drivers.interface import FrameLevels, Operator
+from labdata import Conditions, Target
 from labdata.capture import CameraSettings, Frame, LostFrames, lost_frames_with_reason
-from labdata.conditions import Conditions
 from labdata.session import Kind
-from labdata.target import Target
 
 ROWS, COLUMNS = 493, 768
 BUFFERS = 64

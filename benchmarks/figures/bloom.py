@@ -14,14 +14,11 @@ from charact.method import Context
 from charact.reporting.bloom_images import add_extent_data
 from charact.reporting.figure_registry import FIGURES
 from charact.reporting.style import white_style
-from charact.study.bloom.scene import bloom_session
-from charact.study.bloom.source import GLARE_SIDE_PX, BloomScene, radial_light
-from charact.study.bloom.truth import truth
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.measurement import Result
-from labdata.session import Session
+from labdata import Conditions, FrameStack, Result, Session
+from tests.truth.bloom import bloom_session
+from tests.truth.bloom_extents import truth
+from tests.truth.bloom_light import GLARE_SIDE_PX, BloomScene, radial_light
+from tests.truth.sessions import InMemoryStack
 
 FOLDER = Path("docs/pictures/bloom")
 SEED = 5

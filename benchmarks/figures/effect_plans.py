@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figures.lab_card import luminance
-from labdata.conditions import Conditions
-from labdata.sensors import load_sensor
+from labdata import Conditions, load_sensor
 from simulate.iiccd.effect_bounds import select_camera_effects
 from simulate.iiccd.scene_to_photoelectrons import (
     camera_from_description,

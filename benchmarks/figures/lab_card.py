@@ -5,7 +5,7 @@ dark field.
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.sensor import Sensor
+from labdata import Sensor
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 

@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.sensors import load_sensor
+from labdata import load_sensor
 from simulate.iiccd.tube_photometry import quantum_efficiency
 from simulate.radiance.lamps.spectra import spectrum
 from simulate.radiance.sky.moon import ObserverLocation, moon_spectrum

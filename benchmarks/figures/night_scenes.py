@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from simulate.api import SimulationRequest, conditions_of, load_described_camera, simulate
+from simulate import SimulationRequest, conditions_of, load_described_camera, simulate
 from simulate.radiance.cube import RadianceCube, band_widths
 
 FOLDER = Path("docs/pictures/night-scenes")

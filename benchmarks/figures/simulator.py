@@ -16,10 +16,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.figures import effect_plans
 from benchmarks.figures.lab_card import CARD, card, luminance, radiance, shown
-from labdata.conditions import Conditions
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor, save_sensor
-from labdata.session import open_session
+from labdata import Conditions, Sensor, load_sensor, open_session
+from labdata.sensors import save_sensor
 from simulate.iiccd import true_quantities
 from simulate.iiccd.scene_to_photoelectrons import (
     camera_from_description,

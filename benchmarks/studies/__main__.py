@@ -25,6 +25,14 @@ class Study:
 
 
 STUDIES = {
+    "chart": Study(
+        module="chart",
+        about="error against time of the methods of a QUANTITY: study/; OPTIONS=--update stores it",
+    ),
+    "stability": Study(
+        module="stability",
+        about="breaking points of the methods of a QUANTITY: study/; 10 minutes to hours",
+    ),
     "bar-bias": Study(
         module="bar_bias", about="bias of bar methods by cell: table, figure; 10 minutes"
     ),

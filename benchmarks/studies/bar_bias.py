@@ -22,13 +22,13 @@ import numpy as np
 
 import charact
 import charact.estimators.mtf
+from benchmarks.studies.figures import COLOURS, pyplot
+from benchmarks.studies.harness import judge_measurement
+from benchmarks.studies.stability import one_thread_each
 from charact.method import Context, choose
-from charact.study.bars.strips import StripScene
-from charact.study.edge.scene import TrueBlur
-from charact.study.harness import judge_measurement
-from charact.study.stability_sweep import one_thread_each
-from charact.study.study_figures import COLOURS, _pyplot
-from labdata.measurement import Measurement
+from labdata import Measurement
+from tests.truth.bars import StripScene
+from tests.truth.blur import TrueBlur
 
 TABLE = Path(__file__).with_name("tables") / "bar_bias.json"
 # Bias that is allowed, percent, and by how many of its standard errors a cell may seem to exceed
@@ -447,7 +447,7 @@ def plot_bias(outcomes: Sequence[BarScenarioOutcome], path: Path = FIGURE) -> Pa
     """
     evenly = [one for one in outcomes if one.phase_px is None]
     blurs = list(dict.fromkeys(one.blur for one in evenly))
-    figure, panels = _pyplot().subplots(
+    figure, panels = pyplot().subplots(
         1, len(blurs), figsize=(11.0, 4.2), sharey=True, layout="constrained"
     )
     for panel, blur in zip(panels, blurs, strict=True):
@@ -463,7 +463,7 @@ def plot_bias(outcomes: Sequence[BarScenarioOutcome], path: Path = FIGURE) -> Pa
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
-    _pyplot().close(figure)
+    pyplot().close(figure)
     return path
 
 

@@ -16,18 +16,14 @@ from numpy.typing import NDArray
 from charact.estimators import mtf
 from charact.method import Context
 from charact.session_measurement import with_stack_label
-from charact.study.bars.strips import StripScene
-from charact.study.edge.scene import EdgeScene, TrueBlur, level_crossing
-from charact.study.flats.flat_cases import InMemoryStack
-from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
-from charact.study.point.scene import PointScene
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.measurement import Result
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
-from labdata.session import Kind, Session
-from labdata.target import Target
+from labdata import Conditions, FrameStack, Result, Sensor, Session, Target, load_sensor
+from labdata.session import Kind
+from tests.truth.bars import StripScene
+from tests.truth.blur import TrueBlur, level_crossing
+from tests.truth.edge import EdgeScene
+from tests.truth.point import PointScene
+from tests.truth.scintillating_flats import ScintillatingFlats
+from tests.truth.sessions import InMemoryStack
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.studies.consistency_scenes import KINDS, SessionScene, SimulatedScene
 from charact.estimators.mtf.session.joint import fit_joint_mtf
-from labdata.measurement import Result
+from labdata import Result
 
 TABLE = Path(__file__).with_name("tables") / "agreement.json"
 MADE = {"closed form": SessionScene, "simulated": SimulatedScene}

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
-from charact.study.edge.scene import EdgeScene, edge_spread
-from charact.study.noise import correlate_noise
+from tests.truth.camera_effects import correlate_noise
+from tests.truth.edge import EdgeScene, edge_spread
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
+from labdata import Conditions, FrameStack, Session
 from labdata.measurement import intervals_of
-from labdata.session import Session
+from tests.truth.sessions import InMemoryStack
 
 Array = NDArray[np.float64]
 

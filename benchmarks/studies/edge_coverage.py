@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 
 import charact.estimators.mtf  # registers the methods
+from benchmarks.studies.chart import write_json
+from benchmarks.studies.harness import judge_measurement
+from benchmarks.studies.stability import one_thread_each
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from charact.study.edge.scene import EdgeScene, TrueBlur
-from charact.study.harness import judge_measurement
-from charact.study.speed_accuracy import write_json
-from charact.study.stability_sweep import one_thread_each
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 TABLE = Path(__file__).with_name("tables") / "edge_coverage.json"
 METHODS = ("edge-parametric", "edge-free", "edge-slanted", "edge-gradient", "edge-forward")

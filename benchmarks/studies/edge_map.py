@@ -17,6 +17,8 @@ import numpy as np
 import charact.estimators.mtf  # noqa: F401  # registers the methods
 from benchmarks.studies import scenario_map
 from benchmarks.studies.cramer_rao import least_relative_sd
+from benchmarks.studies.figures import plain_numbers
+from benchmarks.studies.harness import attempt
 from benchmarks.studies.scenario_map import (
     Breaking,
     Scenario,
@@ -27,10 +29,10 @@ from benchmarks.studies.scenario_map import (
 )
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from charact.study.edge.scene import EdgeScene, TrueBlur
-from charact.study.harness import Case, attempt
-from charact.study.study_figures import plain_numbers
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.blur import TrueBlur
+from tests.truth.cases.case import Case
+from tests.truth.edge import EdgeScene
 
 TABLE = Path(__file__).with_name("tables") / "edge_map.json"
 METHOD = "edge-parametric"

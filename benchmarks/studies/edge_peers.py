@@ -18,14 +18,15 @@ from typing import Any
 import numpy as np
 
 import charact.estimators.mtf  # registers the methods
+from benchmarks.studies.chart import write_json
 from benchmarks.studies.cramer_rao import least_relative_sd
+from benchmarks.studies.figures import COLOURS, plain_numbers, pyplot
+from benchmarks.studies.harness import judge_measurement
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from charact.study.edge.scene import EdgeScene, TrueBlur
-from charact.study.harness import judge_measurement
-from charact.study.speed_accuracy import write_json
-from charact.study.study_figures import COLOURS, _pyplot, plain_numbers
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 TABLE = Path(__file__).with_name("tables") / "edge_peers.json"
 FIGURE = Path("docs/pictures/mtf/edge-peers.png")
@@ -314,7 +315,7 @@ def plot_peers(found: Mapping[str, Any], path: Path) -> Path:
     path
         Where the PNG goes.
     """
-    figure, panels = _pyplot().subplots(1, 2, figsize=(11.0, 4.6), layout="constrained")
+    figure, panels = pyplot().subplots(1, 2, figsize=(11.0, 4.6), layout="constrained")
     for panel, (quantity, label) in zip(panels, PANELS, strict=True):
         _draw_panel(panel, found, quantity)
         panel.set(
@@ -332,7 +333,7 @@ def plot_peers(found: Mapping[str, Any], path: Path) -> Path:
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
-    _pyplot().close(figure)
+    pyplot().close(figure)
     return path
 
 

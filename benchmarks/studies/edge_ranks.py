@@ -18,6 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.studies.chart import write_json
+from benchmarks.studies.figures import COLOURS, pyplot, save_figure
+from benchmarks.studies.harness import Progress
 from charact.estimators.mtf.blur_models.one_dimensional import (
     EXPONENT_PRIOR,
     HALF_FREQUENCY_PRIOR,
@@ -32,13 +35,9 @@ from charact.inference import importance_sample, sample
 from charact.inference.sampling import WANTED
 from charact.method import Context
 from charact.method.registry import single_blas_thread
-from charact.study.edge.scene import EdgeScene, TrueBlur
-from charact.study.harness import Progress
-from charact.study.speed_accuracy import write_json
-from charact.study.study_figures import COLOURS, _pyplot, _save
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Posterior
+from labdata import BadInput, FrameStack, Posterior
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 Array = NDArray[np.float64]
 
@@ -120,7 +119,7 @@ def calibrate(
     trials: int,
     seed: int,
     draws: int = 119,
-    progress: Progress = lambda text, share: None,
+    progress: Progress = lambda sentence, fraction: None,
 ) -> Calibration:
     """Draw truths and data, and rank each truth among draws from the posterior of its data.
 
@@ -200,7 +199,7 @@ def plot_calibration(result: Calibration, path: Path) -> Path:
     """
     columns = min(4, len(result.names))
     lines = -(-len(result.names) // columns)
-    figure, grid = _pyplot().subplots(
+    figure, grid = pyplot().subplots(
         lines,
         columns,
         figsize=(1.0 + 3.0 * columns, 0.8 + 2.3 * lines),
@@ -217,7 +216,7 @@ def plot_calibration(result: Calibration, path: Path) -> Path:
     figure.suptitle(
         f"Ranks of {len(result.ranks)} truths among {result.draws} draws each{flagged}; band: 95 %"
     )
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def _draw_histogram(panel: Any, result: Calibration, name: str) -> None:

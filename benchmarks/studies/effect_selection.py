@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 import charact
 from benchmarks.studies.effect_selection_scenes import CAMERAS, SceneCase, case_of
-from charact.study.study_figures import _pyplot
-from labdata.conditions import Conditions
+from benchmarks.studies.figures import pyplot
+from labdata import Conditions
 from labdata.numba_cache import stamp_of
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
 from simulate.outdoor_rendering import RenderedView
@@ -308,7 +308,7 @@ MARKS = dict(zip(CAMERAS, "osD", strict=True))
 
 def plot_economy(outcomes: Sequence[SelectionOutcome], path: Path) -> Path:
     """Draw all cases of a table, and render the worst again."""
-    figure, (left, *right) = _pyplot().subplots(
+    figure, (left, *right) = pyplot().subplots(
         1, 4, figsize=(15.0, 4.0), layout="constrained", width_ratios=(1.6, 1.0, 1.0, 1.0)
     )
     whole = summarise_outcomes(outcomes)
@@ -337,7 +337,7 @@ def plot_economy(outcomes: Sequence[SelectionOutcome], path: Path) -> Path:
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=100)
-    _pyplot().close(figure)
+    pyplot().close(figure)
     return path
 
 

@@ -8,8 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from labdata.conditions import Conditions
-from labdata.sensor import Sensor
+from labdata import Conditions, Sensor
 from labdata.sensors import load_camera
 from simulate.iiccd.scene_to_photoelectrons import camera_from_description
 from simulate.outdoor_rendering import OutdoorRendering, render_sensor_of

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 import charact.estimators.noise  # noqa: F401  # registers the methods
 from benchmarks.studies import scenario_map
+from benchmarks.studies.harness import attempt
 from benchmarks.studies.scenario_map import (
     Breaking,
     Scenario,
@@ -28,14 +29,10 @@ from benchmarks.studies.scenario_map import (
 )
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from charact.study.flats.flat_cases import InMemoryStack
-from charact.study.harness import Case, attempt
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
-from labdata.session import Kind, Session
-from labdata.target import Target
+from labdata import Conditions, FrameStack, Sensor, Session, Target, load_sensor
+from labdata.session import Kind
+from tests.truth.cases.case import Case
+from tests.truth.sessions import InMemoryStack
 
 SENSOR = "pulnix-ag5745ef3"
 GATE_NS = 1.6e7

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from charact.estimators.noise.sweep.settings import KNOBS, Sweep, SweepSetting
 from charact.estimators.noise.sweep.sweep import measure_sweep
 from charact.method import Context
-from labdata.measurement import Result
+from labdata import Result
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from charact.method import Context
-from charact.method.registry import choose, reach_percent
-from charact.study.harness import CaseResult, run
-from charact.study.speed_accuracy import write_json
-from charact.study.study_registry import methods_of, studies_of
+from benchmarks.studies.chart import write_json
+from benchmarks.studies.harness import CaseResult, run
+from benchmarks.studies.registry import methods_of, studies_of
+from charact.method import Context, choose
+from charact.method.registry import reach_percent
 
 TABLE = Path(__file__).with_name("tables") / "held_back.json"
 TOLERANCES_PERCENT = (1.0, 2.0, 5.0, 10.0, 20.0)
@@ -63,7 +63,7 @@ def check_held_out_choices(
     Parameters
     ----------
     quantity
-        A name of `charact.study.STUDIES`.
+        A name of `benchmarks.studies.registry.STUDIES`.
     cases
         Cases of each kind of target.
     seed

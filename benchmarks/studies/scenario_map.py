@@ -18,10 +18,11 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 import charact
+from benchmarks.studies.figures import plain_numbers, pyplot
+from benchmarks.studies.harness import CaseResult
+from benchmarks.studies.stability import one_thread_each
 from charact.method.registry import methods_of_kind
-from charact.study.harness import Case, CaseResult
-from charact.study.stability_sweep import one_thread_each
-from charact.study.study_figures import _pyplot, plain_numbers
+from tests.truth.cases.case import Case
 
 # One cell in fifty is measured in full too, not quickly, unless a map asks for more.
 CHAINED = 50
@@ -178,7 +179,7 @@ def seed_of(cell: Scenario[Any], repeat: int) -> int:
 
 def draw_case(cell: Scenario[Any], repeat: int, **given: Any) -> Case:
     """Return one drawing of a cell as a case; `given` are its other fields, see
-    `charact.study.harness.Case`.
+    `tests.truth.cases.case.Case`.
     """
     return Case(
         name=f"cell {cell.number}, drawing {repeat}",
@@ -419,7 +420,7 @@ def plot_map(
     part = found["quick"]
     cells = [dict(zip(part["columns"], row, strict=True)) for row in part["rows"]]
     rows = -(-(len(breaking) + 2 + (last is not None)) // columns)
-    figure, grid = _pyplot().subplots(
+    figure, grid = pyplot().subplots(
         rows, columns, figsize=(2.8 * columns, 2.6 * rows), layout="constrained"
     )
     panels = iter(grid.flat)
@@ -450,14 +451,14 @@ def plot_map(
     for panel in grid[:, 0]:
         panel.set_ylabel("share of the drawings (1)")
     handles, names = grid[0, 0].get_legend_handles_labels()
-    nothing = _pyplot().Rectangle((0, 0), 1, 1, facecolor="white", edgecolor="#b8b8b8")
+    nothing = pyplot().Rectangle((0, 0), 1, 1, facecolor="white", edgecolor="#b8b8b8")
     grid[-1, -1].legend(
         [*handles, nothing], [*names, "no cell drawn here"], loc="center", frameon=False
     )
     figure.suptitle(_title(found), fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=100)
-    _pyplot().close(figure)
+    pyplot().close(figure)
     return path
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 import charact.estimators.mtf  # noqa: F401  # registers the methods
 from benchmarks.studies import scenario_map
+from benchmarks.studies.harness import attempt
 from benchmarks.studies.scenario_map import (
     Breaking,
     Scenario,
@@ -25,8 +26,8 @@ from benchmarks.studies.scenario_map import (
 )
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
-from charact.study.harness import Case, attempt
+from tests.truth.cases.case import Case
+from tests.truth.scintillating_flats import ScintillatingFlats
 
 TABLE = Path(__file__).with_name("tables") / "spectrum_map.json"
 METHOD, QUANTITY = "noise-spectrum", "post_gain_mtf50"

@@ -18,8 +18,7 @@ from scipy.fft import irfft2, next_fast_len
 
 from charact.estimators.mtf import measure, measure_all
 from charact.method import Context
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement
+from labdata import FrameStack, Measurement
 
 Array = NDArray[np.float64]
 Psf = galsim.GSObject

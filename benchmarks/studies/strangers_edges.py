@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf import measure
 from charact.method import Context
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement
+from labdata import FrameStack, Measurement
 
 Array = NDArray[np.float64]
 Transfer = Callable[[Array], Array]

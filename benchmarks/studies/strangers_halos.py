@@ -14,14 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.studies.harness import judge_measurement
 from charact.estimators import bloom
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
-from charact.study.harness import judge_measurement
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement
-from labdata.session import Session
+from labdata import Conditions, FrameStack, Measurement, Session
+from tests.truth.sessions import InMemoryStack
 
 Array = NDArray[np.float64]
 

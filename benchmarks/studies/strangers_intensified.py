@@ -19,10 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
+from labdata import Conditions, FrameStack, Session, StackEntry
 from labdata.measurement import make_refusal
-from labdata.session import Session, StackEntry
 
 Array = NDArray[Any]
 

@@ -217,8 +217,7 @@ def tallies_of(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], T
     """Measure sessions and count by kind and quantity."""
     from charact.estimators import noise
     from charact.session_measurement import method_context
-    from labdata.measurement import Result
-    from labdata.session import open_session
+    from labdata import Result, open_session
 
     out: dict[tuple[str, str], Tally] = {}
     for name, one in sessions:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf import measure_all
 from charact.method import Context
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ import typer
 
 from charact import __version__
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message, progress_bar
+from charact.cli.output import exit_on_bad_input
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
@@ -81,101 +81,49 @@ def schema(
 
 
 Name = Annotated[str, typer.Argument(help="Quantity, such as mtf50.")]
-Out = Annotated[Path, typer.Option(help="Folder for the table and the figure.")]
-Quick = Annotated[bool, typer.Option("--quick", help="Reduced run: fewer cases, no Markov chains.")]
-
-
-Measure = Annotated[
-    bool,
-    typer.Option("--measure", help="Measure anew (minutes) instead of showing what is shipped."),
-]
 
 
 def chart(
     quantity: Name,
-    out: Out = Path("study"),
-    measure: Measure = False,
-    update: Annotated[
-        bool, typer.Option("--update", help="With --measure: also update the table used by auto.")
-    ] = False,
-    quick: Quick = False,
-    seed: options.Seed = 0,
-    events: options.Events = False,
+    out: Annotated[Path, typer.Option(help="Folder for the figure.")] = Path("study"),
 ) -> None:
-    """Show error against computing time of every method of a quantity; --measure measures them on
-    common cases.
+    """Show error against computing time of every method of a quantity, from the shipped table.
 
     Example: charact chart mtf50 --out study
     """
-    with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
-        from charact.method.registry import CHARTED, chart_table
+    with exit_on_bad_input(quantity):
         from charact.reporting.method_chart import chart_lines, write_chart
 
-        rows = chart_table(quantity)
-        if update and not measure:
-            raise BadInput("--update needs --measure: it stores what is measured")
-        if not measure and not rows:
-            charted = ", ".join(
-                dict.fromkeys(name for name, _ in CHARTED.values() if chart_table(name))
-            )
-            raise BadInput(
-                f"a chart is shipped of {charted}, got {quantity!r}: --measure measures one"
-            )
-        if not measure:
-            print("\n".join(chart_lines(quantity, rows)))
-            print(
-                f"{write_chart(quantity, rows, out)}\nMeasure anew: charact chart {quantity} "
-                f"--measure"
-            )
-            return
-        from charact import study
-
-        _announce(rows, events)
-        print(
-            study.chart(
-                quantity, seed=seed, out=out, quick=quick, update=update, progress=progress
-            ).text()
-        )
+        rows = _shipped_rows(quantity)
+        print("\n".join(chart_lines(quantity, rows)))
+        print(write_chart(quantity, rows, out))
+        print(f"Measure anew in a checkout: make study NAME=chart QUANTITY={quantity}")
 
 
-def stability(
-    quantity: Name,
-    out: Out = Path("study"),
-    measure: Measure = False,
-    quick: Quick = False,
-    seed: options.Seed = 0,
-    events: options.Events = False,
-) -> None:
-    """Show how every method of a quantity failed on the shipped cases; --measure sweeps it past its
-    breaking point.
+def stability(quantity: Name) -> None:
+    """Show how every method of a quantity failed on the shipped cases.
 
-    Example: charact stability mtf50 --measure --out study
+    Example: charact stability mtf50
     """
-    with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
-        from charact.method.registry import chart_table
+    with exit_on_bad_input(quantity):
         from charact.reporting.method_chart import failure_lines
 
-        rows = chart_table(quantity)
-        if not measure:
-            if not rows:
-                raise BadInput(f"no cases of {quantity!r} are shipped: --measure measures some")
-            print("\n".join(failure_lines(quantity, rows)))
-            print(f"Map of the breaking points: charact stability {quantity} --measure")
-            return
-        from charact import study
-
-        _announce(rows, events)
-        print(study.stability(quantity, seed=seed, out=out, quick=quick, progress=progress).text())
+        print("\n".join(failure_lines(quantity, _shipped_rows(quantity))))
+        print(f"Breaking points, in a checkout: make study NAME=stability QUANTITY={quantity}")
 
 
-def _announce(rows: list[dict[str, Any]], events: bool) -> None:
-    """Say how long a measurement takes at least, by the shipped table."""
-    seconds = sum(row["seconds"] * row["cases"] for row in rows)
-    if seconds > 0:
-        print_message(
-            f"at least {seconds / 60.0:.1f} min on one core like that of the shipped table",
-            events=events,
+def _shipped_rows(quantity: str) -> list[dict[str, Any]]:
+    """Return the rows of the shipped table of a quantity."""
+    from charact.method.registry import CHARTED, chart_table
+
+    rows = chart_table(quantity)
+    if not rows:
+        quantities = dict.fromkeys(name for name, _ in CHARTED.values() if chart_table(name))
+        raise BadInput(
+            f"a chart is shipped of {', '.join(quantities)}, got {quantity!r}; in a checkout, "
+            f"make study NAME=chart QUANTITY={quantity} measures one"
         )
+    return rows
 
 
 def doctor(

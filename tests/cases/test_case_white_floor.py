@@ -9,7 +9,7 @@ import pytest
 
 from charact.estimators import noise
 from charact.session_measurement import method_context
-from labdata.session import open_session
+from labdata import open_session
 from tests.charact.estimators.noise.scenes import Pulses, flat_series, gaussian
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,9 +11,8 @@ from scipy.special import erf
 
 from charact.estimators.mtf import measure, measure_all
 from charact.method import Context
-from labdata.frames import FrameStack
+from labdata import FrameStack, Measurement
 from labdata.importers import read_frames
-from labdata.measurement import Measurement
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"

@@ -10,10 +10,8 @@ import pytest
 
 from charact.estimators import bloom
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.session import Session, open_session
+from labdata import Conditions, FrameStack, Session, open_session
+from tests.truth.sessions import InMemoryStack
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = ROOT.parent / "shared" / "cases"

@@ -11,7 +11,7 @@ import pytest
 from charact.estimators.mtf import measure
 from charact.estimators.mtf.quantisation_checks import clipping_flags
 from charact.method import Context
-from labdata.frames import FrameStack
+from labdata import FrameStack
 from labdata.importers import read_frames
 
 ROOT = Path(__file__).resolve().parents[2]

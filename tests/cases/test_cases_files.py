@@ -16,9 +16,8 @@ import pytest
 import tifffile
 from scipy.special import erf
 
-from labdata.errors import BadInput
+from labdata import BadInput, open_session
 from labdata.importers import read_frames
-from labdata.session import open_session
 from labdata.session_import import import_frames
 from tests.charact.cli.runner import charact
 

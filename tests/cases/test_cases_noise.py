@@ -8,7 +8,7 @@ import pytest
 
 from charact.estimators import noise
 from charact.session_measurement import method_context
-from labdata.session import open_session
+from labdata import open_session
 from labdata.solid_state import excess_noise_factor
 from tests.charact.estimators.noise.scenes import one
 

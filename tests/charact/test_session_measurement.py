@@ -8,13 +8,11 @@ import pytest
 
 from charact.method import Context
 from charact.session_measurement import _best_point, _with_measured_gap, measure, with_inputs
-from charact.study.edge.scene import EdgeScene
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
-from labdata.sensors import load_sensor
-from labdata.session import Session, open_session, sha256_of
+from labdata import BadInput, FrameStack, Provenance, Result, Session, load_sensor, open_session
+from labdata.measurement import make_refusal, measurement_from_sd
+from labdata.session import sha256_of
+from tests.truth.edge import EdgeScene
+from tests.truth.sessions import InMemoryStack
 
 
 @pytest.fixture

@@ -6,8 +6,9 @@ import pytest
 import scipy.linalg  # noqa: F401  # its library must be there to be counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from charact.method.registry import METHODS, register, single_blas_thread
-from labdata.measurement import Result
+from charact.method import METHODS, register
+from charact.method.registry import single_blas_thread
+from labdata import Result
 
 
 def threads() -> set[int]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.video_filter import VideoFilter, powers
-from labdata.sensors import load_sensor
+from labdata import load_sensor
 
 CLOCK_MHZ, ORDER = 14.318, 3
 SHEET = load_sensor("pulnix-ag5745ef3")

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import CameraError
+from labdata import BadInput
 from labdata.capture import CameraSettings, Frame
-from labdata.errors import BadInput
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ from typing import Any, Self
 import numpy as np
 
 from drivers.interface import FrameLevels
+from labdata import Conditions
 from labdata.capture import CameraSettings, Frame, LostFrames
-from labdata.conditions import Conditions
 
 SIZE = (6, 8)
 

@@ -16,10 +16,9 @@ from drivers.errors import (
     InstrumentTripped,
 )
 from drivers.serial_lines.line import InstrumentLine
+from labdata import Target, load_sensor
 from labdata.calibration import LampCalibration
 from labdata.limits import Limits, limits_in_force
-from labdata.sensors import load_sensor
-from labdata.target import Target
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 LIMITS = replace(limits_in_force(Limits(), SENSOR), ramp_v_per_s=1000.0)

@@ -19,10 +19,9 @@ from drivers.bench.interlock import REACTIONS, RULES, Interlock
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import RaiseGain
 from drivers.interface import FrameLevels
-from labdata.conditions import Conditions
+from labdata import Conditions, Target
 from labdata.gating import Gating
 from labdata.instrument_config import InstrumentConfig, Meters
-from labdata.target import Target
 
 _spec = importlib.util.spec_from_file_location(
     "laboratory", Path(__file__).with_name("laboratory.py")

@@ -12,15 +12,12 @@ import pytest
 from drivers.acquisition.acquire import acquire
 from drivers.acquisition.plan_check import bytes_of, check_plan, picture_of
 from drivers.errors import BenchError, CameraError, InstrumentTripped
+from labdata import BadInput, Conditions, load_sensor, open_session
 from labdata.capture import CameraSettings
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
 from labdata.event_log import read_events
 from labdata.instrument_config import InstrumentConfig
 from labdata.plan import FrameFormat, Plan, SaturationSearch, Step, StopCriterion
 from labdata.plan_file import read_plan
-from labdata.sensors import load_sensor
-from labdata.session import open_session
 from labdata.session_writer import StackWriter
 
 _spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))

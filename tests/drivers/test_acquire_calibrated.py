@@ -8,12 +8,10 @@ from dataclasses import replace
 import pytest
 
 from drivers.acquisition.acquire import acquire
+from labdata import BadInput, Conditions, load_sensor
 from labdata.calibration import GainTable
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
 from labdata.plan import Plan, Step, by_calibration, in_volts
 from labdata.plan_file import SweepRecord, plan_of, plan_toml
-from labdata.sensors import load_sensor
 from tests.drivers.fake_rig import FakeRig
 
 # A tube whose gain goes as the tenth power of its voltage, so that the volts of a gain are known

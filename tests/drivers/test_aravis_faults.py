@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import CameraError
+from labdata import Target
 from labdata.capture import CameraSettings
-from labdata.target import Target
 from simulate.lab import LabBench
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.outputs import read_outputs

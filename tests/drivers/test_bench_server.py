@@ -11,9 +11,7 @@ import pytest
 
 from drivers.bench.connection import Beat, Connection, Fault, MadeSafe, Reply, Request
 from drivers.errors import BenchError, BenchStopped
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.target import Target
+from labdata import BadInput, Conditions, Target
 
 _spec = importlib.util.spec_from_file_location("plant", Path(__file__).with_name("plant.py"))
 plant = importlib.util.module_from_spec(_spec)

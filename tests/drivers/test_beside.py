@@ -9,12 +9,10 @@ from drivers.bench.local_bench import open_bench
 from drivers.errors import BenchError, InstrumentTimeout
 from drivers.instruments.models import lines_on
 from drivers.interface import Bench, FrameLevels
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, Target
 from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.limits import Limits
 from labdata.plan import Plan, Step
-from labdata.target import Target
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
 from simulate.virtual_bench.instruments.meters import LUX_PER_W, NOISE_W, TEMPERATURE_C

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.virtual_bench.camera import hold_loopback
 
 NAME = f"charact-virtual-camera-{os.getuid()}.lock"

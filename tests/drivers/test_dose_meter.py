@@ -8,8 +8,8 @@ import pytest
 
 from drivers.bench.meters import LONGEST_S, DoseMeter
 from drivers.bench.state import TubeState
+from labdata import load_sensor
 from labdata.limits import Limits, limits_in_force
-from labdata.sensors import load_sensor
 from labdata.tube_dose import DoseLedger
 
 LIMITS = limits_in_force(Limits(), load_sensor("pulnix-ag5745ef3"))

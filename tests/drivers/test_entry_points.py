@@ -10,7 +10,7 @@ import pytest
 from charact.cli.reference import VirtualPair
 from drivers.conformance import rules_for
 from drivers.instruments.models import models
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.virtual_bench.instrument import virtual_models
 
 pytestmark = pytest.mark.wires

@@ -9,8 +9,7 @@ import pytest
 from drivers.acquisition.plan_check import check_plan
 from drivers.errors import InstrumentRejected
 from drivers.instruments import delay_generator, dg535, gate_limits
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from labdata.gating import HOLDOFF, Gating
 from labdata.plan import Plan, Step
 from simulate.virtual_bench.in_process import InProcessPort

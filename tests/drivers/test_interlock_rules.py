@@ -37,8 +37,8 @@ from drivers.bench.state import (
     SetLight,
     TurnFilter,
 )
+from labdata import Target
 from labdata.limits import LIMITS
-from labdata.target import Target
 
 _spec = importlib.util.spec_from_file_location("plant", Path(__file__).with_name("plant.py"))
 plant = importlib.util.module_from_spec(_spec)

@@ -11,12 +11,10 @@ from drivers.errors import BenchError, InstrumentRejected
 from drivers.instruments.filter_wheel import FilterWheel, PromptLine
 from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
+from labdata import BadInput, Conditions, Target
 from labdata.calibration import LampCalibration
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Limits
-from labdata.target import Target
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
 

@@ -10,10 +10,8 @@ import pytest
 
 from drivers.cameras.replay import LONGEST_PAUSE_S, ReplayCamera
 from drivers.errors import CameraError
+from labdata import BadInput, Conditions, open_session
 from labdata.capture import CameraSettings, Frame, lost_frames_with_reason
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.session import open_session
 from labdata.session_writer import SessionWriter
 from tests.drivers.camera_laws import Bench, CameraLaws, taken
 from tests.drivers.fake_video import PERIOD_S, luma

@@ -5,11 +5,9 @@ rest is virtual.
 import pytest
 
 from drivers.bench.local_bench import open_bench
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, load_sensor
 from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Limits
-from labdata.sensors import load_sensor
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.faults import Faults

@@ -14,10 +14,9 @@ import pytest
 from drivers.acquisition.acquire import acquire
 from drivers.acquisition.run_control import PAUSED, STOPPING, RunControl
 from drivers.errors import InstrumentTripped
-from labdata.conditions import Conditions
+from labdata import Conditions, open_session
 from labdata.event_log import read_events
 from labdata.plan import Plan, Step
-from labdata.session import open_session
 
 _spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
 fake_rig = importlib.util.module_from_spec(_spec)

@@ -12,7 +12,7 @@ from drivers.cameras.aravis.capture import PACKINGS
 from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage
 from drivers.cameras.v4l2.structures import code_of, four_letters
-from labdata.errors import BadInput
+from labdata import BadInput
 
 HEADER = Path("/usr/include/linux/videodev2.h")
 # sizeof and the ioctl's number, as the header of Linux 6.1 gives them on x86-64.

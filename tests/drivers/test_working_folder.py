@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labdata.sensors import load_sensor
+from labdata import load_sensor
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.process import VirtualInstruments

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.cameras.aravis.camera import AravisCamera
-from labdata.sensors import load_sensor
+from labdata import load_sensor
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.outputs import GATE_FILE, VOLTAGE_FILE, GateOutput, publish
 from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth

@@ -8,14 +8,12 @@ import pytest
 
 from charact.cli.benches import acquire_session
 from charact.cli.output import Progress
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, load_sensor, open_session
 from labdata.event_log import read_events
 from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Override
 from labdata.plan import Plan, Step
-from labdata.sensors import load_sensor, save_sensor
-from labdata.session import open_session
+from labdata.sensors import save_sensor
 from simulate.virtual_bench.rehearsal import FaultScript, ScriptedFault
 
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")

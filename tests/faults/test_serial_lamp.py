@@ -18,12 +18,11 @@ from drivers.bench.local_bench import open_bench
 from drivers.bench.tube_bench import TubeBench
 from drivers.errors import BenchError
 from drivers.interface import Bench, FrameLevels
+from labdata import Conditions, Target
 from labdata.calibration import LampCalibration
-from labdata.conditions import Conditions
 from labdata.event_log import read_events
 from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Limits
-from labdata.target import Target
 from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.outputs import VirtualOperator, read_outputs
 from simulate.virtual_bench.process import VirtualInstruments

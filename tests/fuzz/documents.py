@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from drivers.acquisition.plan_check import check_plan, forecast
-from labdata.errors import BadInput
+from labdata import BadInput, load_sensor, open_session
 from labdata.phosphors import load_phosphor
 from labdata.plan_file import plan_toml, read_plan
-from labdata.sensors import load_camera, load_sensor
-from labdata.session import MANIFEST, open_session
+from labdata.sensors import load_camera
+from labdata.session import MANIFEST
 from labdata.session_import import import_emva1288
 from labdata.tube_dose import Dose, DoseLedger
 from simulate.radiance.outdoor.built_scene import build_surfaces

@@ -20,7 +20,7 @@ from drivers.instruments.iseg import Iseg, IsegLine, legacy_number
 from drivers.instruments.light_source import KNOWN, LightSource
 from drivers.instruments.voltage_limits import Supply
 from drivers.serial_lines.line import LONGEST_ANSWER, FramedLine, PrologixLine
-from labdata.errors import BadInput
+from labdata import BadInput
 
 ANSWER_S = 0.002
 WITHIN_S = 5.0  # a busy machine may take seconds over what takes milliseconds

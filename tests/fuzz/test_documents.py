@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from tests.fuzz import documents
 from tests.fuzz.bounds import in_time
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from labdata.importers import read_frames
 from labdata.store.journal import chunk
 from simulate.radiance.outdoor.build import build_surfaces

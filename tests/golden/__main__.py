@@ -45,9 +45,9 @@ def _cases_of(study, count: int) -> list:
 
 def methods(word: str = "") -> list[Row]:
     """Every registered method, with a word in its name, of every quantity that has a study."""
+    from benchmarks.studies.harness import attempt
+    from benchmarks.studies.registry import methods_of, studies_of
     from charact.method import Context
-    from charact.study.harness import attempt
-    from charact.study.study_registry import methods_of, studies_of
 
     rows = []
     for quantity, count in CASES.items():
@@ -75,7 +75,7 @@ def _charact(*arguments: str) -> str:
 
 
 def _digest_of(session: Path) -> str:
-    from labdata.session import open_session
+    from labdata import open_session
 
     digest = hashlib.sha256()
     for stack in open_session(session).stacks:

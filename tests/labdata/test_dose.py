@@ -13,8 +13,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from labdata.errors import BadInput
-from labdata.sensors import load_sensor
+from labdata import BadInput, load_sensor
 from labdata.tube_dose import (
     FOLDER_VARIABLE,
     Dose,

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from labdata.event_log import OPENING_S, EventLog, read_events
 
 SOON_S = 0.2  # What must not wait for a file returns within this, s

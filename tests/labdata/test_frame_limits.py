@@ -17,12 +17,10 @@ import pytest
 import tifffile
 import zarr
 
-from labdata import file_io
-from labdata.errors import BadInput
+from labdata import BadInput, file_io, open_session
 from labdata.file_io import MOST_PICTURE_PX
 from labdata.importers import read_frames
 from labdata.lazy_stack import open_lazy_stack
-from labdata.session import open_session
 from tests.charact.cli.runner import charact
 from tests.fuzz.bounds import most_resident_mb
 from tests.labdata import dng

@@ -6,10 +6,9 @@ from dataclasses import fields
 
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput, Sensor, load_sensor
 from labdata.limits import LIMITS, Limits, Override, TubeLimits, limits_in_force
-from labdata.sensor import Sensor
-from labdata.sensors import load_camera, load_sensor, sensor_names
+from labdata.sensors import load_camera, sensor_names
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 TUBES = [name for name in sensor_names() if isinstance(load_camera(name), Sensor)]

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from labdata import BadInput
+from labdata import BadInput, Sensor, load_sensor
 from labdata.phosphors import load_phosphor, phosphor_names
-from labdata.sensor import Draws, Phosphor, Sensor
-from labdata.sensors import load_sensor
+from labdata.sensor import Draws, Phosphor
 from labdata.serialiser import to_toml
 
 # 90 to 10 % and 10 to 1 % of the light, ms.

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput
+from labdata import BadInput, Sensor, load_sensor
 from labdata.camera_description import Parameter
-from labdata.sensor import Sensor
-from labdata.sensors import load_camera, load_sensor, save_sensor, sensor_names
+from labdata.sensors import load_camera, save_sensor, sensor_names
 from labdata.serialiser import from_mapping, from_toml, to_mapping, to_toml
 
 PLANCK_J_S = 6.62607015e-34

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput
+from labdata import BadInput, Sensor, load_sensor, open_session
 from labdata.camera_description import Parameter
-from labdata.sensor import Sensor
-from labdata.sensors import load_camera, load_sensor
+from labdata.sensors import load_camera
 from labdata.serialiser import to_toml
-from labdata.session import open_session
 from labdata.solid_state import SolidStateCamera
 
 

@@ -12,10 +12,8 @@ import time
 import numpy as np
 import pytest
 
+from labdata import BadInput, Conditions, open_session
 from labdata.capture import Frame, LostFrames
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.session import open_session
 from labdata.session_writer import SessionWriter
 from labdata.storage_thread import Storage
 

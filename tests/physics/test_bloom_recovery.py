@@ -11,16 +11,13 @@ from scipy import ndimage
 
 from charact.estimators import bloom
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.sensors import load_sensor
-from labdata.session import Session
-from labdata.target import Target
+from labdata import Conditions, Session, Target, load_sensor
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Slot
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
+from tests.truth.sessions import InMemoryStack
 
 ROWS, COLUMNS = 200, 260
 SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7)

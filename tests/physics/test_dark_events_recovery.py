@@ -7,12 +7,11 @@ from pathlib import Path
 
 from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
+from labdata import Conditions, load_sensor
 from labdata.camera_description import Parameter
-from labdata.conditions import Conditions
-from labdata.sensors import load_sensor
 from simulate.iiccd.true_quantities import true_quantities
 from simulate.lab import LabBench, Target
+from tests.truth.sessions import InMemoryStack
 
 SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167, illuminance_lux=0.0)
 SHEET = load_sensor("pulnix-ag5745ef3")

@@ -7,9 +7,7 @@ import pytest
 
 from charact.fitting import predicted_quantities
 from charact.fitting.predicted_quantities import Values
-from labdata.conditions import Conditions
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
+from labdata import Conditions, Sensor, load_sensor
 from simulate.iiccd import true_quantities
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 

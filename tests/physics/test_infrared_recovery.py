@@ -9,13 +9,9 @@ import pytest
 
 from charact.reporting.frequency_unit import FrequencyUnit
 from charact.session_measurement import measure, measure_noise, method_context
-from labdata import result_io
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack, Session, Target, result_io
 from labdata.measurement import make_measurement
 from labdata.sensors import load_camera, save_sensor
-from labdata.session import Session
-from labdata.target import Target
 from simulate.infrared.camera import InfraredCamera
 from simulate.infrared.targets import half_moon
 from tests.charact.cli.runner import done_well

@@ -9,14 +9,11 @@ import numpy as np
 
 from charact.estimators import noise
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.sensors import load_sensor
-from labdata.session import Session
-from labdata.target import Target
+from labdata import Conditions, Session, Target, load_sensor
 from simulate.iiccd import true_quantities
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
+from tests.truth.sessions import InMemoryStack
 
 # A part of the chip: what is tested is independent of its size.
 ROWS, COLUMNS = 246, 384

@@ -7,8 +7,7 @@ import pytest
 
 from charact.estimators.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
 from charact.estimators.mtf.session.stage_transfers import STAGES, Direction, StageModel
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
+from labdata import Sensor, load_sensor
 from simulate.iiccd import true_quantities
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 

@@ -12,12 +12,10 @@ from charact.fitting import tube_dark_observations, tube_ions, tube_time_observa
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.stack_levels import levels_of
-from labdata.conditions import Conditions
-from labdata.measurement import Result, measurement_from_sd
-from labdata.sensor import Sensor
+from labdata import Conditions, Result, Sensor, Session, Target
+from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
-from labdata.session import Kind, LoadedStackEntry, Session
-from labdata.target import Target
+from labdata.session import Kind, LoadedStackEntry
 from simulate.iiccd.phosphor import PhosphorDecay
 from simulate.iiccd.true_quantities import true_quantities
 from simulate.iiccd.video import VideoFilter

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
+from labdata import Sensor, load_sensor
 
 # No fixed pattern, no rare event, no saturation, steps of the digitiser far below the noise.
 PLAIN = {

@@ -13,11 +13,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata import Conditions, Sensor, load_sensor
 from labdata.camera_description import Parameter
-from labdata.conditions import Conditions
 from labdata.phosphors import load_phosphor, phosphor_names
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
 from simulate.iiccd.camera import IntensifiedCamera
 
 Image = NDArray[np.floating]

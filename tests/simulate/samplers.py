@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
+from labdata import Conditions
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.stage_image import StageImage
 

@@ -5,7 +5,7 @@ scenes left alone.
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.iiccd.phosphor import PhosphorDecay
 from simulate.iiccd.stage_image import StageImage
 

@@ -5,8 +5,7 @@ any tolerance.
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.iiccd.camera import IntensifiedCamera
 
 LIGHT_M_PER_S = 2.99792458e8

@@ -15,11 +15,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.sensor import Sensor
+from labdata import BadInput, Conditions, Sensor, Target
 from labdata.sensors import load_camera
-from labdata.target import Target
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Slot
 from simulate.iiccd.scene_to_photoelectrons import (

@@ -6,8 +6,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.sensors import load_sensor
+from labdata import Conditions, load_sensor
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.outdoor_rendering import render_sensor_of

@@ -18,9 +18,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.sensor import Sensor
+from labdata import BadInput, Conditions, Sensor
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
 from simulate.iiccd import pattern
 from simulate.iiccd.camera import IntensifiedCamera

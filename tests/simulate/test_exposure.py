@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, Target
 from labdata.sensors import load_camera
-from labdata.target import Target
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera, SiliconCamera
 from simulate.iiccd.chain import Slot

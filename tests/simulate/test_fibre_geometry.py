@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
+from labdata import Conditions
 from simulate.iiccd import image_placement, pattern
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.grid import grid_with_margin

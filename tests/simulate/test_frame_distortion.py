@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.sensor import Sensor
+from labdata import Sensor
 from labdata.sensors import load_camera
-from simulate.api import conditions_of
+from simulate import conditions_of
 from simulate.iiccd.scene_to_photoelectrons import (
     camera_from_description,
     photoelectrons_from_radiance,

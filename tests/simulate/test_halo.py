@@ -5,8 +5,7 @@ electrons.
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.target import Target
+from labdata import Conditions, Target
 from simulate.iiccd import true_quantities
 from simulate.iiccd.transfer import HaloBlur
 from simulate.lab import LabBench

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.sensor import Sensor
-from labdata.target import Target
+from labdata import Conditions, Sensor, Target
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.column_blooming import apply_column_blooming, spread_excess_charge
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons

@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, Target
 from labdata.sensors import load_camera
-from labdata.target import Target
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import VARIED, draw_true_sensor
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.iiccd import image_placement, tube_photometry
 from simulate.iiccd.grid import Grid, grid_with_margin, rfft_image
 from simulate.iiccd.lens import RadiometricLens, few_transfers

@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.sensor import Sensor
+from labdata import Conditions, Sensor
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.stage_image import StageImage
 from tests.simulate import event_by_event as slow

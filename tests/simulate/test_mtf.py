@@ -5,8 +5,7 @@ transfers.
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.target import Target
+from labdata import Conditions, Target
 from simulate.iiccd import true_quantities
 from simulate.iiccd.chain import Slot
 from simulate.iiccd.stage_image import StageImage

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from labdata.conditions import Conditions
+from labdata import Conditions
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Slot
 from simulate.iiccd.fast_sampler.kernel import noise_kernel

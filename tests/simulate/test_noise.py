@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.target import Target
+from labdata import Conditions, Target
 from simulate.iiccd import true_quantities
 from simulate.iiccd.chain import Chain, Slot
 from simulate.iiccd.grid import grid_with_margin

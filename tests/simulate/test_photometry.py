@@ -154,7 +154,7 @@ def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
 
 
 def test_plate_saturates_to_half_at_its_saturation_current(sheet):
-    from labdata.conditions import Conditions
+    from labdata import Conditions
 
     camera = IntensifiedCamera(sheet)
     plate = camera.chain(Conditions()).stages[3]

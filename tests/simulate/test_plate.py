@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.iiccd import pattern, tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Slot

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.infrared_view import InfraredView
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.geometry.viewpoint import Viewpoint

@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, Target
 from labdata.sensors import load_camera
 from labdata.solid_state import Readout, SolidStateCamera, gain_at_no_signal
-from labdata.target import Target
 from simulate.iiccd import readout_noise
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.video import Video

@@ -313,7 +313,7 @@ def test_truth_18_control_word_gives_the_published_gain(word, sheet):
 
 
 def test_truth_18_control_word_reaches_the_plate(sheet):
-    from labdata.conditions import Conditions
+    from labdata import Conditions
 
     camera = IntensifiedCamera(sheet)
 
@@ -330,7 +330,7 @@ def test_truth_18_control_word_reaches_the_plate(sheet):
 
 
 def test_truth_19_p20_leaves_48_28_17_11_7_hundredths_to_the_fields_after(sheet):
-    from labdata.conditions import Conditions
+    from labdata import Conditions
 
     found = IntensifiedCamera(sheet).stage(Slot.DECAY, Conditions()).residuals(5)
     assert found == pytest.approx([0.48, 0.28, 0.17, 0.11, 0.07], abs=0.006)

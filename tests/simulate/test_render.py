@@ -5,8 +5,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
-from labdata.target import Target
+from labdata import BadInput, Target
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.lab_target import TargetView, outline_cells, render_bench, target_outlines
 from simulate.radiance.scene import load_scene

@@ -8,8 +8,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.automatic_controls import SET_LEVEL
 from simulate.iiccd.camera import IntensifiedCamera

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from labdata.sensors import load_camera
 from simulate.iiccd import pattern
 from simulate.iiccd.camera import SiliconCamera

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
+from labdata import Conditions
 from labdata.sensors import load_camera
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera

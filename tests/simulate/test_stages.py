@@ -8,9 +8,7 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.sensor import Sensor
+from labdata import BadInput, Conditions, Sensor
 from labdata.sensors import load_camera
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd

@@ -8,9 +8,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.sensors import load_sensor
+from labdata import BadInput, Conditions, load_sensor
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import PulseMoments, Slot

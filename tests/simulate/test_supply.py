@@ -5,8 +5,7 @@ widens its blur.
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Slot
 from simulate.iiccd.photocathode import BrightSourceProtection, Photocathode

@@ -5,7 +5,7 @@ stay apart.
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.video import (
     CORRECTED_MHZ,

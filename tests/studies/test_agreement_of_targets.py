@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.studies.consistency_scenes import SessionScene, TrueCameraChain
 from benchmarks.studies.consistency_table import CrossingComparison, judge_session, row
-from charact.study.edge.scene import TrueBlur
+from tests.truth.blur import TrueBlur
 
 
 def test_two_gaussian_blurs_add_in_squares_and_defocus_widens_both() -> None:

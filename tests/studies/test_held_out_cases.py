@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks.studies.held_out_cases import SEED, TABLE, check_held_out_choices
-from charact.method import Method
-from charact.method.registry import chart_table, choose
-from charact.study.point.cases import chart_cases
-from charact.study.study_registry import POINT
-from labdata.frames import FrameStack
-from labdata.measurement import Result, make_measurement
+from benchmarks.studies.registry import POINT
+from charact.method import Method, choose
+from charact.method.registry import chart_table
+from labdata import FrameStack, Result
+from labdata.measurement import make_measurement
+from tests.truth.cases.point import chart_cases
 
 
 def least(cases: int) -> float:

@@ -52,8 +52,8 @@ def test_a_halo_drawn_spreads_as_much_light_as_is_said(seed):
     """Of photoelectrons with a halo of a third, 40 px wide, the share beyond 5 px is a third of (1
     - (10/40)^2).
     """
-    from charact.study.edge.scene import TrueBlur
-    from charact.study.point.scene import landing_places
+    from tests.truth.blur import TrueBlur
+    from tests.truth.point import landing_places
 
     count = 200_000
     places = landing_places(

@@ -1,7 +1,7 @@
 """Thresholds and accuracy of the noise analysis, one a line.
 
 Fractions and probabilities are dimensionless. Without another source, values were set on simulated
-cameras (`charact.study.flats`).
+cameras (`tests.truth.cases`).
 """
 
 from dataclasses import dataclass

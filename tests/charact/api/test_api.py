@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 import charact
-from labdata.frames import FrameStack
+from labdata import FrameStack
 from labdata.measurement import measurement_from_sd
 from tests.charact.cli.runner import small_camera
 

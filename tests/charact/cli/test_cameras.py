@@ -6,7 +6,7 @@ from charact.cli.benches import camera_named
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.cameras.replay import ReplayCamera
 from drivers.cameras.v4l2 import V4l2Camera
-from labdata.errors import BadInput
+from labdata import BadInput
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import charact
-from labdata import result_io
-from labdata.measurement import Measurement, make_refusal, measurement_from_sd
-from labdata.measurement import Result as Measured
-from labdata.session import open_session
+from labdata import Measurement, open_session, result_io
+from labdata import Result as Measured
+from labdata.measurement import make_refusal, measurement_from_sd
 from tests.charact.cli.runner import charact as run
 
 QUANTITIES = (

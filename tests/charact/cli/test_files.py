@@ -12,9 +12,9 @@ from PIL import Image
 from scipy.special import erf
 
 from charact.live.quick_look import watch_files
-from labdata import result_io
+from labdata import Result, result_io
 from labdata.importers import read_frames
-from labdata.measurement import Result, make_refusal, measurement_from_sd
+from labdata.measurement import make_refusal, measurement_from_sd
 from tests.charact.cli.runner import assert_one_sentence, charact
 
 PLAIN = {"method": "covariance-sum"}
@@ -133,13 +133,15 @@ def test_a_file_is_measured_when_it_is_complete(tmp_path):
     assert seen == [100]
 
 
-def test_shipped_charts_are_shown_and_update_needs_measure(tmp_path):
+def test_shipped_charts_are_shown_and_the_study_that_measures_them_is_named(tmp_path):
     done = charact("chart", "mtf50", "--out", tmp_path)
     assert (
         done.exit_code == 0
         and "edge-parametric" in done.stdout
         and "edge-forward" in (tmp_path / "chart-mtf50.svg").read_text()
     )
-    assert "silent" in charact("stability", "mtf50").stdout
-    assert_one_sentence(charact("chart", "mtf50", "--update"), "--update needs --measure")
+    failures = charact("stability", "mtf50")
+    assert "silent" in failures.stdout
+    for shown, study in ((done, "chart"), (failures, "stability")):
+        assert f"make study NAME={study} QUANTITY=mtf50" in shown.stdout
     assert_one_sentence(charact("chart", "snr"), "a chart is shipped of mtf50")

@@ -5,7 +5,7 @@ counted, all.
 import numpy as np
 
 from charact.cli.benches import SaturationJudge, half_interval_dn
-from labdata.conditions import Conditions
+from labdata import Conditions
 from labdata.plan import Step, StopCriterion
 
 SHAPE = (20, 30)

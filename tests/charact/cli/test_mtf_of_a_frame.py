@@ -12,14 +12,14 @@ from scipy.special import erf
 
 from charact.cli.annotate import COLOURS, place_captions, render_annotations, unusable_edges
 from charact.reporting.frequency_unit import FrequencyUnit
-from charact.study.edge.scene import EdgeScene, TrueBlur
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Result as Measured
+from labdata import BadInput, FrameStack
+from labdata import Result as Measured
 from labdata.measurement import make_measurement, make_refusal
 from labdata.sensors import load_camera
 from labdata.solid_state import SolidStateCamera
 from tests.charact.cli.runner import charact
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 
 from charact.cli.benches import builtin_plan_names, load_plan
 from charact.reporting.session_page import page
-from labdata.measurement import Result as Measured
-from labdata.session import open_session
+from labdata import Result as Measured
+from labdata import open_session
 from labdata.tube_dose import FOLDER_VARIABLE, Dose, ledger_of
 from tests.charact.cli.runner import charact, done_well, small_camera
 

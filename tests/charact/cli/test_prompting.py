@@ -14,8 +14,7 @@ from contextlib import closing
 import pytest
 
 from charact.cli.prompting import PromptingOperator, TargetPlacer
-from labdata.errors import BadInput
-from labdata.target import Target
+from labdata import BadInput, Target
 
 
 @pytest.fixture(params=["terminal", "pipe"])

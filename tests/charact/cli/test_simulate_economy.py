@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from labdata.session import open_session
+from labdata import open_session
 from tests.charact.cli.runner import done_well, small_camera
 
 ROWS, COLS = 64, 96

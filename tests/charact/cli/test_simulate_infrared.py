@@ -7,9 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput, open_session
 from labdata.sensors import load_camera
-from labdata.session import open_session
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.scene import RigSensor, SceneCamera
 from simulate.radiance_files import save_view_radiance

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from labdata.session import open_session
+from labdata import open_session
 from tests.charact.cli.runner import done_well, small_camera
 
 SCENE = """

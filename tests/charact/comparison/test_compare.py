@@ -6,18 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.api import session, stack
+from charact import session, stack
 from charact.comparison import Comparison, compare, condition_pairs, draws_of
-from labdata.errors import BadInput
-from labdata.measurement import (
-    Measurement,
-    Result,
-    make_measurement,
-    make_refusal,
-    measurement_from_sd,
-)
-from labdata.sensors import load_sensor
-from labdata.session import Session, open_session
+from labdata import BadInput, Measurement, Result, Session, load_sensor, open_session
+from labdata.measurement import make_measurement, make_refusal, measurement_from_sd
 
 PAIRS = 200
 

@@ -15,11 +15,8 @@ from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.sensor import Model, model_of
 from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_observations import LEVEL, SHAPE, tube_observations
-from labdata.measurement import Curve, Measurement, Result, measurement_from_sd
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
-from labdata.session import Session, StackEntry
-from labdata.target import Target
+from labdata import Curve, Measurement, Result, Sensor, Session, StackEntry, Target, load_sensor
+from labdata.measurement import measurement_from_sd
 
 GATE_S = 0.016
 LUX = (0.0, 2e-5, 8e-5, 1.6e-4, 3e-4)

@@ -9,11 +9,9 @@ import numpy as np
 
 from charact.fitting.prior import VisibleCamera, prior_of
 from charact.fitting.tube_observations import LAG, LEVEL, SHAPE
-from labdata.conditions import Conditions
-from labdata.sensor import Sensor
+from labdata import Conditions, Sensor, Session, Target
 from labdata.sensors import load_camera
-from labdata.session import Kind, LoadedStackEntry, Session
-from labdata.target import Target
+from labdata.session import Kind, LoadedStackEntry
 from simulate.lab import LabBench
 
 CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512", "machine-vision")

@@ -13,15 +13,12 @@ from charact.fitting import fit_sensor
 from charact.method import Context
 from charact.validation import Validation, validate
 from charact.validation.frames import MatchedFrames, simulate_frames
+from labdata import BadInput, Conditions, Curve, FrameStack, Result, Session, Target
 from labdata.camera_description import Draws
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Curve, Result, measurement_from_sd
+from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
-from labdata.session import Kind, LoadedStackEntry, Session
+from labdata.session import Kind, LoadedStackEntry
 from labdata.solid_state import SolidStateCamera
-from labdata.target import Target
 from simulate.lab import LabBench
 
 # The pitch of the shipped description: light stated in photons leaves it, and lengths can be

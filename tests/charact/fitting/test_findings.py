@@ -9,11 +9,10 @@ from charact.estimators.noise.findings import Finding, notes_of
 from charact.estimators.noise.rounding import step_finding, step_of_codes
 from charact.fitting.observation import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
 from charact.session_measurement import measure_noise, method_context
-from labdata.conditions import Conditions
+from labdata import Conditions, FrameStack, Measurement, Result, Session
 from labdata.flags import FLAGS
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Result, measurement_from_sd
-from labdata.session import LoadedStackEntry, Session
+from labdata.measurement import measurement_from_sd
+from labdata.session import LoadedStackEntry
 
 
 def measured(

@@ -13,13 +13,11 @@ from charact.fitting.fitted_session import proposed_description
 from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.measurement import Result, measurement_from_sd
+from labdata import BadInput, Conditions, Result, Session, StackEntry, Target
+from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
-from labdata.session import LoadedStackEntry, Session, StackEntry
+from labdata.session import LoadedStackEntry
 from labdata.solid_state import SolidStateCamera
-from labdata.target import Target
 from simulate.lab import LabBench
 from tests.charact.fitting.specimens import session_of
 

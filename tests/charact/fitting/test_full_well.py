@@ -7,7 +7,7 @@ import pytest
 
 from charact.fitting.prior import prior_of
 from charact.fitting.sensor import FULL_WELL, GAIN, full_well_draws
-from labdata.sensors import load_sensor
+from labdata import load_sensor
 
 
 @pytest.fixture

@@ -18,11 +18,9 @@ from charact.fitting.sensor import (
     posterior_of,
 )
 from charact.fitting.tube_observations import tube_observations
-from labdata.errors import BadInput
-from labdata.measurement import Result, measurement_from_sd
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor, save_sensor
-from labdata.session import Session
+from labdata import BadInput, Result, Sensor, Session, load_sensor
+from labdata.measurement import measurement_from_sd
+from labdata.sensors import save_sensor
 
 SPECIMENS = 3
 

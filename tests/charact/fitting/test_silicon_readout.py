@@ -13,12 +13,11 @@ from charact.fitting.readout_observations import readout_observations, readout_s
 from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
 from charact.validation import validate
-from labdata.conditions import Conditions
+from labdata import Conditions, Session, Target
 from labdata.sensors import load_camera
-from labdata.session import LoadedStackEntry, Session
+from labdata.session import LoadedStackEntry
 from labdata.session_import import import_emva1288
 from labdata.solid_state import SolidStateCamera
-from labdata.target import Target
 from simulate.lab import LabBench
 
 FRAMES = 16

@@ -15,7 +15,7 @@ import pytest
 from charact import validation
 from charact.fitting import fit_sensor
 from charact.session_measurement import measure
-from labdata.session import Session, open_session
+from labdata import Session, open_session
 
 ROWS, COLUMNS = 240, 320
 BITS, PITCH_UM, WAVELENGTH_UM = 12, 5.5, 0.53

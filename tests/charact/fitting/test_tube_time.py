@@ -21,10 +21,7 @@ from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_darks import quiet_noise
 from charact.fitting.tube_pattern_observations import white_pattern
 from charact.fitting.tube_time_observations import Fields
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.measurement import Result
-from labdata.sensor import Sensor
+from labdata import Conditions, FrameStack, Result, Sensor
 from labdata.sensors import load_camera
 from labdata.session import LoadedStackEntry
 

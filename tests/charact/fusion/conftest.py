@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from charact.fusion.bands import Band
-from charact.study.fusion.pair import Pair, bands_of
+from tests.truth.fusion import Pair, bands_of
 
 
 @pytest.fixture(scope="session")

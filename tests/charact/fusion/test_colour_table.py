@@ -7,7 +7,7 @@ import pytest
 
 from charact.fusion.bands import Band, NoiseLaw
 from charact.fusion.colour_table import ColourTable, fuse_by_table, make_colour_table
-from labdata.errors import BadInput
+from labdata import BadInput
 
 SHAPE = (96, 128)
 # Number of a material: daylight colour, visible and thermal level.

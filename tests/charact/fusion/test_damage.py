@@ -7,8 +7,8 @@ import pytest
 
 from charact.fusion.fuse import fuse
 from charact.fusion.noise_law import NoiseLaw
-from charact.study.fusion.pair import Pair, bands_of
-from labdata.errors import BadInput
+from labdata import BadInput
+from tests.truth.fusion import Pair, bands_of
 
 SEEDS = range(1, 8)
 

@@ -12,8 +12,7 @@ from charact.fusion.bands import Band
 from charact.fusion.geometry import CameraGeometry, place_pixels
 from charact.fusion.noise_law import NoiseLaw, blur_px_of, measure_noise
 from charact.fusion.sources import Source
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack
 
 FIXED = CameraGeometry(
     shape=(96, 128), focal_px=(200.0, 200.0), position_m=np.zeros(3), rotation=np.eye(3)

@@ -12,7 +12,7 @@ from charact.fusion.fuse import COLOURED, fuse
 from charact.fusion.noise_aware import fuse_levels
 from charact.fusion.noise_law import NoiseLaw
 from charact.method.registry import chart_table
-from charact.study.fusion.pair import Pair, gaussian
+from tests.truth.fusion import Pair, gaussian
 
 GREY = ("weighted", "pca", "laplacian", "guided-filter", "inverse-noise")
 SHAPE = (96, 128)

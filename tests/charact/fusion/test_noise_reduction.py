@@ -6,8 +6,8 @@ import pytest
 from charact.fusion.bands import NoiseLaw
 from charact.fusion.sequence import filtered_law, reduce_noise, variance_ratio
 from charact.fusion.truth_scores import detectability2, object_channels
-from charact.study.fusion.pair import gaussian
-from labdata.errors import BadInput
+from labdata import BadInput
+from tests.truth.fusion import gaussian
 
 SHAPE = (64, 96)
 GAIN_DN, READ_DN, BLUR_PX = 8.0, 1.0, 0.6

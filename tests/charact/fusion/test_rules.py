@@ -12,7 +12,7 @@ from charact.fusion import rules
 from charact.fusion.bands import Band
 from charact.fusion.fuse import fuse
 from charact.fusion.noise_law import NoiseLaw
-from charact.study.fusion.pair import Pair, bands_of, gaussian
+from tests.truth.fusion import Pair, bands_of, gaussian
 
 
 def exact_guided_filter(guide, image, radius: int, regularisation: float, *_) -> np.ndarray:

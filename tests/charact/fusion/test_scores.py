@@ -9,7 +9,7 @@ from skimage.metrics import structural_similarity
 
 from charact.fusion import scores
 from charact.fusion.scores import score
-from labdata.errors import BadInput
+from labdata import BadInput
 
 SHAPE = (37, 45)  # odd, and no multiple of the blocks of 16 px
 

@@ -7,8 +7,7 @@ import pytest
 
 from charact.fusion.sequence import fuse_sequence, pair_frames
 from charact.fusion.sources import Source
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack
 
 
 def stack_of(name: str, times, rng: np.random.Generator, **light: float) -> Source:

@@ -17,8 +17,8 @@ from charact.fusion.truth_scores import (
     restoration_errors,
     truth_scores,
 )
-from charact.study.fusion.pair import ZONES, Pair, bands_of
-from labdata.errors import BadInput
+from labdata import BadInput
+from tests.truth.fusion import ZONES, Pair, bands_of
 
 FRAMES, COMPARED = 24, 2
 OURS, OTHERS = ("noise-aware", "noise-aware-colour"), ("weighted", "laplacian", "guided-filter")

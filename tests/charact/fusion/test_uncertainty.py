@@ -12,7 +12,7 @@ from charact.fusion.fuse import fuse
 from charact.fusion.fused import MARKS, level_uncertainty
 from charact.fusion.noise_aware import fuse_levels
 from charact.fusion.pyramid import collapse, decompose, level_count, noise_gains, resized
-from charact.study.fusion.pair import Pair, bands_of, gaussian
+from tests.truth.fusion import Pair, bands_of, gaussian
 
 FRAMES = 30
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from charact.inference import chain, diagnostics, ensembles
-from labdata.errors import BadInput
+from labdata import BadInput
 from tests.charact.inference.test_chain import draw
 
 

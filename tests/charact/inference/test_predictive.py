@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import binom, chi2, norm
 
 from charact.inference import find_maximum, predictive_check, sample
-from labdata.errors import BadInput
+from labdata import BadInput
 
 PLACES = np.linspace(-1.0, 1.0, 60)
 SHAPES = np.stack([np.ones(60), PLACES, PLACES**2, np.exp(-0.5 * (PLACES / 0.2) ** 2)], axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.live.live_view import SATURATED_BGR, measure_frame, render_preview
-from labdata.errors import BadInput
+from labdata import BadInput
 
 
 @pytest.mark.parametrize(

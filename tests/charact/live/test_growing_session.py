@@ -8,8 +8,7 @@ import pytest
 from charact.live.focus import FocusReader
 from charact.live.frame_source import SessionSource
 from charact.live.live_loop import LiveLoop
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from labdata.session_writer import SessionWriter
 from labdata.store import ArrayFollower
 from tests.charact.live.sources import AtOnce, edge

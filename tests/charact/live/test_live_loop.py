@@ -15,8 +15,8 @@ from charact.live.frame_source import CameraSource
 from charact.live.live_loop import FrameRate, LiveLoop
 from charact.live.terminal import lines, watch_on_terminal
 from charact.method import Context
+from labdata import BadInput
 from labdata.capture import CameraSettings, Frame
-from labdata.errors import BadInput
 from tests.charact.live.sources import Told, noisy, seen
 
 

@@ -11,7 +11,7 @@ import pytest
 from charact.live.live_loop import LiveLoop
 from charact.live.page import page
 from charact.live.server import PageAccess, is_loopback, new_token
-from labdata.errors import BadInput
+from labdata import BadInput
 from tests.charact.live.sources import Told, noisy, seen
 
 PORT = 8600

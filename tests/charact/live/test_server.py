@@ -10,7 +10,7 @@ import pytest
 
 from charact.live.live_loop import LiveLoop
 from charact.live.server import _address, _names, serve
-from labdata.errors import BadInput
+from labdata import BadInput
 from tests.charact.live.sources import Told, seen
 
 

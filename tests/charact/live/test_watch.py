@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 
 from charact.cli.application import app
 from charact.live.quick_look import look_at, run_outcome, watch_stacks
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from labdata.event_log import EventLog
 from labdata.session_writer import SessionWriter
 from tests.charact.live.sources import edge

@@ -8,10 +8,10 @@ import pytest
 from charact.estimators import mtf
 from charact.method import Context, registry
 from charact.method.registry import beyond_note, meets
-from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import EdgeScene
-from charact.study.point.scene import PointScene
 from labdata.measurement import make_measurement, make_refusal
+from tests.truth.bars import BarScene
+from tests.truth.edge import EdgeScene
+from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)
 

@@ -8,20 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.measurement import (
-    Curve,
-    Posterior,
-    Provenance,
-    Result,
-    make_refusal,
-    measurement_from_draws,
-    measurement_from_sd,
-)
-from labdata.session import Session
-from labdata.target import Target
+from labdata import Conditions, Curve, FrameStack, Posterior, Provenance, Result, Session, Target
+from labdata.measurement import make_refusal, measurement_from_draws, measurement_from_sd
+from tests.truth.sessions import InMemoryStack
 
 HOSTILE = '<script>alert("edge")</script>'
 REASON = "a halo needs a point source, and the session holds none"

@@ -8,10 +8,8 @@ from typing import Any
 import pytest
 
 from charact.reporting.front_page import is_tube, leading, sheet, verdict
-from labdata import result_io
-from labdata.measurement import Measurement, Result, make_refusal, measurement_from_sd
-from labdata.sensors import load_sensor
-from labdata.session import Session
+from labdata import Measurement, Result, Session, load_sensor, result_io
+from labdata.measurement import make_refusal, measurement_from_sd
 
 SESSION = Session(folder=Path(), name="s", stacks=())
 NOTHING = Result(measurements=(make_refusal("mtf50", "cy/px", "no edge", method="m"),))

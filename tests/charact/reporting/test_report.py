@@ -17,14 +17,11 @@ from charact.reporting.report_images import bright_region, representative
 from charact.reporting.session_page import page, write
 from charact.reporting.tables import quantity_groups
 from charact.reporting.truth import compare_with_truth
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, FrameStack, Posterior, Result, Session
 from labdata.flags import FLAGS
-from labdata.frames import FrameStack
-from labdata.measurement import Posterior, Result, make_measurement, measurement_from_sd
+from labdata.measurement import make_measurement, measurement_from_sd
 from labdata.quantity import QUANTITIES
-from labdata.session import Session
+from tests.truth.sessions import InMemoryStack
 
 
 @pytest.fixture(scope="module")

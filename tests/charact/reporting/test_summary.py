@@ -3,7 +3,8 @@
 import pytest
 
 from charact.reporting.summary import rows_of_file, sparkline, summary
-from labdata.measurement import Result, make_refusal, measurement_from_sd
+from labdata import Result
+from labdata.measurement import make_refusal, measurement_from_sd
 from labdata.quantity import QUANTITIES
 
 LONG = (

@@ -9,7 +9,7 @@ import pytest
 
 from charact.reporting import blooms, corner, curves, noise, style
 from charact.reporting.figure_svg import as_svg
-from labdata.measurement import Posterior
+from labdata import Posterior
 
 SPREAD = [0.1, 0.1]
 FIGURES = {

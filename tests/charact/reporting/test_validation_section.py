@@ -27,7 +27,7 @@ from charact.validation import (
     ValidationFigures,
 )
 from charact.validation.validation_result import DetectableError
-from labdata.measurement import Result
+from labdata import Result
 
 
 def _statistic(p_value: float, name: str = "noise") -> Statistic:

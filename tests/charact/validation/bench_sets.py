@@ -14,13 +14,11 @@ from charact.validation.frame_features import Numbers, features_of
 from charact.validation.frames import MatchedFrames, MatchedStacks, VisibleCamera, simulate_frames
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_test import ParameterChange
+from labdata import Conditions, Sensor, Target
 from labdata.camera_description import Draws
-from labdata.conditions import Conditions
-from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.session import Kind
 from labdata.solid_state import SolidStateCamera
-from labdata.target import Target
 from tests.charact.validation.defects import Defect, Digitiser
 
 Frames = Mapping[str, NDArray]

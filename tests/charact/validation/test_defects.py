@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from charact.validation import Statistic
 from charact.validation.frame_features import GROUPS, Numbers
 from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_result import Statistic
 from charact.validation.validation_test import SCORES, ValidationTest
 from tests.charact.validation.bench_sets import BenchSets
 from tests.charact.validation.defects import DEFECTS, Defect

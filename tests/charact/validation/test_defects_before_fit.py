@@ -17,17 +17,15 @@ from charact.cli.sessions import _lines as lines_of
 from charact.fitting import fit_sensor
 from charact.reporting.validation import sentence_of
 from charact.session_measurement import measure
+from charact.validation import Statistic, Validation, as_json
 from charact.validation import side_by_side as command
 from charact.validation.controls import FAULTS, PARAMETERS
 from charact.validation.likely_causes import SIGNATURES, likely_causes
 from charact.validation.stack_features import StackView, field_features, linearity_features
 from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_result import Statistic, Validation, as_json
-from labdata.errors import BadInput
+from labdata import BadInput, FrameStack, Result, Session
 from labdata.flags import FLAGS
-from labdata.frames import FrameStack
-from labdata.measurement import Result
-from labdata.session import LoadedStackEntry, Session
+from labdata.session import LoadedStackEntry
 from tests.charact.fitting.specimens import draw_specimen, session_of
 from tests.charact.validation import defects
 from tests.charact.validation.defects import Digitiser, Frames

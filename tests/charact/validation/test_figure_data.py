@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
 from charact.validation.figure_data import (
     BINS_SD,
     BLOCK_PX,
@@ -20,10 +19,9 @@ from charact.validation.figure_data import (
 )
 from charact.validation.frame_features import features_of
 from charact.validation.frames import MatchedFrames, MatchedStacks
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.session import Kind, Session
-from labdata.target import Target
+from labdata import Conditions, FrameStack, Session, Target
+from labdata.session import Kind
+from tests.truth.sessions import InMemoryStack
 
 SHAPE, FRAMES, DRAWS = (48, 64), 8, 6
 CYCLES = 10  # of the hum over the height of a frame

@@ -10,18 +10,14 @@ import pytest
 
 from charact.validation import frames as cut
 from charact.validation import side_by_side as command
+from charact.validation import validate
 from charact.validation.controls import FAULTS, PARAMETERS
 from charact.validation.frame_features import GROUPS
-from charact.validation.side_by_side import validate
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_test import SCORES
-from labdata import open_session
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.sensor import Draws, Sensor
-from labdata.sensors import load_sensor
-from labdata.session import Kind, Session
-from labdata.target import Target
+from labdata import BadInput, Conditions, Sensor, Session, Target, load_sensor, open_session
+from labdata.sensor import Draws
+from labdata.session import Kind
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 

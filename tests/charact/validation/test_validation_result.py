@@ -16,7 +16,7 @@ from charact.validation import (
     load,
     save,
 )
-from labdata.errors import BadInput
+from labdata import BadInput
 
 
 def _statistic(p_value: float, name: str = "noise") -> Statistic:

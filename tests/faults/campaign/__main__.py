@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from tests.faults.campaign.kinds import KINDS, draw_fault
 from tests.faults.campaign.page import Row, page
 from tests.faults.campaign.rig import CampaignRig

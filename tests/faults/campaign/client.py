@@ -24,9 +24,8 @@ from drivers.bench.local_bench import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
 from drivers.interface import Operator
+from labdata import BadInput, Conditions
 from labdata.capture import Frame
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
 from labdata.limits import limits_in_force
 from labdata.plan import Plan
 from labdata.tube_dose import DoseLedger

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labdata.conditions import Conditions
+from labdata import Conditions
 from labdata.gating import Gating
 from labdata.plan import Plan, Step
 from simulate.virtual_bench.faults import Faults

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from drivers.acquisition.acquire import LOG
-from labdata.errors import BadInput
+from labdata import BadInput, open_session
 from labdata.event_log import read_events
 from labdata.plan import Plan
-from labdata.session import open_session
 from tests.faults.campaign.client import LAST_WORDS, Client
 from tests.faults.campaign.kinds import PATIENT_S, Fault
 from tests.faults.campaign.rig import DANGEROUS_V, FRAMES, GATE, SUPPLY, CampaignRig

@@ -20,10 +20,9 @@ import numpy as np
 from charact.reporting.truth import TruthComparison
 from charact.session_measurement import measure
 from drivers.acquisition.acquire import LOG
+from labdata import Result, Session, open_session
 from labdata.event_log import read_events
-from labdata.measurement import Result
 from labdata.plan import Plan
-from labdata.session import Session, open_session
 from tests.faults.campaign.rig import CampaignRig
 from tests.faults.rehearsal.judged import allowed, beside, by_quantity, missing
 from tests.faults.rehearsal.night import FASTER, FRAMES, Diary, night_plan, rehearse

@@ -8,10 +8,7 @@ from functools import cache
 import numpy as np
 
 from charact.reporting.truth import TruthComparison, compare_with_truth
-from labdata.conditions import Conditions
-from labdata.measurement import Result
-from labdata.sensor import Sensor
-from labdata.session import Session
+from labdata import Conditions, Result, Sensor, Session
 from simulate.iiccd import true_quantities
 from tests.faults.rehearsal.night import GATE_NS
 

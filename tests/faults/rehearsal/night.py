@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.acquisition.acquire import LOG
-from labdata.conditions import Conditions
+from labdata import Conditions
 from labdata.event_log import EventLog, read_events
 from labdata.limits import Override
 from labdata.plan import Plan, Step

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from labdata.sensors import load_camera
 from simulate.infrared.camera import InfraredCamera
 from simulate.infrared.scanner import noise_equivalent_radiance

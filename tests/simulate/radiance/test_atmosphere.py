@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.atmosphere import (
     Atmosphere,
     airmass,

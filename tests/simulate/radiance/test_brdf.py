@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.brdf import microfacet
 from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
 from simulate.radiance.brdf.microfacet import specular_albedo

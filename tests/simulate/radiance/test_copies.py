@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.geometry import embree
 from simulate.radiance.geometry.embree import COPY_BITS
 from simulate.radiance.geometry.viewpoint import Viewpoint

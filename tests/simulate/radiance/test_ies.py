@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.lamps.distribution import parse_photometry, read_ies
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from tests.simulate.radiance.test_scenes import BALL, CAMERA, GREY, scene_of

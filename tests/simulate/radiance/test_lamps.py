@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE, quantum_efficiency
 from simulate.radiance.brdf.protocol import read_measured
 from simulate.radiance.lamps.distribution import (

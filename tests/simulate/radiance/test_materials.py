@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from labdata.serialiser import from_mapping
 from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
 from simulate.radiance.brdf.protocol import Lambert

@@ -5,7 +5,7 @@ refused.
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.outdoor.build import build_surfaces
 from simulate.radiance.scene import load_scene
 from simulate.thermal.temperatures import library, slab_of

@@ -8,8 +8,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from labdata.serialiser import from_mapping
 from simulate.motion import Look, Motion
 from simulate.radiance.geometry.viewpoint import Viewpoint

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import spectrum

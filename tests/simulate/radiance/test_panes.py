@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from labdata.serialiser import from_mapping
 from simulate.radiance.geometry.surfaces import Mesh, collect_surfaces, shape
 from simulate.radiance.geometry.viewpoint import Viewpoint

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.brdf.glossy import Metal
 from simulate.radiance.brdf.protocol import grey
 from simulate.radiance.geometry.surfaces import SIZES, Mesh, box, ground, plane, shape, shed, sphere

@@ -5,7 +5,7 @@ needs.
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE, detection_weights, quantum_efficiency
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import KINDS, spectrum

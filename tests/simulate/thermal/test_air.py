@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.atmosphere import Atmosphere, vapour_density_g_m3
 from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.sky.moon import ObserverLocation

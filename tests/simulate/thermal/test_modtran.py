@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from labdata.serialiser import from_mapping
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.scene import OutdoorScene

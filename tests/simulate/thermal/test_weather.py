@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta, timezone
 import numpy as np
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from simulate.radiance.outdoor.scene import OutdoorScene, SceneCamera, Where
 from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.sky.moon import ObserverLocation

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import serial
 
+from labdata import Target, load_sensor
 from labdata.instrument_config import InstrumentConfig
-from labdata.sensors import load_sensor
-from labdata.target import Target
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.in_process import InProcessInstruments

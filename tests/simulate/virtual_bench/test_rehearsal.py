@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from labdata.errors import BadInput
+from labdata import BadInput
 from labdata.event_log import EventLog
 from labdata.serialiser import from_mapping
 from simulate.virtual_bench.faults import Faults

@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.session import Session
+from labdata import Conditions, FrameStack, Session
+from tests.truth.sessions import InMemoryStack
 
 DARK_DN = 12.0
 FULL_SCALE_DN = 255.0

@@ -7,8 +7,8 @@ import pytest
 
 from charact.estimators.bloom.bloom_map import NEAR_PX, bloom_map, pixel_noise
 from charact.estimators.bloom.posterior_psf import PosteriorPsf
-from charact.study.bloom.scene import noiseless_frame, stack
-from charact.study.bloom.source import GLARE_SIDE_PX, BloomScene, radial_light
+from tests.truth.bloom import noiseless_frame, stack
+from tests.truth.bloom_light import GLARE_SIDE_PX, BloomScene, radial_light
 
 CLIP_DN = 243.0
 

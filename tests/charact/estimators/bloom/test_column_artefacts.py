@@ -7,8 +7,8 @@ import pytest
 
 from charact.estimators.bloom.column_artefacts import column_artefact_mask
 from charact.method import Context
-from charact.study.bloom.source import BloomScene
 from tests.charact.estimators.bloom.test_streak import spots_of
+from tests.truth.bloom_light import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 HALO_OVERLOADS = (0.5, 30.0, 3e3, 1e5)

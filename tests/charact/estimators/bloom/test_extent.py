@@ -11,12 +11,10 @@ from charact.estimators.bloom.extent import extent_at
 from charact.estimators.bloom.point_stack import read_point_stacks
 from charact.estimators.bloom.source_view import view_of
 from charact.method import Context
-from charact.study.bloom.scene import bloom_session, stack
-from charact.study.bloom.source import BloomScene
-from charact.study.bloom.truth import truth
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement
-from labdata.sensors import load_sensor
+from labdata import FrameStack, Measurement, load_sensor
+from tests.truth.bloom import bloom_session, stack
+from tests.truth.bloom_extents import truth
+from tests.truth.bloom_light import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")

@@ -8,8 +8,7 @@ import pytest
 from charact.estimators import bloom
 from charact.estimators.bloom.series.series_measurements import levels_apart
 from charact.method import Context
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack
 from tests.charact.estimators.noise.scenes import errors
 
 QUICK = Context(seed=1, quick=True)

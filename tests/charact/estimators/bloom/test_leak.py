@@ -6,9 +6,9 @@ import numpy as np
 
 from charact.estimators import bloom
 from charact.method import Context
-from charact.study.bloom.scene import bloom_session
-from charact.study.bloom.source import BloomScene
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.bloom import bloom_session
+from tests.truth.bloom_light import BloomScene
 
 LEVELS = tuple(np.geomspace(0.5, 500.0, 5))
 

@@ -11,13 +11,10 @@ from charact.estimators import bloom
 from charact.estimators.bloom.lit_edge_halo import measure_lit_edge
 from charact.estimators.bloom.lit_edge_profile import edge_line
 from charact.method import Context
-from charact.study.bloom.source import BloomScene, radial_light
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.session import Session
+from labdata import BadInput, Conditions, FrameStack, Session
 from tests.charact.estimators.noise.scenes import errors
+from tests.truth.bloom_light import BloomScene, radial_light
+from tests.truth.sessions import InMemoryStack
 
 QUICK = Context(seed=1, quick=True, full_scale_dn=255.0)
 SCENE = BloomScene(rows=150, cols=200)

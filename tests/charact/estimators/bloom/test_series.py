@@ -19,9 +19,9 @@ from charact.estimators.bloom.series.rings import geometry_of, level_of, noise_o
 from charact.estimators.bloom.transfer import frequencies, onto_nodes
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from charact.study.bloom.scene import bloom_session
-from charact.study.bloom.source import BloomScene
 from tests.charact.estimators.noise.scenes import errors
+from tests.truth.bloom import bloom_session
+from tests.truth.bloom_light import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 TWO_DECADES = tuple(np.geomspace(0.5, 5e4, 7))

@@ -9,10 +9,10 @@ import pytest
 from charact.estimators.bloom.point_stack import read_point_stacks
 from charact.estimators.bloom.series_consistency import check_consistency
 from charact.method import Context
-from charact.study.bloom.scene import bloom_session, noiseless_frame
-from charact.study.bloom.source import BloomScene
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.bloom import bloom_session, noiseless_frame
+from tests.truth.bloom_light import BloomScene
+from tests.truth.sessions import InMemoryStack
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = (0.7, 10.0, 300.0, 1e4)

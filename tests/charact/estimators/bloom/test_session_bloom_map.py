@@ -8,16 +8,10 @@ import pytest
 from charact.estimators.bloom.bloom_map import map_of, spread_from
 from charact.method import Context
 from charact.reporting.bloom_images import write_bloom_map
-from charact.study.bloom.scene import bloom_session
-from charact.study.bloom.source import BloomScene
-from labdata.errors import BadInput
-from labdata.measurement import (
-    Posterior,
-    Result,
-    make_refusal,
-    measurement_from_draws,
-    measurement_from_sd,
-)
+from labdata import BadInput, Posterior, Result
+from labdata.measurement import make_refusal, measurement_from_draws, measurement_from_sd
+from tests.truth.bloom import bloom_session
+from tests.truth.bloom_light import BloomScene
 
 CONTEXT = Context(seed=1, full_scale_dn=255.0)
 SCENE = BloomScene(frames=3)

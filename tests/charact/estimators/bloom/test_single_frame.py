@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 from charact.cli.application import app
 from charact.estimators.bloom.single_frame import BEYOND_ONE_FRAME, bare_session, measure_frame
 from charact.method import Context
-from charact.study.bloom.scene import bloom_session, stack
-from charact.study.bloom.source import BloomScene
-from charact.study.bloom.truth import truth
-from labdata.measurement import Measurement
+from labdata import Measurement
+from tests.truth.bloom import bloom_session, stack
+from tests.truth.bloom_extents import truth
+from tests.truth.bloom_light import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 

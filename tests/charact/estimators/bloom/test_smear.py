@@ -11,8 +11,8 @@ import pytest
 from charact.estimators.bloom.point_stack import read_point_stacks
 from charact.estimators.bloom.smear import smear_measurement
 from charact.method import Context
-from charact.study.bloom.scene import bloom_session
-from charact.study.bloom.source import BloomScene
+from tests.truth.bloom import bloom_session
+from tests.truth.bloom_light import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = (0.5, 30.0, 300.0, 3e3)

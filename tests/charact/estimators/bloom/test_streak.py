@@ -11,8 +11,8 @@ import pytest
 from charact.estimators.bloom.column_artefacts import streak_measurements, streak_of
 from charact.estimators.bloom.point_stack import read_point_stacks
 from charact.method import Context
-from charact.study.bloom.scene import bloom_session, noiseless_frame
-from charact.study.bloom.source import BloomScene
+from tests.truth.bloom import bloom_session, noiseless_frame
+from tests.truth.bloom_light import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.session import LoadedStackEntry, Session
-from labdata.target import Target
+from labdata import Conditions, FrameStack, Session, Target
+from labdata.session import LoadedStackEntry
 
 AXES = {
     "t": (1, 0, 0),

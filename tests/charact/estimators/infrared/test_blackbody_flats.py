@@ -8,7 +8,7 @@ import pytest
 import charact
 from charact.estimators import noise
 from charact.session_measurement import measure_noise, method_context
-from labdata.errors import BadInput
+from labdata import BadInput
 from labdata.sensors import load_camera
 from tests.charact.estimators.infrared.cameras import NOISE_K, Camera, blackbody_session
 

@@ -9,9 +9,8 @@ from charact.estimators.infrared.mrtd import FOUR_BARS, mrtd
 from charact.estimators.infrared.scan_directions import scan_directions
 from charact.method import Context
 from charact.session_measurement import measure
-from labdata.frames import FrameStack
+from labdata import FrameStack, Target
 from labdata.sensors import load_camera
-from labdata.target import Target
 from tests.charact.estimators.infrared.cameras import (
     NOISE_K,
     Camera,

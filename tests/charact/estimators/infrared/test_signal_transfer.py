@@ -6,7 +6,7 @@ from scipy.special import chdtrc
 
 from charact.estimators.infrared.signal_transfer import Response, fit_signal_transfer
 from charact.estimators.infrared.thresholds import INFRARED
-from labdata.errors import BadInput
+from labdata import BadInput
 from tests.charact.estimators.infrared.cameras import Camera, band_radiance
 
 PHOTON_J_UM = 6.62607015e-34 * 2.99792458e8 * 1e6

@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge.scene import TrueBlur
-from charact.study.noise import correlate_noise
-from charact.study.sharpening_camera import boost, sharpen_images
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack
+from tests.truth.blur import TrueBlur
+from tests.truth.camera_effects import boost, correlate_noise, sharpen_images
 
 Array = NDArray[np.floating]
 
@@ -81,7 +79,7 @@ class PhotoelectronTarget(ABC):
     hot_share
         Share of pixels stuck at full scale.
     sharpening
-        Share by which the camera raises fine detail, see `charact.study.sharpening_camera`.
+        Share by which the camera raises fine detail, see `tests.truth.camera_effects`.
     black_dn, full_scale_dn
         Codes at no light and at the top, DN; what read noise takes below code 0 is lost.
     """

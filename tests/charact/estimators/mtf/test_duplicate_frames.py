@@ -6,10 +6,11 @@ import pytest
 from charact.estimators import mtf
 from charact.estimators.mtf.dispatch import drop_duplicate_frames
 from charact.method import Context
-from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import EdgeScene, TrueBlur
-from charact.study.point.scene import PointScene
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.bars import BarScene
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
+from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)
 TARGETS = {

@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators.mtf.image_lag import image_lag_model
 from charact.method import Context
-from labdata.sensors import load_sensor
+from labdata import load_sensor
 
 SHEET = load_sensor("pulnix-ag5745ef3")
 FRAMES, MOMENTS, WARM_UP, SERIES = 12, 10, 30, 4000

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from charact.estimators.mtf.quantisation_checks import clipping_flags
-from charact.study.edge.scene import EdgeScene, TrueBlur
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 EDGE = EdgeScene(dark_dn=60.3, bright_dn=210.3, frames=4, shot_share=0.5)
 

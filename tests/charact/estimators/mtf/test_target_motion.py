@@ -10,11 +10,12 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.estimators.mtf.target_motion import TargetMotion, measure_target_motion
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.method import Context
-from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import EdgeScene, TrueBlur, level_crossing
-from charact.study.point.scene import PointScene
-from labdata.frames import FrameStack
+from labdata import FrameStack
 from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
+from tests.truth.bars import BarScene
+from tests.truth.blur import TrueBlur, level_crossing
+from tests.truth.edge import EdgeScene
+from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)
 PULSES = PulseEdge(

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from labdata.session import Session
+from labdata import Session
 from tests.charact.estimators.noise.scenes import Pulses, flat_series, memory_of, session_of
 
 

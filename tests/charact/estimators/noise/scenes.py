@@ -11,10 +11,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from charact.method import Context
-from charact.study.flats.flat_cases import InMemoryStack
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.session import Session
+from labdata import Conditions, FrameStack, Session
+from tests.truth.sessions import InMemoryStack
 
 MARGIN = 16
 QUICK = Context(seed=1, quick=True)

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import noise
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, Conditions, FrameStack
 from tests.charact.estimators.noise.scenes import METHODS, QUICK, errors, gaussian
 
 LEVELS = (5.0, 15.0, 30.0)

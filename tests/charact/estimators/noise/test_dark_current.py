@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import noise
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
+from labdata import Conditions, FrameStack
 from tests.charact.estimators.noise.scenes import QUICK, errors
 
 GAIN_DN = 0.5

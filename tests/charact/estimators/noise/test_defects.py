@@ -7,8 +7,7 @@ import pytest
 
 from charact.estimators import noise
 from charact.method import Context
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
+from labdata import Conditions, FrameStack
 from tests.charact.estimators.noise.scenes import QUICK, gaussian
 
 HOT = ((3, 5), (40, 77), (95, 127))

@@ -16,7 +16,7 @@ from charact.estimators.noise.events.event_distribution import (
 from charact.estimators.noise.events.event_measurements import measure_events, pulses_of_darks
 from charact.estimators.noise.events.frames import Filter, boxes
 from charact.estimators.noise.gain.series import read_levels
-from labdata.conditions import Conditions
+from labdata import Conditions
 from tests.charact.estimators.noise.scenes import QUICK, one
 
 # What a scene of these holds can be told to a few percent; cheap enough for a test run.

@@ -13,7 +13,7 @@ from charact.estimators import noise
 from charact.estimators.noise.sweep.settings import KNOBS, Sweep
 from charact.estimators.noise.sweep.sweep import measure_sweep
 from charact.method import Context
-from labdata.conditions import Conditions
+from labdata import Conditions
 from tests.charact.estimators.noise.scenes import QUICK, gaussian, one
 
 VOLTS, LIGHTS = (600.0, 675.0, 750.0, 850.0), (3.0, 10.0, 30.0)

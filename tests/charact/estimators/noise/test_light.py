@@ -20,8 +20,7 @@ from charact.estimators.noise.snr_against_light import (
     snr_against_light,
 )
 from charact.estimators.noise.stack.stack_statistics import SIDE_PX
-from labdata.conditions import Conditions
-from labdata.measurement import Measurement
+from labdata import Conditions, Measurement
 from tests.charact.estimators.noise.scenes import QUICK, errors, gaussian
 
 LUX_PER_PE = 1e-6

@@ -7,9 +7,7 @@ import pytest
 
 from charact.estimators import noise
 from charact.method import Context
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, Conditions, FrameStack
 from tests.charact.estimators.noise.scenes import METHODS, QUICK
 
 LEVELS = (100.0, 300.0, 600.0)

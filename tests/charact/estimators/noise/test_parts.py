@@ -13,9 +13,7 @@ from charact.estimators.noise.gain.series import read_levels
 from charact.estimators.noise.stack import stack_statistics
 from charact.method.registry import parallel_map
 from charact.session_measurement import method_context
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.session import open_session
+from labdata import BadInput, Conditions, open_session
 from labdata.session_writer import SessionWriter
 
 SHAPE = (64, 96)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators.noise.gain.model import PixelReadoutModel
-from labdata.sensors import load_sensor
+from labdata import load_sensor
 
 X, ROWS = (
     axis.ravel() for axis in np.meshgrid(np.linspace(0.0, 0.25, 11), np.linspace(-0.3, 0.3, 9))

@@ -11,8 +11,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from charact.estimators import noise
 from charact.estimators.noise.stack.components import components, contrasts
 from charact.method import Context
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
+from labdata import Conditions, FrameStack
 from tests.charact.estimators.noise.scenes import QUICK
 
 NAMES = ("t", "v", "h", "tv", "th", "vh", "tvh")

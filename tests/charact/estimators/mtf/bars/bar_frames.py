@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 Core = Callable[[NDArray], NDArray]
 

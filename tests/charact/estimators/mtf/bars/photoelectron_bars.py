@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.bars.scene import spectrum_of_bars
-from charact.study.edge.scene import TrueBlur
 from tests.charact.estimators.mtf.photoelectron_targets import FINER, PhotoelectronTarget
+from tests.truth.bars import spectrum_of_bars
+from tests.truth.blur import TrueBlur
 
 Array = NDArray[np.floating]
 

@@ -12,9 +12,9 @@ from scipy.special import erf
 
 from charact.estimators.mtf import measure
 from charact.method import Context
-from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import TrueBlur
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.bars import BarScene
+from tests.truth.blur import TrueBlur
 
 SHAPE = (96, 112)
 PEDESTAL_DN = 12.0

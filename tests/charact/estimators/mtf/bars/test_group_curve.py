@@ -12,10 +12,8 @@ from test_strip import read
 from charact.estimators import mtf
 from charact.estimators.mtf.bars.group_curve import fit_group_curve, frame_curves, session_curves
 from charact.method import Context
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Result, measurement_from_sd
-from labdata.sensors import load_sensor
+from labdata import BadInput, FrameStack, Measurement, Result, load_sensor
+from labdata.measurement import measurement_from_sd
 
 QUICK = Context(seed=1, quick=True)
 CAMERA = load_sensor("pulnix-ag5745ef3")

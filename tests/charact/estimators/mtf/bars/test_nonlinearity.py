@@ -11,10 +11,10 @@ from charact.estimators.mtf import measure
 from charact.estimators.mtf.bars import bar_measurement, nonlinearity
 from charact.estimators.mtf.bars.nonlinearity import BarNonlinearity, linearise_mtf_draws
 from charact.method import Context
-from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import TrueBlur
-from labdata.frames import FrameStack
+from labdata import FrameStack
 from tests.charact.estimators.mtf.bars.photoelectron_bars import PulsedBars
+from tests.truth.bars import BarScene
+from tests.truth.blur import TrueBlur
 
 FINE = PulsedBars(
     blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3),

@@ -7,9 +7,9 @@ import pytest
 
 from charact.estimators.mtf import measure
 from charact.method import Context
-from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import TrueBlur
 from tests.charact.estimators.mtf.bars.photoelectron_bars import PulsedBars
+from tests.truth.bars import BarScene
+from tests.truth.blur import TrueBlur
 
 BRIGHT = {
     "photoelectrons": 1e5,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from bar_frames import frames_of, gaussian, mtf_of, strip, tube
 
+from benchmarks.studies.harness import CaseTimer
 from charact.estimators.mtf import measure
 from charact.method import Context
-from charact.study.harness import CaseTimer
 
 CORES = {
     "gaussian 0.8 px": gaussian(0.8),

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 _ERF = np.vectorize(math.erf)
 

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge.scene import TrueBlur, distance_across, edge_spread, level_crossing
 from tests.charact.estimators.mtf.photoelectron_targets import PhotoelectronTarget
+from tests.truth.blur import TrueBlur, level_crossing
+from tests.truth.edge import distance_across, edge_spread
 
 Array = NDArray[np.floating]
 

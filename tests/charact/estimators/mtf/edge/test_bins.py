@@ -11,7 +11,8 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, prepar
 from charact.estimators.mtf.edge.pixels.profile import coarsen
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.method import Context
-from charact.study.edge.scene import EdgeScene, TrueBlur
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 QUICK = Context(quick=True)
 SCENE = EdgeScene(

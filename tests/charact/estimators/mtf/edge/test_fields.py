@@ -12,7 +12,8 @@ from charact.estimators.mtf.edge.conventional import edge_gradient
 from charact.estimators.mtf.edge.parametric import edge_parametric
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.method import Context
-from charact.study.edge.scene import EdgeScene, TrueBlur
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 INTERLACED = Context(quick=True, interlaced=True)
 SCENE = EdgeScene(

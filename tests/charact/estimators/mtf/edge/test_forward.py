@@ -10,9 +10,8 @@ import pytest
 
 from charact.estimators import mtf
 from charact.method import Context
-from charact.study.edge.cases import chart_cases
-from labdata.frames import FrameStack
-from labdata.measurement import Result
+from labdata import FrameStack, Result
+from tests.truth.cases.edge import chart_cases
 
 QUICK = Context(quick=True)
 STEP = 1500.0

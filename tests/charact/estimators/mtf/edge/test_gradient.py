@@ -10,7 +10,7 @@ from benchmarks.studies.edge_coverage import measure_mixed_scene
 from benchmarks.studies.edge_peers import answers
 from charact.estimators import mtf
 from charact.method import Context
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 QUICK = Context(quick=True)
 

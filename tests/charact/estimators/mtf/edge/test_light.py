@@ -12,7 +12,7 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.estimators.mtf.edge.pixels.profile import with_shading
 from charact.estimators.mtf.edge.thresholds import ACCURACY
 from charact.method import Context
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 QUICK = Context(quick=True)
 

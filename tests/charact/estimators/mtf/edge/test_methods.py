@@ -15,7 +15,7 @@ from charact.estimators import mtf
 from charact.estimators.mtf.edge import parametric as edge_parametric
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.method import Context
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 QUICK = Context(quick=True)
 

@@ -20,7 +20,8 @@ from charact.estimators.mtf.edge.nonlinearity import (
 from charact.estimators.mtf.edge.parametric import edge_parametric
 from charact.estimators.mtf.nonlinearity import CURVED, CURVED_SD
 from charact.method import Context
-from charact.study.edge.scene import EdgeScene, TrueBlur
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 DRAWS = 40_000
 

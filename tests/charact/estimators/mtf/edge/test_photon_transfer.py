@@ -14,8 +14,9 @@ from charact.estimators.mtf.edge.pixels.plateau_noise import (
 from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR
 from charact.method import Context
-from charact.study.edge.scene import EdgeScene, TrueBlur
 from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 STRAIGHT = EdgeScene(
     blur=TrueBlur(sigma_px=1.0),

@@ -11,8 +11,9 @@ from benchmarks.studies.consistency_scenes import TrueCameraChain
 from charact.estimators import mtf
 from charact.estimators.mtf.edge.checks import _has_bow
 from charact.method import Context
-from charact.study.edge.scene import TrueBlur, edge_spread
 from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import edge_spread
 
 SCENE = PulseEdge(
     blur=TrueBlur(form="exponential", frequency_cy_per_px=0.3, exponent=1.3),

@@ -8,7 +8,7 @@ import pytest
 
 from charact.estimators import mtf
 from charact.method import Context
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 
 def measured(stack):

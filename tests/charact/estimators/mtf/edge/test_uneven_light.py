@@ -13,7 +13,8 @@ from charact.estimators.mtf.edge.pixels.profile import UNEVEN_PER_PX
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.estimators.mtf.mean_frame import usable_black_level
 from charact.method import Context
-from charact.study.edge.scene import EdgeScene, TrueBlur
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 DISTANCE = np.linspace(-30.0, 40.0, 141)
 DARK, BRIGHT, BLACK = 900.0, 2400.0, 200.0

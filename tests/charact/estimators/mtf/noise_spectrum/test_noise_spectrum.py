@@ -25,8 +25,8 @@ from charact.estimators.mtf.noise_spectrum.result import (
     transfer_of,
 )
 from charact.method import Context
-from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
-from labdata.errors import BadInput
+from labdata import BadInput
+from tests.truth.scintillating_flats import ScintillatingFlats
 
 
 def measured(scene: ScintillatingFlats, seed: int, method: str = "auto", **more):
@@ -165,7 +165,7 @@ def test_intervals_hold_what_they_promise(seed):
     """Four cameras: squared errors over variance, with room for the pair of families that both
     fit.
     """
-    from charact.study.flats.noise_spectrum_cases import chart_cases
+    from tests.truth.cases.noise_spectrum import chart_cases
 
     off = []
     for case in chart_cases(seed, 4):

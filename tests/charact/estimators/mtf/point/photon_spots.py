@@ -1,7 +1,7 @@
 """Spots of closed-form transfer: noise-free pictures by plain sums over frequencies, noise of every
 kind on top.
 
-Unlike `charact.study.point.scene` no photoelectron is drawn, so that a picture without noise
+Unlike `tests.truth.point` no photoelectron is drawn, so that a picture without noise
 exists; nothing here is shared with the methods measured.
 """
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from charact.study.edge.scene import level_crossing
-from charact.study.noise import correlate_noise
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.blur import level_crossing
+from tests.truth.camera_effects import correlate_noise
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import pytest
 from charact.estimators import mtf
 from charact.estimators.mtf.point.parametric_noise import is_clipped_at_black
 from charact.method import Context
-from charact.study.point.scene import PointScene
+from tests.truth.point import PointScene
 
 PIXELS = (8, 4000)
 

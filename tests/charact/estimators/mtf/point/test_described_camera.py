@@ -7,9 +7,9 @@ import pytest
 
 from charact.estimators import mtf
 from charact.method import Context
-from charact.study.edge.scene import TrueBlur
-from charact.study.point.scene import PointScene
-from labdata.sensors import load_sensor
+from labdata import load_sensor
+from tests.truth.blur import TrueBlur
+from tests.truth.point import PointScene
 
 CONTEXT = Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)
 

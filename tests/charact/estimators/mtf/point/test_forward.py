@@ -15,11 +15,10 @@ from charact.estimators.mtf.point.source_window import source_window
 from charact.estimators.mtf.point.spot_image_matrix import Aperture, pixel_matrix
 from charact.estimators.mtf.point.spot_transform import point_spread
 from charact.method import Context
-from charact.study.edge.scene import TrueBlur
-from charact.study.point.scene import PointScene
 from charact.video_filter import VideoFilter
-from labdata.frames import FrameStack
-from labdata.sensors import load_sensor
+from labdata import FrameStack, load_sensor
+from tests.truth.blur import TrueBlur
+from tests.truth.point import PointScene
 
 SHAPE = (64, 64)
 BACKGROUND_DN, READ_DN, GAIN_DN = 20.0, 2.0, 0.3

@@ -22,11 +22,10 @@ from charact.estimators.mtf.point.source_pixels import covariance
 from charact.estimators.mtf.point.spot_image_matrix import FREQUENCIES, Aperture, pixel_matrix
 from charact.inference import importance_sample, sampling
 from charact.method import Context
-from charact.study.edge.scene import TrueBlur
-from charact.study.point.scene import PointScene
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack
 from tests.charact.estimators.mtf.point.photon_spots import Spot, SpotCamera
+from tests.truth.blur import TrueBlur
+from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)
 

@@ -17,11 +17,8 @@ from charact.estimators.mtf.session.constraints import constraints_from
 from charact.estimators.mtf.session.joint import fit_joint_mtf
 from charact.fitting.mtf_observations import mtf_observations
 from charact.method import Context
-from labdata.conditions import Conditions
-from labdata.measurement import Curve, Result, measurement_from_draws, measurement_from_sd
-from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
-from labdata.session import Session, StackEntry
+from labdata import Conditions, Curve, Result, Sensor, Session, StackEntry, load_sensor
+from labdata.measurement import measurement_from_draws, measurement_from_sd
 
 QUICK = Context(seed=1, quick=True)
 KINDS = {"e": "edge", "b1": "bars", "b2": "bars", "b3": "bars", "p": "point"}

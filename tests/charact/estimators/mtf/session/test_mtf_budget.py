@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
 from charact.estimators.mtf.session.stage_transfers import STAGES, Direction
-from labdata.sensors import load_sensor
+from labdata import load_sensor
 
 # f at the cathode (lp/mm), and there lens, tube, taper, pixel along rows and columns (26 um), low
 # pass; section 1.12.

@@ -11,8 +11,8 @@ from test_mtf_budget import cascade
 from charact.estimators.mtf.curve import REPORTED, curve_of
 from charact.estimators.mtf.session.mtf_budget import EVIDENCE, add_mtf_budget
 from charact.method import Context
-from labdata.measurement import Curve, Result, measurement_from_sd
-from labdata.sensors import load_sensor
+from labdata import Curve, Result, load_sensor
+from labdata.measurement import measurement_from_sd
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 CONTEXT = Context(seed=1, quick=True, sensor=SENSOR, interlaced=True)

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge.scene import TrueBlur, edge_spread
-from charact.study.noise import correlate_noise
+from tests.truth.blur import TrueBlur
+from tests.truth.camera_effects import correlate_noise
+from tests.truth.edge import edge_spread
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,10 @@ from charact.estimators import mtf
 from charact.estimators.mtf.point import source
 from charact.estimators.mtf.target_detection import find_bar_groups, find_pinholes
 from charact.method import Context
-from charact.study.edge.scene import TrueBlur, edge_spread
-from charact.study.point.scene import PointScene
-from labdata.errors import BadInput
+from labdata import BadInput
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import edge_spread
+from tests.truth.point import PointScene
 
 FREQUENCIES, FEW = (0.06, 0.09, 0.14, 0.2, 0.27), (0.06, 0.14, 0.27)
 

@@ -12,8 +12,9 @@ from scipy.ndimage import gaussian_filter
 from charact.estimators import mtf
 from charact.estimators.mtf.target_detection import DetectedEdge, find_edges
 from charact.method import Context
-from charact.study.edge.scene import EdgeScene, TrueBlur
-from labdata.frames import FrameStack
+from labdata import FrameStack
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 CHART = TiltedSquares()
 STEP_DN = CHART.bright_dn - CHART.dark_dn

@@ -1,1 +1,0 @@
-"""Bars of known MTF: scenes, cases and what methods make of them."""

@@ -1,1 +1,0 @@
-"""Halos and blooms of known size, and what methods make of them."""

@@ -1,1 +1,0 @@
-"""Edges of known MTF: scenes, cases, the bound on errors, and what methods make of them."""

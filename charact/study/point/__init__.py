@@ -1,1 +1,0 @@
-"""Point sources of known MTF: scenes, cases and what methods make of them."""

@@ -1,0 +1,1 @@
+"""Cases of known truth: what methods must cope with, and each way they break."""

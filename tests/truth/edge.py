@@ -1,0 +1,254 @@
+"""Edges of exactly known MTF: the frame of a blurred step by numerical transform, and its noise,
+from no simulator.
+"""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata import BadInput, FrameStack
+from tests.truth.blur import TrueBlur, level_crossing
+from tests.truth.camera_effects import boost, correlate_noise, sharpen_images
+
+# Places of a rough edge's course to a px.
+COURSE_PER_PX = 8
+# Step of the tabulated edge spread, px, and its length: 8192 px hold the tails of exp(-(f/fc)^n).
+STEP_PX = 1 / 64
+SAMPLES = 1 << 19
+
+
+@lru_cache(maxsize=64)
+def _edge_spread(
+    blur: TrueBlur, angle_deg: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Distance, px, and edge spread from 0 to 1: running sum of the line spread over cells of exact
+    integral.
+    """
+    frequency = np.fft.rfftfreq(SAMPLES, STEP_PX)
+    # Dividing by the cell's own transform makes the sum over whole cells the integral between their
+    # borders.
+    transform = blur.mtf(frequency, angle_deg) / np.sinc(frequency * STEP_PX)
+    line_spread = np.fft.fftshift(np.fft.irfft(transform, SAMPLES)) / STEP_PX
+    distance = (np.arange(SAMPLES) - SAMPLES // 2 + 0.5) * STEP_PX
+    central = np.abs(distance) < 2048
+    return distance[central], (np.cumsum(line_spread) * STEP_PX)[central]
+
+
+def edge_spread(
+    blur: TrueBlur, distance_px: NDArray[np.floating], angle_deg: float
+) -> NDArray[np.floating]:
+    """Edge spread, 0 on the dark and 1 on the bright side, at signed distances from the edge.
+
+    `distance_px`: distance along the normal, px, any shape; `angle_deg`: angle of the normal to the
+    rows, degrees.
+    """
+    distance, spread = _edge_spread(blur, round(float(angle_deg), 9))
+    return np.interp(distance_px, distance, spread)
+
+
+def distance_across(
+    row: NDArray[np.floating],
+    col: NDArray[np.floating],
+    size: tuple[int, int],
+    *,
+    angle_deg: float,
+    moved_px: NDArray[np.floating] | float,
+    sagitta_px: float,
+) -> NDArray[np.floating]:
+    """Signed distance along its normal from an edge through the middle of a frame, px.
+
+    `row`, `col`: places from the middle, shapes (row, 1) and (1, col), px; `size`: rows and columns
+    of the frame; `angle_deg`: angle of the normal to the rows, degrees; `moved_px`: displacement of
+    the edge along the rows, px; `sagitta_px`: bow of the edge over its length in the frame, px.
+    """
+    angle = np.deg2rad(angle_deg)
+    along = row * np.cos(angle) - col * np.sin(angle)
+    length = min(size[0] / max(abs(np.cos(angle)), 1e-9), size[1] / max(abs(np.sin(angle)), 1e-9))
+    bow = sagitta_px * (1 - (2 * along / length) ** 2)
+    return (col - moved_px) * np.cos(angle) + row * np.sin(angle) - bow
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeScene:
+    """An edge as a camera would digitise it, with one knob for each way in which edge methods
+    break.
+
+    Parameters
+    ----------
+    blur
+        The blur whose MTF is the truth.
+    rows, cols, frames
+        Size of the stack.
+    angle_deg
+        Angle of the edge's normal to the rows, degrees: 0 is a vertical edge.
+    offset_px
+        Where the edge passes the middle of the frame, px along the normal.
+    dark_dn, bright_dn
+        Levels on both sides, DN, black level included.
+    snr
+        Step over the standard deviation of the noise half way up, dimensionless. Infinite: no
+        noise.
+    shot_share
+        Share of the variance half way up that grows with the signal; the rest is white read noise.
+    noise_blur_px
+        Standard deviation of the Gaussian that correlates the signal's noise after the gain, px; 0
+        is white.
+    gamma
+        Exponent of the response, on a scale from black to full scale.
+    gradient
+        Illumination at the right border over that at the left, minus 1.
+    motion_px
+        Horizontal displacement of odd rows, exposed in the later field, px.
+    jitter_px
+        Standard deviation of a horizontal displacement that each frame has for itself, px.
+    sagitta_px
+        Bow of the edge over its length in the frame, px.
+    roughness_px, roughness_length_px
+        Root mean square of how far the edge wanders along its length, the same in all frames, and
+        the standard deviation of the Gaussian that smooths its course, px. Seen by the camera
+        without loss, as courses are that are long compared with the blur.
+    clip_share
+        Share of the step that lies above full scale.
+    floor_dn
+        Lowest code: what is darker sits on it, DN.
+    hot_share
+        Share of pixels stuck at full scale.
+    sharpening
+        Share by which the camera raises fine detail, see `tests.truth.camera_effects`.
+    black_dn, full_scale_dn
+        Codes at no light and at the top, DN.
+    """
+
+    blur: TrueBlur = field(default_factory=TrueBlur)
+    rows: int = 100
+    cols: int = 100
+    frames: int = 1
+    angle_deg: float = 5.0
+    offset_px: float = 0.0
+    dark_dn: float = 40.0
+    bright_dn: float = 190.0
+    snr: float = 50.0
+    shot_share: float = 0.8
+    noise_blur_px: float = 0.0
+    gamma: float = 1.0
+    gradient: float = 0.0
+    motion_px: float = 0.0
+    jitter_px: float = 0.0
+    sagitta_px: float = 0.0
+    roughness_px: float = 0.0
+    roughness_length_px: float = 2.0
+    clip_share: float = 0.0
+    floor_dn: float = 0.0
+    hot_share: float = 0.0
+    sharpening: float = 0.0
+    black_dn: float = 10.0
+    full_scale_dn: float = 255.0
+
+    def __post_init__(self) -> None:
+        if not self.snr > 0:
+            raise BadInput(f"snr must be positive, got {self.snr:g}")
+        if not 0 <= self.clip_share < 1:
+            raise BadInput(f"clip_share must lie in [0, 1), got {self.clip_share:g}")
+
+    @property
+    def truth_mtf50(self) -> float:
+        """MTF50 along the edge's normal, cycles per pixel."""
+        return level_crossing(
+            lambda f: self.blur.mtf(f, self.angle_deg) * boost(f, self.sharpening), 0.5
+        )
+
+    def mean(self) -> NDArray[np.floating]:
+        """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
+        return self._response(self.light())
+
+    def light(
+        self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0
+    ) -> NDArray[np.floating]:
+        """Noiseless light signal over black, DN of a straight response, shape (row, col).
+
+        `moved_px`: horizontal displacement of the edge, px; `course_px`: how far the edge lies off
+        its line along the normal, seen from each pixel, shape (row, col), px.
+        """
+        row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
+        col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
+        displacement = moved_px + self.motion_px * (np.arange(self.rows) % 2)[:, None]
+        distance = distance_across(
+            row,
+            col,
+            (self.rows, self.cols),
+            angle_deg=self.angle_deg,
+            moved_px=displacement,
+            sagitta_px=self.sagitta_px,
+        )
+        distance = distance - self.offset_px - course_px
+        step = self.bright_dn - self.dark_dn
+        light = (
+            self.dark_dn - self.black_dn + step * edge_spread(self.blur, distance, self.angle_deg)
+        )
+        light = light * (1 + self.gradient * (col / self.cols + 0.5))
+        # Clipping is a matter of exposure: the light grows until the share of the step lies above
+        # full scale.
+        if self.clip_share > 0:
+            room = self.full_scale_dn - self.black_dn
+            light = light * room / (self.bright_dn - self.black_dn - self.clip_share * step)
+        return light
+
+    def _frames_light(self, rng: np.random.Generator) -> NDArray[np.floating]:
+        """Light of every frame, or of all of them where nothing moves."""
+        course = self._course(rng) if self.roughness_px else 0.0
+        if not self.jitter_px:
+            return self.light(course_px=course)
+        return np.stack(
+            [
+                self.light(displacement, course)
+                for displacement in self.jitter_px * rng.standard_normal(self.frames)
+            ]
+        )
+
+    def _course(self, rng: np.random.Generator) -> NDArray[np.floating]:
+        """How far a rough edge lies off its line, seen from each pixel, px."""
+        from scipy.ndimage import gaussian_filter1d
+
+        angle = np.deg2rad(self.angle_deg)
+        row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
+        col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
+        along = row * np.cos(angle) - col * np.sin(angle)
+        half_length = 0.5 * np.hypot(self.rows, self.cols) + 1.0
+        position = np.arange(-half_length, half_length, 1 / COURSE_PER_PX)
+        course = gaussian_filter1d(
+            rng.standard_normal(position.size), self.roughness_length_px * COURSE_PER_PX
+        )
+        return np.interp(along, position, self.roughness_px * course / np.std(course))
+
+    def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
+        """What the camera makes of light: DN, black included."""
+        room = self.full_scale_dn - self.black_dn
+        return self.black_dn + room * np.sign(light) * np.abs(light / room) ** self.gamma
+
+    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
+        """Draw the stack: noise of the light correlated after the gain, the response, white read
+        noise, digitised.
+
+        The noise is sqrt(v_s(mean)) w blurred by a kernel h of unit sum of squares, plus white
+        noise: variance v_s + v_r, covariance v_s R_h. The signal's part of the variance is
+        proportional to the light; the response bends light and its noise alike.
+        """
+        light = self._frames_light(rng)
+        sd = (self.bright_dn - self.dark_dn) / self.snr if np.isfinite(self.snr) else 0.0
+        half_way = (self.bright_dn + self.dark_dn) / 2 - self.black_dn
+        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
+        read = np.sqrt(1 - self.shot_share) * sd
+        shape = (self.frames, self.rows, self.cols)
+        drawn = self._response(
+            light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px)
+        )
+        drawn = sharpen_images(drawn + read * rng.standard_normal(shape), self.sharpening)
+        stuck = rng.random((self.rows, self.cols)) < self.hot_share
+        drawn = np.where(stuck, self.full_scale_dn, drawn)
+        kind = np.uint8 if self.full_scale_dn < 256 else np.uint16
+        codes = np.clip(np.rint(drawn), self.floor_dn, self.full_scale_dn).astype(kind)
+        return FrameStack(
+            data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn
+        )

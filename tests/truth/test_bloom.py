@@ -1,0 +1,253 @@
+"""The generator of blooming keeps the laws of physics: volumes, rims, the step and plateau, charge,
+noise, seeds.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labdata import BadInput
+from tests.truth.bloom import apply_column_blooming, bloom_session, noiseless_frame, stack
+from tests.truth.bloom_extents import truth
+from tests.truth.bloom_light import (
+    BloomScene,
+    gaussian,
+    halo_rings,
+    moffat,
+    moffat_as_gaussians,
+    radial_light,
+    rings_blurred,
+)
+
+# Densities of electrons that land at r/d = 0.1, 0.3 .. 1.9, in units of 1/d^2, by Monte Carlo of
+# the cosine law.
+ELASTIC = (0.040, 0.040, 0.041, 0.042, 0.045, 0.048, 0.053, 0.061, 0.077, 0.182)
+UNIFORM = (1.21, 0.38, 0.21, 0.14, 0.10, 0.07, 0.05, 0.04, 0.03, 0.01)
+
+
+def volume(radius_px, density):
+    return float(np.trapezoid(2 * np.pi * radius_px * density, radius_px))
+
+
+def test_core_wing_and_halo_each_hold_all_their_light():
+    radius = np.arange(0.0, 4000.0, 0.02)
+    assert volume(radius, gaussian(radius, 1.3)) == pytest.approx(1.0, abs=1e-4)
+    assert volume(radius, moffat(radius, 3.0, 2.5)) == pytest.approx(1.0, abs=1e-4)
+    near = radius[radius < 60]
+    for elastic in (0.0, 0.3, 1.0):
+        assert volume(near, rings_blurred(near, halo_rings(46.0, elastic), 1.3)) == pytest.approx(
+            1.0, abs=1e-4
+        )
+
+
+def test_wing_is_a_sum_of_gaussians():
+    radius = np.array([0.0, 1.0, 5.0, 20.0, 60.0])
+    for exponent in (1.5, 2.0, 3.0):
+        sigmas, weights = moffat_as_gaussians(3.0, exponent)
+        summed = np.sum(
+            [
+                weight * gaussian(radius, sigma)
+                for sigma, weight in zip(sigmas, weights, strict=True)
+            ],
+            0,
+        )
+        assert summed == pytest.approx(moffat(radius, 3.0, exponent), rel=1e-3)
+
+
+@pytest.mark.parametrize(("elastic", "density"), [(1.0, ELASTIC), (0.0, UNIFORM)])
+def test_electrons_land_as_the_cosine_law_says(elastic, density):
+    """Half a digit of the table, and 3 % where the Monte Carlo has scatter."""
+    gap = 1.0
+    radius, weight = halo_rings(4.0 * gap, elastic)
+    held, edges = np.histogram(radius, bins=np.arange(0.0, 2.01, 0.2), weights=weight)
+    found = held / (np.pi * np.diff(edges**2))
+    assert found == pytest.approx(density, rel=0.06, abs=0.006)
+
+
+def test_rim_stands_at_half_the_diameter():
+    radius = np.arange(15.0, 30.0, 0.01)
+    for blur in (1.0, 0.5):
+        steepest = radius[
+            np.argmin(np.gradient(rings_blurred(radius, halo_rings(46.0, 1.0), blur)))
+        ]
+        assert steepest == pytest.approx(23.0, abs=0.6 * blur)
+    beyond = rings_blurred(np.array([23.0 + 6.0 * 0.5]), halo_rings(46.0, 1.0), 0.5)
+    assert beyond[0] < 1e-9
+
+
+def test_bloom_has_a_step_and_a_plateau():
+    """The step comes where the halo's plateau meets the level; a core alone grows as sqrt(2 ln
+    overload).
+    """
+    source = BloomScene(core_sigma_px=1.2, halo_diameter_px=47.2, halo_fraction=0.02)
+    overloads = [1e1, 1e2, 1e3, 1e4, 1e5, 1e6]
+    bare = [
+        truth(replace(source, halo_fraction=0.0), one)["bloom_diameter_clip"] for one in overloads
+    ]
+    assert bare == pytest.approx([5.1, 7.3, 8.9, 10.3, 11.5, 12.6], abs=0.1)
+    found = [truth(source, one)["bloom_diameter"] for one in overloads]
+    assert found[:3] == pytest.approx([5.9, 7.9, 9.9], abs=0.1)
+    assert all(47.2 <= one + 0.2 <= 47.2 + 8.0 for one in found[3:])
+    level = 0.5 * source.span_dn - source.background_dn
+    step = level / (truth(source, 1.0)["halo_plateau"] * source.source_dn(1.0))
+    assert truth(source, 0.5 * step)["bloom_diameter"] < 15
+    assert truth(source, 2.0 * step)["bloom_diameter"] > 40
+
+
+def test_truth_by_pixels_agrees_with_truth_in_closed_form():
+    source = BloomScene(rows=121, cols=121, row_pitch=1.18)
+    for overload in (2.0, 30.0, 3e3):
+        exact, counted = (
+            truth(source, overload),
+            truth(replace(source, plate_saturation_dn=1e12), overload),
+        )
+        for name in ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip"):
+            assert counted[name] == pytest.approx(exact[name], abs=0.15), (overload, name)
+
+
+@pytest.mark.parametrize(("wing", "after_px"), [(0.0, 0.8), (0.3, 0.8), (0.0, 0.5)])
+def test_the_law_along_the_radius_is_that_of_the_picture(wing, after_px):
+    """The blur after the gain widens the wing as well: a tenth of its light 5 px out; narrow ones
+    are blurs no less.
+    """
+    source = BloomScene(
+        core_sigma_px=1.15, post_gain_sigma_px=after_px, wing_share=wing, wing_radius_px=2.0
+    )
+    row, col = source.centre
+    radius = np.hypot(
+        (np.arange(source.rows) - row)[:, None], (np.arange(source.cols) - col)[None, :]
+    )
+    near, table = radius < 40, np.arange(0.0, 41.0, 0.01)
+    law = np.interp(radius[near], table, radial_light(source, table))
+    picture = noiseless_frame(source, 1.0)[near] - source.dark_dn - source.background_dn
+    assert picture == pytest.approx(
+        source.source_dn(1.0) * law, rel=1e-3, abs=1e-6 * source.span_dn
+    )
+
+
+def test_overflow_conserves_charge_and_its_place():
+    rng = np.random.default_rng(0)
+    charge = rng.uniform(0.0, 50.0, (2, 400, 5))
+    charge[:, 200, 2] += 9e3
+    charge[0, 230, 2] += 4e3
+    settled, rows = apply_column_blooming(charge, 100.0), np.arange(400)[:, None]
+    assert settled.max() <= 100.0 + 1e-6
+    assert settled.sum(axis=1) == pytest.approx(charge.sum(axis=1))
+    assert (rows * settled).sum(axis=1) == pytest.approx((rows * charge).sum(axis=1))
+    assert settled[:, :, [0, 1, 3, 4]] == pytest.approx(charge[:, :, [0, 1, 3, 4]])
+    full = np.flatnonzero(settled[0, :, 2] > 100.0 - 1e-6)
+    assert np.array_equal(full, np.arange(full[0], full[-1] + 1))
+
+
+def test_overflow_settles_as_charge_handed_on_step_by_step():
+    charge = np.full((61, 1), 10.0)
+    charge[30:32, 0] = 320.0, 150.0
+    slow = charge.copy()
+    for _ in range(4000):
+        spill = np.maximum(slow - 50.0, 0.0)
+        slow = slow - spill
+        slow[1:] += 0.5 * spill[:-1]
+        slow[:-1] += 0.5 * spill[1:]
+    assert apply_column_blooming(charge, 50.0) == pytest.approx(slow, abs=1e-6)
+
+
+def test_smear_lies_evenly_along_the_column():
+    source = BloomScene()
+    added = noiseless_frame(replace(source, smear_fraction=0.01), 1e3) - noiseless_frame(
+        source, 1e3
+    )
+    assert np.ptp(added, axis=0).max() < 1e-6
+    assert added[0] == pytest.approx(
+        0.01 * (noiseless_frame(source, 1e3) - source.dark_dn).mean(axis=0)
+    )
+
+
+@pytest.mark.parametrize("background_dn", [6.0, 240.0])
+def test_noise_is_that_of_pulses_blurred_after_the_gain(background_dn):
+    source = BloomScene(frames=24, background_dn=background_dn, full_scale_dn=4095.0, bits=12)
+    frames = stack(source, 1e-9, np.random.default_rng(1)).data.astype(float)
+    noise = (frames - frames.mean(axis=0)) * np.sqrt(24 / 23)
+    kernel = np.exp(-0.5 * (np.arange(-4, 5) / 0.7) ** 2)
+    kernel /= kernel.sum()
+    pulses = background_dn * source.photoelectron_dn * source.excess
+    shared = np.array([(kernel[lag:] * kernel[: len(kernel) - lag]).sum() for lag in (0, 1)])
+    sd = np.sqrt(2.0 / noise.size / shared[0] ** 2) * shared[0] * 2
+    variance = pulses * shared[0] ** 2 + source.read_noise_dn**2 + 1 / 12
+    assert frames.mean() == pytest.approx(
+        source.dark_dn + background_dn, abs=5 * np.sqrt(pulses / noise.size) + 0.01
+    )
+    assert (noise**2).mean() == pytest.approx(variance, rel=6 * sd)
+    covariance = (noise[:, :, 1:] * noise[:, :, :-1]).mean()
+    assert covariance == pytest.approx(
+        pulses * shared[0] * shared[1], rel=6 * sd / shared[1] * shared[0]
+    )
+
+
+def test_lag_motion_and_a_second_source_are_where_they_should_be():
+    source = BloomScene(
+        frames=5,
+        read_noise_dn=0.0,
+        halo_fraction=0.0,
+        background_dn=1.0,
+        full_scale_dn=65535.0,
+        bits=16,
+    )
+    moving = stack(replace(source, motion_px=4.0), 0.8, np.random.default_rng(3)).data
+    peaks = [int(np.argmax(frame.max(axis=0))) for frame in moving]
+    assert np.diff(peaks) == pytest.approx(4.0, abs=1.5)
+    lagging = stack(
+        replace(source, motion_px=12.0, lag=0.3), 0.8, np.random.default_rng(3)
+    ).data.astype(float)
+    row, col = (round(one) for one in source.centre)
+    now, before = (
+        lagging[2, row - 6 : row + 7, at - 5 : at + 6].sum() - 13 * 143 for at in (col, col - 12)
+    )
+    assert before / now == pytest.approx(0.3 / 0.7, rel=0.05)
+    pair = noiseless_frame(
+        replace(source, second_distance_px=20.0, second_ratio=0.5, second_angle_deg=90.0), 1.0
+    )
+    assert pair[row + 20, col] - 13 == pytest.approx(0.5 * (pair[row, col] - 13), rel=1e-3)
+
+
+def test_automatic_gain_holds_the_mean_and_the_background_falls():
+    source = BloomScene(agc=True, halo_fraction=0.2)
+    session_ = bloom_session(source, (3.0, 3e3), np.random.default_rng(4))
+    dim, bright = (
+        entry.read().data.astype(float) - source.dark_dn for entry in session_.of_kind("point")
+    )
+    assert bright[:, :20].mean() < 0.6 * dim[:, :20].mean()
+    assert truth(source, 3e3, faintest=3.0)["bloom_diameter"] < truth(source, 3e3)["bloom_diameter"]
+
+
+def test_the_plate_tires_where_it_is_bright():
+    source = BloomScene(background_dn=0.0)
+    tired = replace(source, plate_saturation_dn=1e3)
+    assert truth(tired, 1e-3)["core_compression"] == pytest.approx(1.0, abs=1e-2)
+    assert truth(tired, 100.0)["core_compression"] < 0.3
+    row, col = (round(one) for one in source.centre)
+    assert noiseless_frame(tired, 1e6)[row, col] - source.dark_dn == pytest.approx(1e3, rel=0.01)
+    far = np.s_[row, col + 21]
+    assert noiseless_frame(tired, 100.0)[far] == pytest.approx(
+        noiseless_frame(source, 100.0)[far], rel=0.02
+    )
+
+
+def test_the_same_seed_draws_the_same_frames_and_sessions_say_what_was_told():
+    source = BloomScene(light_sd=0.1, wrong_dark_dn=2.0)
+    first, again = (bloom_session(source, (1.0, 100.0), np.random.default_rng(5)) for _ in range(2))
+    for one, other in zip(first.stacks, again.stacks, strict=True):
+        assert one.read().data.tobytes() == other.read().data.tobytes()
+        assert one.conditions == other.conditions
+    (dark,), points = first.of_kind("dark"), first.of_kind("point")
+    assert dark.read().data.mean() == pytest.approx(source.dark_dn + 2.0, abs=0.02)
+    stated = [entry.conditions.illuminance_lux or 0.0 for entry in points]
+    assert 0.0 < abs(np.log(stated[1] / stated[0] / 100.0)) < 0.6
+    assert not bloom_session(source, (1.0,), np.random.default_rng(5), darks=False).of_kind("dark")
+
+
+def test_a_scene_that_cannot_be_is_refused():
+    with pytest.raises(BadInput, match="wider than the blur"):
+        BloomScene(core_sigma_px=0.6)
+    with pytest.raises(BadInput, match="8 bits"):
+        BloomScene(full_scale_dn=4095.0)
