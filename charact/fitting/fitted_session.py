@@ -1,4 +1,4 @@
-"""What the fit takes of a session: its camera, its stacks of fixed gain, and frequencies per
+"""Inputs of the fit from a session: its camera, its stacks of fixed gain, and frequencies per
 pixel.
 """
 

@@ -22,7 +22,7 @@ def mtf(
 
     `across`: horizontal frequencies, shape (m,), cycles per column pitch; `along`: vertical
     frequencies, shape (m,), cycles per row pitch of the sensor; a field row of interlaced video is
-    the sum of two sensor rows; `wavelength_nm`: wavelength of the light, nm, of which diffraction
+    the sum of two sensor rows; `wavelength_nm`: wavelength of the light, nm, on which diffraction
     depends.
 
     Returns Array, shape (n, m).
@@ -397,7 +397,7 @@ def lens_transfer(
 def tube_transfer(
     frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, fraction: Array | float = 1.0
 ) -> Array:
-    """Return exp(-share (f/fc)^n), the part `fraction` of an image tube's transfer (Johnson's
+    """Return exp(-`fraction` (f/fc)^n), a fraction of an image tube's transfer (Johnson's
     form).
     """
     logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))

@@ -90,8 +90,8 @@ def adapt(
     start chains from.
 
     Population Monte Carlo: weighted draws of a Student t give the mean and covariance of the next
-    one. Weights are cut at their mean times the root of the number of draws, so that no draw
-    decides (Ionides 2008, doi 10.1198/106186008X320456).
+    one. Weights are limited to their mean times the root of the number of draws, so that no single
+    draw dominates (Ionides 2008, doi 10.1198/106186008X320456).
     """
     count, freedom = SAMPLING.round_draws, SAMPLING.freedom
     points, weight = point[None], np.ones(1)
@@ -155,7 +155,7 @@ def _run(
     steps: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Return the chains after so many steps with a normal law of a mean and covariance."""
+    """Return the chains after a number of steps with a normal law of a mean and covariance."""
     root = root_of(covariance)
     inverse = np.linalg.inv(root)
 

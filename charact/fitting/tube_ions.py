@@ -46,9 +46,7 @@ class IonEvents:
 
 
 def light_in_window(values: Values) -> float:
-    """Return the fraction of a pulse's light that its window contains, of a Gaussian of the
-    described blur.
-    """
+    """Return the fraction of a pulse's light in its window, for a Gaussian of the known blur."""
     from scipy.special import erf
 
     blur = pulse_covariance(values, ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)))[0]
@@ -150,8 +148,8 @@ def ion_observation(events: IonEvents) -> Observation:
 
     Notes
     -----
-    The root of a Poisson number plus 3/8 has the variance 1/4 nearly (Anscombe 1948). No event says
-    that few are above the limit; then the charge is left out.
+    The root of a Poisson number plus 3/8 has the variance 1/4 nearly (Anscombe 1948). Without
+    events only the number is observed, not the charge.
     """
     charges = np.array(events.charge_dn)
     number = charges.size

@@ -402,7 +402,7 @@ def pulse_covariance(values: Values, separations: tuple[tuple[float, float], ...
 
 
 class _LastCall:
-    """A function of values that keeps its last result: several observations ask it about the same
+    """A function of values that keeps its last result: several observations evaluate it at the same
     draws.
     """
 

@@ -79,9 +79,9 @@ def package_findings(
     for requirement in requires:
         if (parsed := _REQUIREMENT.match(requirement.strip())) is None:
             continue
-        name, least, extra = parsed.groups()
+        name, minimum_version, extra = parsed.groups()
         wanting.setdefault(extra, [])
-        if lack := _lack(name, least, installed(name)):
+        if lack := _lack(name, minimum_version, installed(name)):
             wanting[extra].append(lack)
     for extra, lacks in sorted(wanting.items(), key=lambda pair: pair[0] or ""):
         of, suffix = ("packages", "") if extra is None else (f"extra {extra}", f"[{extra}]")
@@ -93,7 +93,7 @@ def package_findings(
         )
 
 
-def _lack(name: str, least: str | None, version: str | None) -> str | None:
+def _lack(name: str, minimum_version: str | None, version: str | None) -> str | None:
     """Return what is wrong with a package; release numbers are compared, so that 1.10 is later than
     1.9.
     """
@@ -104,8 +104,8 @@ def _lack(name: str, least: str | None, version: str | None) -> str | None:
 
     if version is None:
         return f"{name} is not installed"
-    if least is not None and numbers(version) < numbers(least):
-        return f"{name} must be {least} or later, got {version}"
+    if minimum_version is not None and numbers(version) < numbers(minimum_version):
+        return f"{name} must be {minimum_version} or later, got {version}"
     return None
 
 
@@ -223,15 +223,15 @@ def aravis_cameras() -> Iterator[Finding]:
     from drivers.errors import BenchError
 
     try:
-        found = list_cameras()
+        cameras = list_cameras()
     except BenchError as error:
         yield Finding("aravis", str(error), fix="apt-get install libaravis-0.8-0 (Debian)")
         return
-    for camera in found:
+    for camera in cameras:
         yield Finding(
             "aravis", f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}"
         )
-    if not found:
+    if not cameras:
         yield Finding(
             "aravis",
             "the library is installed; no GigE Vision or USB3 Vision camera answers",
@@ -268,13 +268,13 @@ def _capture_formats() -> dict[str, str]:
     from drivers.cameras.v4l2.listing import list_devices
 
     offers = {}
-    for one in list_devices():
+    for device in list_devices():
         formats = (
-            ", ".join(dict.fromkeys(offer.name for offer in one.formats if offer.name))
+            ", ".join(dict.fromkeys(offer.name for offer in device.formats if offer.name))
             or "no readable format"
         )
-        inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in one.inputs)
-        offers[one.path] = f"inputs {inputs or 'none'}; {formats}"
+        inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in device.inputs)
+        offers[device.path] = f"inputs {inputs or 'none'}; {formats}"
     return offers
 
 
@@ -289,10 +289,10 @@ def port_findings() -> Iterator[Finding]:
 
 def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
     """Yield whether this user may open ports, given as (device file, description)."""
-    found = sorted(ports)
-    for path, title in found:
+    sorted_ports = sorted(ports)
+    for path, title in sorted_ports:
         yield device_finding("serial", path, "serial port" if title == "n/a" else title)
-    if not found:
+    if not sorted_ports:
         yield Finding("serial", "no serial port", fix="connect an adapter, for instruments")
     yield from group_findings("serial", "dialout")
 

@@ -47,7 +47,7 @@ class BestFocus:
     """
 
     best: Focus | None = None
-    above: Focus | None = None
+    candidate: Focus | None = None
 
     def after(self, now: Focus) -> "BestFocus":
         """Return the best focus after a further reading of frames not used by the previous one."""
@@ -58,9 +58,11 @@ class BestFocus:
             return BestFocus(best=now)
         if interval[0] <= self.best.mtf50_cy_per_px:
             return BestFocus(best=self.best)
-        if self.above is None or self.above.mtf50_cy_per_px is None:
-            return BestFocus(best=self.best, above=now)
-        lower, higher = sorted((self.above, now), key=lambda one: one.mtf50_cy_per_px or 0.0)
+        if self.candidate is None or self.candidate.mtf50_cy_per_px is None:
+            return BestFocus(best=self.best, candidate=now)
+        lower, higher = sorted(
+            (self.candidate, now), key=lambda reading: reading.mtf50_cy_per_px or 0.0
+        )
         return BestFocus(best=lower).after(higher)
 
     def is_reached_by(self, now: Focus) -> bool | None:
@@ -81,12 +83,12 @@ def read_focus(frames: NDArray, region: Region | None, context: Context) -> Focu
     result = measure(
         "edge", FrameStack(data=frames), region=region, method="edge-gradient", context=context
     )
-    (found, *_) = result.find("mtf50")
+    (mtf50, *_) = result.find("mtf50")
     same = {
-        name: getattr(found, name)
+        name: getattr(mtf50, name)
         for name in ("interval95", "orientation_deg", "region", "flags", "reason")
     }
-    return Focus(mtf50_cy_per_px=found.value, seconds=found.seconds or 0.0, **same)
+    return Focus(mtf50_cy_per_px=mtf50.value, seconds=mtf50.seconds or 0.0, **same)
 
 
 def window_about(region: Region) -> Region:
@@ -155,8 +157,8 @@ class FocusReader(AbstractContextManager["FocusReader"]):
         focus, self._reading = self._reading.result(), None
         self.newest, self.best = focus, self.best.after(focus) if self._reads_new else self.best
         if self._region is None:
-            found = focus.region if focus.mtf50_cy_per_px is not None else None
-            self._window = None if found is None else window_about(found)
+            focus_region = focus.region if focus.mtf50_cy_per_px is not None else None
+            self._window = None if focus_region is None else window_about(focus_region)
         return True
 
 

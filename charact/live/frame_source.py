@@ -134,8 +134,8 @@ class SessionSource:
             newest = self._newest()
             if newest is not None and (stack is None or stack.form.label != newest.label):
                 stack = _Stack(newest, self.folder / _array_of(newest), self.context)
-            for seen in (stack.newest() if stack else ()) or (None,):
-                yield seen
+            for source_frame in (stack.newest() if stack else ()) or (None,):
+                yield source_frame
                 time.sleep(self._look_s)
 
     def _newest(self) -> StackRecord | None:

@@ -114,12 +114,12 @@ class LiveLoop:
 
     def _run(self) -> None:
         try:
-            for seen in self._source:
+            for source_frame in self._source:
                 if self._stop.is_set():
                     self.newest.end("the live view was closed")
                     return
-                if seen is not None:
-                    self._take_in(seen)
+                if source_frame is not None:
+                    self._take_in(source_frame)
                 else:
                     self._renew_focus()
             self.newest.end(f"{self._source.name} has no more frames")
@@ -129,35 +129,35 @@ class LiveLoop:
             self.newest.end(f"the program failed: {error!r}")
             raise
 
-    def _take_in(self, seen: SourceFrame) -> None:
-        rate_hz = self._rate.after(seen.frame)
-        before, self._before = self._before, seen
+    def _take_in(self, source_frame: SourceFrame) -> None:
+        rate_hz = self._rate.after(source_frame.frame)
+        before, self._before = self._before, source_frame
         now_s = time.monotonic()
         if now_s < self._due_s:
             return
         # Shortest interval between two views, s; frames in between are read but not measured.
         self._due_s = max(self._due_s + 1.0 / 30.0, now_s)
-        pixels, previous = seen.frame.pixels, None
+        pixels, previous = source_frame.frame.pixels, None
         if (
             before is not None
-            and before.of == seen.of
+            and before.of == source_frame.of
             and before.frame.pixels.shape == pixels.shape
         ):
             previous = before.frame.pixels
         if self._focus is not None:
             self._focus.look_at(pixels)
         meters = measure_frame(
-            pixels, previous, full_scale_dn=seen.full_scale_dn, region=self._region
+            pixels, previous, full_scale_dn=source_frame.full_scale_dn, region=self._region
         )
         self._number += 1
         self.newest.publish(
             LiveView(
                 number=self._number,
-                source_frame=seen,
+                source_frame=source_frame,
                 statistics=meters,
                 frame_rate_hz=rate_hz,
                 region=self._region,
-                preview=render_preview(pixels, meters, full_scale_dn=seen.full_scale_dn),
+                preview=render_preview(pixels, meters, full_scale_dn=source_frame.full_scale_dn),
                 focus=self._focus.newest if self._focus else None,
                 best=self._focus.best if self._focus else BestFocus(),
             )

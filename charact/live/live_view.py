@@ -59,13 +59,13 @@ def measure_frame(
         raise BadInput(
             f"two frames must have one shape to be compared, got {before.shape} and {frame.shape}"
         )
-    inside = _inside(frame, region)
+    region_pixels = _inside(frame, region)
     noise, error = (
-        (None, None) if before is None else temporal_noise(inside, _inside(before, region))
+        (None, None) if before is None else temporal_noise(region_pixels, _inside(before, region))
     )
     histogram, bin_dn = _histogram(frame, full_scale_dn)
     return FrameStatistics(
-        mean_dn=float(inside.mean()),
+        mean_dn=float(region_pixels.mean()),
         highest_dn=float(frame.max()),
         pixels=frame.size,
         noise_dn=noise,
@@ -105,8 +105,8 @@ def _tiles(values: NDArray) -> NDArray[np.float64]:
     # Wider than the blur, so that the means are independent; smaller in a small region.
     side = int(np.clip(min(values.shape) // 8, 8, 32))
     rows, cols = (length // side for length in values.shape)
-    whole = values[: rows * side, : cols * side]
-    return whole.reshape(rows, side, cols, side).mean(axis=(1, 3), dtype=np.float64)
+    complete_tiles = values[: rows * side, : cols * side]
+    return complete_tiles.reshape(rows, side, cols, side).mean(axis=(1, 3), dtype=np.float64)
 
 
 def _histogram(frame: NDArray, full_scale_dn: float) -> tuple[NDArray[np.int64], float]:
@@ -165,9 +165,9 @@ def _levels(meters: FrameStatistics) -> tuple[float, float]:
     """Return the grey values shown as black and white, at least eight bins apart so that noise is
     not stretched.
     """
-    below = np.cumsum(meters.histogram) / max(meters.pixels, 1)
+    cumulative = np.cumsum(meters.histogram) / max(meters.pixels, 1)
     # Quantiles of the grey values shown as black and white.
-    black, white = np.searchsorted(below, (0.002, 0.998))
+    black, white = np.searchsorted(cumulative, (0.002, 0.998))
     return float(black * meters.bin_dn), float(max(white + 1, black + 8) * meters.bin_dn)
 
 

@@ -26,10 +26,10 @@ def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlet
     `focus_first`: whether the focus is the main value. No route accesses an instrument; the only
     action is to forget the best focus.
     """
-    about = {"title": title, "source": running.source.name, "focus_first": focus_first}
+    page_data = {"title": title, "source": running.source.name, "focus_first": focus_first}
 
     async def events(request: Request) -> Response:
-        return StreamingResponse(_events(running, about), media_type="text/event-stream")
+        return StreamingResponse(_events(running, page_data), media_type="text/event-stream")
 
     async def view(request: Request) -> Response:
         newest = running.newest.view
@@ -37,7 +37,7 @@ def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlet
             return JSONResponse(
                 {"waiting": running.newest.end_reason or "no frame yet"}, status_code=503
             )
-        return JSONResponse({**about, **newest.as_json()})
+        return JSONResponse({**page_data, **newest.as_json()})
 
     async def picture(request: Request) -> Response:
         newest = running.newest.view
@@ -70,9 +70,9 @@ def _file(name: str, media_type: str):
     return endpoint
 
 
-async def _events(running: LiveLoop, about: dict) -> AsyncIterator[str]:
+async def _events(running: LiveLoop, page_data: dict) -> AsyncIterator[str]:
     """Yield the title, then each newer view; a slow reader skips views."""
-    yield _event("about", about)
+    yield _event("about", page_data)
     sent, silent_s = 0, 0.0
     while True:
         view = running.newest.view

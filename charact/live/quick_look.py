@@ -49,9 +49,11 @@ class QuickLook:
     def leading(self) -> tuple[Measurement, ...]:
         """The main measurements, for one line."""
         names = LEADING[self.entry.kind]
-        own = [m for m in self.result.measurements if m.stack in (None, self.entry.label)]
-        given = [m for name in names for m in own if m.quantity == name and m.value is not None]
-        return tuple(given or [m for name in names[:1] for m in own if m.quantity == name])
+        of_stack = [m for m in self.result.measurements if m.stack in (None, self.entry.label)]
+        leading = [
+            m for name in names for m in of_stack if m.quantity == name and m.value is not None
+        ]
+        return tuple(leading or [m for name in names[:1] for m in of_stack if m.quantity == name])
 
 
 def look_at(session: Session, entry: StackEntry, *, seed: int = 0) -> QuickLook:
@@ -99,12 +101,14 @@ def _levels(entry: StackEntry) -> tuple[np.ndarray, int, float]:
     """
     stack = open_lazy_stack(entry)
     full_scale_dn = stack.full_scale_dn or full_scale_of(stack.dtype)
-    means, most = [], 0
+    means, most_saturated = [], 0
     for first in range(0, len(stack), BLOCK_FRAMES):
         frames = stack.frames(first, min(first + BLOCK_FRAMES, len(stack)))
         means.append(frames.mean(axis=(1, 2), dtype=np.float64))
-        most = max(most, int(np.count_nonzero(frames >= full_scale_dn, axis=(1, 2)).max()))
-    return np.concatenate(means), most, full_scale_dn
+        most_saturated = max(
+            most_saturated, int(np.count_nonzero(frames >= full_scale_dn, axis=(1, 2)).max())
+        )
+    return np.concatenate(means), most_saturated, full_scale_dn
 
 
 def watch_stacks(
@@ -127,15 +131,15 @@ def watch_stacks(
         If there is no session, the run ended before its plan was completed, or no stack was
         completed in time.
     """
-    folder, seen, since_s = Path(folder), set[str](), time.monotonic()
+    folder, seen_labels, since_s = Path(folder), set[str](), time.monotonic()
     if not (folder / MANIFEST).is_file():
         raise BadInput(f"a session must be a folder with a {MANIFEST}, got {folder}")
     while True:
         # The log is read before the stacks, so that a stack finished in between is not missed.
         ended = run_outcome(folder)
         for session, entry in _stacks_on_disk(folder):
-            if entry.label not in seen:
-                seen.add(entry.label)
+            if entry.label not in seen_labels:
+                seen_labels.add(entry.label)
                 yield session, entry
                 since_s = time.monotonic()
         if ended == "" or once:
@@ -170,9 +174,9 @@ def _stacks_on_disk(folder: Path) -> Iterator[tuple[Session, StackEntry]]:
     if not form.stack:
         return
     session = session_of(folder, form)
-    for place, entry in enumerate(session.stacks):
+    for index, entry in enumerate(session.stacks):
         if entry.finished:
-            yield replace(session, stacks=session.stacks[: place + 1]), entry
+            yield replace(session, stacks=session.stacks[: index + 1]), entry
 
 
 def watch_files(
@@ -190,20 +194,20 @@ def watch_files(
     """
     from labdata.importers import module_of
 
-    seen: set[Path] = set()
+    seen_paths: set[Path] = set()
     sizes: dict[Path, int] = {}
     waited_s = 0.0
     while True:
         states = {}
         for path in folder.iterdir():
-            if module_of(path) and path not in seen:
+            if module_of(path) and path not in seen_paths:
                 with suppress(FileNotFoundError):  # renamed or deleted meanwhile
                     states[path] = path.stat()
         new = [path for path, state in states.items() if stat.S_ISREG(state.st_mode)]
         ready = [path for path in new if sizes.get(path) == states[path].st_size]
         sizes = {path: states[path].st_size for path in new}
         for path in sorted(ready, key=lambda path: (states[path].st_mtime, path.name)):
-            seen.add(path)
+            seen_paths.add(path)
             yield path
         waited_s = 0.0 if ready else waited_s + poll_s
         if (once and not set(new) - set(ready)) or waited_s > patience_s:

@@ -44,11 +44,11 @@ def table(view: LiveView, title: str) -> "Table":
 def lines(view: LiveView) -> dict[str, str]:
     """Return the statistics of a view as text, by name."""
     meters, focus, best = view.statistics, view.focus, view.best.best
-    share = 100.0 * meters.saturated_px / meters.pixels
+    percent = 100.0 * meters.saturated_px / meters.pixels
     error = "" if meters.noise_se_dn is None else f" ± {meters.noise_se_dn:.2g}"
     texts = {
         "frame": f"{view.source_frame.frame.number} of {view.source_frame.of}",
-        "saturated": f"{meters.saturated_px} of {meters.pixels} px ({share:.3g} %) at or above "
+        "saturated": f"{meters.saturated_px} of {meters.pixels} px ({percent:.3g} %) at or above "
         f"{view.source_frame.full_scale_dn:g} DN",
         "mean": f"{meters.mean_dn:.4g} DN",
         "temporal noise": "needs two frames"
@@ -83,12 +83,12 @@ def sparkline(view: LiveView) -> str:
     sums = [
         int(counts[first : first + together].sum()) for first in range(0, len(counts), together)
     ]
-    most = math.log(1 + max(sums))
+    log_highest = math.log(1 + max(sums))
     return "".join(
-        BLOCKS[math.ceil((len(BLOCKS) - 1) * math.log(1 + number) / most)] for number in sums
+        BLOCKS[math.ceil((len(BLOCKS) - 1) * math.log(1 + number) / log_highest)] for number in sums
     )
 
 
-def _bar(share: float) -> str:
-    whole = round(40 * min(max(share, 0.0), 1.0))
-    return "█" * whole + "░" * (40 - whole) + f" {100 * share:.0f} % of the best"
+def _bar(fraction: float) -> str:
+    filled = round(40 * min(max(fraction, 0.0), 1.0))
+    return "█" * filled + "░" * (40 - filled) + f" {100 * fraction:.0f} % of the best"

@@ -131,7 +131,7 @@ def headline_of(validation: Validation) -> str:
 
 
 def sentence_of(validation: Validation) -> str:
-    """Return what an agreement could have seen and not, or what deviates most."""
+    """Return the errors that an agreement excludes and those it does not, or what deviates most."""
     return _power_sentence(validation) if validation.passed else _deviation_sentence(validation)
 
 
@@ -233,7 +233,7 @@ def _pictures(pair: FramePair, aspect: float, *, pattern: bool = False) -> tuple
 
 
 def _image(codes: Any, title: str, caption: str, aspect: float) -> ReportImage:
-    """Return an image of codes of 8 bits (row, col), with as much detail as `MOST_BYTES` hold."""
+    """Return an image of codes of 8 bits (row, col), as detailed as fits into `MOST_BYTES`."""
     for quality in range(72, LEAST_QUALITY - 1, -8):
         data = as_jpeg(codes, (0.0, 255.0), quality)
         if len(data) * 3 / 4 <= MOST_BYTES:
@@ -249,9 +249,7 @@ def _image(codes: Any, title: str, caption: str, aspect: float) -> ReportImage:
 
 
 def blind_pair(pair: FramePair, seed: int, aspect: float) -> BlindPair:
-    """Return both images in an order by the seed and the frame, without words that tell them
-    apart.
-    """
+    """Return both images in an order set by seed and frame, without labels that identify them."""
     first = bool(np.random.default_rng([seed, int(pair.measured.sum())]).integers(2))
     images = (pair.measured, pair.simulated) if first else (pair.simulated, pair.measured)
     return BlindPair(

@@ -51,8 +51,8 @@ class Ensemble:
         Parameters
         ----------
         measured
-            Numbers of a set, shape (number,), or of several places of its frames, (place, number),
-            of which the most deviating counts.
+            Numbers of a set, shape (number,), or of several parts of its frames, (part, number);
+            the most deviating part counts.
 
         Notes
         -----
@@ -60,7 +60,7 @@ class Ensemble:
         which finds small errors of many, and the largest squared z-score, which finds an error of
         one. The covariance is estimated from few sets, so that neither has a tabulated
         distribution: the procedure is repeated on Gaussian sets with the estimated covariance (a
-        parametric bootstrap; Davison and Hinkley 1997, section 4.2), all places of a repetition
+        parametric bootstrap; Davison and Hinkley 1997, section 4.2), all parts of a repetition
         against the same sets.
         """
         part_values = np.atleast_2d(measured)
@@ -166,14 +166,14 @@ def ensemble_of(
 
 
 def holm_levels(p_values: Sequence[float], level: float) -> tuple[float, ...]:
-    """Return the level below which each of several tests fails, so that all hold a family-wise
-    level (Holm 1979).
+    """Return the level below which each of several tests fails, at a common family-wise level (Holm
+    1979).
 
     Notes
     -----
-    In the order of p, test i of m is held against level / (m - i), i = 0 first; once one passes,
-    those with larger p pass as well: they are held against its level. So a test fails exactly where
-    its p-value is below its level.
+    In the order of p, test i of m is compared with level / (m - i), i = 0 first; once one passes,
+    those with larger p pass as well: they are compared with its level. So a test fails exactly
+    where its p-value is below its level.
 
     Examples
     --------

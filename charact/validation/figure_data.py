@@ -227,7 +227,7 @@ def _cut_of_spectrum(lines: NDArray, pixels: int) -> Array:
 
 
 def _block_means(image: NDArray) -> Array:
-    """Return the means of blocks of an image (row, col); what does not fill a block is left out."""
+    """Return the means of blocks of an image (row, col); incomplete blocks are omitted."""
     rows, cols = (size // BLOCK_PX for size in image.shape)
     cut = np.asarray(image, float)[: rows * BLOCK_PX, : cols * BLOCK_PX]
     return cut.reshape(rows, BLOCK_PX, cols, BLOCK_PX).mean(axis=(1, 3))
@@ -280,7 +280,7 @@ def _pattern_pair(role: str, shot: MatchedFrames, measured: Frames, simulated: F
 def _codes(
     role: str, shot: MatchedFrames, images: list[Array], low: float, high: float
 ) -> FramePair:
-    """Return two images as codes of 8 bits on one scale."""
+    """Return two images as 8-bit grey values on one scale."""
     shown = [
         np.rint(255 * np.clip((image - low) / (high - low), 0, 1)).astype(np.uint8)
         for image in images

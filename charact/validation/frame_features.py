@@ -1,5 +1,5 @@
 """Groups of numbers by which measured frames are compared with simulated ones, and the stage that
-each speaks of.
+each depends on.
 """
 
 from collections.abc import Callable, Mapping

@@ -144,7 +144,7 @@ def simulate_frames(
     DN.
 
     The camera is as small as the crop, and its fixed patterns follow from its name. Targets lie as
-    before `like`, if it is given: cameras of many draws share their images.
+    before `like`, if it is given: cameras of many draws use the same images.
     """
     from simulate.lab import LabBench
 

@@ -33,7 +33,7 @@ HALF95_SD = 1.96
 
 @dataclass(frozen=True, kw_only=True)
 class Signature:
-    """What a fault does to the numbers of one statistic.
+    """Effect of a fault on the numbers of one statistic.
 
     `flag`: key of `labdata.flags.FLAGS`; `statistic`, `numbers`: the statistic and how the labels
     of its numbers begin; `shows`: which of them show it, by their deviation in standard deviations

@@ -38,8 +38,8 @@ class StackView:
     `mean`: mean frame, shape (row, col); `steady`: mean frame of the middle half of each pixel's
     values, in which pulses of single frames leave no trace; `change`: frames less the mean frame,
     scaled so that their variance is that of a frame, shape (frame, row, col); `interlaced`: whether
-    odd rows were exposed at another time than even ones; `bits`: share of ones of the lowest bits
-    of whole DN, shape (bit,).
+    odd rows were exposed at another time than even ones; `bits`: fraction of ones in the lowest
+    bits of whole DN, shape (bit,).
     """
 
     def __init__(self, label: str, frames: NDArray, *, interlaced: bool = False) -> None:

@@ -148,7 +148,7 @@ class ValidationFigures:
     pairs
         First frame of each stack that is shown.
     blind
-        Frame of a stack by chance, for a reader who tells the measured one.
+        Frame of a stack by chance, for a reader to identify the measured one.
     patterns, residuals
         Fixed patterns and residuals of dark, dim and bright flat.
     """
@@ -239,8 +239,8 @@ class Validation:
         """Whether every statistic and every null control passed, and any negative control was
         noticed.
 
-        A negative control that was not noticed is no failure: it is what this validation cannot
-        see.
+        A negative control that was not noticed is no failure: it is an effect that this validation
+        cannot detect.
         """
         nulls = [result for result in self.controls if result.name == "null"]
         noticed = any(result.passed for result in self.controls if result.name == "negative")

@@ -65,7 +65,7 @@ class ParameterChange:
 
 
 class ValidationTest:
-    """Ensembles of simulated numbers, against which sets of numbers are held.
+    """Ensembles of simulated numbers, with which sets of numbers are compared.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class ValidationTest:
         Notes
         -----
         Numbers are taken as linear in the parameter, or in its square. The statistic that finds the
-        least error counts, at the level that holds where it alone fails.
+        least error counts, at the level that applies if it alone fails.
         """
         parameter_change = ParameterChange(
             title=title, plain=plain, changed=changed, change=change, in_quadrature=in_quadrature

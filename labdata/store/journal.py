@@ -2,7 +2,7 @@
 prove.
 
 Each line ends in a checksum of its own, so that one changed byte anywhere in it is noticed; lines
-written before there were checksums have none. A frame is read if its line is whole. If a line is
+written before there were checksums have none. A frame is read if its line is complete. If a line is
 damaged, but one changed, inserted or removed byte explains it, the checksum is met again and the
 frame's chunk has the digest of the line, it is read too.
 """

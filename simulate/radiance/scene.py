@@ -55,7 +55,7 @@ class RoomLight:
 
 @dataclass(frozen=True, kw_only=True)
 class Holder:
-    """Ring that holds a pinhole.
+    """Ring around a pinhole.
 
     Parameters
     ----------

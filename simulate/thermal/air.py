@@ -262,7 +262,7 @@ class ModtranAir(InfraredAir):
 def modtran_air(
     air: InfraredAir, scene: OutdoorScene, weather: Weather, height_m: float
 ) -> ModtranAir:
-    """Return air with the transmittance of MODTRAN's paths for a scene that asks for it.
+    """Return air with the transmittance of MODTRAN's paths for a scene that requests it.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def modtran_air(
     Raises
     ------
     BadInput
-        If the database is not there or broken, or does not hold this air.
+        If the database is missing or broken, or does not cover this air.
 
     Examples
     --------

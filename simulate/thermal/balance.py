@@ -154,7 +154,7 @@ class Balance:
         """Return longwave that facets emit and mirror, at temperatures of the last steps, shape
         (step, facet), W m-2.
 
-        They mirror the sky that they see, and else surfaces of their own temperature.
+        They reflect the visible sky, and otherwise surfaces at their own temperature.
         """
         emitted, steps = (
             STEFAN_BOLTZMANN * faces_k**4,
@@ -332,7 +332,7 @@ class Balance:
         return heat_w_m2
 
     def _reflect(self, light: Array) -> Array:
-        """Light that facets get of each other of what falls on them."""
+        """Irradiance of facets by the reflection of light from each other."""
         return (self.reflectivity * light) @ self.exposure.sees.T
 
     def _flux(self, faces_k: Array) -> Array:

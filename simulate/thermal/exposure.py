@@ -189,7 +189,7 @@ def sun_cosines(shades: RayTracer, spots: Spots, sun: Array) -> Array:
 
 
 def view(surfaces: Surfaces, spots: Spots, sequence: SequenceSlice) -> tuple[Array, Index]:
-    """Return what spots see by rays of the cosine law.
+    """Return the view of spots, sampled by rays of the cosine law.
 
     Returns
     -------
@@ -239,7 +239,7 @@ def open_rings(normal: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Views:
-    """What spots see, as weights that sum to 1.
+    """View of spots, as weights that sum to 1.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ class Views:
 
 
 def precise_view(surfaces: Surfaces, spots: Spots, sequence: SequenceSlice) -> Views:
-    """Return what spots see, as `view`, with less noise where little hides the sky.
+    """Return the view of spots, as `view`, with less noise where little of the sky is hidden.
 
     Notes
     -----
@@ -308,7 +308,7 @@ def precise_view(surfaces: Surfaces, spots: Spots, sequence: SequenceSlice) -> V
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """What facets see, each the mean of its points.
+    """View of facets, each the mean of its points.
 
     Parameters
     ----------

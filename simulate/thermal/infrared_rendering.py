@@ -221,8 +221,7 @@ class _Look:
         """Mean radiance that points see, weighted by the BRDF, by rays drawn from it, shape (point,
         bin).
 
-        The mean over the weights rather than their expectation: surroundings of one radiance are
-        seen without noise.
+        The mean over the weights rather than their expectation: uniform surroundings give no noise.
         """
         radiance = np.empty((len(normal), len(self.air.low_um)))
         batch_points = max(1, INFRARED.batch_rays // self.mirror_rays)

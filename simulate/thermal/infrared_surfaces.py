@@ -169,9 +169,9 @@ def infrared_surfaces(
 
     Notes
     -----
-    Facets reflect diffusely, by their emissivity along the normal, whatever they see: L = e B(T) +
-    (1 - e) (sky + facets + ground where the scene ends + sun), solved by adding reflections until
-    they converge.
+    Facets reflect diffusely, by their emissivity along the normal, whatever the incoming light: L =
+    e B(T) + (1 - e) (sky + facets + ground where the scene ends + sun), solved by adding
+    reflections until they converge.
     """
     balance = temperatures.balance
     facets, exposure = balance.facets, balance.exposure

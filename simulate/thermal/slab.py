@@ -125,7 +125,7 @@ class Columns:
 
     @classmethod
     def of(cls, slabs: Sequence[Slab], cells: int = LIMITS.cells) -> "Columns":
-        """Return the cells of slabs that have layers, so many for each layer."""
+        """Return the cells of slabs with layers, a fixed number for each layer."""
         cells_of_slabs = [_cells(slab, cells) for slab in slabs]
         count = max(len(capacity) for capacity, _ in cells_of_slabs)
         capacity, conductance = np.ones((count, len(slabs))), np.zeros((count + 1, len(slabs)))

@@ -70,7 +70,7 @@ def main(arguments: list[str]) -> int:
 
 
 class VirtualCamera:
-    """A camera that exposes what a tube sees as long as a client asks for frames.
+    """A camera that exposes a tube's image while a client requests frames.
 
     Frames are drawn in this thread. The wire's own thread takes them without waiting, and so
     answers its client at any time. `description` is the file to which its GenICam description is

@@ -194,7 +194,7 @@ def parse_number(text: str, kind: type, code: int) -> Any:
 
 
 def read_register(value: int, bit: int | None) -> tuple[int, int]:
-    """Return a register, or one of its bits, and what reading leaves in it."""
+    """Return a register, or one of its bits, and its value after the reading."""
     mask = 0xFF if bit is None else 1 << bit
     return value & mask if bit is None else int(bool(value & mask)), value & ~mask
 
@@ -273,7 +273,7 @@ class GateGenerator(VirtualInstrument):
     _delays: EdgeDelays
 
     def gate(self) -> GateOutput:
-        """What the AB output does to the gate unit."""
+        """Effect of the AB output on the gate unit."""
         idle_v, active_v = self._levels_v()
         if idle_v > GATE_UNIT_THRESHOLD_V:
             return GateOutput(gate_open=True, gate_ns=math.inf, gate_hz=0.0)

@@ -181,12 +181,12 @@ class Rehearsal:
     Parameters
     ----------
     provoke
-        Gives an instrument its faults, see `VirtualBench.provoke`; one that it does not know is
-        BadInput on entering.
+        Gives an instrument its faults, see `VirtualBench.provoke`; an unknown one is BadInput on
+        entering.
     steps
-        Log of the session, which tells which step begins.
+        Log of the session with the start of each step.
     log
-        File that remembers what struck: a resumed run goes on with the rest of the script.
+        File that records the injected faults: a resumed run goes on with the rest of the script.
     """
 
     def __init__(

@@ -47,7 +47,7 @@ def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
     Notes
     -----
     Each side of the value is half a normal law whose 95 % point is the bound, cut off at the bound:
-    a device outside what the sheet calls possible would be another camera.
+    a device outside the range of the sheet would be another camera.
     """
     known = sensor.parameters()
     drawn = {path: _within(known[path], _stream(seed, path)) for path in VARIED if path in known}

@@ -141,9 +141,7 @@ class VirtualTube:
         self._bench.mcp_input(scene.placement.kind, scene.placement.target, scene.conditions)
 
     def warm_up(self) -> None:
-        """Draw a dark and a lit frame that nobody sees, so that compiling, once on a machine,
-        delays no frame.
-        """
+        """Draw a dark and a lit frame in advance, so that compilation delays no later frame."""
         exposure_s = 1.0 / float(self.sensor.video.field_rate_hz)
         shown: tuple[tuple[Kind, float], ...] = (("dark", 0.0), ("flat", 1e-4))
         for kind, lux in shown:

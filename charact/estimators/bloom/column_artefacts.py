@@ -308,8 +308,8 @@ class Streak:
 def streak_of(spot: PointStack, context: Context) -> Streak:
     """Measure the column of a source.
 
-    Charge beyond the full well spreads up and down until every well holds its part: the column is
-    full to sharp ends, with partly filled last pixels. Rows count by the probability that their
+    Charge beyond the full well spreads up and down until every well contains its part: the column
+    is full to sharp ends, with partly filled last pixels. Rows count by the probability that their
     mean is above the threshold. In interlaced frames the two fields overflow separately, so that
     every second row counts near the ends.
     """

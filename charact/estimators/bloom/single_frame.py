@@ -53,7 +53,7 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     Unmeasurable.
 
     The total signal is that inside the largest ring of the frame, or within `REACH_PX`: wings
-    beyond are excluded, and the background's error includes the whole area.
+    beyond are excluded, and the background's error applies to the full area.
     """
     top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
     if top > 0.97 * view.top:

@@ -2,7 +2,7 @@
 
 Source: Linux Media userspace API, "Field Order": of video of 525 lines the bottom field is the
 older one, of any other the top field. V4L2_FIELD_ALTERNATE: both fields of a frame have the same
-sequence number, and each buffer says which of the two it holds.
+sequence number, and each buffer states which of the two it contains.
 """
 
 from collections.abc import Callable

@@ -68,7 +68,7 @@ class Facets:
 
 @dataclass(frozen=True, kw_only=True)
 class Metal(Facets):
-    """GGX facets of a metal, the light that hits several facets given back.
+    """GGX facets of a metal, with the light of multiple scattering added.
 
     Notes
     -----
@@ -109,7 +109,7 @@ class Metal(Facets):
         return normal * perfect + (1.0 - normal) * rise + (1.0 - perfect) * self._between(normal)
 
     def _between(self, normal: Array) -> Array:
-        """Return F_m, the reflectance of light that bounces between facets."""
+        """Return F_m, the reflectance of light scattered more than once between facets."""
         facet, perfect = normal + (1.0 - normal) * MEAN_RISE, self._perfect.mean
         return facet**2 * perfect / (1.0 - facet * (1.0 - perfect))
 

@@ -125,7 +125,7 @@ class EmbreeScene:
     centre_m
         Origin of Embree's coordinates, which are in single precision, shape (3,), m.
     copied
-        Meshes with copies, which share one acceleration structure each.
+        Meshes with copies; the copies of a mesh use one acceleration structure.
     """
 
     def __init__(

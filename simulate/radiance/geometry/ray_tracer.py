@@ -72,7 +72,7 @@ class RayTracer:
     def is_occluded(
         self, origin_m: Array, direction: Array, length_limit: ArrayLike | None = None
     ) -> NDArray[np.bool_]:
-        """Return whether rays (ray, 3) are occluded within so many lengths of their direction;
+        """Return whether rays (ray, 3) are occluded within a number of lengths of their direction;
         None: infinite.
         """
         if self.scene is None:

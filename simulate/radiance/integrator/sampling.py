@@ -76,9 +76,7 @@ class EvenNumbers:
     dimensions: int = 0  # dimensions so far
 
     def random(self, shape: Any) -> Array:
-        """Return numbers in [0, 1) of a shape whose first axis holds the rays of one point after
-        the other.
-        """
+        """Return numbers in [0, 1) of a shape whose first axis is the rays, point by point."""
         count = int(np.prod(np.atleast_1d(shape))) // (self.points * self.rays)
         step = R6 ** -(self.dimensions + 1.0 + np.arange(count))
         self.dimensions += count

@@ -139,8 +139,8 @@ def _choose(lamps: Any, lamp: int, draws: bool, lanes: Any, path_count: int, sta
 def _leave_to_light(
     scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, path_count: int
 ) -> None:
-    """Remove the light-traced part (`add_light_traced_paths`) at vertices that the lamp's centre
-    sees.
+    """Remove the light-traced part (`add_light_traced_paths`) at vertices visible from the lamp's
+    centre.
     """
     asked = 0
     for k in range(path_count):

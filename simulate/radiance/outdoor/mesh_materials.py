@@ -42,7 +42,7 @@ def with_materials_of_files(mapping: dict[str, Any], folder: Path) -> dict[str, 
     A name of the library, in capitals, with blanks or underscores and with a number behind a dot
     too, gives reflectance and slab. Else `baseColorFactor` times the mean of `baseColorTexture` is
     the reflectance at 450, 550 and 610 nm, constant beyond; the slab is that of painted steel,
-    which a note says, and metals have none.
+    stated in a note, and metals have none.
     """
     things, tables = [], list(mapping.get("material", ()))
     for thing in mapping.get("object", ()):

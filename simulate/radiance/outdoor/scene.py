@@ -288,8 +288,8 @@ class Object(Pose):
         Of a mesh file: the material of the scene for the name of each material in the file;
         `material`, if given, is that of all others.
     map, map_materials
-        Of a plane, or of a mesh file with texture coordinates: a picture whose numbers say which of
-        these materials lies where, see `simulate.radiance.outdoor.build`; in place of `material`.
+        Of a plane, or of a mesh file with texture coordinates: an image of the material numbers,
+        see `simulate.radiance.outdoor.build`; in place of `material`.
     gaps
         Fraction of its surface that is open, as between leaves, dimensionless; all copies omit the
         same triangles.

@@ -99,7 +99,7 @@ def endless_path(
     """Return the relative radiance of an endless path of air in directions (path, 3), sr-1, shape
     (band, path).
 
-    It is lit from one direction, and molecules do a share (band,) of the scattering.
+    It is lit from one direction, and molecules contribute a fraction (band,) of the scattering.
 
     Notes
     -----
@@ -134,8 +134,8 @@ def scattering_parts(atmosphere: Atmosphere, wavelength_nm: Array) -> tuple[Arra
 
 
 def sky_depth(depth: Array, direction: Array) -> Array:
-    """Return 1 - exp(-depth times air mass): how much of an endless path the sky holds, shape
-    (band, path).
+    """Return 1 - exp(-depth times air mass): the sky's fraction of an endless path, shape (band,
+    path).
     """
     elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)))
     return -np.expm1(-depth[:, None] * airmass(elevation))

@@ -1,5 +1,5 @@
-"""A virtual Stanford DG645 delay generator: commands, error queue and registers, and what its AB
-output does.
+"""A virtual Stanford DG645 delay generator: commands, error queue and registers, and the effect of
+its AB output.
 """
 
 from collections import deque

@@ -57,7 +57,7 @@ class Modes:
 
     def log_likelihoods(self, residual: Array) -> Array:
         """Log-likelihood of relative residuals, (level, ring), for each trial model error, shape
-        (share,).
+        (trial,).
         """
         squares = (self.modes.transpose(0, 2, 1) @ residual[..., None])[..., 0] ** 2
         total = self.variance + SHARES[:, None, None] ** 2
@@ -74,7 +74,7 @@ def most_likely_misfit(of_core: Array, of_outer: Array) -> tuple[Misfit, float]:
     """Return the most likely relative errors near the core and beyond, and the log-likelihood of
     both.
 
-    `of_core`, `of_outer`: log-likelihoods for each trial error, shape (share,).
+    `of_core`, `of_outer`: log-likelihoods for each trial error, shape (trial,).
     """
     outer = int(np.argmax(of_outer))
     # Few rings near the core, to which the core was fitted, would underestimate the error.

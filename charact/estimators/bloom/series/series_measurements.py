@@ -115,8 +115,8 @@ def _within(x: float) -> Array:
 def energy_radii(
     form: HaloModel, points: Array, shares: tuple[float, ...], reach_px: float
 ) -> Array:
-    """Return radii that contain fractions of a point's light, shape (draw, share), px; NaN beyond
-    the reach.
+    """Return radii that contain fractions of a point's light, shape (draw, fraction), px; NaN
+    beyond the reach.
     """
     at = np.arange(STEP_PX / 2, reach_px, STEP_PX)
     light = form.transform(points) @ onto_nodes(at)
