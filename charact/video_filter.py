@@ -58,8 +58,8 @@ class VideoFilter:
         """Unit and bounds (6 standard deviations) of the free parameters by name; empty if the
         bandwidth is exact.
         """
-        most = 6.0 * self.ln_bandwidth_sd
-        return {"ln_video_bandwidth": ("1", (-most, most))} if most > 0.0 else {}
+        bound = 6.0 * self.ln_bandwidth_sd
+        return {"ln_video_bandwidth": ("1", (-bound, bound))} if bound > 0.0 else {}
 
     def __call__(self, frequency: Array) -> NDArray[np.complex128]:
         """Return the complex transfer function at the described bandwidth; frequency along the
@@ -79,13 +79,13 @@ class VideoFilter:
         transfers = np.array([self._at(frequency, x) for x in np.insert(nodes, described, 0.0)])
         # Phase steps between neighbouring nodes stay below pi.
         steps = np.log(transfers[1:] / transfers[:-1])
-        moved = np.concatenate(
+        ln_change = np.concatenate(
             [
                 -np.cumsum(steps[:described][::-1], axis=0)[::-1],
                 np.cumsum(steps[described:], axis=0),
             ]
         )
-        return np.asarray(np.linalg.solve(powers(nodes), moved), np.complex128)
+        return np.asarray(np.linalg.solve(powers(nodes), ln_change), np.complex128)
 
     def doubt(self, frequency: Array) -> Array:
         """Return the relative standard uncertainty of the transfer function due to the bandwidth,
@@ -105,10 +105,10 @@ class VideoFilter:
         bandwidth = self.bandwidth_mhz * float(np.exp(ln_bandwidth))
         flat = np.ravel(frequency)
         # Images and spectra repeat few frequencies.
-        different, place = np.unique(flat, return_inverse=True)
+        different, position = np.unique(flat, return_inverse=True)
         if different.size == 1:
-            different, place = flat, slice(None)
-        return transfer(different, bandwidth, self.clock_mhz, self.order)[place].reshape(
+            different, position = flat, slice(None)
+        return transfer(different, bandwidth, self.clock_mhz, self.order)[position].reshape(
             np.shape(frequency)
         )
 
@@ -150,7 +150,9 @@ def _taps(bandwidth_mhz: float, clock_mhz: float, order: int) -> Array:
     poles = omega * np.exp(1j * angles)
     # Impulse response by partial fractions, then its integral over each whole clock.
     time = (np.arange(clocks * fine) + 0.5) / fine
-    others = np.array([np.prod(np.delete(pole - poles, index)) for index, pole in enumerate(poles)])
-    impulse = np.real((omega**order / others) @ np.exp(np.outer(poles, time)))
+    pole_products = np.array(
+        [np.prod(np.delete(pole - poles, index)) for index, pole in enumerate(poles)]
+    )
+    impulse = np.real((omega**order / pole_products) @ np.exp(np.outer(poles, time)))
     taps = impulse.reshape(clocks, fine).mean(axis=1)
     return taps / taps.sum()

@@ -105,11 +105,11 @@ class PosteriorPsf:
         """Number of draws."""
         return len(self.halo_diameter_px)
 
-    def subsample(self, most: int = 30) -> "PosteriorPsf":
-        """Return at most `most` draws, evenly spaced."""
-        if len(self) <= most:
+    def subsample(self, max_draws: int = 30) -> "PosteriorPsf":
+        """Return at most `max_draws` draws, evenly spaced."""
+        if len(self) <= max_draws:
             return self
-        index = np.linspace(0, len(self) - 1, most).round().astype(int)
+        index = np.linspace(0, len(self) - 1, max_draws).round().astype(int)
         return replace(self, **{name: getattr(self, name)[index] for name in _per_draw()})
 
     def centre(self) -> "PosteriorPsf":
@@ -136,7 +136,7 @@ class PosteriorPsf:
                 )
             blur = transfer.mix(blur, np.asarray(self.wing_share), wing)
         flat, rising, rim = (
-            np.asarray(one) for one in (self.flat_share, self.rising_share, self.rim_share)
+            np.asarray(part) for part in (self.flat_share, self.rising_share, self.rim_share)
         )
         profile = [self.elastic_share, 1.0 - self.elastic_share - flat - rising - rim, rising, rim]
         halo = transfer.disc(frequency, self.halo_diameter_px, np.stack(profile, axis=-1))
@@ -177,25 +177,25 @@ def spread_of(
     fields that the posterior lacks. Raises BadInput if a required parameter is missing, or the halo
     model has no edge.
     """
-    found = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
+    fitted = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
     if "core_sd" in posterior.names:
         # The pixel aperture has the variance of a twelfth of its squared pitch; rows and columns
         # are averaged.
-        found["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
+        fitted["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
     if "even_share" in posterior.names:
-        found["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
+        fitted["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
     if "halo_sd" in posterior.names:
         raise BadInput("the PSF needs a halo with an edge; the fitted halo is Gaussian")
-    given = {**({} if "core_frequency" in posterior.names else GAUSSIAN), **known, **found}
-    if not {"halo_diameter_px", "halo_fraction"} & given.keys():
-        given = {**given, **NO_HALO}
-    if needed := [name for name in list(NAMES.values())[:6] if name not in given]:
+    fields = {**({} if "core_frequency" in posterior.names else GAUSSIAN), **known, **fitted}
+    if not {"halo_diameter_px", "halo_fraction"} & fields.keys():
+        fields = {**fields, **NO_HALO}
+    if needed := [name for name in list(NAMES.values())[:6] if name not in fields]:
         raise BadInput(
             f"the PSF needs {', '.join(needed)}; the posterior has only "
             f"{', '.join(posterior.names)}"
         )
-    shares = {name: np.clip(given[name], 0.0, 1.0) for name in SHARES if name in given}
-    return PosteriorPsf(**{**given, **shares})  # pyright: ignore[reportArgumentType]
+    shares = {name: np.clip(fields[name], 0.0, 1.0) for name in SHARES if name in fields}
+    return PosteriorPsf(**{**fields, **shares})  # pyright: ignore[reportArgumentType]
 
 
 # Steps of the frequency and radius tables, cy/px and px, and extent of the latter.
@@ -263,10 +263,10 @@ class FrameGrid:
         """Pixels within a distance of given ones, shape (row, col)."""
         from scipy import ndimage
 
-        away = np.ones(self.shape, bool)
-        away.ravel()[pixels] = False
+        background = np.ones(self.shape, bool)
+        background.ravel()[pixels] = False
         return (
-            np.asarray(ndimage.distance_transform_edt(away, sampling=(self.pitch_ratio, 1.0)))
+            np.asarray(ndimage.distance_transform_edt(background, sampling=(self.pitch_ratio, 1.0)))
             <= reach_px
         )
 
@@ -307,8 +307,8 @@ def _kernel() -> Array:
 
 def radial(radius_px: ArrayLike, profile: Array) -> Array:
     """Interpolate a radial table in steps of `RADIUS_STEP_PX`; 0 beyond its end."""
-    place = np.asarray(radius_px) / RADIUS_STEP_PX
-    index = np.minimum(place.astype(np.int32), len(profile) - 2)
-    share = place - index
-    found = profile[index] * (1.0 - share) + profile[index + 1] * share
-    return np.where(place < len(profile) - 1, found, 0.0)
+    position = np.asarray(radius_px) / RADIUS_STEP_PX
+    index = np.minimum(position.astype(np.int32), len(profile) - 2)
+    fraction = position - index
+    interpolated = profile[index] * (1.0 - fraction) + profile[index + 1] * fraction
+    return np.where(position < len(profile) - 1, interpolated, 0.0)

@@ -49,9 +49,10 @@ def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
         log_argument = np.log(2.0 * np.pi * radius_px[:, None] * frequency)
     row, weight = _four(ORDERS, exponent - 1.0)
     lines = np.einsum("dr,dra->da", weight, _moffat_table()[row])
-    place, share = _four(ARGUMENTS, np.clip(log_argument, ARGUMENTS[0], ARGUMENTS[-1]))
+    positions, weights = _four(ARGUMENTS, np.clip(log_argument, ARGUMENTS[0], ARGUMENTS[-1]))
     out = sum(
-        share[..., one] * np.take_along_axis(lines, place[..., one], axis=1) for one in range(4)
+        weights[..., node] * np.take_along_axis(lines, positions[..., node], axis=1)
+        for node in range(4)
     )
     return np.where(log_argument < ARGUMENTS[-1], out, 0.0)
 
@@ -64,11 +65,11 @@ def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
     return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
 
 
-def mix(of: Array | float, share: Array, part: Array) -> Array:
+def mix(of: Array | float, fraction: Array, part: Array) -> Array:
     """Replace a fraction, shape (draw,), of a transfer function by another one, shape (draw,
     frequency).
     """
-    return of * (1.0 - share[:, None]) + share[:, None] * part
+    return of * (1.0 - fraction[:, None]) + fraction[:, None] * part
 
 
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
@@ -84,7 +85,8 @@ def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
     first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))
     flat, *parts = (
-        sum(weight[..., one] * part[first[..., one]] for one in range(4)) for part in _disc_table()
+        sum(weight[..., node] * part[first[..., node]] for node in range(4))
+        for part in _disc_table()
     )
     return flat + np.einsum("dp,pdf->df", profile, np.stack(parts) - flat)
 
@@ -112,10 +114,10 @@ def _moffat_table() -> Array:
     return 2.0 ** (1.0 - order) / gamma(order) * u**order * kv(order, u)
 
 
-def _four(even: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
+def _four(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     """Four neighbours on a uniform grid and their cubic interpolation weights, shape (.., 4)."""
-    at = (value - even[0]) / (even[1] - even[0])
-    first = np.clip(at.astype(np.intp) - 1, 0, len(even) - 4)
+    at = (value - grid[0]) / (grid[1] - grid[0])
+    first = np.clip(at.astype(np.intp) - 1, 0, len(grid) - 4)
     t = at - first
     weight = np.stack(
         [
@@ -144,7 +146,7 @@ def hankel_matrix(nodes: tuple[Array, Array], radius_px: Array) -> Array:
     """
     from scipy.special import j0
 
-    frequency, weight = (one[:, None] for one in nodes)
+    frequency, weight = (node_values[:, None] for node_values in nodes)
     return 2.0 * np.pi * frequency * weight * j0(2.0 * np.pi * frequency * radius_px)
 
 

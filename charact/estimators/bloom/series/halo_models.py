@@ -110,30 +110,31 @@ class HaloModel:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        return tuple(one.name for one in self.parameters)
+        return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the parameters."""
-        return tuple(one.unit for one in self.parameters)
+        return tuple(parameter.unit for parameter in self.parameters)
 
     @cached_property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([[one.low, one.high] for one in self.parameters])
+        return np.array([[parameter.low, parameter.high] for parameter in self.parameters])
 
     @property
     def first(self) -> Array:
         """Start point of an optimisation, shape (parameter,)."""
-        return np.array([one.first for one in self.parameters])
+        return np.array([parameter.first for parameter in self.parameters])
 
     def log_prior(self, points: Array) -> Array:
         """Return the log-prior up to a constant, -inf outside the bounds, shape (point,)."""
-        inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
+        in_bounds = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
         mean, sd = (
-            np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd")
+            np.array([getattr(parameter, name) for parameter in self.parameters])
+            for name in ("mean", "sd")
         )
-        return np.where(inside, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
+        return np.where(in_bounds, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
 
     def at(self, points: Array) -> dict[str, Array]:
         """Map parameter names to the columns of points."""
@@ -206,5 +207,5 @@ def tube_priors(sensor: Sensor | None) -> tuple[ModelParameter, ...]:
         return frequency, exponent
     scale = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
     cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * scale
-    own = replace(exponent, mean=float(sensor.tube.mtf_exponent), sd=0.1)
-    return replace(frequency, mean=cut_off, sd=0.15 * cut_off), own
+    described_exponent = replace(exponent, mean=float(sensor.tube.mtf_exponent), sd=0.1)
+    return replace(frequency, mean=cut_off, sd=0.15 * cut_off), described_exponent

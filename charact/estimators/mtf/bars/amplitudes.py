@@ -46,7 +46,7 @@ def amplitudes_of(
     data: NDArray,
     target: BarTarget,
     window: NDArray[np.bool_],
-    beyond: NDArray[np.bool_],
+    background: NDArray[np.bool_],
     memory: ImageLagModel | None = None,
 ) -> Amplitudes:
     """Return the sums over frames (frame, row, col) of a target above the mean of the pixels beyond
@@ -64,9 +64,13 @@ def amplitudes_of(
     wave = np.exp(-2j * np.pi * target.frequency * across[window])
     odd = (np.nonzero(window)[0] % 2).astype(bool)
     sums = [
-        _frame_sums(target.sign * frame.astype(float), window, beyond, wave, odd) for frame in data
+        _frame_sums(target.sign * frame.astype(float), window, background, wave, odd)
+        for frame in data
     ]
-    light, halves = np.array([one[0] for one in sums]), np.array([one[1] for one in sums])
+    light, halves = (
+        np.array([frame_sum[0] for frame_sum in sums]),
+        np.array([frame_sum[1] for frame_sum in sums]),
+    )
     fundamental = halves.sum(axis=1)
     phase = float(np.angle(fundamental.mean()))
     turned = np.real(fundamental * np.exp(-1j * phase))
@@ -74,13 +78,15 @@ def amplitudes_of(
     if len(data) >= 4:
         covariance, freedom = _frame_covariance(light, turned, lag)
     else:
-        covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, beyond, phase)
+        covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, background, phase)
     mean = data.mean(axis=0, dtype=np.float64)
     zeros = [
-        abs(_amplitude(mean, target, window, beyond, order))
+        abs(_amplitude(mean, target, window, background, order))
         for order in (target.bars - 1, target.bars + 1)
     ]
-    apart, apart_sd = _field_offset(halves, target, float(np.sqrt(covariance[1, 1])))
+    field_offset_px, field_offset_sd_px = _field_offset(
+        halves, target, float(np.sqrt(covariance[1, 1]))
+    )
     return Amplitudes(
         light=float(light.mean()),
         fundamental=float(turned.mean()),
@@ -88,12 +94,12 @@ def amplitudes_of(
         freedom=freedom,
         phase_rad=phase,
         zeros=max(zeros) / max(abs(turned.mean()), 1e-30),
-        flank=abs(_amplitude(mean, target, window, beyond, target.bars - 0.5))
+        flank=abs(_amplitude(mean, target, window, background, target.bars - 0.5))
         * target.bars
         * np.sin(0.5 * np.pi / target.bars)
         / max(abs(turned.mean()), 1e-30),
-        fields_apart_px=apart,
-        fields_apart_sd_px=apart_sd,
+        fields_apart_px=field_offset_px,
+        fields_apart_sd_px=field_offset_sd_px,
         frame_correlation=lag,
     )
 
@@ -106,10 +112,10 @@ def _image_lag_factor(
     A pixel contains light of the frame before, a sum also light of the field before; the decay
     gives the ratio.
     """
-    seen = frame_correlation(data, window)
+    data_factor = frame_correlation(data, window)
     if memory is None:
-        return seen
-    factor = seen if len(data) >= ACCURACY.min_lag_frames else memory.widening
+        return data_factor
+    factor = data_factor if len(data) >= ACCURACY.min_lag_frames else memory.widening
     return max(factor * memory.widening_of_sums / memory.widening, 1.0)
 
 
@@ -128,17 +134,17 @@ def _frame_covariance(light: NDArray, turned: NDArray, lag: float) -> tuple[NDAr
 
 
 def _frame_sums(
-    frame: NDArray, window, beyond, wave: NDArray, odd: NDArray
+    frame: NDArray, window, background, wave: NDArray, odd: NDArray
 ) -> tuple[float, NDArray]:
     """Return light and the fundamental of even and odd rows of one frame above its pedestal."""
-    values = frame[window] - frame[beyond].mean()
+    values = frame[window] - frame[background].mean()
     terms = values * wave
     return float(values.sum()), np.array([terms[~odd].sum(), terms[odd].sum()])
 
 
-def _amplitude(mean: Array, target: BarTarget, window, beyond, order: float) -> complex:
+def _amplitude(mean: Array, target: BarTarget, window, background, order: float) -> complex:
     return amplitude(
-        mean - mean[beyond].mean(), target, target.frequency * order / target.bars, window
+        mean - mean[background].mean(), target, target.frequency * order / target.bars, window
     )
 
 
@@ -146,18 +152,18 @@ def _field_offset(halves: NDArray, target: BarTarget, sd: float) -> tuple[float,
     """Return the displacement of the bars between the two fields, and its standard uncertainty,
     px.
     """
-    even, odd = halves.mean(axis=0)
-    if min(abs(even), abs(odd)) == 0:
+    even_sum, odd_sum = halves.mean(axis=0)
+    if min(abs(even_sum), abs(odd_sum)) == 0:
         return 0.0, np.inf
     radian_px = 1.0 / (2.0 * np.pi * target.frequency)
     # Each field holds half of the fundamental's noise.
     error = (
         np.sqrt(2.0)
         * (sd / np.sqrt(2.0))
-        * np.hypot(1.0 / abs(even), 1.0 / abs(odd))
+        * np.hypot(1.0 / abs(even_sum), 1.0 / abs(odd_sum))
         / np.sqrt(2.0)
     )
-    return float(np.angle(odd * np.conj(even)) * radian_px), float(error * radian_px)
+    return float(np.angle(odd_sum * np.conj(even_sum)) * radian_px), float(error * radian_px)
 
 
 def frame_correlation(data: NDArray, window: NDArray[np.bool_]) -> float:
@@ -181,15 +187,15 @@ def frame_correlation(data: NDArray, window: NDArray[np.bool_]) -> float:
         return 1.0
     tail = [max(1.0 - half / total, 0.0) for half in halves[:3]]
     inflation = 1.0 + 2.0 * sum((1.0 - (k + 1) / count) * r for k, r in enumerate(tail))
-    seen = 1.0 - (inflation - 1.0) / (count - 1.0)
-    return max(inflation / max(seen, 0.2), 1.0)
+    seen_fraction = 1.0 - (inflation - 1.0) / (count - 1.0)
+    return max(inflation / max(seen_fraction, 0.2), 1.0)
 
 
 def _slab_covariance(
     mean: Array,
     target: BarTarget,
     window: NDArray[np.bool_],
-    beyond: NDArray[np.bool_],
+    background: NDArray[np.bool_],
     phase: float,
 ) -> tuple[Array, float]:
     """Return the covariance from differences of adjacent slabs along the bars, and its degrees of
@@ -199,16 +205,16 @@ def _slab_covariance(
     conservative.
     """
     across, along = target.coordinates(mean.shape)
-    values = mean - mean[beyond].mean()
+    values = mean - mean[background].mean()
     half = target.length_px / 2
     edges = np.linspace(-half, half, max(int(target.length_px / 4.0), 2) + 1)
     terms = np.real(values * np.exp(-2j * np.pi * target.frequency * across - 1j * phase))
     slabs = [window & (along >= low) & (along < high) for low, high in pairwise(edges)]
     sums = np.array([[values[slab].sum(), terms[slab].sum()] for slab in slabs])
     jumps = np.diff(sums, axis=0)
-    outside = float(values[beyond].std()) * np.sqrt(np.count_nonzero(window))
+    background_sd = float(values[background].std()) * np.sqrt(np.count_nonzero(window))
     covariance = len(slabs) * (jumps.T @ jumps) / (2.0 * len(jumps)) + np.diag(
-        [outside**2, 0.5 * outside**2]
+        [background_sd**2, 0.5 * background_sd**2]
     )
     return covariance, float(max(len(jumps), 2))
 
@@ -222,23 +228,25 @@ def target_background(mean: Array, target: BarTarget, margin_px: float) -> tuple
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     shape = mean.shape
-    outside = ~target.box(shape, margin_px)
+    surroundings = ~target.box(shape, margin_px)
     smooth = np.asarray(gaussian_filter(mean, 2.0))
-    level = float(np.median(smooth[outside]))
-    spread = 1.4826 * float(np.median(np.abs(smooth[outside] - level)))
+    level = float(np.median(smooth[surroundings]))
+    spread = 1.4826 * float(np.median(np.abs(smooth[surroundings] - level)))
     height = float(np.abs(smooth[target.box(shape, 0.0)] - level).max())
-    other = outside & (
+    other = surroundings & (
         np.abs(smooth - level) > max(LIMITS.max_other_sd * spread, LIMITS.max_other_light * height)
     )
-    other = np.asarray(binary_dilation(other, iterations=ACCURACY.other_margin_px), bool) & outside
+    other = (
+        np.asarray(binary_dilation(other, iterations=ACCURACY.other_margin_px), bool) & surroundings
+    )
     crowded = bool((other & target.box(shape, margin_px + ACCURACY.other_margin_px)).any())
-    beyond = outside & ~other
+    background = surroundings & ~other
     # If hardly any background remains, the objects are the background.
-    return beyond if beyond.sum() > 0.25 * outside.sum() else outside, crowded
+    return background if background.sum() > 0.25 * surroundings.sum() else surroundings, crowded
 
 
 def second_harmonic(
-    mean: Array, target: BarTarget, window: Mask, pedestal: float, found: Amplitudes
+    mean: Array, target: BarTarget, window: Mask, pedestal: float, amplitudes: Amplitudes
 ) -> float:
     """Return the image's spectrum at twice the bar frequency in the phase of the bars, over the
     fundamental.
@@ -250,4 +258,4 @@ def second_harmonic(
     if abs(1.0 - 3.0 * target.frequency * direction) < 2.0 * target.frequency / target.bars:
         return 0.0
     double = amplitude(mean - pedestal, target, 2.0 * target.frequency, window)
-    return float(np.real(double * np.exp(-2j * found.phase_rad)) / found.fundamental)
+    return float(np.real(double * np.exp(-2j * amplitudes.phase_rad)) / amplitudes.fundamental)

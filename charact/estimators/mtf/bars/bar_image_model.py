@@ -92,13 +92,13 @@ class Table:
         i = x.astype(np.intp)
         x = x - i
         if rows == 1:
-            left, right = self.values[:, 0, i], self.values[:, 0, i + 1]
-            slope = (right - left)[:1] * (np.sign(across) / self.step_across_px)
-            return np.concatenate([left + x * (right - left), slope, np.zeros_like(slope)])
-        far = np.minimum(np.abs(along), self.along_px[-1])
-        j = np.clip(np.searchsorted(self.along_px, far, side="right") - 1, 0, rows - 2)
+            lower, upper = self.values[:, 0, i], self.values[:, 0, i + 1]
+            slope = (upper - lower)[:1] * (np.sign(across) / self.step_across_px)
+            return np.concatenate([lower + x * (upper - lower), slope, np.zeros_like(slope)])
+        distance = np.minimum(np.abs(along), self.along_px[-1])
+        j = np.clip(np.searchsorted(self.along_px, distance, side="right") - 1, 0, rows - 2)
         gap = (self.along_px[1:] - self.along_px[:-1])[j]
-        y = (far - self.along_px[j]) / gap
+        y = (distance - self.along_px[j]) / gap
         position = j * cols + i
         flat = self.values.reshape(len(self.values), -1)
         a, b, c, d = (np.take(flat, position + shift, axis=1) for shift in (0, 1, cols, cols + 1))
@@ -139,10 +139,10 @@ def table_of(shape: BarShape, half_across_px: float, half_along_px: float) -> Ta
         transfers = _transfers(shape, u, v)
         rows = np.swapaxes(transfers @ weight, 1, 2)
         longer = (transfers[0] @ weight_slope).T * comb
-    near = np.exp(-0.5 * ((u / shape.frequency - 1.0) * 2.0 * shape.bars) ** 2)
+    bar_lobe = np.exp(-0.5 * ((u / shape.frequency - 1.0) * 2.0 * shape.bars) ** 2)
     family = rows[0] * comb
-    rows = rows * (1.0 + shape.departure * near)
-    spectrum = np.stack([*(rows * comb), family * near, rows[0] * comb_slope, longer])
+    rows = rows * (1.0 + shape.departure * bar_lobe)
+    spectrum = np.stack([*(rows * comb), family * bar_lobe, rows[0] * comb_slope, longer])
     values = (
         np.asarray(irfft(spectrum, int(period / step), axis=-1))[
             ..., : int(half_across_px / step) + 2
@@ -217,11 +217,11 @@ def _pixel(angle_rad: float, across: int, step: float, along: int, highest: floa
     """
     u, v = step * np.arange(across)[:, None], np.linspace(0.0, highest, along)
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-    one, other = (
+    shear, counter_shear = (
         np.sinc(u * cosine - sense * v * sine) * np.sinc(u * sine + sense * v * cosine)
         for sense in (1.0, -1.0)
     )
-    return 0.5 * (one + other)
+    return 0.5 * (shear + counter_shear)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,8 +265,8 @@ class BarLikelihood:
 def priors(problem: BarLikelihood, mtf: float) -> tuple[Array, Array]:
     """Return mean and precision of the normal prior of each parameter; precision 0: none."""
     known = {
-        "form_one": problem.form.one,
-        "form_two": problem.form.two,
+        "form_one": problem.form.first_prior,
+        "form_two": problem.form.second_prior,
         "departure": (0.0, DEPARTURE_SD + DEPARTURE_FLOOR / max(mtf, 1e-3)),
         "log_frequency": (np.log(problem.asked), FREQUENCY_SD),
         "log_length": (np.log(problem.length_px), LENGTH_SD),
@@ -278,7 +278,7 @@ def priors(problem: BarLikelihood, mtf: float) -> tuple[Array, Array]:
 def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, float]:
     """Return starting values for a detected target."""
     pixels = problem.image[problem.window]
-    background, far = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
+    background, bright = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
     return {
         "log_attenuation": float(np.log(-np.log(0.4))),
         "form_one": problem.form.start[0],
@@ -289,7 +289,7 @@ def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, f
         "across_px": 0.0,
         "along_px": 0.0,
         "angle_rad": target.angle_rad,
-        "level_dn": 1.3 * float(far - background),
+        "level_dn": 1.3 * float(bright - background),
         "pedestal_dn": float(background),
         "slope_across": 0.0,
         "slope_along": 0.0,
@@ -337,22 +337,22 @@ class BarImageModel:
         across, along = self.places(
             theta["angle_rad"], theta.get("across_px", 0.0), theta.get("along_px", 0.0)
         )
-        found = table_of(self.shape(theta), *self.reach).at(across, along)
+        looked_up = table_of(self.shape(theta), *self.reach).at(across, along)
         level = theta["level_dn"]
-        slopes = level * found[7], level * found[8]
+        slopes = level * looked_up[7], level * looked_up[8]
         scale = (2.0 * self.reach[0], 2.0 * self.reach[1])
         image = (
             theta["pedestal_dn"]
-            + level * found[0]
+            + level * looked_up[0]
             + theta["slope_across"] * across / scale[0]
             + theta["slope_along"] * along / scale[1]
         )
         derivative = {
-            **dict(zip(NAMES[:6], level * found[1:7], strict=True)),
+            **dict(zip(NAMES[:6], level * looked_up[1:7], strict=True)),
             "across_px": -slopes[0],
             "along_px": -slopes[1],
             "angle_rad": slopes[0] * along - slopes[1] * across,
-            "level_dn": found[0],
+            "level_dn": looked_up[0],
             "pedestal_dn": np.ones_like(across),
             "slope_across": across / scale[0],
             "slope_along": along / scale[1],

@@ -95,25 +95,25 @@ class StatedBars:
 
 
 def measure_bars_in(
-    used: FrameStack, asked: StatedBars, context: Context
+    stack: FrameStack, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Detect and measure the target of a region."""
-    mean = used.data.mean(axis=0, dtype=np.float64)
+    mean = stack.data.mean(axis=0, dtype=np.float64)
     if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
         size = f"{mean.shape[0]} x {mean.shape[1]} px"
         return BarRefusal(f"no target: {asked} require a larger region, got {size}")
-    seen = target_in(
+    located = target_in(
         mean, bars=asked.bars, frequency=asked.frequency, pitch_ratio=context.pitch_ratio
     )
-    if seen is None:
+    if located is None:
         return BarRefusal(f"no target: no group of {asked} found; {asked.remedy}")
-    return (_measure_strip if seen.through else _measure_complete_target)(
-        used, mean, seen.target, asked, context
+    return (_measure_strip if located.through else _measure_complete_target)(
+        stack, mean, located.target, asked, context
     )
 
 
 def _measure_strip(
-    used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
+    stack: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Measure bars that cross the region."""
     turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
@@ -126,7 +126,7 @@ def _measure_strip(
     window = np.ones(mean.shape, bool)
     problem = BarLikelihood.of(mean, window, target, target.frequency, strip=True)
     fit, problem = fit_frames(
-        used.data, problem, target, inflation=frame_correlation(used.data, window)
+        stack.data, problem, target, inflation=frame_correlation(stack.data, window)
     )
     if not light_in_standard_errors(fit) > LIMITS.min_light_sd:
         required = f"at least {LIMITS.min_light_sd:g} standard uncertainties"
@@ -135,7 +135,7 @@ def _measure_strip(
     # Of the region around the bars, on the nearer side.
     margin = float(min(-across.min(), across.max()) - fit.target.width_px / 2.0)
     return _sample_measurement(
-        used, fit, problem, context, asked, margin, window_findings(margin, LIMITS.min_margin_px)
+        stack, fit, problem, context, asked, margin, window_findings(margin, LIMITS.min_margin_px)
     )
 
 
@@ -157,9 +157,9 @@ def _refuse_other_object(target: BarTarget, asked: StatedBars) -> BarRefusal:
 
 def _is_in_region(fit: BarFit) -> bool:
     """Return whether the fitted bars have the detected sign and lie in the region."""
-    (rows, cols), here = fit.window.shape, fit.target
-    placed = 0 <= here.row < rows and 0 <= here.col < cols
-    return placed and fit["level_dn"] * here.sign > 0 and bool(_count_lit_pixels(fit).any())
+    (rows, cols), fitted = fit.window.shape, fit.target
+    placed = 0 <= fitted.row < rows and 0 <= fitted.col < cols
+    return placed and fit["level_dn"] * fitted.sign > 0 and bool(_count_lit_pixels(fit).any())
 
 
 def _count_lit_pixels(fit: BarFit) -> Mask:
@@ -168,26 +168,26 @@ def _count_lit_pixels(fit: BarFit) -> Mask:
 
 
 def _sample_measurement(
-    used: FrameStack,
+    stack: FrameStack,
     fit: BarFit,
     problem: BarLikelihood,
     context: Context,
     asked: StatedBars,
     margin: float,
-    given: list[Finding],
+    target_findings: list[Finding],
 ) -> BarMeasurement | BarRefusal:
     """Sample the posterior of a fitted image and collect findings and notes."""
     if not _is_in_region(fit):
         return _refuse_other_object(fit.target, asked)
-    own, notes = fit.target.frequency, []
+    fitted_frequency, notes = fit.target.frequency, []
     if asked.frequency is None:
-        problem = replace(problem, asked=own)
-    elif abs(np.log(own / problem.asked)) > max(
+        problem = replace(problem, asked=fitted_frequency)
+    elif abs(np.log(fitted_frequency / problem.asked)) > max(
         LIMITS.frequency_tolerance, 3.0 * fit.sd("log_frequency")
     ):
         notes.append(
-            f"Measured bar frequency {own:.4g} cy/px; the MTF is reported at {problem.asked:.4g} "
-            "cy/px."
+            f"Measured bar frequency {fitted_frequency:.4g} cy/px; the MTF is reported at "
+            f"{problem.asked:.4g} cy/px."
         )
     if asked.bars is None:
         kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
@@ -198,7 +198,7 @@ def _sample_measurement(
     # preferred one.
     bias = mtf_bias(fit, problem)
     posterior = sample_fit(fit, problem, context, bias)
-    response = response_of(used, fit)
+    response = response_of(stack, fit)
     mtf = linearise_mtf_draws(
         _average_models(forms, mtf_of(posterior, fit, context), context, bias),
         response,
@@ -210,18 +210,18 @@ def _sample_measurement(
     )
     if context.sensor is None:
         notes.append("Pixels taken as square.")
-    near = np.zeros(problem.window.shape, bool)
-    near[problem.window] = _count_lit_pixels(fit)
+    lit = np.zeros(problem.window.shape, bool)
+    lit[problem.window] = _count_lit_pixels(fit)
     return BarMeasurement(
         target=replace(fit.target, frequency=problem.asked),
         posterior=posterior,
         mtf=mtf,
         findings=(
-            *given,
+            *target_findings,
             *findings_of_fit(fit, problem),
             *response_findings(response),
             # White clips where there is light, black mostly where there is none.
-            *clipping_findings(used, (near, problem.window), context, fit),
+            *clipping_findings(stack, (lit, problem.window), context, fit),
         ),
         notes=tuple(notes),
         margin_px=margin,
@@ -236,26 +236,34 @@ def _average_models(
     If the tube model is first, the scatter of the other models is a systematic uncertainty;
     otherwise the draws are mixed in proportion to the weights.
     """
-    (fraction, fit, _), others = forms[0], forms[1:]
+    (fraction, fit, _), alternatives = forms[0], forms[1:]
     if fit.shape.form is TUBE:
         doubt = float(
-            np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others))
+            np.sqrt(
+                sum(
+                    part * (alternative.shape.mtf - fit.shape.mtf) ** 2
+                    for part, alternative, _ in alternatives
+                )
+            )
         )
         return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
     quick = replace(context, quick=True)
     parts = [(fraction, drawn)]
     parts += [
-        (part, mtf_of(sample_fit(one, its, quick, bias), one, quick)) for part, one, its in others
+        (part, mtf_of(sample_fit(alternative, its, quick, bias), alternative, quick))
+        for part, alternative, its in alternatives
     ]
-    taken = [
-        np.linspace(0, own.size - 1, round(part * drawn.size)).astype(np.intp)
-        for part, own in parts
+    picks = [
+        np.linspace(0, samples.size - 1, round(part * drawn.size)).astype(np.intp)
+        for part, samples in parts
     ]
-    return np.concatenate([own[which] for (_, own), which in zip(parts, taken, strict=True)])
+    return np.concatenate(
+        [samples[which] for (_, samples), which in zip(parts, picks, strict=True)]
+    )
 
 
 def _measure_complete_target(
-    used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
+    stack: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Measure a target that lies completely in the region."""
     wanted = target
@@ -266,23 +274,23 @@ def _measure_complete_target(
             reason="no target: the region must include background beyond the bars (pedestal not "
             "measurable); enlarge --roi"
         )
-    beyond, crowded = target_background(mean, target, margin)
-    image_lag = None if context.sensor is None else image_lag_model(context, len(used.data))
-    amplitudes = amplitudes_of(used.data, target, window, beyond, image_lag)
+    background, crowded = target_background(mean, target, margin)
+    image_lag = None if context.sensor is None else image_lag_model(context, len(stack.data))
+    amplitudes = amplitudes_of(stack.data, target, window, background, image_lag)
     reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
         # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported
         # at that.
-        near = (
+        is_as_stated = (
             asked.frequency is not None
             and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
         )
-        reported = reported if near else target.frequency
-        amplitudes = amplitudes_of(used.data, target, window, beyond, image_lag)
+        reported = reported if is_as_stated else target.frequency
+        amplitudes = amplitudes_of(stack.data, target, window, background, image_lag)
     if context.sensor is not None:
         box = target.box(mean.shape, core_margin_px(wanted.frequency))
-        core = amplitudes_of(used.data, target, box, beyond, image_lag)
+        core = amplitudes_of(stack.data, target, box, background, image_lag)
         if core.signal_to_noise < LIMITS.min_signal_sd:
             return _refuse_faint(core.signal_to_noise)
     if (
@@ -294,31 +302,33 @@ def _measure_complete_target(
     why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
     if why is not None:
         return BarRefusal(why, "aliased")
-    second = second_harmonic(mean, target, window, float(mean[beyond].mean()), amplitudes)
-    given = findings_of_sums(target, amplitudes, second)
-    given += window_findings(margin, LIMITS.min_margin_px if cut else 0.0, crowded=crowded)
+    second = second_harmonic(mean, target, window, float(mean[background].mean()), amplitudes)
+    target_findings = findings_of_sums(target, amplitudes, second)
+    target_findings += window_findings(
+        margin, LIMITS.min_margin_px if cut else 0.0, crowded=crowded
+    )
     if context.sensor is not None:
-        box = target.box(used.shape[1:], 1.0)
+        box = target.box(stack.shape[1:], 1.0)
         posterior = sample_sums(amplitudes, lost_fraction(context, margin), context)
         notes = [f"Normalised to the light within {margin:.0f} px of the bars."] if cut else []
         return BarMeasurement(
             target=target,
             posterior=posterior,
             mtf=posterior["mtf"],
-            findings=(*given, *clipping_findings(used, (box,), context)),
+            findings=(*target_findings, *clipping_findings(stack, (box,), context)),
             notes=(
                 *sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None),
                 *notes,
             ),
             margin_px=margin,
         )
-    wide = max(20.0, 1.5 / target.frequency)
+    fit_margin_px = max(20.0, 1.5 / target.frequency)
     # Only the pixels that have no other light.
     problem = BarLikelihood.of(
-        mean, target.box(mean.shape, wide) & (beyond | window), target, reported
+        mean, target.box(mean.shape, fit_margin_px) & (background | window), target, reported
     )
-    fit, problem = fit_frames(used.data, problem, target, inflation=amplitudes.frame_correlation)
+    fit, problem = fit_frames(stack.data, problem, target, inflation=amplitudes.frame_correlation)
     standing = fundamental_in_standard_errors(fit)
     if standing < LIMITS.min_signal_sd:
         return _refuse_faint(standing)
-    return _sample_measurement(used, fit, problem, context, asked, margin, given)
+    return _sample_measurement(stack, fit, problem, context, asked, margin, target_findings)

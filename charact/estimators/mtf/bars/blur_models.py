@@ -29,46 +29,50 @@ class BarBlurModel:
     """Blur model with the priors of its two parameters."""
 
     name: str  # Printed name
-    # one, two: priors, mean and standard deviation
-    one: Normal
-    two: Normal
+    # Priors of its parameters: mean and standard deviation
+    first_prior: Normal
+    second_prior: Normal
     bounds: tuple[Bounds, Bounds]  # Bounds of both
     start: tuple[float, float]  # Starting values of both
     # From ln(r/f), attenuation A = -ln c at f and both parameters to ln transfer
     ln: Callable[[Array, float, float, float], Array]
 
-    def slopes(self, ln_ratio: Array, attenuation: float, one: float, two: float) -> Array:
+    def slopes(
+        self, ln_ratio: Array, attenuation: float, first_shape: float, second_shape: float
+    ) -> Array:
         """Return ln transfer and its derivatives by ln A, one and two, shape (4, ...) for ln(r/f)
         of any shape.
 
         Interpolated in a radial table: the transfer is rotationally symmetric.
         """
-        table = self._table(PLACES, attenuation, one, two)
+        table = self._table(PLACES, attenuation, first_shape, second_shape)
         position = np.clip(
             (ln_ratio - PLACES[0]) / (PLACES[1] - PLACES[0]), 0.0, PLACES.size - 1.001
         )
-        left = position.astype(np.intp)
-        fraction = position - left
-        return np.stack([row[left] + fraction * (row[left + 1] - row[left]) for row in table])
+        node = position.astype(np.intp)
+        fraction = position - node
+        return np.stack([row[node] + fraction * (row[node + 1] - row[node]) for row in table])
 
-    def _table(self, places: Array, attenuation: float, one: float, two: float) -> Array:
+    def _table(
+        self, ln_ratios: Array, attenuation: float, first_shape: float, second_shape: float
+    ) -> Array:
         """Return ln transfer and its derivatives at ln(r/f), shape (4, point)."""
-        own = self.ln(places, attenuation, one, two)
+        ln_transfer = self.ln(ln_ratios, attenuation, first_shape, second_shape)
         changed = (
-            (attenuation * (1.0 + STEP), one, two),
-            (attenuation, one + STEP, two),
-            (attenuation, one, two + STEP),
+            (attenuation * (1.0 + STEP), first_shape, second_shape),
+            (attenuation, first_shape + STEP, second_shape),
+            (attenuation, first_shape, second_shape + STEP),
         )
         backed = (
-            (attenuation * (1.0 - STEP), one, two),
-            (attenuation, one - STEP, two),
-            (attenuation, one, two - STEP),
+            (attenuation * (1.0 - STEP), first_shape, second_shape),
+            (attenuation, first_shape - STEP, second_shape),
+            (attenuation, first_shape, second_shape - STEP),
         )
         slopes = [
-            (self.ln(places, *up) - self.ln(places, *down)) / (2.0 * STEP)
+            (self.ln(ln_ratios, *up) - self.ln(ln_ratios, *down)) / (2.0 * STEP)
             for up, down in zip(changed, backed, strict=True)
         ]
-        return np.stack([own, *slopes])
+        return np.stack([ln_transfer, *slopes])
 
     def nearest(self, ln_ratio: Array, transfer: Array, attenuation: float) -> tuple[float, Array]:
         """Return scale and parameters (ln A, one, two) that approximate a transfer at ln(r/f),
@@ -76,33 +80,33 @@ class BarBlurModel:
 
         One prior standard deviation costs as much as an error of 0.001 in the transfer.
         """
-        mean, sd = np.array([(0.0, np.inf), self.one, self.two, (0.0, np.inf)]).T
+        mean, sd = np.array([(0.0, np.inf), self.first_prior, self.second_prior, (0.0, np.inf)]).T
 
         def linearise(theta: Array) -> Linearisation:
             table = self._table(ln_ratio, float(np.exp(theta[0])), theta[1], theta[2])
-            own = np.exp(table[0])
-            scale = float(own @ transfer) / float(own @ own)
-            jacobian = np.vstack([scale * own * table[1:], own])
+            modelled = np.exp(table[0])
+            scale = float(modelled @ transfer) / float(modelled @ modelled)
+            jacobian = np.vstack([scale * modelled * table[1:], modelled])
             off = mean - np.append(theta, 0.0)
             return linearise_residual(
-                1e3 * (transfer - scale * own), 1e3 * jacobian, off, sd**-2.0, scale
+                1e3 * (transfer - scale * modelled), 1e3 * jacobian, off, sd**-2.0, scale
             )
 
         start, bounds = [np.log(attenuation), *self.start], [(-9.0, 2.3), *self.bounds]
-        found = least_squares(linearise, start, bounds, iterations=12)
-        return found.at.model, found.point
+        optimum = least_squares(linearise, start, bounds, iterations=12)
+        return optimum.at.model, optimum.point
 
 
 def _one_scale_model(attenuation_of: Callable[[Array], Array]) -> Callable[[Array, float], Array]:
     """Return a one-scale model as a function of ln(r/f) and the attenuation at f, which sets the
     scale.
     """
-    wide = np.linspace(-14.0, 8.0, 2201)
-    values = np.maximum.accumulate(attenuation_of(np.exp(wide)))
+    ln_scales = np.linspace(-14.0, 8.0, 2201)
+    values = np.maximum.accumulate(attenuation_of(np.exp(ln_scales)))
 
     def ln(ln_ratio: Array, attenuation: float) -> Array:
-        here = float(np.interp(attenuation, values, wide))
-        return -np.interp(ln_ratio + here, wide, values, left=0.0, right=-MIN_LN)
+        ln_scale = float(np.interp(attenuation, values, ln_scales))
+        return -np.interp(ln_ratio + ln_scale, ln_scales, values, left=0.0, right=-MIN_LN)
 
     return ln
 
@@ -112,8 +116,8 @@ def _tube(ln_ratio: Array, attenuation: float, log_exponent: float, gaussian_sha
     phosphor and pixel.
     """
     power = np.exp(np.exp(log_exponent) * ln_ratio)
-    both = (1.0 - gaussian_share) * power + gaussian_share * np.exp(2.0 * ln_ratio)
-    return np.maximum(-attenuation * both, MIN_LN)
+    fall = (1.0 - gaussian_share) * power + gaussian_share * np.exp(2.0 * ln_ratio)
+    return np.maximum(-attenuation * fall, MIN_LN)
 
 
 def _pupil(ln_ratio: Array, attenuation: float, gaussian_share: float, _: float) -> Array:
@@ -122,8 +126,8 @@ def _pupil(ln_ratio: Array, attenuation: float, gaussian_share: float, _: float)
     """
 
     def pupil(x: Array) -> Array:
-        inside = np.minimum(x, 1.0)
-        open_ = 2.0 / np.pi * (np.arccos(inside) - inside * np.sqrt(1.0 - inside**2))
+        clipped = np.minimum(x, 1.0)
+        open_ = 2.0 / np.pi * (np.arccos(clipped) - clipped * np.sqrt(1.0 - clipped**2))
         return -np.log(np.maximum(open_, np.exp(MIN_LN)))
 
     lens = _one_scale_model(pupil)(ln_ratio, (1.0 - gaussian_share) * attenuation)
@@ -137,20 +141,22 @@ def _moffat(ln_ratio: Array, attenuation: float, log_wings: float, _: float) -> 
     order = float(np.exp(log_wings))
 
     def own(x: Array) -> Array:
-        near = np.maximum(x, 1e-5)
+        argument = np.maximum(x, 1e-5)
         return -np.minimum(
             (1.0 - order) * np.log(2.0)
             - gammaln(order)
-            + order * np.log(near)
-            + np.log(kve(order, near))
-            - near,
+            + order * np.log(argument)
+            + np.log(kve(order, argument))
+            - argument,
             0.0,
         )
 
     return _one_scale_model(lambda x: np.minimum(own(x), -MIN_LN))(ln_ratio, attenuation)
 
 
-def _two_gaussians(ln_ratio: Array, attenuation: float, share: float, log_wider: float) -> Array:
+def _two_gaussians(
+    ln_ratio: Array, attenuation: float, wide_fraction: float, log_wider: float
+) -> Array:
     """A Gaussian, and a fraction of the light in a wider one; `log_wider` is ln of the ratio of the
     widths.
     """
@@ -158,7 +164,7 @@ def _two_gaussians(ln_ratio: Array, attenuation: float, share: float, log_wider:
 
     def own(x: Array) -> Array:
         square = np.minimum(x**2, -MIN_LN)
-        core = (1.0 - share) * np.exp(-square) + share * np.exp(
+        core = (1.0 - wide_fraction) * np.exp(-square) + wide_fraction * np.exp(
             -np.minimum(wider * square, -MIN_LN)
         )
         return -np.log(core)
@@ -168,40 +174,40 @@ def _two_gaussians(ln_ratio: Array, attenuation: float, share: float, log_wider:
 
 TUBE = BarBlurModel(
     "a tube",
-    one=(float(np.log(1.5)), 0.8),
-    two=NONE,
+    first_prior=(float(np.log(1.5)), 0.8),
+    second_prior=NONE,
     bounds=((float(np.log(0.3)), float(np.log(4.0))), (0.0, 1.0)),
     start=(float(np.log(1.6)), 0.0),
     ln=_tube,
 )
 STAGES = BarBlurModel(
     "a tube and a lens",
-    one=TUBE.one,
-    two=(0.2, 0.25),
+    first_prior=TUBE.first_prior,
+    second_prior=(0.2, 0.25),
     bounds=TUBE.bounds,
     start=(float(np.log(1.4)), 0.2),
     ln=_tube,
 )
 PUPIL = BarBlurModel(
     "a lens",
-    one=(0.2, 0.4),
-    two=NONE,
+    first_prior=(0.2, 0.4),
+    second_prior=NONE,
     bounds=((0.0, 0.95), (-1.0, 1.0)),
     start=(0.1, 0.0),
     ln=_pupil,
 )
 MOFFAT = BarBlurModel(
     "a Moffat",
-    one=(float(np.log(2.5)), 0.7),
-    two=NONE,
+    first_prior=(float(np.log(2.5)), 0.7),
+    second_prior=NONE,
     bounds=((float(np.log(0.2)), float(np.log(15.0))), (-1.0, 1.0)),
     start=(float(np.log(2.5)), 0.0),
     ln=_moffat,
 )
 WINGS = BarBlurModel(
     "two Gaussians",
-    one=(0.1, 0.2),
-    two=(float(np.log(3.0)), 0.5),
+    first_prior=(0.1, 0.2),
+    second_prior=(float(np.log(3.0)), 0.5),
     bounds=((0.0, 0.6), (float(np.log(1.3)), float(np.log(20.0)))),
     start=(0.1, float(np.log(3.0))),
     ln=_two_gaussians,

@@ -71,17 +71,17 @@ def sharpening(fit: BarFit) -> float:
     weight = 1.0 / np.maximum(fit.noise.variance, ACCURACY.min_variance * fit["level_dn"] ** 2)
     basis = np.linalg.qr((fit.slope * np.sqrt(weight)).T)[0]
     spread = np.array([_blur_bars(fit, width) for width in (2.0, 4.0, 8.0)]) * np.sqrt(weight)
-    apart = (spread - (spread @ basis) @ basis.T) * np.sqrt(weight)
-    missing = -(apart @ fit.residual_dn)
-    sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(apart, fit.window)), 0.0))
-    whole = np.sum(apart * spread / np.sqrt(weight), axis=1)
-    apart_share = np.sum((apart / np.sqrt(weight)) ** 2, axis=1) / np.sum(spread**2, axis=1)
-    sure = (
+    free_spread = (spread - (spread @ basis) @ basis.T) * np.sqrt(weight)
+    missing = -(free_spread @ fit.residual_dn)
+    sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(free_spread, fit.window)), 0.0))
+    response = np.sum(free_spread * spread / np.sqrt(weight), axis=1)
+    free_fraction = np.sum((free_spread / np.sqrt(weight)) ** 2, axis=1) / np.sum(spread**2, axis=1)
+    significant = (
         (missing > LIMITS.min_sharpening_sd * sd)
-        & (missing > LIMITS.min_sharpening * whole)
-        & (apart_share > LIMITS.min_independent_fraction)
+        & (missing > LIMITS.min_sharpening * response)
+        & (free_fraction > LIMITS.min_independent_fraction)
     )
-    return float(np.max(np.where(sure, missing / whole, 0.0)))
+    return float(np.max(np.where(significant, missing / response, 0.0)))
 
 
 def _blur_bars(fit: BarFit, width_px: float) -> Array:
@@ -97,34 +97,38 @@ def window_findings(margin_px: float, least_px: float, *, crowded: bool = False)
     """Return findings where other light reaches into the window, and where it cuts off part of the
     core's blur.
     """
-    found = []
+    findings = []
     if crowded:
         height = f"{100 * LIMITS.max_other_light:.0f} % of the bars' height"
-        found.append(
+        findings.append(
             finding("several-targets", f"other light nearby exceeds {height}: MTF error up to that")
         )
     if margin_px < least_px:
         effect = f"light further than {margin_px:.0f} px from the bars is not included"
-        found.append(finding("window-too-small", f"{effect}: the MTF is too high by its fraction"))
-    return found
+        findings.append(
+            finding("window-too-small", f"{effect}: the MTF is too high by its fraction")
+        )
+    return findings
 
 
 def clipping_findings(
-    used: FrameStack, windows: Iterable[Mask], context: Context, fit: BarFit | None = None
+    stack: FrameStack, windows: Iterable[Mask], context: Context, fit: BarFit | None = None
 ) -> list[Finding]:
     """Return a finding where pixels of a window are clipped.
 
     If the frames have hardly any noise, a flat plateau proves clipping only at a stated full scale.
     """
-    full_scale_dn = context.full_scale_dn or used.full_scale_dn
+    full_scale_dn = context.full_scale_dn or stack.full_scale_dn
     if (
         fit is not None
-        and _is_noise_hidden(used, fit)
-        and (full_scale_dn is None or used.data.max() < full_scale_dn)
+        and _is_noise_hidden(stack, fit)
+        and (full_scale_dn is None or stack.data.max() < full_scale_dn)
     ):
         return []
     if not any(
-        chain.from_iterable(clipping_flags(used.data[:, one], full_scale_dn) for one in windows)
+        chain.from_iterable(
+            clipping_flags(stack.data[:, window], full_scale_dn) for window in windows
+        )
     ):
         return []
     return [
@@ -135,14 +139,14 @@ def clipping_findings(
     ]
 
 
-def _is_noise_hidden(used: FrameStack, fit: BarFit) -> bool:
+def _is_noise_hidden(stack: FrameStack, fit: BarFit) -> bool:
     """Return whether a frame's noise is below the quantisation step, or below the error of the
     image's table.
     """
-    sd = float(np.sqrt(np.median(fit.noise.variance) * len(used.data)))
+    sd = float(np.sqrt(np.median(fit.noise.variance) * len(stack.data)))
     return sd < (
         LIMITS.hidden_noise_dn
-        if used.data.dtype.kind in "ui"
+        if stack.data.dtype.kind in "ui"
         else LIMITS.hidden_noise_fraction * abs(fit["level_dn"])
     )
 
@@ -154,15 +158,15 @@ def findings_of_draws(
     bound is none.
     """
     mean, sd = float(mtf.mean()), float(mtf.std())
-    found = [
+    findings = [
         finding(flag, *POSTERIOR_FINDINGS[flag]) for flag in flags if flag in POSTERIOR_FINDINGS
     ]
     if np.quantile(mtf, 0.025) > 1.0:
-        found.append(
+        findings.append(
             finding("model-misfit", f"the MTF must be at most 1, got {100 * mean - 100:.1f} % more")
         )
     if mean < LIMITS.min_mtf_sd * sd:
-        found.append(
+        findings.append(
             finding(
                 "low-signal",
                 f"the MTF is {mean / max(sd, 1e-30):.1f} standard errors: an upper limit",
@@ -173,8 +177,8 @@ def findings_of_draws(
         effect = (
             f"the bars move by {motion.rms_px:.2g} px rms: the MTF is {100 * loss:.2g} % too low"
         )
-        found.append(finding("drift", effect))
-    return found
+        findings.append(finding("drift", effect))
+    return findings
 
 
 def sum_notes(
@@ -200,7 +204,7 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
     """Return the findings from the sums over a target: bar count, motion between fields, nonlinear
     response.
     """
-    found = []
+    findings = []
     noise = LIMITS.significant_sd / amplitudes.signal_to_noise
     if (
         amplitudes.zeros > LIMITS.suspect_zeros + noise
@@ -210,18 +214,18 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
             f"{100 * amplitudes.zeros:.0f} % of the fundamental at the zeros of the spectrum "
             f"of {target.bars} bars"
         )
-        found.append(
+        findings.append(
             finding(
                 "model-misfit", f"{effect}: MTF error up to that", f"--bars, --frequency; {REGION}"
             )
         )
-    apart = abs(amplitudes.fields_apart_px)
+    field_offset_px = abs(amplitudes.fields_apart_px)
     # Bars along rows are aliased in each field, which resembles motion.
     upright = abs(np.sin(target.angle_rad)) < LIMITS.max_upright_sine
-    if upright and apart > max(
+    if upright and field_offset_px > max(
         LIMITS.significant_sd * amplitudes.fields_apart_sd_px, LIMITS.max_field_offset_px
     ):
-        found.append(_field_motion(apart, target.frequency))
+        findings.append(_field_motion(field_offset_px, target.frequency))
     if (
         abs(second)
         > LIMITS.max_second_harmonic + LIMITS.max_second_harmonic_sd / amplitudes.signal_to_noise
@@ -229,54 +233,61 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
         effect = (
             f"second harmonic {100 * abs(second):.1f} % of the fundamental: MTF error up to that"
         )
-        found.append(finding("gamma", effect))
-    return found
+        findings.append(finding("gamma", effect))
+    return findings
 
 
 def findings_of_fit(fit: BarFit, problem: BarLikelihood) -> list[Finding]:
     """Return the findings of a fitted image: misfit, departure, sharpening, field motion, bar
     count, quantisation.
     """
-    found = []
-    left = _profile_residual_rms(fit)
-    if left > 0.0:
-        share = 100.0 * left / abs(fit["level_dn"])
-        found.append(
+    findings = []
+    residual_rms = _profile_residual_rms(fit)
+    if residual_rms > 0.0:
+        residual_percent = 100.0 * residual_rms / abs(fit["level_dn"])
+        findings.append(
             finding(
                 "model-misfit",
-                f"residual profile {share:.1f} % of the bars' height: MTF error up to that",
+                f"residual profile {residual_percent:.1f} % of the bars' height: "
+                "MTF error up to that",
             )
         )
-    away, known = abs(fit["departure"]), 1.0 / np.sqrt(fit.precision[fit.names.index("departure")])
-    if away > LIMITS.max_departure_sd * known:
+    departure, departure_sd = (
+        abs(fit["departure"]),
+        1.0 / np.sqrt(fit.precision[fit.names.index("departure")]),
+    )
+    if departure > LIMITS.max_departure_sd * departure_sd:
         effect = (
-            f"the MTF at the bars departs by {100 * away:.0f} % from the blur model of the image"
+            f"the MTF at the bars departs by {100 * departure:.0f} % from the blur model of the "
+            "image"
         )
-        found.append(finding("model-misfit", effect))
+        findings.append(finding("model-misfit", effect))
     taken_off = sharpening(fit)
     if taken_off > 0.0:
         effect = (
             f"{100 * taken_off:.1f} % of the light around the bars is missing: the MTF may "
             f"be too high by that"
         )
-        found.append(finding("processed", effect))
+        findings.append(finding("processed", effect))
     upright = abs(np.sin(fit.target.angle_rad)) < LIMITS.max_upright_sine
-    apart = _field_offset_px(fit) if fit.strip and upright else 0.0
-    if apart:
-        found.append(_field_motion(apart, fit.target.frequency))
+    field_offset_px = _field_offset_px(fit) if fit.strip and upright else 0.0
+    if field_offset_px:
+        findings.append(_field_motion(field_offset_px, fit.target.frequency))
     other = likelier_bar_count(fit, problem)
     if other is not None:
         effect = (
             f"the data favour {other} bars over {fit.target.bars}; the light per bar changes "
             f"accordingly"
         )
-        found.append(finding("model-misfit", effect, f"--bars {other}"))
-    moved = rounding_sd(fit)
-    if moved > LIMITS.max_rounding_sd:
-        found.append(
-            finding("quantised", f"quantisation may change the MTF by {100 * moved:.0f} %")
+        findings.append(finding("model-misfit", effect, f"--bars {other}"))
+    quantisation_sd = rounding_sd(fit)
+    if quantisation_sd > LIMITS.max_rounding_sd:
+        findings.append(
+            finding(
+                "quantised", f"quantisation may change the MTF by {100 * quantisation_sd:.0f} %"
+            )
         )
-    return found
+    return findings
 
 
 def _field_motion(apart_px: float, frequency: float) -> Finding:
@@ -316,14 +327,16 @@ def _profile_residual_rms(fit: BarFit) -> float:
     residuals.
     """
     across, _ = fit.target.coordinates(fit.window.shape)
-    near = np.abs(across[fit.window]) < fit.target.width_px / 2.0 + 1.0 / fit.target.frequency
-    position = np.floor(across[fit.window][near]).astype(np.intp)
+    on_bars = np.abs(across[fit.window]) < fit.target.width_px / 2.0 + 1.0 / fit.target.frequency
+    position = np.floor(across[fit.window][on_bars]).astype(np.intp)
     position = position - position.min()
     count = np.bincount(position)
     shared = float(np.abs(fit.noise.correlation).sum()) * fit.noise.inflation
-    mean = np.bincount(position, fit.residual_dn[near])[count > 0] / count[count > 0]
+    mean = np.bincount(position, fit.residual_dn[on_bars])[count > 0] / count[count > 0]
     expected = (
-        np.bincount(position, fit.noise.variance[near])[count > 0] * shared / count[count > 0] ** 2
+        np.bincount(position, fit.noise.variance[on_bars])[count > 0]
+        * shared
+        / count[count > 0] ** 2
     )
     noise = LIMITS.significant_sd * np.sqrt(2.0 * float(np.sum(expected**2))) / mean.size
     square = float(np.mean(mean**2 - expected))
@@ -341,11 +354,11 @@ def _field_offset_px(fit: BarFit) -> float:
     odd = 1.0 - 2.0 * (np.nonzero(fit.window)[0] % 2)
     slope = fit.slope[fit.names.index("across_px")] * odd
     weight = 1.0 / float(slope @ slope)
-    apart = 2.0 * weight * float(slope @ fit.residual_dn)
+    offset_px = 2.0 * weight * float(slope @ fit.residual_dn)
     sd = 2.0 * np.sqrt(weight * np.mean(fit.residual_dn**2))
     return (
-        abs(apart)
-        if abs(apart) > max(LIMITS.significant_sd * sd, LIMITS.max_field_offset_px)
+        abs(offset_px)
+        if abs(offset_px) > max(LIMITS.significant_sd * sd, LIMITS.max_field_offset_px)
         else 0.0
     )
 
@@ -388,20 +401,20 @@ def likelier_bar_count(fit: BarFit, problem: BarLikelihood) -> int | None:
         for n in (fit.target.bars - 1, fit.target.bars + 1)
         if n > 1
     }
-    left = {
+    chi2_of_count = {
         n: _fit_count(fit, problem, n, shift_px).cost
-        for n, (least, shift_px) in begun.items()
-        if least < LIMITS.max_count_chi2_ratio * cost
+        for n, (chi2, shift_px) in begun.items()
+        if chi2 < LIMITS.max_count_chi2_ratio * cost
     }
-    if not left:
+    if not chi2_of_count:
         return None
-    best = min(left, key=left.__getitem__)
+    best = min(chi2_of_count, key=chi2_of_count.__getitem__)
     shared = fit.noise.correlation_sum
     # A wrong number leaves residuals that resemble correlated noise; no other number then saves a
     # third of them.
     return (
         best
-        if cost - left[best]
+        if cost - chi2_of_count[best]
         > min(LIMITS.min_count_chi2_gain * shared, LIMITS.min_count_chi2_fraction * cost)
         else None
     )
@@ -413,22 +426,24 @@ def _chi2_of_count(fit: BarFit, problem: BarLikelihood, bars: int) -> tuple[floa
     """
     image = BarImageModel(problem, fit.target)
     across, along = image.places(fit["angle_rad"], 0.0, 0.0)
-    reach = (
+    half_size_px = (
         image.reach[0] + max(ACCURACY.count_shifts_periods) / fit.target.frequency,
         image.reach[1],
     )
-    table = table_of(replace(fit.shape, bars=bars), *reach)
+    table = table_of(replace(fit.shape, bars=bars), *half_size_px)
     weight = 1.0 / np.sqrt(problem.variance)
-    background = np.stack([np.ones_like(across), across / reach[0], along / reach[1]]) * weight
-    data, left = problem.image[problem.window] * weight, {}
+    background = (
+        np.stack([np.ones_like(across), across / half_size_px[0], along / half_size_px[1]]) * weight
+    )
+    data, chi2_of_shift = problem.image[problem.window] * weight, {}
     for shift_px in np.array(ACCURACY.count_shifts_periods) / fit.target.frequency:
         design = np.concatenate(
             [(table.at(across - shift_px, along)[0] * weight)[None], background]
         )
         amplitude = np.linalg.lstsq(design @ design.T, design @ data, rcond=1e-12)[0]
-        left[float(shift_px)] = float(np.sum((data - amplitude @ design) ** 2))
-    best = min(left, key=left.__getitem__)
-    return left[best], best
+        chi2_of_shift[float(shift_px)] = float(np.sum((data - amplitude @ design) ** 2))
+    best = min(chi2_of_shift, key=chi2_of_shift.__getitem__)
+    return chi2_of_shift[best], best
 
 
 def _fit_count(fit: BarFit, problem: BarLikelihood, bars: int, shift_px: float) -> BarFit:

@@ -42,21 +42,21 @@ def measure_contrast(
     are those of "bars-forward". First term of Coltman's series (J. Opt. Soc. Am. 44, 468, 1954):
     valid for infinite square waves above a third of the cut-off.
     """
-    used = stack if region is None else stack.region(*region)
+    cut_stack = stack if region is None else stack.region(*region)
     common: dict[str, Any] = {
         "method": method,
-        "region": region or (0, 0, *used.shape[1:]),
+        "region": region or (0, 0, *cut_stack.shape[1:]),
         "provenance": Provenance(
             version=charact.__version__, seed=context.seed, settings={"bars": bars}
         ),
     }
-    mean = used.data.mean(axis=0, dtype=np.float64)
-    seen = target_in(
+    mean = cut_stack.data.mean(axis=0, dtype=np.float64)
+    located = target_in(
         mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio
     )
-    found = None if seen is None else read(seen.target.sign * mean, seen)
-    if seen is None or found is None or not found[0] > min_sd * found[1]:
-        one = make_refusal(
+    contrast = None if located is None else read(located.target.sign * mean, located)
+    if located is None or contrast is None or not contrast[0] > min_sd * contrast[1]:
+        measurement = make_refusal(
             "mtf",
             "1",
             reason,
@@ -64,64 +64,71 @@ def measure_contrast(
             frequency_cy_per_px=frequency_cy_per_px,
             **common,
         )
-        return Result(measurements=(one,))
-    target, full_scale_dn = seen.target, context.full_scale_dn or used.full_scale_dn
-    clipped = clipping_flags(used.data[:, target.box(mean.shape, 1.0)], full_scale_dn)
-    one = measurement_from_sd(
+        return Result(measurements=(measurement,))
+    target, full_scale_dn = located.target, context.full_scale_dn or cut_stack.full_scale_dn
+    clipped = clipping_flags(cut_stack.data[:, target.box(mean.shape, 1.0)], full_scale_dn)
+    measurement = measurement_from_sd(
         "mtf",
         "1",
-        *found,
+        *contrast,
         flags=("model-misfit", *clipped),
         notes=(note,),
         frequency_cy_per_px=target.frequency,
         orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0,
         **common,
     )
-    return Result(measurements=(one,))
+    return Result(measurements=(measurement,))
 
 
 def _bars_and_gaps(
-    mean: Array, seen: LocatedBars, periods: float, *, inner: NDArray[np.bool_], ahead: float = 0.0
+    mean: Array,
+    located: LocatedBars,
+    periods: float,
+    *,
+    inner: NDArray[np.bool_],
+    ahead: float = 0.0,
 ) -> tuple[Array, Array]:
     """Return the pixels within some periods of the centres of bars and of gaps; `ahead` is their
     phase, periods.
     """
-    target = seen.target
+    target = located.target
     across, _ = target.coordinates(mean.shape)
     phase = (across * target.frequency + ahead + (target.bars - 1) / 2.0) % 1.0
-    near = np.minimum(phase, 1.0 - phase)
-    within = inner & (
+    bar_distance = np.minimum(phase, 1.0 - phase)
+    interior = inner & (
         np.abs(across) < ((target.bars - 1) / 2.0 + min(periods, 0.1)) / target.frequency
     )
-    return mean[within & (near < periods)], mean[within & (near > 0.5 - periods)]
+    return mean[interior & (bar_distance < periods)], mean[
+        interior & (bar_distance > 0.5 - periods)
+    ]
 
 
-def _profile_contrast(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
+def _profile_contrast(mean: Array, located: LocatedBars) -> tuple[float, float] | None:
     """Return pi/4 (max - min)/(max + min) above the pedestal and its standard uncertainty."""
-    target = seen.target
+    target = located.target
     margin, _ = fitting_margin(target, mean.shape, 1.5 / target.frequency)
     pedestal = float(np.median(mean[~target.box(mean.shape, margin)]))
     inner = np.abs(target.coordinates(mean.shape)[1]) < ACCURACY.inner_length * target.length_px
-    on, between = _bars_and_gaps(mean, seen, 2.0 * ACCURACY.extremum_periods, inner=inner)
-    if min(on.size, between.size) < 3:
+    bars, gaps = _bars_and_gaps(mean, located, 2.0 * ACCURACY.extremum_periods, inner=inner)
+    if min(bars.size, gaps.size) < 3:
         return None
-    high, low = on.mean() - pedestal, between.mean() - pedestal
+    high, low = bars.mean() - pedestal, gaps.mean() - pedestal
     if not high + low > 0:
         return None
     error = np.sqrt(3.0) * np.hypot(
-        on.std() / np.sqrt(on.size), between.std() / np.sqrt(between.size)
+        bars.std() / np.sqrt(bars.size), gaps.std() / np.sqrt(gaps.size)
     )
     return float(np.pi / 4.0 * (high - low) / (high + low)), float(
         np.pi / 4.0 * error / (high + low)
     )
 
 
-def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
+def _modulation(mean: Array, located: LocatedBars) -> tuple[float, float] | None:
     """Return pi/4 (max - min)/step and its standard uncertainty, the step that of a large area.
 
     The step is the light of the target over the area of its bars, N w per unit length.
     """
-    target, through = seen.target, seen.through
+    target, through = located.target, located.through
     across, along = target.coordinates(mean.shape)
     inner = (
         np.ones(mean.shape, bool)
@@ -129,29 +136,32 @@ def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
         else np.abs(along) < ACCURACY.inner_length * target.length_px
     )
     margin = 1.5 / target.frequency
-    reach = target.width_px / 2.0 + (
+    half_width_px = target.width_px / 2.0 + (
         min(12.0, margin) if through else fitting_margin(target, mean.shape, margin)[0]
     )
-    background, patch = inner & (np.abs(across) > reach - 1.0), inner & (np.abs(across) < reach)
+    background, patch = (
+        inner & (np.abs(across) > half_width_px - 1.0),
+        inner & (np.abs(across) < half_width_px),
+    )
     wave = np.exp(-2j * np.pi * target.frequency * across[patch])
     fundamental = np.sum((mean[patch] - mean[background].mean()) * wave)
     ahead = float(np.angle(fundamental * np.exp(1j * np.pi * (target.bars - 1)))) / (2.0 * np.pi)
-    on, between = _bars_and_gaps(mean, seen, ACCURACY.extremum_periods, inner=inner, ahead=ahead)
-    if min(on.size, between.size) < 3 or np.count_nonzero(background) < 3:
+    bars, gaps = _bars_and_gaps(mean, located, ACCURACY.extremum_periods, inner=inner, ahead=ahead)
+    if min(bars.size, gaps.size) < 3 or np.count_nonzero(background) < 3:
         return None
-    light = float((mean[patch] - mean[background].mean()).mean()) * 2.0 * reach
+    light = float((mean[patch] - mean[background].mean()).mean()) * 2.0 * half_width_px
     step = light / (target.bars * 0.5 / target.frequency)
     if not step > 0:
         return None
     # The mean of a fundamental over pixels near its extrema is lower than the extremum by a known
     # factor.
     value = (
-        np.pi / 4.0 * (on.mean() - between.mean()) / step / np.sinc(2.0 * ACCURACY.extremum_periods)
+        np.pi / 4.0 * (bars.mean() - gaps.mean()) / step / np.sinc(2.0 * ACCURACY.extremum_periods)
     )
     error = (
         np.pi
         / 4.0
-        * np.hypot(on.std() / np.sqrt(on.size), between.std() / np.sqrt(between.size))
+        * np.hypot(bars.std() / np.sqrt(bars.size), gaps.std() / np.sqrt(gaps.size))
         / step
     )
     return float(value), float(error)

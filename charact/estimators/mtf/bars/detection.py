@@ -67,13 +67,13 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
     centre = ((image.shape[0] - 1) / 2.0, (image.shape[1] - 1) / 2.0)
     blank = replace(blank_target(bars, frequency, pitch_ratio), row=centre[0], col=centre[1])
     template = _template(blank)
-    found = [
+    matches = [
         _best(image, replace(blank, angle_rad=float(np.deg2rad(axis + tilt))), template)
         for axis in (0.0, 90.0)
         for tilt in TILTS_DEG
         if image.shape[int(axis == 0.0)] * (1.0 if axis == 0.0 else pitch_ratio) > blank.width_px
     ]
-    match, target = max(found, key=lambda one: one[0], default=(0.0, None))
+    match, target = max(matches, key=lambda scored: scored[0], default=(0.0, None))
     return target if match > LIMITS.min_strip_match_sd else None
 
 
@@ -95,23 +95,23 @@ def _best(image: Array, target: BarTarget, template: Array) -> tuple[float, BarT
     # Least squares of the template at each shift, with a free mean.
     weight = np.correlate(count.astype(float), np.ones(template.size), "valid")
     cross = np.correlate(profile, template, "valid")
-    own = np.correlate(count.astype(float), template, "valid")
+    template_sum = np.correlate(count.astype(float), template, "valid")
     square = np.correlate(count.astype(float), template**2, "valid")
     inner = np.correlate(profile, np.ones(template.size), "valid")
-    power = np.maximum(square - own**2 / np.maximum(weight, 1.0), 1e-9)
-    signed = cross - own * inner / np.maximum(weight, 1.0)
+    power = np.maximum(square - template_sum**2 / np.maximum(weight, 1.0), 1e-9)
+    signed = cross - template_sum * inner / np.maximum(weight, 1.0)
     gain = signed**2 / power
     best = int(np.argmax(gain))
     spread = float(np.sum(values**2) / values.size - (values.mean()) ** 2)
     centre = first + (best + template.size / 2.0) * ACCURACY.profile_bin_px
-    moved = replace(
+    shifted = replace(
         target,
         sign=1 if signed[best] > 0 else -1,
         col=target.col + centre * np.cos(target.angle_rad),
         row=target.row + centre * np.sin(target.angle_rad) / target.pitch_ratio,
     )
-    left = max(spread * values.size - float(gain[best]), 1e-9)
-    return float(np.sqrt(gain[best] / (left / values.size))), moved
+    unexplained = max(spread * values.size - float(gain[best]), 1e-9)
+    return float(np.sqrt(gain[best] / (unexplained / values.size))), shifted
 
 
 def _template(target: BarTarget) -> Array:
@@ -166,17 +166,20 @@ def bars_in(
             sign=1,
         )
         patch = _patch(image, blank)
-        found = _count_bars(image, patch, blank, bars)
-        if found is not None:
+        counted = _count_bars(image, patch, blank, bars)
+        if counted is not None:
             looked.append(
-                (found[0], LocatedBars(target=found[1], through=_runs_through(patch, angle_rad)))
+                (
+                    counted[0],
+                    LocatedBars(target=counted[1], through=_runs_through(patch, angle_rad)),
+                )
             )
-    most = max((explained for explained, _ in looked), default=0.0)
+    best_explained = max((explained for explained, _ in looked), default=0.0)
     return next(
         (
-            seen
-            for explained, seen in looked
-            if explained > max(LIMITS.min_explained, LIMITS.min_relative_explained * most)
+            located
+            for explained, located in looked
+            if explained > max(LIMITS.min_explained, LIMITS.min_relative_explained * best_explained)
         ),
         None,
     )
@@ -258,17 +261,17 @@ def _count_bars(
         0.5 * (along[patch].min() + along[patch].max()),
     )
     width, length = np.ptp(across[patch]), np.ptp(along[patch])
-    near = (np.abs(across - centre[0]) < 0.5 * width + 1.2 / wave.frequency) & (
+    on_group = (np.abs(across - centre[0]) < 0.5 * width + 1.2 / wave.frequency) & (
         np.abs(along - centre[1]) < max(0.4 * length, 1.0)
     )
     step = max(1.0 / (12.0 * wave.frequency), 0.5)
-    index = np.floor((across[near] - across[near].min()) / step).astype(np.intp)
+    index = np.floor((across[on_group] - across[on_group].min()) / step).astype(np.intp)
     count = np.bincount(index)
     filled = count > 0
     position = (
-        np.bincount(index, across[near])[filled] / count[filled] - centre[0]
+        np.bincount(index, across[on_group])[filled] / count[filled] - centre[0]
     ) * wave.frequency
-    value = np.bincount(index, image[near])[filled] / count[filled]
+    value = np.bincount(index, image[on_group])[filled] / count[filled]
     guess = round(width * wave.frequency)
     numbers = (
         [bars]
@@ -281,18 +284,20 @@ def _count_bars(
     )
     if position.size < 8 or not numbers or numbers[0] > LIMITS.max_bars:
         return None
-    inside = np.abs(position) < 0.5 * width * wave.frequency
+    on_bars = np.abs(position) < 0.5 * width * wave.frequency
     phase = float(
         np.angle(
-            np.sum((value - value[inside].mean())[inside] * np.exp(2j * np.pi * position[inside]))
+            np.sum(
+                (value - value[on_bars].mean())[on_bars] * np.exp(2j * np.pi * position[on_bars])
+            )
         )
     )
     explained, number, ratio, shift, sign = max(
         (_match_profile(position, value, number, phase / (2.0 * np.pi)) for number in numbers),
-        key=lambda one: one[0],
+        key=lambda scored: scored[0],
     )
-    seen = 0.5 * number / ratio + LIMITS.min_background_periods
-    if position[0] > shift - seen or position[-1] < shift + seen:
+    needed_periods = 0.5 * number / ratio + LIMITS.min_background_periods
+    if position[0] > shift - needed_periods or position[-1] < shift + needed_periods:
         return None
     x = centre[0] + shift / wave.frequency
     cosine, sine = np.cos(wave.angle_rad), np.sin(wave.angle_rad)
@@ -309,40 +314,46 @@ def _count_bars(
 
 
 def _match_profile(
-    place: Array, value: Array, bars: int, peak: float
+    position: Array, value: Array, bars: int, peak: float
 ) -> tuple[float, int, float, float, int]:
     """Return the explained fraction of a profile, and number, frequency, centre and sign of the
     bars.
 
-    `place`: positions across the bars in periods of the wave, shape (point,); `peak`: position of a
-    maximum of the wave, periods: centre of a bar or a gap.
+    `position`: positions across the bars in periods of the wave, shape (point,); `peak`: position
+    of a maximum of the wave, periods: centre of a bar or a gap.
     """
     from scipy.special import ndtr
 
-    background = np.linalg.qr(np.stack([np.ones_like(place), place], axis=1))[0]
-    left = value - background @ (background.T @ value)
+    background = np.linalg.qr(np.stack([np.ones_like(position), position], axis=1))[0]
+    residual = value - background @ (background.T @ value)
     middles = peak + 0.5 * np.arange(-3, 4)
     ratio, centre, blur = (
-        one.ravel()
-        for one in np.meshgrid(FREQUENCIES, middles, ACCURACY.trial_blurs, indexing="ij")
+        axis_grid.ravel()
+        for axis_grid in np.meshgrid(FREQUENCIES, middles, ACCURACY.trial_blurs, indexing="ij")
     )
     bars_at = np.arange(bars) - 0.5 * (bars - 1)
-    phase = (place - centre[:, None]) * ratio[:, None]
+    phase = (position - centre[:, None]) * ratio[:, None]
     shape = np.zeros(phase.shape)
     for at in bars_at:
         shape += ndtr((phase - at + 0.25) / blur[:, None]) - ndtr(
             (phase - at - 0.25) / blur[:, None]
         )
     shape -= (shape @ background) @ background.T
-    inner, power = shape @ left, np.maximum(np.sum(shape**2, axis=1), 1e-9)
+    inner, power = shape @ residual, np.maximum(np.sum(shape**2, axis=1), 1e-9)
     gain = inner**2 / power
     best = int(np.argmax(gain))
-    total = max(float(left @ left), 1e-300)
+    total = max(float(residual @ residual), 1e-300)
     grid = gain.reshape(FREQUENCIES.size, -1)[:, best % (middles.size * len(ACCURACY.trial_blurs))]
     row = best // (middles.size * len(ACCURACY.trial_blurs))
     finer = _vertex(grid, row) if 0 < row < FREQUENCIES.size - 1 else 0.0
-    own = float(ratio[best] + finer * (FREQUENCIES[1] - FREQUENCIES[0]))
-    return float(gain[best]) / total, bars, own, float(centre[best]), 1 if inner[best] > 0 else -1
+    fitted_ratio = float(ratio[best] + finer * (FREQUENCIES[1] - FREQUENCIES[0]))
+    return (
+        float(gain[best]) / total,
+        bars,
+        fitted_ratio,
+        float(centre[best]),
+        1 if inner[best] > 0 else -1,
+    )
 
 
 def target_in(
@@ -354,10 +365,10 @@ def target_in(
     pitch, or None.
     """
     if bars is None or frequency is None:
-        seen = bars_in(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
-        if seen is None or seen.through:
-            return seen
-        return replace(seen, target=refine_target(image, seen.target))
+        located = bars_in(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
+        if located is None or located.through:
+            return located
+        return replace(located, target=refine_target(image, located.target))
     if spans_region(image, bars=bars, frequency=frequency):
         target = strip_of(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
         if target is not None:

@@ -112,7 +112,7 @@ def fit_bars(
 
     bounds = [problem.bounds.get(name, (-np.inf, np.inf)) for name in problem.names]
     begin = [start[name] for name in problem.names]
-    found = least_squares(
+    optimum = least_squares(
         linearise,
         begin,
         bounds,
@@ -122,15 +122,15 @@ def fit_bars(
         grow=1e3,
         hopeless=hopeless,
     )
-    model, slope, mean, precision = found.at.model
+    model, slope, mean, precision = optimum.at.model
     weighted = slope / problem.variance
     inverse = np.asarray(
-        np.linalg.pinv(found.at.normal, rcond=1e-14, hermitian=True), dtype=np.float64
+        np.linalg.pinv(optimum.at.normal, rcond=1e-14, hermitian=True), dtype=np.float64
     )
     estimator = inverse @ weighted
     noise = noise or BarWindowNoise(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
-    point = dict(zip(problem.names, found.point.tolist(), strict=True))
+    point = dict(zip(problem.names, optimum.point.tolist(), strict=True))
     cosine, sine = np.cos(point["angle_rad"]), np.sin(point["angle_rad"])
     across, along = point["across_px"], point.get("along_px", 0.0)
     placed = replace(
@@ -144,7 +144,7 @@ def fit_bars(
         target=placed,
         shape=image.shape(point),
         names=problem.names,
-        value=found.point,
+        value=optimum.point,
         covariance=spread + (inverse * precision) @ inverse,
         residual_dn=problem.image[problem.window] - model,
         model_dn=model,
@@ -157,7 +157,7 @@ def fit_bars(
         window=problem.window,
         noise=noise,
         strip=problem.strip,
-        cost=found.at.cost,
+        cost=optimum.at.cost,
     )
 
 
@@ -189,8 +189,8 @@ def fit_frames(
             noise = replace(noise, rounding=rounding_shifts(first.model_dn, noise.variance))
     # No pixel weighs more than the average one: unequal weights carry the noise of the first fit
     # into the second.
-    least = max(float(noise.variance.mean()), ACCURACY.min_variance * first["level_dn"] ** 2)
-    likelihood = replace(problem, variance=np.maximum(noise.variance, least))
+    min_variance = max(float(noise.variance.mean()), ACCURACY.min_variance * first["level_dn"] ** 2)
+    likelihood = replace(problem, variance=np.maximum(noise.variance, min_variance))
     return fit_bars(likelihood, target, first.values, noise), likelihood
 
 
@@ -217,13 +217,13 @@ def fit_all_models(
     now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
     core = np.exp(shape.form.ln(positions, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
-    fits, least = [], fit.cost
+    fits, best_cost = [], fit.cost
     for form in BLUR_MODELS:
-        own = replace(problem, form=form)
+        likelihood = replace(problem, form=form)
         if form is shape.form and ratio == 1.0:
-            fits.append((fit, own))
+            fits.append((fit, likelihood))
             continue
-        scale, (log_attenuation, one, two) = form.nearest(
+        scale, (log_attenuation, first_shape, second_shape) = form.nearest(
             positions - np.log(ratio), core, attenuation
         )
         start = {
@@ -234,14 +234,16 @@ def fit_all_models(
         }
         start |= {
             "log_attenuation": float(log_attenuation),
-            "form_one": float(one),
-            "form_two": float(two),
+            "form_one": float(first_shape),
+            "form_two": float(second_shape),
         }
-        hopeless = least - 2.0 * fit.noise.correlation_sum * np.log(ACCURACY.min_model_weight)
-        fits.append((fit_bars(own, fit.target, start, fit.noise, hopeless=hopeless), own))
-        least = min(least, fits[-1][0].cost)
-    gain = fits[0][0].cost - min(one.cost for one, _ in fits[1:])
-    weights = dict(weigh_by_evidence([_ln_evidence(*one) for one in fits]))
+        hopeless = best_cost - 2.0 * fit.noise.correlation_sum * np.log(ACCURACY.min_model_weight)
+        fits.append(
+            (fit_bars(likelihood, fit.target, start, fit.noise, hopeless=hopeless), likelihood)
+        )
+        best_cost = min(best_cost, fits[-1][0].cost)
+    gain = fits[0][0].cost - min(candidate.cost for candidate, _ in fits[1:])
+    weights = dict(weigh_by_evidence([_ln_evidence(*candidate) for candidate in fits]))
     order = [index for index, weight in weights.items() if weight > ACCURACY.min_model_weight]
     if gain <= LIMITS.min_model_preference_sd**2 * fit.noise.correlation_sum:
         order = [0, *(index for index in sorted(order) if index)]
@@ -250,12 +252,15 @@ def fit_all_models(
 
 def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
     """Return ln evidence by Laplace's approximation."""
-    left = [
+    remaining = [
         min(fit.sd(name) / prior[1], 1.0)
-        for name, prior in (("form_one", problem.form.one), ("form_two", problem.form.two))
+        for name, prior in (
+            ("form_one", problem.form.first_prior),
+            ("form_two", problem.form.second_prior),
+        )
     ]
     return -0.5 * fit.cost / fit.noise.correlation_sum + float(
-        np.sum(np.log(np.maximum(left, 1e-6)))
+        np.sum(np.log(np.maximum(remaining, 1e-6)))
     )
 
 
@@ -275,24 +280,27 @@ def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
     and that of the MTF M is M' b + tr(M'' C) / 2, to second order in the noise. It is neglected for
     an MTF of less than 1.5 % uncertainty.
     """
-    own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
+    mtf_indices = [fit.names.index("log_attenuation"), fit.names.index("departure")]
     first, second = _mtf_slopes(fit)
     covariance = fit.noise_covariance
-    if first @ covariance[np.ix_(own, own)] @ first < (0.015 * fit.shape.mtf) ** 2:
+    if first @ covariance[np.ix_(mtf_indices, mtf_indices)] @ first < (0.015 * fit.shape.mtf) ** 2:
         return 0.0
     shared = fit.noise.covariance_with(fit.estimator, fit.window)
     unlike = shared - covariance @ fit.slope
     bends = _bends(fit, problem)
     pull = np.zeros(len(fit.names))
     bent = np.zeros(fit.slope.shape[1])
-    for (one, other), bend in bends.items():
-        pull[one] += np.sum(bend * unlike[other] / problem.variance)
-        bent += covariance[one, other] * bend
-        if one != other:
-            pull[other] += np.sum(bend * unlike[one] / problem.variance)
-            bent += covariance[one, other] * bend
+    for (parameter, other), bend in bends.items():
+        pull[parameter] += np.sum(bend * unlike[other] / problem.variance)
+        bent += covariance[parameter, other] * bend
+        if parameter != other:
+            pull[other] += np.sum(bend * unlike[parameter] / problem.variance)
+            bent += covariance[parameter, other] * bend
     off = fit.inverse @ pull - 0.5 * fit.estimator @ bent
-    return float(first @ off[own] + 0.5 * np.sum(second * covariance[np.ix_(own, own)]))
+    return float(
+        first @ off[mtf_indices]
+        + 0.5 * np.sum(second * covariance[np.ix_(mtf_indices, mtf_indices)])
+    )
 
 
 def rounding_sd(fit: BarFit) -> float:
@@ -300,19 +308,19 @@ def rounding_sd(fit: BarFit) -> float:
     rounding = fit.noise.rounding
     if rounding is None or not len(rounding):
         return 0.0
-    own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
-    moved = rounding @ fit.estimator[own].T @ _mtf_slopes(fit)[0]
-    return float(np.sqrt(np.mean(moved**2))) / fit.shape.mtf
+    mtf_indices = [fit.names.index("log_attenuation"), fit.names.index("departure")]
+    mtf_shift = rounding @ fit.estimator[mtf_indices].T @ _mtf_slopes(fit)[0]
+    return float(np.sqrt(np.mean(mtf_shift**2))) / fit.shape.mtf
 
 
 def _mtf_slopes(fit: BarFit) -> tuple[Array, Array]:
     """Return the MTF's first and second derivatives by log attenuation and departure."""
     attenuation = np.exp(fit["log_attenuation"])
     family = fit.shape.pixel * np.exp(-attenuation)
-    whole = fit.shape.mtf
+    mtf = fit.shape.mtf
     by_both = -attenuation * family
-    second = np.array([[whole * attenuation * (attenuation - 1.0), by_both], [by_both, 0.0]])
-    return np.array([-attenuation * whole, family]), second
+    second = np.array([[mtf * attenuation * (attenuation - 1.0), by_both], [by_both, 0.0]])
+    return np.array([-attenuation * mtf, family]), second
 
 
 def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
@@ -321,13 +329,18 @@ def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
     Level, pedestal and departure enter linearly: they have mixed derivatives only.
     """
     image, index = BarImageModel(problem, fit.target), fit.names.index
-    here = {**fit.values, **{name: 0.0 for name in ("across_px", "along_px") if name in fit.names}}
+    optimum = {
+        **fit.values,
+        **{name: 0.0 for name in ("across_px", "along_px") if name in fit.names},
+    }
     bends: dict[tuple[int, int], Array] = {}
     for name, step in _steps(fit, image).items():
-        up, down = (image({**here, name: here[name] + sign * step})[1] for sign in (1.0, -1.0))
-        own = index(name)
+        up, down = (
+            image({**optimum, name: optimum[name] + sign * step})[1] for sign in (1.0, -1.0)
+        )
+        parameter = index(name)
         for other, bend in enumerate((up - down) / (2.0 * step)):
-            pair = (min(own, other), max(own, other))
+            pair = (min(parameter, other), max(parameter, other))
             bends[pair] = 0.5 * (bends[pair] + bend) if pair in bends else bend
     departure, level = index("departure"), index("level_dn")
     bends[departure, level] = fit.slope[departure] / fit["level_dn"]
@@ -338,7 +351,7 @@ def _steps(fit: BarFit, picture: BarImageModel) -> dict[str, float]:
     """Return the finite-difference step of each nonlinear parameter, for positions part of a
     period.
     """
-    reach = picture.reach
+    half_size_px = picture.reach
     move = min(0.06 / fit.target.frequency, 0.25)
     steps = {
         "log_attenuation": ACCURACY.shape_step,
@@ -347,6 +360,6 @@ def _steps(fit: BarFit, picture: BarImageModel) -> dict[str, float]:
         "log_length": ACCURACY.shape_step / fit.target.bars,
         "across_px": move,
         "along_px": move,
-        "angle_rad": move / reach[1],
+        "angle_rad": move / half_size_px[1],
     }
     return {name: step for name, step in steps.items() if name in fit.names}

@@ -21,36 +21,36 @@ Array = NDArray[np.float64]
 METHOD = "bars-forward"
 
 
-def measure_bar_motion(used: FrameStack, target: BarTarget) -> TargetMotion:
+def measure_bar_motion(stack: FrameStack, target: BarTarget) -> TargetMotion:
     """Return the motion of a target across its bars through a stack."""
-    across, along = target.coordinates(used.data.shape[1:])
-    inside = (np.abs(across) < target.width_px / 2.0 + 0.5 / target.frequency) & (
+    across, along = target.coordinates(stack.data.shape[1:])
+    on_bars = (np.abs(across) < target.width_px / 2.0 + 0.5 / target.frequency) & (
         np.abs(along) < target.length_px / 2.0
     )
-    if not inside.any():
+    if not on_bars.any():
         return TargetMotion()
     line = np.floor(along).astype(np.int64)
-    return measure_line_motion(list(used.data), across, line - line[inside].min(), inside)
+    return measure_line_motion(list(stack.data), across, line - line[on_bars].min(), on_bars)
 
 
-def bar_profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
+def bar_profile(stack: FrameStack, target: BarTarget, mtf: float) -> dict:
     """Return the mean profile across the bars and a model with the measured MTF, as figure data.
 
     The model has the tube transfer exp(-(f/fc)^1.2) with the measured value at the fundamental.
     """
-    across, along = target.coordinates(used.shape[1:])
-    mean = used.data.mean(axis=0, dtype=np.float64)
-    near = (np.abs(along) < 0.3 * target.length_px) & (
+    across, along = target.coordinates(stack.shape[1:])
+    mean = stack.data.mean(axis=0, dtype=np.float64)
+    on_bars = (np.abs(along) < 0.3 * target.length_px) & (
         np.abs(across) < target.width_px / 2 + 1.5 / target.frequency
     )
     edges = np.arange(
-        across[near].min(), across[near].max() + 0.25, max(0.25, 0.04 / target.frequency)
+        across[on_bars].min(), across[on_bars].max() + 0.25, max(0.25, 0.04 / target.frequency)
     )
-    position = np.digitize(across[near], edges)
+    position = np.digitize(across[on_bars], edges)
     count = np.bincount(position, minlength=len(edges) + 1)[1:-1]
     filled = count > 0
     value = (
-        np.bincount(position, mean[near], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
+        np.bincount(position, mean[on_bars], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
     )
     distance = (0.5 * (edges[1:] + edges[:-1]))[filled]
     shape = _model_profile(distance, target, mtf)
@@ -127,45 +127,47 @@ def bars_forward(
     wide and known, complete targets are summed instead; the light beyond the window is a parameter
     with a prior from the description.
     """
-    used = stack if region is None else stack.region(*region)
-    where = region or (0, 0, *used.shape[1:])
+    cut_stack = stack if region is None else stack.region(*region)
+    where = region or (0, 0, *cut_stack.shape[1:])
     stated = StatedBars(bars=bars, frequency=frequency_cy_per_px)
-    found = measure_bars_in(used, stated, context)
-    if isinstance(found, BarRefusal):
-        one = make_refusal(
+    measured = measure_bars_in(cut_stack, stated, context)
+    if isinstance(measured, BarRefusal):
+        refusal = make_refusal(
             "mtf",
             "1",
-            found.reason,
+            measured.reason,
             method=METHOD,
-            flags=(found.flag,),
+            flags=(measured.flag,),
             region=where,
             frequency_cy_per_px=stated.frequency,
             provenance=Provenance(version=charact.__version__, seed=context.seed),
         )
-        return Result(measurements=(one,))
-    motion = measure_bar_motion(used, found.target)
-    doubts = findings_of_draws(found.mtf, motion, found.target.frequency, found.posterior.flags)
+        return Result(measurements=(refusal,))
+    motion = measure_bar_motion(cut_stack, measured.target)
+    doubts = findings_of_draws(
+        measured.mtf, motion, measured.target.frequency, measured.posterior.flags
+    )
     measurement = measurement_from_draws(
         "mtf",
         "1",
-        found.mtf,
+        measured.mtf,
         method=METHOD,
-        notes=found.notes,
+        notes=measured.notes,
         region=where,
-        frequency_cy_per_px=found.target.frequency,
-        orientation_deg=float(np.rad2deg(found.target.angle_rad)) % 180.0,
-        posterior=found.posterior,
+        frequency_cy_per_px=measured.target.frequency,
+        orientation_deg=float(np.rad2deg(measured.target.angle_rad)) % 180.0,
+        posterior=measured.posterior,
         provenance=Provenance(
             version=charact.__version__,
             seed=context.seed,
             settings={
                 "quick": context.quick,
-                "bars": found.target.bars,
-                "margin_px": found.margin_px,
+                "bars": measured.target.bars,
+                "margin_px": measured.margin_px,
             },
         ),
-    ).with_(findings=dict.fromkeys([*found.findings, *doubts]))
+    ).with_(findings=dict.fromkeys([*measured.findings, *doubts]))
     return Result(
         measurements=(measurement,),
-        evidence={"bars": bar_profile(used, found.target, measurement.value or 0.0)},
+        evidence={"bars": bar_profile(cut_stack, measured.target, measurement.value or 0.0)},
     )

@@ -65,8 +65,8 @@ def session_curves(result: Result, kinds: Mapping[str, str], *, context: Context
 
     `kinds`: kind of each stack ("edge", "bars", "point") by its label.
     """
-    own = [m for m in result.measurements if kinds.get(m.stack or "") == "bars"]
-    return _by_direction(own, ("mtf_bars", "mtf_bars_vertical"), context)
+    groups = [m for m in result.measurements if kinds.get(m.stack or "") == "bars"]
+    return _by_direction(groups, ("mtf_bars", "mtf_bars_vertical"), context)
 
 
 def _by_direction(
@@ -82,15 +82,15 @@ def _by_direction(
     ]
     out = Result()
     for way, axis_deg, name in zip(("rows", "columns"), (0.0, 90.0), names, strict=True):
-        own = _parallel_groups(sound, axis_deg)
-        frequencies = [m.frequency_cy_per_px for m in own if m.frequency_cy_per_px]
+        parallel = _parallel_groups(sound, axis_deg)
+        frequencies = [m.frequency_cy_per_px for m in parallel if m.frequency_cy_per_px]
         if not frequencies or max(frequencies) < LIMITS.min_frequency_ratio * min(frequencies):
             continue
-        found = fit_group_curve(own, context=context)
+        fitted = fit_group_curve(parallel, context=context)
         out += Result(
-            measurements=found.measurements,
-            curves={name: found.curves["mtf"]},
-            evidence={f"bar groups, {way}": found.evidence["bar groups"]},
+            measurements=fitted.measurements,
+            curves={name: fitted.curves["mtf"]},
+            evidence={f"bar groups, {way}": fitted.evidence["bar groups"]},
         )
     return out
 
@@ -99,23 +99,27 @@ def _parallel_groups(sound: Sequence[Measurement], axis_deg: float) -> list[Meas
     """Return the largest set of groups near an axis within half the permitted angle of one of
     them.
     """
-    near = [
+    near_axis = [
         m
         for m in sound
         if _angle_between_deg(m.orientation_deg, axis_deg) < LIMITS.max_axis_angle_deg
     ]
     spread = 0.5 * LIMITS.max_direction_spread_deg
     sets = [
-        [m for m in near if _angle_between_deg(m.orientation_deg, centre.orientation_deg) <= spread]
-        for centre in near
+        [
+            m
+            for m in near_axis
+            if _angle_between_deg(m.orientation_deg, centre.orientation_deg) <= spread
+        ]
+        for centre in near_axis
     ]
     return max(sets, key=len, default=[])
 
 
 def _angle_between_deg(one_deg: float | None, other_deg: float | None) -> float:
     """Angle between two directions, 0 to 90 degrees."""
-    apart = abs((one_deg or 0.0) - (other_deg or 0.0)) % 180.0
-    return min(apart, 180.0 - apart)
+    difference_deg = abs((one_deg or 0.0) - (other_deg or 0.0)) % 180.0
+    return min(difference_deg, 180.0 - difference_deg)
 
 
 @with_timing
@@ -169,36 +173,36 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
         return Result(
             measurements=(make_refusal("mtf50", "cy/px", reason, flags=("low-signal",), **common),)
         )
-    apart = max(
+    spread_deg = max(
         _angle_between_deg(*np.rad2deg([group.angle_rad, groups[0].angle_rad])) for group in groups
     )
-    if apart > LIMITS.max_direction_spread_deg:
-        within = (
+    if spread_deg > LIMITS.max_direction_spread_deg:
+        rule = (
             f"groups of bars for one curve must lie within {LIMITS.max_direction_spread_deg:g} "
             "degrees"
         )
-        raise BadInput(f"{within}, got {apart:.0f} apart")
+        raise BadInput(f"{rule}, got {spread_deg:.0f} apart")
     # Directions half a turn apart are equal: average the doubled angles.
     turned = np.sum(np.exp(2j * np.array([group.angle_rad for group in groups])))
     angle_rad = 0.5 * float(np.angle(turned))
     along = float(np.cos(angle_rad)), float(np.sin(angle_rad))
-    wide = (
+    halo = (
         HaloComponent(size_px=halo_diameters_px(context, transposed=False))
         if context.sensor is not None
         else None
     )
     known = KnownCameraTransfer.of(context)
     model = JointBlurModel(
-        core="exponential", blurred=False, wide=wide, elliptical=False, known=known
+        core="exponential", blurred=False, wide=halo, elliptical=False, known=known
     )
-    posterior, left = _posterior(groups, model, along, context)
+    posterior, chi2 = _posterior(groups, model, along, context)
 
     def mtf_of(frequency: Array) -> Array:
         return model.transfer(posterior.draws, along[0] * frequency, along[1] * frequency)
 
     freedom = len(groups) - 2
     misfit = (
-        ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < LIMITS.min_group_p_value else []
+        ["model-misfit"] if freedom > 0 and chdtrc(freedom, chi2) < LIMITS.min_group_p_value else []
     )
     curves = mtf_of(REPORTED)
     curves[:, 0] = 1.0

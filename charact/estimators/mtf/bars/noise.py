@@ -44,24 +44,24 @@ class BarWindowNoise:
         """
         from scipy.fft import irfft2, next_fast_len, rfft2
 
-        reach = self.correlation.shape[0] // 2
+        max_lag = self.correlation.shape[0] // 2
         rows, cols = np.nonzero(window)
         rows, cols = rows - rows.min(), cols - cols.min()
         size = tuple(
-            int(next_fast_len(int(side.max()) + 1 + reach, True) or 0) for side in (rows, cols)
+            int(next_fast_len(int(side.max()) + 1 + max_lag, True) or 0) for side in (rows, cols)
         )
         scale = np.sqrt(self.variance)
         fields = np.zeros((len(estimator), *size))
         fields[:, rows, cols] = estimator * scale
         kernel = np.zeros(size)
-        lags = np.arange(-reach, reach + 1)
+        lags = np.arange(-max_lag, max_lag + 1)
         kernel[np.ix_(lags % size[0], lags % size[1])] = self.correlation
         # Estimated correlations may have negative power at some frequencies, which no noise has.
         power = np.maximum(np.real(np.asarray(rfft2(kernel))), 0.0)
         spectrum = np.asarray(rfft2(fields)) * power
         shared = self.inflation * scale * np.asarray(irfft2(spectrum, size))[:, rows, cols]
         if self.row_variance:
-            of_row = np.stack([np.bincount(rows, one) for one in estimator])
+            of_row = np.stack([np.bincount(rows, weights) for weights in estimator])
             shared = shared + self.row_variance * of_row[:, rows]
         if self.rounding is None or not len(self.rounding):
             return shared
@@ -77,18 +77,18 @@ def noise_of(
     of the window's pixels, shape (pixel,); `ground_dn`: background level; `inflation`: variance
     factor of the mean by image lag.
     """
-    left = frames - frames.mean(axis=0)
+    residuals = frames - frames.mean(axis=0)
     fraction = len(frames) / (len(frames) - 1.0)
-    variance = variance_of(model, fraction * np.mean(left[:, window] ** 2, axis=0))
+    variance = variance_of(model, fraction * np.mean(residuals[:, window] ** 2, axis=0))
     field = np.zeros((min(len(frames), 6), *window.shape))
-    field[:, window] = left[: len(field), window] / np.sqrt(variance)
+    field[:, window] = residuals[: len(field), window] / np.sqrt(variance)
     return BarWindowNoise(
         variance=variance / len(frames),
         correlation=correlation_of(field, window),
         inflation=inflation,
         rounding=rounding_shifts(model, variance) if frames.dtype.kind in "ui" else None,
         row_variance=fraction
-        * row_offset_variance(left, np.abs(model - ground_dn), window)
+        * row_offset_variance(residuals, np.abs(model - ground_dn), window)
         / len(frames),
     )
 
@@ -106,20 +106,21 @@ def noise_of_one(
     fields = np.zeros((1 + len(absorbed), *window.shape))
     fields[0, window] = residual * scale
     fields[1:, window] = absorbed * scale
-    left = np.zeros((1, *window.shape))
-    left[0, window] = residual
-    shared = row_offset_variance(left, np.abs(model - ground_dn), window)
+    residuals = np.zeros((1, *window.shape))
+    residuals[0, window] = residual
+    shared = row_offset_variance(residuals, np.abs(model - ground_dn), window)
     return BarWindowNoise(
         variance=variance, correlation=correlation_of(fields, window), row_variance=shared
     )
 
 
-def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
+def row_offset_variance(residuals: Array, height: Array, window: Mask) -> float:
     """Return the variance of an offset common to the pixels of a row, DN^2; 0 where it is not
     significant.
 
-    `left`: residuals of frames, shape (frame, row, col), DN; `height`: image above the background,
-    shape (pixel,), DN; only background pixels are used; `window`: pixels, shape (row, col).
+    `residuals`: residuals of frames, shape (frame, row, col), DN; `height`: image above the
+    background, shape (pixel,), DN; only background pixels are used; `window`: pixels, shape (row,
+    col).
 
     Notes
     -----
@@ -130,12 +131,14 @@ def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
     background[window] = height <= LIMITS.max_background_height * height.max()
     if np.count_nonzero(background) < ACCURACY.min_background_pixels:
         return 0.0
-    left = np.where(background, left - left[:, background].mean(axis=1)[:, None, None], 0.0)
+    residuals = np.where(
+        background, residuals - residuals[:, background].mean(axis=1)[:, None, None], 0.0
+    )
     products = []
     for lag in (8, 12, 16):
         last = window.shape[1] - lag
         pairs = background[:, :last] & background[:, lag:]
-        products.append(np.mean(left[:, :, :last] * left[:, :, lag:], axis=0)[pairs])
+        products.append(np.mean(residuals[:, :, :last] * residuals[:, :, lag:], axis=0)[pairs])
     covariances = np.concatenate(products)
     if covariances.size < ACCURACY.min_background_pixels:
         return 0.0
@@ -162,26 +165,31 @@ def variance_of(level: Array, square: Array) -> Array:
 
 def correlation_of(fields: Array, window: Mask) -> Array:
     """Return the correlation of noise fields (field, row, col) between pixels of a window."""
-    near = _correlation(fields, window, ACCURACY.correlation_px)
+    short_range = _correlation(fields, window, ACCURACY.correlation_px)
     centre = ACCURACY.correlation_px
-    if max(near[centre + 1, centre], near[centre, centre + 1]) < LIMITS.long_correlation:
-        return near
+    if (
+        max(short_range[centre + 1, centre], short_range[centre, centre + 1])
+        < LIMITS.long_correlation
+    ):
+        return short_range
     return _correlation(fields, window, 4)
 
 
-def _correlation(fields: Array, window: Mask, reach: int) -> Array:
+def _correlation(fields: Array, window: Mask, max_lag: int) -> Array:
     masked = np.where(window, fields, 0.0)
     rows, cols = window.shape
-    found = np.zeros((2 * reach + 1, 2 * reach + 1))
-    for down in range(min(reach + 1, rows)):
-        for right in range(-min(reach, cols - 1), min(reach + 1, cols)):
-            here = (slice(0, rows - down), slice(max(0, -right), cols - max(0, right)))
-            there = (slice(down, rows), slice(max(0, right), cols + min(0, right)))
-            pairs = np.count_nonzero(window[here] & window[there])
+    correlation = np.zeros((2 * max_lag + 1, 2 * max_lag + 1))
+    for down in range(min(max_lag + 1, rows)):
+        for right in range(-min(max_lag, cols - 1), min(max_lag + 1, cols)):
+            origin = (slice(0, rows - down), slice(max(0, -right), cols - max(0, right)))
+            shifted = (slice(down, rows), slice(max(0, right), cols + min(0, right)))
+            pairs = np.count_nonzero(window[origin] & window[shifted])
             if pairs:
                 shared = (
-                    float(np.sum(masked[(slice(None), *here)] * masked[(slice(None), *there)]))
+                    float(np.sum(masked[(slice(None), *origin)] * masked[(slice(None), *shifted)]))
                     / pairs
                 )
-                found[reach + down, reach + right] = found[reach - down, reach - right] = shared
-    return found / max(found[reach, reach], 1e-30)
+                correlation[max_lag + down, max_lag + right] = correlation[
+                    max_lag - down, max_lag - right
+                ] = shared
+    return correlation / max(correlation[max_lag, max_lag], 1e-30)

@@ -43,7 +43,7 @@ class BarNonlinearity(NamedTuple):
         Of the bars and their background.
     lifts
         Change of ln MTF by a curvature of one.
-    shared, own
+    shared, per_pixel
         Powers of the light with which the covariance of neighbours and the variance of pixels grow;
         None: unknown.
     """
@@ -53,15 +53,15 @@ class BarNonlinearity(NamedTuple):
     contrast: float
     lifts: float
     shared: Power | None
-    own: Power | None
+    per_pixel: Power | None
 
 
-def response_of(used: FrameStack, fit: BarFit) -> BarNonlinearity:
+def response_of(stack: FrameStack, fit: BarFit) -> BarNonlinearity:
     """Return the evidence of a fitted target; without a black level its noise is not used."""
     background = fit["pedestal_dn"]
     dark, bright = sorted((background, background + fit["level_dn"]))
-    black_dn = usable_black_level(used.black_level_dn, dark, bright)
-    powers = (None, None) if black_dn is None else noise_powers(used.data, fit, black_dn)
+    black_dn = usable_black_level(stack.black_level_dn, dark, bright)
+    powers = (None, None) if black_dn is None else noise_powers(stack.data, fit, black_dn)
     curvature, sd, lifts = _curvature(fit)
     return BarNonlinearity(curvature, sd, contrast_of(dark, bright, black_dn), lifts, *powers)
 
@@ -76,33 +76,33 @@ def response_findings(response: BarNonlinearity) -> list[Finding]:
     which is 1 for a linear response. The variance of pixels, which includes read-out noise, then
     grows at most in proportion, and does not fall.
     """
-    shared, own = response.shared, response.own
-    moved = 100.0 * abs(response.lifts) * np.hypot(response.curvature, response.sd)
-    effect = f"MTF error up to {moved:.2g} %: "
-    found = []
+    shared, pixel_power = response.shared, response.per_pixel
+    mtf_percent = 100.0 * abs(response.lifts) * np.hypot(response.curvature, response.sd)
+    effect = f"MTF error up to {mtf_percent:.2g} %: "
+    causes = []
     if abs(response.curvature) > LIMITS.max_curvature_sd * response.sd:
-        found.append(
+        causes.append(
             f"the image indicates a response of curvature {response.curvature:.2g} +- "
             f"{response.sd:.1g} (linear: 0); unequal bars and gaps have the same effect"
         )
     if shared and abs(shared.exponent - 1.0) > LIMITS.neighbour_power[0] * float(
         np.hypot(shared.sd, LIMITS.neighbour_power[1])
     ):
-        found.append(
+        causes.append(
             f"correlated noise grows as signal^({shared.exponent:.2f} +- {shared.sd:.2f}); a "
             "linear response gives exponent 1. Target motion also adds noise"
         )
     if (
-        own
-        and max(own.exponent - 1.0, -own.exponent)
-        > LIMITS.pixel_power[0] * own.sd + LIMITS.pixel_power[1]
+        pixel_power
+        and max(pixel_power.exponent - 1.0, -pixel_power.exponent)
+        > LIMITS.pixel_power[0] * pixel_power.sd + LIMITS.pixel_power[1]
     ):
-        found.append(
-            f"pixel noise grows as signal^({own.exponent:.2f} +- {own.sd:.2f}); photon and "
-            "read-out noise give an exponent between 0 and 1"
+        causes.append(
+            f"pixel noise grows as signal^({pixel_power.exponent:.2f} +- {pixel_power.sd:.2f}); "
+            "photon and read-out noise give an exponent between 0 and 1"
         )
     remedy = "frames with a linear response (raw, gamma 1), or the correct --black-dn"
-    return [Finding(flag="gamma", effect=effect + one, remedy=remedy) for one in found]
+    return [Finding(flag="gamma", effect=effect + cause, remedy=remedy) for cause in causes]
 
 
 def linearise_mtf_draws(mtf: Array, response: BarNonlinearity, seed: int) -> Array:
@@ -127,9 +127,9 @@ def _noise_ln_odds(shared: Power | None) -> float:
     """
     if shared is None:
         return 0.0
-    away, sd = shared.exponent - 1.0, float(np.hypot(shared.sd, LIMITS.neighbour_power[1]))
-    apart = float(np.hypot(sd, BENDING))
-    ln_odds = np.log(sd / apart) + 0.5 * ((away / sd) ** 2 - (away / apart) ** 2)
+    excess, sd = shared.exponent - 1.0, float(np.hypot(shared.sd, LIMITS.neighbour_power[1]))
+    broad_sd = float(np.hypot(sd, BENDING))
+    ln_odds = np.log(sd / broad_sd) + 0.5 * ((excess / sd) ** 2 - (excess / broad_sd) ** 2)
     return float(np.clip(ln_odds, -MAX_LN_BAYES_FACTOR, MAX_LN_BAYES_FACTOR))
 
 
@@ -147,13 +147,16 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
     known = np.concatenate([(fit.slope * np.sqrt(weight)).T, np.diag(np.sqrt(fit.precision))])
     basis = np.linalg.qr(known)[0]
     wanted = np.concatenate([bent * np.sqrt(weight), np.zeros(len(fit.names))])
-    apart = (wanted - basis @ (wanted @ basis))[: bent.size] * np.sqrt(weight)
-    size = max(float(apart @ bent), 1e-300)
-    noise = float(np.sqrt(max(float(fit.noise.spread(apart[None], fit.window)[0, 0]), 0.0))) / size
+    free_curvature = (wanted - basis @ (wanted @ basis))[: bent.size] * np.sqrt(weight)
+    size = max(float(free_curvature @ bent), 1e-300)
+    noise = (
+        float(np.sqrt(max(float(fit.noise.spread(free_curvature[None], fit.window)[0, 0]), 0.0)))
+        / size
+    )
     # The blur of several stages mimics a curvature of 0.01.
     sd = float(np.hypot(noise, 0.01))
     return (
-        float(apart @ fit.residual_dn) / size,
+        float(free_curvature @ fit.residual_dn) / size,
         sd,
         float(fit.ln_mtf_slope @ (fit.estimator @ bent)),
     )
@@ -168,7 +171,7 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
 
     Returns
     -------
-    shared, own
+    shared, per_pixel
         None: the covariance is too small, or single pixels do not show their noise.
     """
     light = np.full(fit.window.shape, np.nan)
@@ -182,11 +185,11 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
         float(np.abs(fit.model_dn - fit["pedestal_dn"]).max()),
     )
     level, product = _products(noise, light, ACCURACY.neighbour_lag_px)
-    far = [_products(noise, light, lag) for lag in (8, 9, 10)]
+    uncorrelated = [_products(noise, light, lag) for lag in (8, 9, 10)]
     common = np.concatenate(
         [
-            apart[np.abs(between - background) < LIMITS.max_flat_height * height]
-            for between, apart in far
+            products[np.abs(mid_light - background) < LIMITS.max_flat_height * height]
+            for mid_light, products in uncorrelated
         ]
     )
     product -= common.mean() if common.size else 0.0
@@ -220,17 +223,17 @@ def _shows_noise(data: NDArray, level: Array, square: Array) -> bool:
 
 def _noise(frames: Array, light: Array) -> Array:
     """Return the residuals of frames, with each frame's offset and flicker subtracted."""
-    seen = np.isfinite(light)
+    is_lit = np.isfinite(light)
     fraction = len(frames) / max(len(frames) - 1.0, 1.0)
     expected = (
         frames.mean(axis=0)
         if len(frames) > 1
-        else light - float(np.mean((light - frames[0])[seen]))
+        else light - float(np.mean((light - frames[0])[is_lit]))
     )
-    left = np.sqrt(fraction) * np.where(seen, frames - expected, 0.0)
-    shapes = np.stack([np.ones(np.count_nonzero(seen)), light[seen]])
-    left[:, seen] -= left[:, seen] @ np.linalg.pinv(shapes) @ shapes
-    return left
+    residuals = np.sqrt(fraction) * np.where(is_lit, frames - expected, 0.0)
+    shapes = np.stack([np.ones(np.count_nonzero(is_lit)), light[is_lit]])
+    residuals[:, is_lit] -= residuals[:, is_lit] @ np.linalg.pinv(shapes) @ shapes
+    return residuals
 
 
 def _products(noise: Array, light: Array, lag: int) -> tuple[Array, Array]:
@@ -249,11 +252,11 @@ def _between(field: Array, lag: int) -> Array:
     return mean[np.isfinite(mean)]
 
 
-def _power(share: Array, product: Array, variance: Array, tied: float) -> Power | None:
+def _power(light: Array, product: Array, variance: Array, variance_factor: float) -> Power | None:
     """Return the power of the light in proportion to which noise grows; None: there is too little.
 
-    `share`: light over the brightest, shape (pixel,); `product`: products of noise, DN^2;
-    `variance`: approximate scale of their uncertainties, DN^2; `tied`: variance factor of averages
+    `light`: light over the brightest, shape (pixel,); `product`: products of noise, DN^2;
+    `variance`: approximate scale of their uncertainties, DN^2; `variance_factor`: that of averages
     relative to independent products.
 
     Notes
@@ -261,16 +264,16 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
     Minimises the sum of ((p - c L^b) / v)^2 over c and b; uncertainties follow from the residuals.
     """
     # Below a hundredth of the brightest the black level is too uncertain.
-    ln_light = np.log(np.maximum(share, 0.01))
-    found, weight = product / variance, 1.0 / variance
-    start = _start(found, weight, ln_light)
+    ln_light = np.log(np.maximum(light, 0.01))
+    scaled, weight = product / variance, 1.0 / variance
+    start = _start(scaled, weight, ln_light)
     if not np.isfinite(start).all():
         return None
 
     def linearise(theta: Array) -> Linearisation:
         expected = weight * np.exp(theta[0] + theta[1] * ln_light)
         slopes = np.stack([expected, expected * ln_light])
-        return linearise_residual(found - expected, slopes, model=(slopes, found - expected))
+        return linearise_residual(scaled - expected, slopes, model=(slopes, scaled - expected))
 
     bounds = start[:, None] + ACCURACY.power_range * np.array([-1.0, 1.0])
     at = least_squares(
@@ -282,18 +285,18 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
         relative_tolerance=1e-12,
         max_step=0.5 / ACCURACY.power_range,
     )
-    (slopes, left), inverse = at.at.model, np.linalg.pinv(at.at.normal)
-    covariance = inverse @ ((slopes * left**2) @ slopes.T) @ inverse * tied
+    (slopes, residual), inverse = at.at.model, np.linalg.pinv(at.at.normal)
+    covariance = inverse @ ((slopes * residual**2) @ slopes.T) @ inverse * variance_factor
     # The scale at the level where it is most precise.
     size_sd = np.sqrt(np.linalg.det(covariance) / covariance[1, 1])
     exponent, sd = float(at.point[1]), float(np.sqrt(covariance[1, 1]))
     return Power(exponent, sd) if size_sd < 1.0 / LIMITS.min_power_sd else None
 
 
-def _start(found: Array, weight: Array, ln_light: Array) -> Array:
+def _start(scaled: Array, weight: Array, ln_light: Array) -> Array:
     """Return ln scale, NaN without noise, and the best of a few exponents."""
     shapes = [weight * np.exp(exponent * ln_light) for exponent in ACCURACY.power_starts]
-    sizes = [float(found @ shape) / float(shape @ shape) for shape in shapes]
+    sizes = [float(scaled @ shape) / float(shape @ shape) for shape in shapes]
     gains = [
         size * float(np.sqrt(shape @ shape)) for size, shape in zip(sizes, shapes, strict=True)
     ]

@@ -47,8 +47,9 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
     positions = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     data = problem.image[problem.window]
     numbers = [
-        fit.estimator @ (data - image({**centre, **dict(zip(TABULATED, one, strict=True))})[0])
-        for one in (middle + half * positions).tolist()
+        fit.estimator
+        @ (data - image({**centre, **dict(zip(TABULATED, grid_point, strict=True))})[0])
+        for grid_point in (middle + half * positions).tolist()
     ]
     polynomial = np.linalg.lstsq(_powers(positions), np.array(numbers), rcond=None)[0]
     inverse, response, offset = _marginal(fit)
@@ -60,22 +61,22 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
 
     def log_probability(theta: Array) -> Array:
         scaled = (theta[:, :2] - middle) / half
-        inside = np.all(np.abs(scaled) <= 1.0, axis=1) & (
+        in_bounds = np.all(np.abs(scaled) <= 1.0, axis=1) & (
             theta[:, 2] > problem.bounds["departure"][0]
         )
         off = _powers(np.clip(scaled, -1.0, 1.0)) @ polynomial - offset
         off = off - np.outer(theta[:, 2] - fit["departure"], response)
         chi2 = np.einsum("ni,ij,nj->n", off, inverse, off)
         prior = precision[0] * (theta[:, 1] - mean) ** 2 + precision[1] * theta[:, 2] ** 2
-        return np.where(inside, -0.5 * (chi2 + prior), -np.inf)
+        return np.where(in_bounds, -0.5 * (chi2 + prior), -np.inf)
 
     return log_probability
 
 
-def _powers(places: Array) -> Array:
+def _powers(points: Array) -> Array:
     """Return all products of powers of two coordinates up to the degree, shape (point, power)."""
     terms = [
-        places[:, 0] ** i * places[:, 1] ** j
+        points[:, 0] ** i * points[:, 1] ** j
         for i in range(ACCURACY.table_degree + 1)
         for j in range(ACCURACY.table_degree + 1 - i)
     ]
@@ -92,10 +93,10 @@ def _marginal(fit: BarFit) -> tuple[Array, Array, Array]:
     answer = fit.estimator @ fit.slope.T
     sd = np.sqrt(np.diag(fit.covariance))
     known = fit.precision[linear] > 0
-    wide = np.where(
+    linear_sd = np.where(
         known, 1.0 / np.sqrt(np.where(known, fit.precision[linear], 1.0)), 100.0 * sd[linear]
     )
-    covariance = fit.noise_covariance + (answer[:, linear] * wide**2) @ answer[:, linear].T
+    covariance = fit.noise_covariance + (answer[:, linear] * linear_sd**2) @ answer[:, linear].T
     inverse = np.linalg.inv(covariance / np.outer(sd, sd)) / np.outer(sd, sd)
     drawn = np.where(known, fit.prior_mean[linear] - fit.value[linear], 0.0)
     return inverse, answer[:, fit.names.index("departure")], answer[:, linear] @ drawn
@@ -109,15 +110,15 @@ def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: floa
     corrected by a shift of ln(a) by bias / (a M), limited to one standard deviation, the range of
     the expansion.
     """
-    own = [fit.names.index(name) for name in SHAPE]
+    shape_indices = [fit.names.index(name) for name in SHAPE]
     lifted = bias / fit.shape.mtf / np.exp(fit["log_attenuation"])
     sd = fit.sd("log_attenuation")
     shift = np.array([np.clip(lifted, -sd, sd), 0.0, 0.0])
     arguments = {
         "names": SHAPE,
         "units": ("1", "1", "1"),
-        "start": fit.value[own] + shift,
-        "covariance": fit.covariance[np.ix_(own, own)],
+        "start": fit.value[shape_indices] + shift,
+        "covariance": fit.covariance[np.ix_(shape_indices, shape_indices)],
         "bounds": np.array([problem.bounds[name] for name in SHAPE]),
         "seed": context.seed,
     }
@@ -127,7 +128,7 @@ def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: floa
     posterior = sample(lambda theta: density(theta - shift), **arguments)
     # Draws and fit are efficient under the model and agree within part of their uncertainty; priors
     # that the pixels contradict, such as with an unmodelled halo, separate them.
-    start = fit.value[own] + shift
+    start = fit.value[shape_indices] + shift
     fitted = np.log1p(start[2]) - np.exp(start[0])
     drawn = np.log1p(posterior["departure"]) - np.exp(posterior["log_attenuation"])
     if abs(drawn.mean() - fitted) <= LIMITS.max_posterior_offset_sd * drawn.std():
@@ -146,14 +147,14 @@ def mtf_of(posterior: Posterior, fit: BarFit, context: Context) -> Array:
     return fit.shape.pixel * core * (1.0 + posterior["departure"]) * table
 
 
-def sample_sums(found: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:
+def sample_sums(amplitudes: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:
     """Sample light, MTF and the fraction of light beyond the window.
 
     Priors: light and MTF uniform over (0, 2 I(0)) and (0, 1.5); the fraction normal from the sensor
     description, not negative. Student's t likelihood with the degrees of freedom of the estimated
     covariance.
     """
-    inverse = np.linalg.inv(found.covariance)
+    inverse = np.linalg.inv(amplitudes.covariance)
     fraction, share_sd = lost
     known = share_sd == 0.0
     bounds = np.array(
@@ -167,22 +168,25 @@ def sample_sums(found: Amplitudes, lost: tuple[float, float], context: Context) 
 
     def log_probability(theta: Array) -> Array:
         light, mtf = theta[:, 0], theta[:, 1]
-        beyond = np.full(len(theta), fraction) if known else theta[:, 2]
-        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        lost_light = np.full(len(theta), fraction) if known else theta[:, 2]
+        in_bounds = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         expected = (
-            found.light * light[:, None] * np.stack([1.0 - beyond, 2.0 / np.pi * mtf], axis=1)
+            amplitudes.light
+            * light[:, None]
+            * np.stack([1.0 - lost_light, 2.0 / np.pi * mtf], axis=1)
         )
-        off = np.array([found.light, found.fundamental]) - expected
+        off = np.array([amplitudes.light, amplitudes.fundamental]) - expected
         chi2 = np.einsum("ni,ij,nj->n", off, inverse, off)
-        likelihood = -0.5 * (found.freedom + 2.0) * np.log1p(chi2 / found.freedom)
-        prior = 0.0 if known else -0.5 * ((beyond - fraction) / share_sd) ** 2
-        return np.where(inside, likelihood + prior, -np.inf)
+        likelihood = -0.5 * (amplitudes.freedom + 2.0) * np.log1p(chi2 / amplitudes.freedom)
+        prior = 0.0 if known else -0.5 * ((lost_light - fraction) / share_sd) ** 2
+        return np.where(in_bounds, likelihood + prior, -np.inf)
 
     ratio = min(
-        np.pi / 2 * found.fundamental / found.light * (1.0 - fraction), LIMITS.max_mtf - 0.01
+        np.pi / 2 * amplitudes.fundamental / amplitudes.light * (1.0 - fraction),
+        LIMITS.max_mtf - 0.01,
     )
     start = np.array([1.0 / (1.0 - fraction), ratio, fraction])
-    relative = found.covariance / found.light**2
+    relative = amplitudes.covariance / amplitudes.light**2
     spread = np.diag(
         [relative[0, 0], (np.pi / 2) ** 2 * relative[1, 1] + ratio**2 * relative[0, 0], share_sd**2]
     )

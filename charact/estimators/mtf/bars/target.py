@@ -103,15 +103,15 @@ def detect_bars(
     from scipy.fft import next_fast_len, rfft2
 
     blank = blank_target(bars, frequency, pitch_ratio)
-    reach = int(np.ceil(0.5 * np.hypot(blank.width_px, blank.length_px))) + 1
-    rows, cols = (next_fast_len(side + 2 * reach, True) or side for side in image.shape)
+    kernel_half_px = int(np.ceil(0.5 * np.hypot(blank.width_px, blank.length_px))) + 1
+    rows, cols = (next_fast_len(side + 2 * kernel_half_px, True) or side for side in image.shape)
     size = (rows, cols)
     spectrum = np.asarray(rfft2(image - ground_level(image), s=size))
     best: tuple[float, BarTarget] | None = None
     quiet = np.inf
     for degrees in DIRECTIONS_DEG:
         turned = replace(blank, angle_rad=float(np.deg2rad(degrees)))
-        response = _response(spectrum, size, turned, reach, image.shape)
+        response = _response(spectrum, size, turned, kernel_half_px, image.shape)
         row, col = np.unravel_index(int(np.argmax(response)), response.shape)
         height = float(response[row, col])
         # Where a large target gives no response there is only noise: a low quantile of a Rayleigh
@@ -128,15 +128,15 @@ def detect_bars(
 
 
 def _response(
-    spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach: int, shape: tuple
+    spectrum: NDArray, size: tuple[int, int], target: BarTarget, kernel_half_px: int, shape: tuple
 ) -> Array:
     """Return the modulus of the filter's response at each pixel; complete cycles give none to
     constant light.
     """
     from scipy.fft import irfft2, rfft2
 
-    centred = replace(target, row=float(reach), col=float(reach))
-    across, along = centred.coordinates((2 * reach + 1, 2 * reach + 1))
+    centred = replace(target, row=float(kernel_half_px), col=float(kernel_half_px))
+    across, along = centred.coordinates((2 * kernel_half_px + 1, 2 * kernel_half_px + 1))
     box = (np.abs(across) < target.width_px / 2) & (np.abs(along) < target.length_px / 2)
     wave = np.where(box, np.exp(2j * np.pi * target.frequency * across), 0.0)
     wave[box] -= wave[box].mean()
@@ -144,7 +144,10 @@ def _response(
         np.asarray(irfft2(spectrum * rfft2(part, s=size), s=size))
         for part in (np.real(wave), np.imag(wave))
     )
-    real, imaginary = (part[reach : reach + shape[0], reach : reach + shape[1]] for part in parts)
+    real, imaginary = (
+        part[kernel_half_px : kernel_half_px + shape[0], kernel_half_px : kernel_half_px + shape[1]]
+        for part in parts
+    )
     return np.sqrt(real**2 + imaginary**2)
 
 
@@ -156,7 +159,7 @@ def refine_target(image: Array, target: BarTarget) -> BarTarget:
         level = ground_level(image)
         angles = target.angle_rad + np.deg2rad(step_deg * np.arange(-6, 7))
         tried = [replace(target, angle_rad=float(angle)) for angle in angles]
-        height = [abs(amplitude(image - level, one, one.frequency, window)) for one in tried]
+        height = [abs(amplitude(image - level, trial, trial.frequency, window)) for trial in tried]
         target = _fit_length(image, replace(target, angle_rad=_vertex(angles, np.array(height))))
     return _centre_on_light(image, target)
 
@@ -185,24 +188,26 @@ def _fit_length(image: Array, target: BarTarget) -> BarTarget:
     standard length is kept unless another is clearly likelier.
     """
     across, along = target.coordinates(image.shape)
-    inside = np.abs(across) < 0.5 * target.width_px
-    wave = (image - ground_level(image))[inside] * np.exp(
-        -2j * np.pi * target.frequency * across[inside]
+    on_bars = np.abs(across) < 0.5 * target.width_px
+    wave = (image - ground_level(image))[on_bars] * np.exp(
+        -2j * np.pi * target.frequency * across[on_bars]
     )
-    position = np.floor(along[inside]).astype(np.intp)
+    position = np.floor(along[on_bars]).astype(np.intp)
     first = int(position.min())
     sums = np.bincount(position - first, wave.real) + 1j * np.bincount(position - first, wave.imag)
-    whole = np.concatenate([[0.0], np.cumsum(sums)])
+    running_sum = np.concatenate([[0.0], np.cumsum(sums)])
     lengths = np.unique(
         np.round(np.geomspace(max(1.0 / target.frequency, 3.0), sums.size, 60)).astype(np.intp)
     )
-    matches = [np.abs(whole[length:] - whole[:-length]) ** 2 / length for length in lengths]
-    gain = np.array([float(one.max()) for one in matches])
-    usual = int(np.argmin(np.abs(lengths - LIMITS.length_over_width / (2.0 * target.frequency))))
-    best = usual if gain[usual] > LIMITS.min_length_match * gain.max() else int(np.argmax(gain))
+    matches = [
+        np.abs(running_sum[length:] - running_sum[:-length]) ** 2 / length for length in lengths
+    ]
+    gain = np.array([float(match.max()) for match in matches])
+    typical = int(np.argmin(np.abs(lengths - LIMITS.length_over_width / (2.0 * target.frequency))))
+    best = typical if gain[typical] > LIMITS.min_length_match * gain.max() else int(np.argmax(gain))
     length = (
         LIMITS.length_over_width / (2.0 * target.frequency)
-        if best == usual
+        if best == typical
         else float(lengths[best])
     )
     centre = first + int(np.argmax(matches[best])) + 0.5 * lengths[best]
@@ -240,17 +245,17 @@ def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> floa
     for order in (target.bars - 1, target.bars + 1):
         fraction = order / target.bars
         power += [
-            abs(amplitude(image - level, target, fraction * one, window)) ** 2 for one in tried
+            abs(amplitude(image - level, target, fraction * trial, window)) ** 2 for trial in tried
         ]
     return _vertex(tried, -power)
 
 
 def margin_px(context: Context, frequency: float) -> float:
     """Return the margin around the bars: it includes the halo of a described camera."""
-    own = max(12.0, 1.5 / frequency)
+    default_px = max(12.0, 1.5 / frequency)
     if context.sensor is None:
-        return own
-    return max(own, 0.5 * halo_diameters_px(context, transposed=False)[1] + 12.0)
+        return default_px
+    return max(default_px, 0.5 * halo_diameters_px(context, transposed=False)[1] + 12.0)
 
 
 def fitting_margin(target: BarTarget, shape: tuple[int, ...], wanted: float) -> tuple[float, bool]:
@@ -258,11 +263,13 @@ def fitting_margin(target: BarTarget, shape: tuple[int, ...], wanted: float) -> 
     smaller.
     """
     for margin in np.linspace(wanted, 2.0, 24):
-        inside = target.box(shape, float(margin))
+        window = target.box(shape, float(margin))
         across, along = target.coordinates(shape)
-        reach = (np.abs(across).max(), np.abs(along).max())
-        fits = reach[0] > target.width_px / 2 + margin and reach[1] > target.length_px / 2 + margin
-        touches = inside[0].any() or inside[-1].any() or inside[:, 0].any() or inside[:, -1].any()
+        extent = (np.abs(across).max(), np.abs(along).max())
+        fits = (
+            extent[0] > target.width_px / 2 + margin and extent[1] > target.length_px / 2 + margin
+        )
+        touches = window[0].any() or window[-1].any() or window[:, 0].any() or window[:, -1].any()
         if fits and not touches:
             return float(margin), margin < wanted - 1e-9
     return 2.0, True
@@ -293,9 +300,13 @@ def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
     f = np.asarray((np.arange(16384) + 0.5) / 8192.0, dtype=np.float64)
     kernel = np.sin(2.0 * np.pi * f * margin) / f * (f[1] - f[0])
     core = np.exp(-((f / corner[:, None]) ** exponent[:, None]))
-    both = core * (1.0 - fraction[:, None] + fraction[:, None] * forms.halo(f, diameter, elastic))
-    outside = 2.0 * (1.0 - 2.0 / np.pi * both @ kernel)
-    return float(outside.mean()), float(max(outside.std(), 0.25 * abs(outside.mean())))
+    transfer = core * (
+        1.0 - fraction[:, None] + fraction[:, None] * forms.halo(f, diameter, elastic)
+    )
+    outside_light = 2.0 * (1.0 - 2.0 / np.pi * transfer @ kernel)
+    return float(outside_light.mean()), float(
+        max(outside_light.std(), 0.25 * abs(outside_light.mean()))
+    )
 
 
 def _draw_parameter(parameter: Parameter, rng: np.random.Generator) -> Array:

@@ -70,7 +70,7 @@ def model_and_jacobian(kind: tuple, theta: Array, frequency: Array, tables: Tabl
     tables
         As `tables` gives.
     """
-    core, wide, widest_px = kind
+    core, component, widest_px = kind
     out = np.empty((theta.size + 1, frequency.size))
     cores = 3 if core == 4 else 2 if core == 1 or core == 2 else 1
     curves, halves = pupil_curves(theta[1], theta[2], tables[3]) if core == 4 else NO_PUPIL
@@ -88,23 +88,25 @@ def model_and_jacobian(kind: tuple, theta: Array, frequency: Array, tables: Tabl
             out[2, j] = by_shape
         if cores > 2:
             out[3, j] = by_other_shape
-        if wide < 0:
+        if component < 0:
             continue
         size = theta[cores + 1]
-        unit = size / widest_px if wide == 3 else 1.0
-        other = theta[cores + 2] if wide == 0 else 0.0
-        beyond, by_size, by_other = _component(wide, size, other, frequency[j], tables)
-        share = theta[cores] * unit
-        kept = 1.0 - share + share * beyond
+        unit = size / widest_px if component == 3 else 1.0
+        other = theta[cores + 2] if component == 0 else 0.0
+        component_value, by_size, by_other = _component(
+            component, size, other, frequency[j], tables
+        )
+        fraction = theta[cores] * unit
+        factor = 1.0 - fraction + fraction * component_value
         for k in range(cores + 1):
-            out[k, j] *= kept
-        out[cores + 1, j] = value * unit * (beyond - 1.0)
-        turned = share * by_size
-        if wide == 3:
-            turned += theta[cores] / widest_px * (beyond - 1.0)
+            out[k, j] *= factor
+        out[cores + 1, j] = value * unit * (component_value - 1.0)
+        turned = fraction * by_size
+        if component == 3:
+            turned += theta[cores] / widest_px * (component_value - 1.0)
         out[cores + 2, j] = value * turned
-        if wide == 0:
-            out[cores + 3, j] = value * share * by_other
+        if component == 0:
+            out[cores + 3, j] = value * fraction * by_other
     return out
 
 
@@ -136,24 +138,24 @@ def _core(core: int, theta: Array, frequency: float, tables: Tables) -> tuple[fl
 
 @njit(cache=True)
 def _component(
-    wide: int, size: float, other: float, frequency: float, tables: Tables
+    component: int, size: float, other: float, frequency: float, tables: Tables
 ) -> tuple[float, float, float]:
     """Return the transfer of light beyond the core and its slopes with its size and its other
     parameter.
     """
-    if wide == 2:
+    if component == 2:
         turn = (2.0 * np.pi * frequency) ** 2
         value = 1.0 / (1.0 + turn * size**2)
         return value, -2.0 * turn * size * value**2, 0.0
-    if wide == 3:
+    if component == 3:
         turn = 2.0 * (np.pi * frequency) ** 2
         value = np.exp(-turn * size**2)
         return value, -2.0 * turn * size * value, 0.0
     x = np.pi * size * frequency
-    if wide == 1:
+    if component == 1:
         value, slope = disc_at(x, tables[2])
         return value, slope * np.pi * frequency, 0.0
     sinc = np.sin(x) / x
-    even = sine_integral_at(x, tables[1]) / x
-    slope = (other * (np.cos(x) - sinc) + (1.0 - other) * (sinc - even)) / size
-    return other * sinc + (1.0 - other) * even, slope, sinc - even
+    uniform = sine_integral_at(x, tables[1]) / x
+    slope = (other * (np.cos(x) - sinc) + (1.0 - other) * (sinc - uniform)) / size
+    return other * sinc + (1.0 - other) * uniform, slope, sinc - uniform

@@ -201,12 +201,12 @@ class BlurModel:
 
     def start(self, half_frequency_cy_per_px: float) -> Array:
         """Return a starting point of the optimisation."""
-        wide = (
+        extended = (
             [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()]
             if self.wide
             else []
         )
-        return np.array([np.log(half_frequency_cy_per_px), *STARTS[self.core], *wide])
+        return np.array([np.log(half_frequency_cy_per_px), *STARTS[self.core], *extended])
 
     def modulus(self, theta: Array, frequency: Array) -> Array:
         """Return the transfer, shape (n, parameter) and (f,) -> (n, f); negative where defocus
@@ -216,8 +216,8 @@ class BlurModel:
         if self.wide is None:
             return core
         tail = theta[:, self.core_parameters :]
-        share = tail[:, :1] * self.wide.share_unit(tail[:, 1:])
-        return core * (1.0 - share + share * self.wide.transfer(frequency, tail[:, 1:]))
+        fraction = tail[:, :1] * self.wide.share_unit(tail[:, 1:])
+        return core * (1.0 - fraction + fraction * self.wide.transfer(frequency, tail[:, 1:]))
 
     def _core_at(self, theta: Array, frequency: Array) -> Array:
         half = np.exp(theta[:, 0])
@@ -244,13 +244,13 @@ class BlurModel:
         exponent.
         """
         bounds, (mean, precision) = self.bounds, self.prior_precision
-        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        in_bounds = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         normal = precision > 0
         flat = 0.5 * np.sum(np.log(precision[normal] / (2.0 * np.pi))) - np.sum(
             np.log(np.ptp(bounds[~normal], axis=1))
         )
         return np.where(
-            inside, flat - 0.5 * np.sum(precision * (theta - mean) ** 2, axis=1), -np.inf
+            in_bounds, flat - 0.5 * np.sum(precision * (theta - mean) ** 2, axis=1), -np.inf
         )
 
     @cached_property

@@ -50,10 +50,13 @@ def pupil(
     of O'Neill (J. Opt. Soc. Am. 46, 285, 1956).
     """
     parameters = np.broadcast_arrays(
-        *(np.atleast_1d(np.asarray(one, float)) for one in (cut_off, obscuration, defocus))
+        *(
+            np.atleast_1d(np.asarray(parameter, float))
+            for parameter in (cut_off, obscuration, defocus)
+        )
     )
     return _all_pupils(
-        np.asarray(frequency, float), *(np.ascontiguousarray(one) for one in parameters)
+        np.asarray(frequency, float), *(np.ascontiguousarray(parameter) for parameter in parameters)
     )
 
 
@@ -84,19 +87,23 @@ def pupil_at(ratio: float, obscuration: float, defocus: float) -> float:
 
 
 @njit(cache=True)
-def _common(v: float, left: float, right: float, wave: float) -> float:
+def _common(v: float, left_radius: float, right_radius: float, wave: float) -> float:
     """Return the integral of cos(wave x) over what a disc about -v and a disc about v, not larger,
     share.
     """
-    if 2.0 * v >= left + right:
+    if 2.0 * v >= left_radius + right_radius:
         return 0.0
-    if 2.0 * v <= left - right:
-        return _segment(v, right, 0.0, np.pi, wave)
+    if 2.0 * v <= left_radius - right_radius:
+        return _segment(v, right_radius, 0.0, np.pi, wave)
     # Where the circles cross: to the left of it the right one is the border, and to the right of it
     # the left one.
-    x = (left**2 - right**2) / (4.0 * v)
-    to_left = _segment(v, right, np.arccos(min(max((x - v) / right, -1.0), 1.0)), np.pi, wave)
-    return to_left + _segment(-v, left, 0.0, np.arccos(min(max((x + v) / left, -1.0), 1.0)), wave)
+    x = (left_radius**2 - right_radius**2) / (4.0 * v)
+    to_left = _segment(
+        v, right_radius, np.arccos(min(max((x - v) / right_radius, -1.0), 1.0)), np.pi, wave
+    )
+    return to_left + _segment(
+        -v, left_radius, 0.0, np.arccos(min(max((x + v) / left_radius, -1.0), 1.0)), wave
+    )
 
 
 @njit(cache=True)
@@ -129,12 +136,12 @@ def pupil_table() -> PupilTable:
     frequency = np.linspace(0.0, 1.0, FREQUENCIES)
     areas = np.linspace(0.0, np.sqrt(AREA[1]), AREAS) ** 2
     squares = SQUARED_WAVES[1] * 0.5 * (1.0 - np.cos(np.pi * np.arange(SQUARES) / (SQUARES - 1)))
-    area, squared = (one.ravel() for one in np.meshgrid(areas, squares, indexing="ij"))
+    area, squared = (grid.ravel() for grid in np.meshgrid(areas, squares, indexing="ij"))
     table = pupil(frequency, 1.0, np.sqrt(area), np.sqrt(squared))
-    below = np.argmax(table < 0.5, axis=1)
+    first_below_half = np.argmax(table < 0.5, axis=1)
     every = np.arange(len(table))
-    high, low = table[every, below - 1], table[every, below]
-    half = (below - 1 + (high - 0.5) / (high - low)) * frequency[1]
+    high, low = table[every, first_below_half - 1], table[every, first_below_half]
+    half = (first_below_half - 1 + (high - 0.5) / (high - low)) * frequency[1]
     return areas, squares, table.reshape(AREAS, SQUARES, FREQUENCIES), half.reshape(AREAS, SQUARES)
 
 
@@ -166,24 +173,26 @@ def pupil_curves(area: float, squared: float, table: PupilTable) -> tuple[Array,
     areas, squares, transfer, half = table
     low = min(max(int(np.sqrt(max(area, 0.0) / AREA[1]) * (AREAS - 1)), 0), AREAS - 2)
     step = areas[low + 1] - areas[low]
-    rest = min(max((area - areas[low]) / step, 0.0), 1.0)
+    area_weight = min(max((area - areas[low]) / step, 0.0), 1.0)
     curves, halves = np.zeros((3, FREQUENCIES)), np.zeros(3)
     for k in range(SQUARES):
         # Lagrange's polynomial through all places, and its slope.
         weight, rise = 1.0, 0.0
         for m in range(SQUARES):
             if m != k:
-                apart = squares[k] - squares[m]
-                rise = rise * (squared - squares[m]) / apart + weight / apart
-                weight *= (squared - squares[m]) / apart
-        for row, near, far in (
-            (0, weight * (1.0 - rest), weight * rest),
+                spacing = squares[k] - squares[m]
+                rise = rise * (squared - squares[m]) / spacing + weight / spacing
+                weight *= (squared - squares[m]) / spacing
+        for row, low_weight, high_weight in (
+            (0, weight * (1.0 - area_weight), weight * area_weight),
             (1, -weight / step, weight / step),
-            (2, rise * (1.0 - rest), rise * rest),
+            (2, rise * (1.0 - area_weight), rise * area_weight),
         ):
-            halves[row] += near * half[low, k] + far * half[low + 1, k]
+            halves[row] += low_weight * half[low, k] + high_weight * half[low + 1, k]
             for j in range(FREQUENCIES):
-                curves[row, j] += near * transfer[low, k, j] + far * transfer[low + 1, k, j]
+                curves[row, j] += (
+                    low_weight * transfer[low, k, j] + high_weight * transfer[low + 1, k, j]
+                )
     return curves, halves
 
 
@@ -192,21 +201,21 @@ def pupil_and_slopes(
     ratio: float, curves: Array, halves: Array
 ) -> tuple[float, float, float, float]:
     """Return the transfer at f/f2, and its slopes with ln(f/f2), area and defocus squared."""
-    place = ratio * halves[0] * (FREQUENCIES - 1)
-    left = int(place)
-    if left >= FREQUENCIES - 1:
+    position = ratio * halves[0] * (FREQUENCIES - 1)
+    node = int(position)
+    if node >= FREQUENCIES - 1:
         return 0.0, 0.0, 0.0, 0.0
-    part = place - left
-    rise = (curves[0, left + 1] - curves[0, left]) * place
-    value = curves[0, left] + part * (curves[0, left + 1] - curves[0, left])
+    part = position - node
+    rise = (curves[0, node + 1] - curves[0, node]) * position
+    value = curves[0, node] + part * (curves[0, node + 1] - curves[0, node])
     by_area = (
-        curves[1, left]
-        + part * (curves[1, left + 1] - curves[1, left])
+        curves[1, node]
+        + part * (curves[1, node + 1] - curves[1, node])
         + rise * halves[1] / halves[0]
     )
     by_squared = (
-        curves[2, left]
-        + part * (curves[2, left + 1] - curves[2, left])
+        curves[2, node]
+        + part * (curves[2, node + 1] - curves[2, node])
         + rise * halves[2] / halves[0]
     )
     return value, rise, by_area, by_squared

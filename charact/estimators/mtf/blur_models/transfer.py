@@ -68,9 +68,9 @@ def halo(frequency: Array, diameter_px: ArrayLike, elastic_share: ArrayLike) -> 
     Uniform e: Si(2 pi R f) / (2 pi R f).
     """
     x = np.pi * np.asarray(diameter_px, float)[..., None] * frequency
-    share = np.broadcast_to(np.asarray(elastic_share, float), x.shape[:-1])
+    fraction = np.broadcast_to(np.asarray(elastic_share, float), x.shape[:-1])
     flat = _halos_from_table(
-        x.reshape(-1, x.shape[-1]), np.ascontiguousarray(share.ravel()), sine_table()
+        x.reshape(-1, x.shape[-1]), np.ascontiguousarray(fraction.ravel()), sine_table()
     )
     return flat.reshape(x.shape)
 
@@ -112,16 +112,16 @@ def moffat_table() -> MoffatTable:
     """Return ln(f/f2), 1/b and ln of the transfer at them, shape (1/b, ln(f/f2))."""
     from scipy.special import gammaln, kve
 
-    places = np.linspace(np.log(1e-5), np.log(300.0), 1400)
+    ln_ratios = np.linspace(np.log(1e-5), np.log(300.0), 1400)
     inverse = np.linspace(1.0 / (MOFFAT_EXPONENT[1] + 0.5), 1.0 / (MOFFAT_EXPONENT[0] - 0.05), 80)
-    wide = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 6000))
+    argument = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 6000))
     rows = []
     for order in 1.0 / inverse - 1.0:
-        log = (1.0 - order) * np.log(2.0) - gammaln(order) + order * np.log(wide)
-        log = np.minimum(log + np.log(kve(order, wide)) - wide, 0.0)
-        half = np.exp(np.interp(np.log(2.0), -log, np.log(wide)))
-        rows.append(np.interp(places + np.log(half), np.log(wide), log))
-    return places, inverse, np.ascontiguousarray(rows)
+        log = (1.0 - order) * np.log(2.0) - gammaln(order) + order * np.log(argument)
+        log = np.minimum(log + np.log(kve(order, argument)) - argument, 0.0)
+        half = np.exp(np.interp(np.log(2.0), -log, np.log(argument)))
+        rows.append(np.interp(ln_ratios + np.log(half), np.log(argument), log))
+    return ln_ratios, inverse, np.ascontiguousarray(rows)
 
 
 @njit(cache=True)
@@ -139,22 +139,22 @@ def moffat_at(ratio: float, exponent: float, table: MoffatTable) -> tuple[float,
 
     Far below f2 it is too small for the table's first column to matter.
     """
-    places, inverse, ln = table
+    ln_ratios, inverse, ln = table
     row = min(
         max((1.0 / exponent - inverse[0]) / (inverse[1] - inverse[0]), 0.0), inverse.size - 1.0
     )
     low = min(int(row), inverse.size - 2)
-    step = places[1] - places[0]
-    column = min(max((ratio - places[0]) / step, 0.0), places.size - 1.001)
-    left = int(column)
-    share, rest = row - low, column - left
-    one = ln[low, left] * (1.0 - rest) + ln[low, left + 1] * rest
-    other = ln[low + 1, left] * (1.0 - rest) + ln[low + 1, left + 1] * rest
-    rise = (ln[low, left + 1] - ln[low, left]) * (1.0 - share) + (
-        ln[low + 1, left + 1] - ln[low + 1, left]
-    ) * share
-    by_exponent = (one - other) / (exponent**2 * (inverse[1] - inverse[0]))
-    return one * (1.0 - share) + other * share, rise / step, by_exponent
+    step = ln_ratios[1] - ln_ratios[0]
+    column = min(max((ratio - ln_ratios[0]) / step, 0.0), ln_ratios.size - 1.001)
+    node = int(column)
+    row_part, column_part = row - low, column - node
+    lower_row = ln[low, node] * (1.0 - column_part) + ln[low, node + 1] * column_part
+    upper_row = ln[low + 1, node] * (1.0 - column_part) + ln[low + 1, node + 1] * column_part
+    rise = (ln[low, node + 1] - ln[low, node]) * (1.0 - row_part) + (
+        ln[low + 1, node + 1] - ln[low + 1, node]
+    ) * row_part
+    by_exponent = (lower_row - upper_row) / (exponent**2 * (inverse[1] - inverse[0]))
+    return lower_row * (1.0 - row_part) + upper_row * row_part, rise / step, by_exponent
 
 
 # Places of the table of Si in a unit, and where it ends.
@@ -186,14 +186,15 @@ def disc_table() -> Array:
 
 
 @njit(cache=True)
-def _halos_from_table(x: Array, share: Array, table: Array) -> Array:
+def _halos_from_table(x: Array, elastic_share: Array, table: Array) -> Array:
     out = np.empty(x.shape)
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
-            here = x[i, j]
+            argument = x[i, j]
             out[i, j] = (
-                share[i] * np.sin(here) + (1.0 - share[i]) * sine_integral_at(here, table)
-            ) / here
+                elastic_share[i] * np.sin(argument)
+                + (1.0 - elastic_share[i]) * sine_integral_at(argument, table)
+            ) / argument
     return out
 
 
@@ -208,11 +209,11 @@ def _discs_from_table(x: Array, table: Array) -> Array:
 @njit(cache=True)
 def sine_integral_at(x: float, table: Array) -> float:
     """Return Si(x), linear between places of the table."""
-    place = x * SINE_PER_UNIT
-    if place >= table.size - 1:
+    position = x * SINE_PER_UNIT
+    if position >= table.size - 1:
         return np.pi / 2 - np.cos(x) / x
-    left = int(place)
-    return table[left] + (table[left + 1] - table[left]) * (place - left)
+    node = int(position)
+    return table[node] + (table[node + 1] - table[node]) * (position - node)
 
 
 @njit(cache=True)
@@ -220,14 +221,14 @@ def disc_at(x: float, table: Array) -> tuple[float, float]:
     """Return 2 J1(x)/x and its slope -2 J2(x)/x, cubic between places of the table."""
     if x >= DISC_END:
         scale = np.sqrt(2.0 / (np.pi * x)) * 2.0 / x
-        one, two = x - 0.75 * np.pi, x - 1.25 * np.pi
-        value = scale * (np.cos(one) - 0.375 / x * np.sin(one))
-        return value, -scale * (np.cos(two) - 1.875 / x * np.sin(two))
-    place = x / DISC_STEP
-    left = int(place)
-    t = place - left
-    low, high = table[left, 0], table[left + 1, 0]
-    rise, last = table[left, 1] * DISC_STEP, table[left + 1, 1] * DISC_STEP
+        zero_phase, first_phase = x - 0.75 * np.pi, x - 1.25 * np.pi
+        value = scale * (np.cos(zero_phase) - 0.375 / x * np.sin(zero_phase))
+        return value, -scale * (np.cos(first_phase) - 1.875 / x * np.sin(first_phase))
+    position = x / DISC_STEP
+    node = int(position)
+    t = position - node
+    low, high = table[node, 0], table[node + 1, 0]
+    rise, last = table[node, 1] * DISC_STEP, table[node + 1, 1] * DISC_STEP
     bend, twist = 3.0 * (high - low) - 2.0 * rise - last, rise + last - 2.0 * (high - low)
     value = low + t * (rise + t * (bend + t * twist))
     return value, (rise + t * (2.0 * bend + 3.0 * t * twist)) / DISC_STEP

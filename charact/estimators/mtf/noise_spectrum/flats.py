@@ -57,7 +57,7 @@ def findings_of(
 ) -> list[Finding]:
     """Return the findings of a measurement; those without a note are flags alone."""
     lit = any(level.signal_dn for level in spectrum.levels)
-    least = min(float(np.mean(level.power_dn2)) for level in spectrum.levels)
+    lowest_power_dn2 = min(float(np.mean(level.power_dn2)) for level in spectrum.levels)
     linear = (
         THRESHOLDS.max_nonlinearity if context.sensor is None else THRESHOLDS.max_mcp_saturation
     )
@@ -108,7 +108,7 @@ def findings_of(
             "too-few-frames",
             "one level of light only: whether the response is straight cannot be seen",
         ),
-        (least < QUANTISED_DN2, "quantised", ""),
+        (lowest_power_dn2 < QUANTISED_DN2, "quantised", ""),
         (_is_nonlinear(spectrum, peak, linear), "gamma", ""),
         (
             _has_scatter(spectrum, peak),
@@ -128,10 +128,10 @@ def findings_of(
         ),
         (gamma, "gamma", ""),
     )
-    return [Finding(flag, note) for found, flag, note in checks if found]
+    return [Finding(flag, note) for is_raised, flag, note in checks if is_raised]
 
 
-def _is_nonlinear(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: float) -> bool:
+def _is_nonlinear(spectrum: PooledSpectrum, peak: SpectrumOptimum, expected_slope: float) -> bool:
     """Whether the power of pulses over the signal changes along the levels by more than a share, as
     under a gamma.
     """
@@ -144,8 +144,8 @@ def _is_nonlinear(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: flo
     weight = np.array([(shape / level.power_sd_dn2) ** 2 for level in levels])
     power = np.array(
         [
-            float(np.average(level.power_dn2 / shape, weights=own))
-            for level, own in zip(levels, weight, strict=True)
+            float(np.average(level.power_dn2 / shape, weights=level_weight))
+            for level, level_weight in zip(levels, weight, strict=True)
         ]
     )
     error = 1.0 / np.sqrt(weight.sum(axis=1))
@@ -155,7 +155,7 @@ def _is_nonlinear(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: flo
     ratio = power * (1.0 - 0.5 * (low + high)) / signal
     mean = float(np.average(ratio, weights=(signal / error) ** 2))
     sd = np.hypot(error / power, _pulse_height_error(spectrum, peak, signal, power))
-    allowed = straight + THRESHOLDS.nonlinearity_sd * sd + 0.5 * (high - low)
+    allowed = expected_slope + THRESHOLDS.nonlinearity_sd * sd + 0.5 * (high - low)
     return bool(np.any(np.abs(ratio / mean - 1.0) > allowed))
 
 
@@ -183,9 +183,9 @@ def _is_too_steep(peak: SpectrumOptimum) -> bool:
     """Whether the exponent of the form is beyond those of blurs."""
     if "exponent" not in peak.problem.shape.parameters or peak.problem.shape.name == "free":
         return False
-    place = peak.problem.names.index("exponent")
-    sd = float(np.sqrt(peak.covariance[place, place]))
-    return float(peak.point[place]) > THRESHOLDS.max_exponent + THRESHOLDS.exponent_sd * sd
+    exponent_index = peak.problem.names.index("exponent")
+    sd = float(np.sqrt(peak.covariance[exponent_index, exponent_index]))
+    return float(peak.point[exponent_index]) > THRESHOLDS.max_exponent + THRESHOLDS.exponent_sd * sd
 
 
 def _has_scatter(spectrum: PooledSpectrum, peak: SpectrumOptimum) -> bool:
@@ -197,7 +197,7 @@ def _has_scatter(spectrum: PooledSpectrum, peak: SpectrumOptimum) -> bool:
         return False
     veil = ScatterComponent(size_px=(SCATTER_PX, longest), fraction=SCATTER_FRACTION)
     veiled = optimum_under_model(
-        spectrum, peak.problem.known, BlurModel(core="exponential", wide=veil), near=peak
+        spectrum, peak.problem.known, BlurModel(core="exponential", wide=veil), neighbour=peak
     )
     gain = veiled.problem.log_likelihood_at(veiled.point) - peak.problem.log_likelihood_at(
         peak.point
@@ -272,8 +272,8 @@ def _measure(
     fields = fields_of(method, context)
     chosen = select_flats(session, context)
     if not chosen.pairs:
-        left = ", ".join(chosen.left_out) or "none"
-        reason = f"no flat of two frames or more lies inside the linear range; left out: {left}"
+        left_out = ", ".join(chosen.left_out) or "none"
+        reason = f"no flat of two frames or more lies inside the linear range; left out: {left_out}"
         return _refusal(reason, fields)
     spectrum = spectrum_of(chosen, context)
     if not np.mean(spectrum.power_dn2) > 1.001 * np.mean(spectrum.dark_dn2):
@@ -293,23 +293,25 @@ def _measure(
             "gain, or the flats are too few to show it",
             fields,
         )
-    found = _draw_models(peaks, context)
-    findings = findings_of(spectrum, chosen, found.peaks[0], context)
+    drawn = _draw_models(peaks, context)
+    findings = findings_of(spectrum, chosen, drawn.peaks[0], context)
     notes = [note for note in notes_of(findings) if note]
-    wrong = misfit(found.peaks[0], found.posteriors[0], np.random.default_rng([context.seed, 21]))
-    # The form that absorbs most of what scattered light would change.
-    flexible = max(found.peaks, key=lambda peak: peak.point.size)
-    forms = ", ".join(
-        f"{peak.problem.shape.name} {100 * share:.0f} %"
-        for peak, share in zip(found.peaks, found.shares, strict=True)
+    misfit_flags = misfit(
+        drawn.peaks[0], drawn.posteriors[0], np.random.default_rng([context.seed, 21])
     )
-    own = {
-        "flags": tuple({*flags_of(findings), *wrong, *_chain_flags(found)}),
+    # The form that absorbs most of what scattered light would change.
+    flexible = max(drawn.peaks, key=lambda peak: peak.point.size)
+    forms = ", ".join(
+        f"{peak.problem.shape.name} {100 * weight:.0f} %"
+        for peak, weight in zip(drawn.peaks, drawn.shares, strict=True)
+    )
+    common = {
+        "flags": tuple({*flags_of(findings), *misfit_flags, *_chain_flags(drawn)}),
         "notes": (NOTE, *notes, unseen_note(flexible), f"form of the transfer: {forms}"),
-        "posterior": found.posteriors[0],
+        "posterior": drawn.posteriors[0],
         **fields,
     }
-    result = quantities(spectrum, found, own)
+    result = quantities(spectrum, drawn, common)
     drawn_curves = result.curves
     if with_free_curves:
         free = _draw_models(
@@ -321,7 +323,7 @@ def _measure(
             **{f"{name}_free": curve for name, curve in curves(spectrum, free).items()},
         }
     return replace(
-        result, curves=drawn_curves, evidence={"post-gain-noise": figure_data(spectrum, found)}
+        result, curves=drawn_curves, evidence={"post-gain-noise": figure_data(spectrum, drawn)}
     )
 
 
@@ -339,8 +341,8 @@ def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraw
     weights = weigh_by_evidence(
         [peak.log_weight for peak in peaks], least=THRESHOLDS.min_model_weight
     )
-    own = tuple(peaks[i] for i, _ in weights)
-    share = np.array([weight for _, weight in weights])
+    likely_peaks = tuple(peaks[i] for i, _ in weights)
+    posterior_weights = np.array([weight for _, weight in weights])
     posteriors = tuple(
         (
             laplace
@@ -356,20 +358,28 @@ def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraw
             bounds=peak.problem.bounds,
             draws=DRAWS,
         )
-        for peak, weight in zip(own, share / share.sum(), strict=True)
+        for peak, weight in zip(
+            likely_peaks, posterior_weights / posterior_weights.sum(), strict=True
+        )
     )
-    return SpectrumDraws(peaks=own, posteriors=posteriors, shares=share / share.sum())
+    return SpectrumDraws(
+        peaks=likely_peaks,
+        posteriors=posteriors,
+        shares=posterior_weights / posterior_weights.sum(),
+    )
 
 
-def _chain_flags(found: SpectrumDraws) -> set[str]:
+def _chain_flags(drawn: SpectrumDraws) -> set[str]:
     """Flags of the chains; a bound that only the white floor or a form's exponent reaches is
     physical.
     """
     flags: set[str] = set()
-    for peak, posterior in zip(found.peaks, found.posteriors, strict=True):
+    for peak, posterior in zip(drawn.peaks, drawn.posteriors, strict=True):
         leaning = crowds_at_bound(posterior.draws, peak.problem.bounds)
-        own = [peak.problem.names.index(name) for name in ("ln_half_frequency", "ln_anisotropy")]
+        blur_indices = [
+            peak.problem.names.index(name) for name in ("ln_half_frequency", "ln_anisotropy")
+        ]
         flags |= {*posterior.flags} - {"prior-bound"} | (
-            {"prior-bound"} if leaning[own].any() else set()
+            {"prior-bound"} if leaning[blur_indices].any() else set()
         )
     return flags

@@ -83,7 +83,7 @@ class SpectralReplicas:
     first: NDArray[np.int64]  # index of the first replica of each cell, shape (cell,)
     # mean over the modes of a cell of the folded power, over that at its mean frequency, shape
     # (cell,)
-    within: Array
+    cell_factors: Array
 
     def power(self, shape: "PostGainBlur", theta: Array) -> Array:
         """Return the folded |H|^2 of each cell for (ln anisotropy, *shape), shape (n, parameter) ->
@@ -108,7 +108,7 @@ class SpectralReplicas:
                     self.column, self.row * stretch[group[part[:1] if shared else part], None]
                 )
                 core = shape.modulus(theta[part, 1:], frequency) ** 2 * self.known
-                out[part] = np.add.reduceat(core, self.first, axis=1) * self.within
+                out[part] = np.add.reduceat(core, self.first, axis=1) * self.cell_factors
         return out
 
 
@@ -130,34 +130,34 @@ def spectral_replicas(
         cell=cell,
         known=known.aperture(columns, rows) ** 2 * known.electronics(column)[cell] ** 2,
         first=np.arange(len(column)) * len(across),
-        within=np.ones(len(column)),
+        cell_factors=np.ones(len(column)),
     )
 
 
 def without_weak_replicas(
-    whole: SpectralReplicas, shape: "PostGainBlur", theta: Array
+    replicas: SpectralReplicas, shape: "PostGainBlur", theta: Array
 ) -> SpectralReplicas:
     """Return the folding without the replicas that carry next to nothing at one point
     (parameter,).
     """
-    one = replace(whole, within=np.ones(len(whole.first)))
+    modal_replicas = replace(replicas, cell_factors=np.ones(len(replicas.first)))
     core = (
-        shape.modulus(theta[None, 1:], np.hypot(whole.column, whole.row * np.exp(-theta[0]))[None])[
-            0
-        ]
+        shape.modulus(
+            theta[None, 1:], np.hypot(replicas.column, replicas.row * np.exp(-theta[0]))[None]
+        )[0]
         ** 2
     )
-    part, total = core * whole.known, one.power(shape, theta[None])[0]
-    kept = part > ACCURACY.min_replica * total[whole.cell]
-    kept[whole.first + (whole.first[1] - whole.first[0]) // 2] = True
-    cell = whole.cell[kept]
+    part, total = core * replicas.known, modal_replicas.power(shape, theta[None])[0]
+    strong = part > ACCURACY.min_replica * total[replicas.cell]
+    strong[replicas.first + (replicas.first[1] - replicas.first[0]) // 2] = True
+    cell = replicas.cell[strong]
     return replace(
-        whole,
-        column=whole.column[kept],
-        row=whole.row[kept],
+        replicas,
+        column=replicas.column[strong],
+        row=replicas.row[strong],
         cell=cell,
-        known=whole.known[kept],
-        first=np.searchsorted(cell, np.arange(len(whole.first))),
+        known=replicas.known[strong],
+        first=np.searchsorted(cell, np.arange(len(replicas.first))),
     )
 
 
@@ -201,26 +201,26 @@ class NonparametricBlur:
 
     def modulus(self, theta: Array, frequency: Array) -> Array:
         """Return the transfer, shape (n, parameter) and (f,), (1, f) or (n, f) -> (n, f)."""
-        place = np.log(np.maximum(frequency, 1e-9))
+        ln_frequency = np.log(np.maximum(frequency, 1e-9))
         low, high = np.log(ACCURACY.cosine_range_cy_per_px)
-        one = np.cos(np.pi * np.clip((place - low) / (high - low), 0.0, 1.0))
-        line, bend = theta[:, 1:2] * (place - theta[:, :1]), np.zeros(())
+        cosine = np.cos(np.pi * np.clip((ln_frequency - low) / (high - low), 0.0, 1.0))
+        line, bend = theta[:, 1:2] * (ln_frequency - theta[:, :1]), np.zeros(())
         # Each cosine from the two before it.
-        before, now = np.ones_like(one), one
+        before, now = np.ones_like(cosine), cosine
         for k in range(2, WAVES[-1] + 1):
-            before, now = now, 2.0 * one * now - before
+            before, now = now, 2.0 * cosine * now - before
             bend = bend + theta[:, 2 + k - WAVES[0], None] * now / k**2
         return np.exp(-np.log(2.0) * np.exp(np.minimum(line + bend, 7.0)))
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds."""
         bounds, (mean, sd) = self.bounds, EXPONENT_PRIOR
-        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        in_bounds = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         normal = -0.5 * ((theta[:, 1] - mean) / sd) ** 2 - np.log(sd)
         waves = -0.5 * np.sum((theta[:, 2:] / THRESHOLDS.cosine_prior_sd) ** 2, axis=1)
         waves = waves - len(WAVES) * np.log(THRESHOLDS.cosine_prior_sd)
         return np.where(
-            inside, normal + waves - 0.5 * (1 + len(WAVES)) * np.log(2.0 * np.pi), -np.inf
+            in_bounds, normal + waves - 0.5 * (1 + len(WAVES)) * np.log(2.0 * np.pi), -np.inf
         )
 
 
@@ -306,8 +306,8 @@ class SpectrumLikelihood:
     @property
     def units(self) -> tuple[str, ...]:
         """Their units."""
-        own = {**self.shape.parameters, **self.known.parameters}
-        return (*COMMON_UNITS, *(unit for unit, _ in own.values()))
+        described = {**self.shape.parameters, **self.known.parameters}
+        return (*COMMON_UNITS, *(unit for unit, _ in described.values()))
 
     def blur_parameters(self, theta: Array) -> Array:
         """Return the form's parameters of all, shape (n, parameter)."""
@@ -342,8 +342,8 @@ class SpectrumLikelihood:
     @cached_property
     def _white_dn2(self) -> Array:
         """Power in every cell if all of it were white, shape (cell,), DN^2."""
-        own = float(np.mean(self.spectrum.power_dn2 - self.spectrum.dark_dn2))
-        return max(own, 1e-12) * self.known.electronics(self.spectrum.column_cy_per_px) ** 2
+        mean_dn2 = float(np.mean(self.spectrum.power_dn2 - self.spectrum.dark_dn2))
+        return max(mean_dn2, 1e-12) * self.known.electronics(self.spectrum.column_cy_per_px) ** 2
 
     def model(self, theta: Array) -> Array:
         """Return the power in every cell, dark included, shape (n, cell), DN^2."""
@@ -365,7 +365,7 @@ class SpectrumLikelihood:
     def log_probability(self, theta: Array) -> Array:
         """Return ln of the posterior density up to a constant that all forms share."""
         bounds = self.bounds
-        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        in_bounds = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         safe = np.clip(theta, *bounds.T)
         likelihood = self.log_likelihood(self.model(safe))
         # Anisotropies of an unknown camera and of a known one differ in width: normalised, should
@@ -378,7 +378,7 @@ class SpectrumLikelihood:
         total = likelihood + self.shape.log_prior(self.blur_parameters(safe)) + round_ + hidden
         if self.known.video and self.known.parameters:
             total = total + self.known.video.log_prior(safe[:, -1])
-        return np.where(inside & np.isfinite(total), total, -np.inf)
+        return np.where(in_bounds & np.isfinite(total), total, -np.inf)
 
     def start_at(self, common: Array, half_frequency_cy_per_px: float) -> Array:
         """Return a point of given common parameters, the form's where it begins, and the video as
@@ -414,41 +414,47 @@ def optimum_under_model(
     spectrum: PooledSpectrum,
     known: KnownReadout,
     shape: PostGainBlur,
-    near: SpectrumOptimum | None = None,
+    neighbour: SpectrumOptimum | None = None,
 ) -> SpectrumOptimum:
     """Find the optimum under a blur model, first roughly, then with the replicas, cells and looks
     of that fit.
 
-    `near`: the fit of another form from which the search begins.
+    `neighbour`: the fit of another form from which the search begins.
     """
-    whole = spectral_replicas(
+    all_replicas = spectral_replicas(
         spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.bins.row_pitch, known
     )
     cell_means = _cell_means_of(spectrum, known)
     problem = SpectrumLikelihood(
-        spectrum=spectrum, known=known, shape=shape, replicas=whole, looks=spectrum.looks_lagged
+        spectrum=spectrum,
+        known=known,
+        shape=shape,
+        replicas=all_replicas,
+        looks=spectrum.looks_lagged,
     )
     half = len(COMMON)  # The first of a form's parameters is ln of its half frequency.
     point = (
-        problem.start_at(near.point[:half], float(np.exp(near.point[half])))
-        if near
+        problem.start_at(neighbour.point[:half], float(np.exp(neighbour.point[half])))
+        if neighbour
         else _start(problem)
     )
     # Heavy tails fold from afar: what a broad form leaves out, no likely form needs.
     broad = point.copy()
     broad[half] = min(broad[half] + np.log(1.5), shape.bounds[0, 1])
-    sparse = without_weak_replicas(whole, shape, problem.replica_parameters(broad[None])[0])
+    sparse = without_weak_replicas(all_replicas, shape, problem.replica_parameters(broad[None])[0])
     problem = replace(problem, replicas=sparse)
     point, covariance = find_maximum(problem.log_probability, point, problem.bounds, iterations=25)
     for _ in range(2):
-        sparse = without_weak_replicas(whole, shape, problem.replica_parameters(point[None])[0])
+        sparse = without_weak_replicas(
+            all_replicas, shape, problem.replica_parameters(point[None])[0]
+        )
         white, pulses = problem.parts(point[None])
-        share = (pulses / (spectrum.dark_dn2 + white + pulses))[0]
+        pulse_fraction = (pulses / (spectrum.dark_dn2 + white + pulses))[0]
         # Only the pulses are shared by exposures; products of two exposures feel it in the square.
         fewer = 1.0 / spectrum.looks_lagged - 1.0 / spectrum.looks
-        looks = 1.0 / (1.0 / spectrum.looks + share**2 * fewer)
-        within = cell_means(shape, problem.replica_parameters(point[None]))
-        problem = replace(problem, replicas=replace(sparse, within=within), looks=looks)
+        looks = 1.0 / (1.0 / spectrum.looks + pulse_fraction**2 * fewer)
+        cell_factors = cell_means(shape, problem.replica_parameters(point[None]))
+        problem = replace(problem, replicas=replace(sparse, cell_factors=cell_factors), looks=looks)
         point, covariance = find_maximum(
             problem.log_probability, point, problem.bounds, iterations=25
         )
@@ -461,12 +467,12 @@ def optimum_under_model(
 def _start(problem: SpectrumLikelihood) -> Array:
     """The best of a few half frequencies, with a fifth of white noise."""
     spectrum, candidates = problem.spectrum, []
-    above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2, 0.0)
+    excess_dn2 = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2, 0.0)
     for half in (0.05, 0.1, 0.17, 0.3, 0.5):
         begin = problem.start_at(np.array([0.0, 0.1, QUANTISATION_PRIOR[0], 0.0]), half)
         folded = problem.replicas.power(problem.shape, problem.replica_parameters(begin[None]))[0]
         level = max(
-            float(np.sum(problem.looks * 0.9 * above) / np.sum(problem.looks * folded)), 1e-9
+            float(np.sum(problem.looks * 0.9 * excess_dn2) / np.sum(problem.looks * folded)), 1e-9
         )
         begin[0] = np.log(level)
         candidates.append(begin)
@@ -485,7 +491,7 @@ def _cell_means_of(
     """
     column, row, cell = spectrum.modes
     # Each frequency occurs twice, at rows on either side.
-    _, first, place = np.unique(column + 1j * row, return_index=True, return_inverse=True)
+    _, first, position = np.unique(column + 1j * row, return_index=True, return_inverse=True)
     across, down = np.sqrt(spectrum.bins.leak_cy2_per_px2)
 
     def near(column: Array, row: Array) -> SpectralReplicas:
@@ -497,7 +503,7 @@ def _cell_means_of(
     middle = near(spectrum.column_cy_per_px, spectrum.row_cy_per_px)
 
     def cell_means(shape: PostGainBlur, theta: Array) -> Array:
-        modes = np.mean([one.power(shape, theta)[0] for one in around], axis=0)[place]
+        modes = np.mean([shifted.power(shape, theta)[0] for shifted in around], axis=0)[position]
         mean = np.bincount(cell, modes) / np.bincount(cell)
         # Where next to nothing of the pulses is left, how it is spread over the cell does not
         # matter.
@@ -512,7 +518,7 @@ def white_log_probability(peak: SpectrumOptimum) -> float:
     spectrum = problem.spectrum
     floor = problem.known.electronics(spectrum.column_cy_per_px) ** 2
     hidden = float(np.mean(spectrum.quantisation_noise_dn2))
-    above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2 - hidden, 0.0)
-    level = float(np.sum(problem.looks * above) / np.sum(problem.looks * floor))
+    excess_dn2 = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2 - hidden, 0.0)
+    level = float(np.sum(problem.looks * excess_dn2) / np.sum(problem.looks * floor))
     levels = level * np.exp(np.linspace(-0.3, 0.3, 121))
     return float(problem.log_likelihood(spectrum.dark_dn2 + hidden + levels[:, None] * floor).max())

@@ -45,9 +45,9 @@ def frequency_cells(rows: int, cols: int, row_pitch: float) -> Bins:
     cell = np.minimum(2 * along * across // cols, across - 1).astype(np.int64) * up
     cell = cell + np.minimum(2 * down * up // rows, up - 1).astype(np.int64)
     cell[(along <= ACCURACY.axis_modes) | (down <= ACCURACY.axis_modes) | (2 * along == cols)] = -1
-    kept, position, modes = np.unique(cell, return_inverse=True, return_counts=True)
+    cells, position, modes = np.unique(cell, return_inverse=True, return_counts=True)
     position = position.reshape(cell.shape)
-    full = (kept >= 0) & (modes >= ACCURACY.min_modes)
+    full = (cells >= 0) & (modes >= ACCURACY.min_modes)
     if full.sum() < 24:
         raise BadInput(
             f"images must have some 48 x 48 pixels an exposure for a noise spectrum, got {rows} x "
@@ -76,7 +76,7 @@ class SelectedFlats:
     left_out: tuple[str, ...]  # flats at other gains, saturated ones and single frames
     clipped: bool  # whether a chosen stack has values at 0 DN
     flicker: float  # largest relative standard deviation of the frame means of a flat
-    whole: bool  # whether all values are integers
+    digitised: bool  # whether all values are integers
 
 
 def select_flats(session: Session, context: Context) -> SelectedFlats:
@@ -96,18 +96,21 @@ def select_flats(session: Session, context: Context) -> SelectedFlats:
             for flat in longest_series(flats)
             if flat.high_fraction <= CLIPPED_SHARE
         )
-    used = [flat for flat, _, _ in pairs]
-    here = {flat.label for flat in used}
-    stacks = here | {dark.label for _, dark, _ in pairs if dark is not None}
+    flats_in_range = [flat for flat, _, _ in pairs]
+    labels = {flat.label for flat in flats_in_range}
+    stacks = labels | {dark.label for _, dark, _ in pairs if dark is not None}
     return SelectedFlats(
         pairs=pairs,
-        left_out=(*(flat.label for flat in flats if flat.label not in here), *single),
-        clipped=any(flat.low_fraction > CLIPPED_SHARE for flat in used),
+        left_out=(*(flat.label for flat in flats if flat.label not in labels), *single),
+        clipped=any(flat.low_fraction > CLIPPED_SHARE for flat in flats_in_range),
         flicker=max(
-            (float(np.std(flat.frame_mean_dn) / max(flat.mean_dn, 1e-9)) for flat in used),
+            (
+                float(np.std(flat.frame_mean_dn) / max(flat.mean_dn, 1e-9))
+                for flat in flats_in_range
+            ),
             default=0.0,
         ),
-        whole=all(
+        digitised=all(
             np.issubdtype(open_lazy_stack(session.stack(label)).dtype, np.integer)
             for label in stacks
         ),
@@ -191,20 +194,26 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
     weight = np.array([flat.runs * len(flat.time) for flat in flats]) * gain / np.array(mean) ** 2
     weight /= weight @ gain
     darks = dark_shares((dark for _, dark, _ in chosen.pairs), weight)
-    parts = [(float(own), flat) for own, flat in zip(weight, flats, strict=True)]
-    power = np.sum([own * _power(flat, lag) for own, flat in parts], axis=0)
+    parts = [(float(flat_weight), flat) for flat_weight, flat in zip(weight, flats, strict=True)]
+    power = np.sum([flat_weight * _power(flat, lag) for flat_weight, flat in parts], axis=0)
     dark_power = np.sum(
-        [np.zeros_like(power), *(share * _power(dark, lag) for dark, share in darks)], axis=0
+        [np.zeros_like(power), *(dark_weight * _power(dark, lag) for dark, dark_weight in darks)],
+        axis=0,
     )
     bins = flats[0].bins
 
     def looks(correlation: Array) -> Array:
-        every = [(own, flat, _independent(flat, correlation)) for own, flat in parts]
-        every += [(share, dark, _independent(dark, lag[:0])) for dark, share in darks]
-        square = sum((own * _power(one, lag)) ** 2 / number for own, one, number in every)
+        every = [
+            (flat_weight, flat, _independent(flat, correlation)) for flat_weight, flat in parts
+        ]
+        every += [(dark_weight, dark, _independent(dark, lag[:0])) for dark, dark_weight in darks]
+        square = sum(
+            (stack_weight * _power(stack, lag)) ** 2 / number
+            for stack_weight, stack, number in every
+        )
         return power**2 / square * (bins.modes * bins.efficiency)
 
-    ranges = [_quantisation_noise_dn2(dark, share) for dark, share in darks]
+    ranges = [_quantisation_noise_dn2(dark, dark_weight) for dark, dark_weight in darks]
     low, high = np.sum(ranges, axis=0) if ranges else 2 * (float(weight.sum()) * QUANTISATION_DN2,)
     return PooledSpectrum(
         bins=bins,
@@ -215,8 +224,10 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
         pitch_ratio=context.pitch_ratio,
         lag=lag,
         lag_open=still_open,
-        levels=tuple(_flat_spectrum(*pair, lag, whole=chosen.whole) for pair in chosen.pairs),
-        quantisation_noise_dn2=(float(low), float(high)) if chosen.whole else (0.0, 0.0),
+        levels=tuple(
+            _flat_spectrum(*pair, lag, digitised=chosen.digitised) for pair in chosen.pairs
+        ),
+        quantisation_noise_dn2=(float(low), float(high)) if chosen.digitised else (0.0, 0.0),
         frames=min(flat.frames for flat in flats),
     )
 
@@ -228,24 +239,26 @@ def _power(stack: StackStatistics, lag: Array) -> Array:
 
 def _independent(stack: StackStatistics, lag: Array) -> float:
     """Return the number of independent exposures for a correlation in time."""
-    own = same_row_lags(stack.many.lags, stack.parity) if len(lag) else np.zeros(1, np.int64)
-    return stack.runs * n_effective_samples(stack.time, stack.parity, own, lag, within_parity=True)
+    row_lags = same_row_lags(stack.many.lags, stack.parity) if len(lag) else np.zeros(1, np.int64)
+    return stack.runs * n_effective_samples(
+        stack.time, stack.parity, row_lags, lag, within_parity=True
+    )
 
 
-def _quantisation_noise_dn2(dark: StackStatistics, share: float) -> tuple[float, float]:
+def _quantisation_noise_dn2(dark: StackStatistics, dark_weight: float) -> tuple[float, float]:
     """Return the range of noise that rounding hides in a dark, times its share.
 
     A few pulses in the dark have most of the variance, but not of the pixels; the remaining noise
     is that at the frequencies beyond their blur.
     """
     power = dark.few.power_dn2[:, 0]
-    whole = float(np.average(power, weights=dark.bins.modes))
+    mean_dn2 = float(np.average(power, weights=dark.bins.modes))
     hidden = [
         noise + QUANTISATION_DN2 - variance
-        for variance in (whole, float(np.quantile(power, ACCURACY.white_quantile)))
+        for variance in (mean_dn2, float(np.quantile(power, ACCURACY.white_quantile)))
         for noise in variance_range_before_rounding(variance)
     ]
-    return share * min(hidden), share * max(hidden)
+    return dark_weight * min(hidden), dark_weight * max(hidden)
 
 
 def _lag(flats: list[StackStatistics]) -> tuple[Array, bool]:
@@ -257,9 +270,11 @@ def _lag(flats: list[StackStatistics]) -> tuple[Array, bool]:
         return np.empty(0), False
     value, square = np.zeros(count - 1), np.zeros(count - 1)
     low = [_low_frequency_weights(flat.bins) for flat in flats]
-    own = [weight @ flat.many.power_dn2[:, :count] for weight, flat in zip(low, flats, strict=True)]
-    total = sum(part[0] for part in own)
-    for flat, weight, part in zip(flats, low, own, strict=True):
+    low_powers = [
+        weight @ flat.many.power_dn2[:, :count] for weight, flat in zip(low, flats, strict=True)
+    ]
+    total = sum(part[0] for part in low_powers)
+    for flat, weight, part in zip(flats, low, low_powers, strict=True):
         modes = flat.bins.efficiency * float(flat.bins.modes[weight > 0].sum()) * flat.runs
         distance = np.abs(flat.time[:, None] - flat.time)
         pairs = np.array([np.sum(distance == lag) / 2.0 for lag in flat.many.lags[1:count]])
@@ -276,9 +291,9 @@ def _lag(flats: list[StackStatistics]) -> tuple[Array, bool]:
 
 def _low_frequency_weights(bins: Bins) -> Array:
     """Return the weights of the cells in which the correlation in time is measured."""
-    inside = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px) < ACCURACY.lag_band_cy_per_px
+    low_band = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px) < ACCURACY.lag_band_cy_per_px
     row = bins.row_cy_per_px * bins.row_pitch
-    weight = bins.modes * (inside & (row < max(ACCURACY.lag_row_band, 1.01 * row.min())))
+    weight = bins.modes * (low_band & (row < max(ACCURACY.lag_row_band, 1.01 * row.min())))
     return weight / max(weight.sum(), 1.0)
 
 
@@ -288,16 +303,19 @@ def _flat_spectrum(
     signal: float | None,
     lag: Array,
     *,
-    whole: bool,
+    digitised: bool,
 ) -> FlatSpectrum:
     """Return the spectrum of one flat above its dark."""
     modes = flat.bins.modes * flat.bins.efficiency
     power = _power(flat, lag)
     square = power**2 / (modes * _independent(flat, lag))
     if dark is not None:
-        below = _power(dark, lag)
-        power, square = power - below, square + below**2 / (modes * _independent(dark, lag[:0]))
-    hidden = _quantisation_noise_dn2(dark, 1.0) if dark is not None and whole else (0.0, 0.0)
+        dark_power = _power(dark, lag)
+        power, square = (
+            power - dark_power,
+            square + dark_power**2 / (modes * _independent(dark, lag[:0])),
+        )
+    hidden = _quantisation_noise_dn2(dark, 1.0) if dark is not None and digitised else (0.0, 0.0)
     return FlatSpectrum(
         label=flat.label,
         power_dn2=power,

@@ -45,9 +45,9 @@ class SpectrumDraws:
     def mixture_of(self, of: Callable[[SpectrumOptimum, Array], Array]) -> Array:
         """Return draws of a function of (peak, draws), each form giving its share of them."""
         counts = np.maximum(np.round(self.shares * DRAWS).astype(int), 1)
-        each = zip(self.peaks, self.posteriors, counts, strict=True)
+        models = zip(self.peaks, self.posteriors, counts, strict=True)
         return np.concatenate(
-            [of(peak, posterior.draws[:count]) for peak, posterior, count in each]
+            [of(peak, posterior.draws[:count]) for peak, posterior, count in models]
         )
 
     def transfer(self, spectrum: PooledSpectrum, frequency: Array, *, vertical: bool) -> Array:
@@ -79,13 +79,13 @@ def transfer_of(
     return core * described * problem.passed(draws, problem.known.bend(frequency))
 
 
-def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, Any]) -> Result:
+def quantities(spectrum: PooledSpectrum, drawn: SpectrumDraws, common: dict[str, Any]) -> Result:
     """Return everything measured of the transfer after the gain, with its curves."""
     measurements: list[Measurement] = []
     for _, vertical in DIRECTIONS:
-        along = {**own, "orientation_deg": 90.0 if vertical else 0.0}
-        half = crossing_frequency(FINE, found.transfer(spectrum, FINE, vertical=vertical), 0.5)
-        known, flags = half[np.isfinite(half)], set(own["flags"])
+        along = {**common, "orientation_deg": 90.0 if vertical else 0.0}
+        half = crossing_frequency(FINE, drawn.transfer(spectrum, FINE, vertical=vertical), 0.5)
+        known, flags = half[np.isfinite(half)], set(common["flags"])
         if len(known) < 0.975 * len(half):
             reason = "the transfer after the gain may not fall to one half at any frequency seen"
             fields = {
@@ -100,7 +100,7 @@ def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, An
                 flags.add("aliased")
             fields = {**along, "flags": tuple(flags)}
             measurements.append(measurement_from_draws("post_gain_mtf50", "cy/px", known, **fields))
-        pinned = found.transfer(spectrum, np.array(PINNED), vertical=vertical)
+        pinned = drawn.transfer(spectrum, np.array(PINNED), vertical=vertical)
         measurements += [
             measurement_from_draws(
                 "post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along
@@ -109,25 +109,25 @@ def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, An
         ]
     # White floor over all noise at frequency 0, without the dark's part.
     mean = float(np.mean(spectrum.power_dn2 - spectrum.dark_dn2))
-    white = found.mixture_of(
+    white = drawn.mixture_of(
         lambda peak, draws: draws[:, 1] * mean / (draws[:, 1] * mean + np.exp(draws[:, 0]))
     )
-    measurements.append(measurement_from_draws("white_noise_fraction", "1", white, **own))
-    return Result(measurements=tuple(measurements), curves=curves(spectrum, found))
+    measurements.append(measurement_from_draws("white_noise_fraction", "1", white, **common))
+    return Result(measurements=tuple(measurements), curves=curves(spectrum, drawn))
 
 
-def curves(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Curve]:
+def curves(spectrum: PooledSpectrum, drawn: SpectrumDraws) -> dict[str, Curve]:
     """Return the curves along rows and along columns."""
     frequency = np.maximum(REPORTED, 1e-6)
     return {
-        name: curve_of(REPORTED, found.transfer(spectrum, frequency, vertical=vertical))
+        name: curve_of(REPORTED, drawn.transfer(spectrum, frequency, vertical=vertical))
         for name, vertical in DIRECTIONS
     }
 
 
-def figure_data(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Any]:
+def figure_data(spectrum: PooledSpectrum, drawn: SpectrumDraws) -> dict[str, Any]:
     """Return measured power and model over the band, for a report."""
-    peak = found.peaks[0]
+    peak = drawn.peaks[0]
     white, pulses = peak.problem.parts(peak.point[None])
     return {
         "figure": "post-gain-noise",
@@ -140,7 +140,7 @@ def figure_data(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Any
         "looks": peak.problem.looks.tolist(),
         "lag_correlation": spectrum.lag.tolist(),
         "forms": {
-            p.problem.shape.name: float(s) for p, s in zip(found.peaks, found.shares, strict=True)
+            p.problem.shape.name: float(s) for p, s in zip(drawn.peaks, drawn.shares, strict=True)
         },
     }
 
@@ -155,7 +155,7 @@ class UndetectedComponent:
     """A form of the transfer of which a share of the light is scattered over a length, px."""
 
     shape: PostGainBlur
-    share: float
+    fraction: float
     length_px: float
 
     @property
@@ -166,7 +166,7 @@ class UndetectedComponent:
     def modulus(self, theta: Array, frequency: Array) -> Array:
         """Return the transfer, shape (n, parameter) and (f,) or (n, f) -> (n, f)."""
         veil = glare(frequency, np.array(self.length_px))
-        return self.shape.modulus(theta, frequency) * (1.0 - self.share + self.share * veil)
+        return self.shape.modulus(theta, frequency) * (1.0 - self.fraction + self.fraction * veil)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,18 +174,18 @@ class UndetectedScatter:
     """Largest amount of scattered light that may stay undetected."""
 
     length_px: float  # how far it is scattered, px
-    share: float  # largest share of all light
+    fraction: float  # largest share of all light
     lower_percent: float  # by how much MTF50 along rows would be lower if it were counted, percent
 
 
 def note(peak: SpectrumOptimum) -> str:
     """Return the sentence that says what would go unseen."""
-    near, far = scatter_limits(peak)
+    narrow, broad = scatter_limits(peak)
     return (
-        f"normalised to light that is not scattered far: {100 * near.share:.2g} % of it scattered "
-        f"after the gain over {near.length_px:.2g} px, or {100 * far.share:.2g} % over "
-        f"{far.length_px:.2g} px, would not show for sure; counted, MTF50 would be "
-        f"{near.lower_percent:.2g} % or {far.lower_percent:.2g} % lower"
+        f"normalised to light that is not scattered far: {100 * narrow.fraction:.2g} % of it "
+        f"scattered after the gain over {narrow.length_px:.2g} px, or {100 * broad.fraction:.2g} % "
+        f"over {broad.length_px:.2g} px, would not show for sure; counted, MTF50 would be "
+        f"{narrow.lower_percent:.2g} % or {broad.lower_percent:.2g} % lower"
     )
 
 
@@ -211,16 +211,16 @@ def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, Undetected
     normal = (of_power * looks) @ of_power.T + np.diag(12.0 / (high - low) ** 2)
 
     def limit_at(length_px: float) -> UndetectedScatter:
-        shape: Any = UndetectedComponent(shape=problem.shape, share=step, length_px=length_px)
-        there = replace(peak, problem=replace(problem, shape=shape))
-        away = (there.problem.model(at)[0] / power - 1.0) / step
-        pull = of_power @ (looks * away)
+        shape: Any = UndetectedComponent(shape=problem.shape, fraction=step, length_px=length_px)
+        scattered = replace(peak, problem=replace(problem, shape=shape))
+        relative_change = (scattered.problem.model(at)[0] / power - 1.0) / step
+        pull = of_power @ (looks * relative_change)
         absorbed = np.linalg.solve(normal, pull)
-        information = max(float(looks @ away**2 - pull @ absorbed), 1e-9)
-        share = min(float(np.sqrt(2.0 * SURE / information)), SCATTER_FRACTION[1])
-        lower = float((((half - _mtf50(there, at)) / step + of_half @ absorbed) / half)[0])
+        information = max(float(looks @ relative_change**2 - pull @ absorbed), 1e-9)
+        fraction = min(float(np.sqrt(2.0 * SURE / information)), SCATTER_FRACTION[1])
+        lower = float((((half - _mtf50(scattered, at)) / step + of_half @ absorbed) / half)[0])
         return UndetectedScatter(
-            length_px=length_px, share=share, lower_percent=max(100.0 * share * lower, 0.0)
+            length_px=length_px, fraction=fraction, lower_percent=max(100.0 * fraction * lower, 0.0)
         )
 
     longest = max(SCATTER_SHARE * problem.spectrum.shorter_px, 2.0 * SCATTER_PX)

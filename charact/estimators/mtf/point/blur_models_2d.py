@@ -112,13 +112,13 @@ class BlurModel2D:
                     ("1", PRIORS.tail),
                 )
             core["blur_px"] = ("px", PRIORS.blur_px)
-        wide = self.wide.parameters if self.wide else {}
+        extended = self.wide.parameters if self.wide else {}
         stretch = {} if self.round else {"stretch": ("1", PRIORS.stretch)}
-        out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **wide}
+        out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **extended}
         if self.departures:
-            most = 4.0 * self.departures
+            bound = 4.0 * self.departures
             out.update(
-                {f"departure_{number}": ("1", (-most, most)) for number in range(len(BUMPS))}
+                {f"departure_{number}": ("1", (-bound, bound)) for number in range(len(BUMPS))}
             )
         out.update(
             {name: ("1", (-6.0 * sd, 6.0 * sd)) for name, _, sd in self.known if name == BANDWIDTH}
@@ -139,11 +139,11 @@ class BlurModel2D:
         """
         names = list(self.parameters)
         mean, precision = np.zeros((2, len(names)))
-        for name, own, inverse in zip(
+        for name, value, inverse in zip(
             self.family.parameters, *self.family.prior_precision, strict=True
         ):
             if name in names:
-                mean[names.index(name)], precision[names.index(name)] = own, inverse
+                mean[names.index(name)], precision[names.index(name)] = value, inverse
         if self.lens and "exponent" in names:
             mean[1], precision[1] = PRIORS.tail_prior[0], PRIORS.tail_prior[1] ** -2
         known = {"stretch": PRIORS.stretch_sd, "defocus_square": PRIORS.defocus_square_sd}
@@ -153,15 +153,17 @@ class BlurModel2D:
                 precision[index] = known[name] ** -2
         if self.wide is not None:
             precision[self.blur_parameters] = PRIORS.wide_share_sd**-2
-        for name, own, sd in self.known:
-            mean[names.index(name)], precision[names.index(name)] = own, sd**-2
+        for name, value, sd in self.known:
+            mean[names.index(name)], precision[names.index(name)] = value, sd**-2
         return mean, precision
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds, shape (n, parameter) -> (n,)."""
         bounds, (mean, precision) = self.bounds, self.prior
-        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
-        return np.where(inside, self.log_volume() - 0.5 * (theta - mean) ** 2 @ precision, -np.inf)
+        in_bounds = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        return np.where(
+            in_bounds, self.log_volume() - 0.5 * (theta - mean) ** 2 @ precision, -np.inf
+        )
 
     def log_volume(self) -> float:
         """Return ln prior density at the mean of its Gaussian part."""
@@ -204,32 +206,34 @@ class BlurModel2D:
         if self.lens:
             lens = lens * np.exp(-2.0 * (np.pi * p["blur_px"][:, None] * frequency) ** 2)[:, None]
         if self.departures:
-            own = np.stack([p[f"departure_{number}"] for number in range(len(BUMPS))], axis=1)
+            amplitudes = np.stack(
+                [p[f"departure_{number}"] for number in range(len(BUMPS))], axis=1
+            )
             off = np.log(np.maximum(frequency, 1e-12)) - theta[:, :1]
             bumps = np.exp(-0.5 * ((off[:, None] - np.array(BUMPS)[:, None]) / BUMP_WIDTH) ** 2)
-            lens = lens * (1.0 + np.einsum("nk,nkf->nf", own, bumps))[:, None]
+            lens = lens * (1.0 + np.einsum("nk,nkf->nf", amplitudes, bumps))[:, None]
         if self.wide is None:
             return lens
         first, *shape = (p[name] for name in self.wide.parameters)
-        beyond = self.wide.transfer(frequency, np.stack(shape, axis=1))
-        return lens * (1.0 - first[:, None] + first[:, None] * beyond)[:, None]
+        extended = self.wide.transfer(frequency, np.stack(shape, axis=1))
+        return lens * (1.0 - first[:, None] + first[:, None] * extended)[:, None]
 
     def _core(self, theta: Array, stretch: Array | None, frequency: Array, cosine: Array) -> Array:
         """Return the core along each direction: that of a direction-dependent half frequency."""
         shape = theta[:, : self.core_parameters]
         if stretch is None:
-            one = self._modulus(shape, frequency)[:, None]
-            return np.broadcast_to(one, (len(theta), cosine.size, frequency.size))
+            modulus = self._modulus(shape, frequency)[:, None]
+            return np.broadcast_to(modulus, (len(theta), cosine.size, frequency.size))
         along, across = 0.5 * (1.0 + cosine), 0.5 * (1.0 - cosine)
         wider = np.exp(stretch[:, None])
         if not self.separable:
             return self._core_by_direction(
                 shape, 0.5 * np.log(along / wider + across * wider), frequency
             )
-        little = 1e-16
-        horizontal = self._core_by_direction(shape, 0.5 * np.log(along / wider + little), frequency)
+        tiny = 1e-16
+        horizontal = self._core_by_direction(shape, 0.5 * np.log(along / wider + tiny), frequency)
         return horizontal * self._core_by_direction(
-            shape, 0.5 * np.log(across * wider + little), frequency
+            shape, 0.5 * np.log(across * wider + tiny), frequency
         )
 
     def _core_by_direction(self, shape: Array, ln_narrower: Array, frequency: Array) -> Array:

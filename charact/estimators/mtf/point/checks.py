@@ -68,7 +68,9 @@ def motion_findings(names: tuple[str, ...]) -> list[Finding]:
     return [finding(name, effects[name]) for name in names]
 
 
-def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Measurement, ...]:
+def flag_undersampled(
+    measurements: Iterable[Measurement], window: Window
+) -> tuple[Measurement, ...]:
     """Flag measurements of a spot as `aliased` where MTF50 may be too close to the sampling limit.
 
     Notes
@@ -76,13 +78,14 @@ def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Mea
     The position of the spot is fitted to first order. A spot of 0.15 px illuminates one pixel
     wherever it lies in it: MTF50 is 10 to 15 % low, and 30 % at the corner of four pixels.
     """
-    numbers = tuple(found)
+    numbers = tuple(measurements)
     step_px = {0.0: float(window.x[1] - window.x[0]), 90.0: float(window.y[1] - window.y[0])}
     sharp = any(
-        one.quantity == "mtf50"
-        and one.interval95 is not None
-        and one.interval95[1] * step_px[one.orientation_deg or 0.0] > LIMITS.max_mtf50
-        for one in numbers
+        measurement.quantity == "mtf50"
+        and measurement.interval95 is not None
+        and measurement.interval95[1] * step_px[measurement.orientation_deg or 0.0]
+        > LIMITS.max_mtf50
+        for measurement in numbers
     )
     if not sharp:
         return numbers
@@ -90,7 +93,9 @@ def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Mea
         f"MTF50 may lie above {LIMITS.max_mtf50:g} cycles per sample, where it is measured "
         f"10 to 30 % low"
     )
-    return tuple(one.with_(findings=[finding("aliased", effect)]) for one in numbers)
+    return tuple(
+        measurement.with_(findings=[finding("aliased", effect)]) for measurement in numbers
+    )
 
 
 def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> tuple[str, ...]:
@@ -104,16 +109,16 @@ def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -
     if len(frames) < 4:
         return ()
     moves = _drifts(frames, x, y) or _shakes(frames, x, y)
-    found = (("interlace-motion", _has_field_offset(frames, x, y, parity)), ("drift", moves))
-    return tuple(name for name, seen in found if seen)
+    checks = (("interlace-motion", _has_field_offset(frames, x, y, parity)), ("drift", moves))
+    return tuple(name for name, is_raised in checks if is_raised)
 
 
 def _has_field_offset(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> bool:
     """Return whether odd and even rows show the source in different columns."""
-    near = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) * frames
+    weighted = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) * frames
     centre, error = [], []
     for rows in (parity, ~parity):
-        light, moment = near[:, rows].sum(axis=(1, 2)), (near * x)[:, rows].sum(axis=(1, 2))
+        light, moment = weighted[:, rows].sum(axis=(1, 2)), (weighted * x)[:, rows].sum(axis=(1, 2))
         if light.mean() < LIMITS.motion_sd * light.std(ddof=1) / np.sqrt(len(light)):
             return False
         # The ratio of sums over frames: that of a single faint frame is unreliable.
@@ -131,8 +136,8 @@ def _drifts(frames: Array, x: Array, y: Array) -> bool:
     time = np.linspace(-0.5, 0.5, len(frames))
     for position, _ in _places(frames, x, y):
         travel = float(time @ position / (time @ time))
-        left = position - position.mean() - travel * time
-        error = float(np.sqrt(left @ left / (len(frames) - 2) / (time @ time)))
+        residual = position - position.mean() - travel * time
+        error = float(np.sqrt(residual @ residual / (len(frames) - 2) / (time @ time)))
         if abs(travel) > max(LIMITS.motion_sd * error, LIMITS.max_drift_px):
             return True
     return False
@@ -151,15 +156,15 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
     from scipy.special import fdtrc
 
     mean = frames.mean(axis=0)
-    near = np.hypot(x[None, :], y[:, None]) < 10.0
-    light, freedom = frames[:, near].sum(axis=1), len(frames) - 1
+    spot_area = np.hypot(x[None, :], y[:, None]) < 10.0
+    light, freedom = frames[:, spot_area].sum(axis=1), len(frames) - 1
     if not light.mean() > 0:
         return False
     per_light = light.var(ddof=1) / light.mean()
     # The median of chi squared of one degree of freedom is 0.455.
     dark = (
-        0.5 * float(np.median(np.diff(frames[:, ~near], axis=0) ** 2)) / 0.455
-        if not near.all()
+        0.5 * float(np.median(np.diff(frames[:, ~spot_area], axis=0) ** 2)) / 0.455
+        if not spot_area.all()
         else 0.0
     )
     area = (
@@ -184,24 +189,24 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
 def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
     """Return displacements of each frame along rows and columns, and the slopes used."""
     mean = frames.mean(axis=0)
-    used = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) & (
+    mask = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) & (
         mean > 0.1 * mean.max()
     )
-    found = []
+    displacements = []
     for slope in (np.gradient(mean, x, axis=1), np.gradient(mean, y, axis=0)):
-        rise = np.where(used, slope, 0.0)
+        rise = np.where(mask, slope, 0.0)
         position = -np.sum((frames - mean) * rise, axis=(1, 2)) / max(
             float(np.sum(rise**2)), 1e-300
         )
-        found.append((position, rise))
-    return found
+        displacements.append((position, rise))
+    return displacements
 
 
 def source_findings(
-    sites: list[SourcePixels], fitter: PointFitter, found: list[EvidenceWeightedModels2D]
+    sites: list[SourcePixels], fitter: PointFitter, models: list[EvidenceWeightedModels2D]
 ) -> list[Finding]:
     """Return the findings of fitted sources."""
-    fit, out = found[0].fit, []
+    fit, out = models[0].fit, []
     if any(site.window.clipped for site in sites):
         out.append(
             finding(
@@ -273,9 +278,9 @@ def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
         abs(b / a - 1.0)
         for a, b in zip(_half_frequencies(fit), _half_frequencies(free), strict=True)
     ]
-    left = np.sqrt(fit.chi2 / fit.free)
+    residual_ratio = np.sqrt(fit.chi2 / fit.free)
     return (
-        f"residuals are {left:.2g} times the noise; model departures change MTF50 by "
+        f"residuals are {residual_ratio:.2g} times the noise; model departures change MTF50 by "
         f"{100 * max(moves):.2g} %"
     )
 
@@ -284,7 +289,10 @@ def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:
     """Return the standard uncertainty of each light for a fixed model, DN px^2."""
     nodes = fit.form.nodes(fit.point[None])
     return np.array(
-        [np.sum((one.matrix[:, : nodes.size] @ nodes[0]) ** 2) ** -0.5 for one in fitter.pixels]
+        [
+            np.sum((whitened.matrix[:, : nodes.size] @ nodes[0]) ** 2) ** -0.5
+            for whitened in fitter.pixels
+        ]
     )
 
 
@@ -301,28 +309,30 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
     bumps = np.exp(-0.5 * ((ratio - np.array(BUMPS)[:, None]) / BUMP_WIDTH) ** 2)
     described = nodes[0, : COSINES.size * FREQUENCIES.size]
     bumped = (described.reshape(1, -1, FREQUENCIES.size) * bumps[:, None]).reshape(len(bumps), -1)
-    own, more, residual = [], [], []
-    for site, one, light in zip(sites, fitter.pixels, fit.light, strict=True):
-        matrix = one.matrix[:, : nodes.shape[1]]
+    unit_columns, more, residual = [], [], []
+    for site, whitened, light in zip(sites, fitter.pixels, fit.light, strict=True):
+        matrix = whitened.matrix[:, : nodes.shape[1]]
         unit, departed = matrix @ nodes[0], matrix[:, : described.size] @ bumped.T
-        own.append(
+        unit_columns.append(
             np.concatenate(
                 [unit[:, None], light * (matrix @ (nodes[1:] - nodes[0]).T) / moves], axis=1
             )
         )
         more.append(
-            light * np.concatenate([departed, _asymmetry_columns(site, one, described)], axis=1)
+            light
+            * np.concatenate([departed, _asymmetry_columns(site, whitened, described)], axis=1)
         )
-        residual.append(one.data - light * unit)
+        residual.append(whitened.data - light * unit)
     gain = _chi2_explained(
-        np.concatenate([_blocks(own), np.concatenate(more)], axis=1), np.concatenate(residual)
+        np.concatenate([_blocks(unit_columns), np.concatenate(more)], axis=1),
+        np.concatenate(residual),
     )
-    gain -= _chi2_explained(_blocks(own), np.concatenate(residual))
+    gain -= _chi2_explained(_blocks(unit_columns), np.concatenate(residual))
     count = more[0].shape[1]
     return bool(gain > count + LIMITS.max_departure_sd * np.sqrt(2.0 * count))
 
 
-def _asymmetry_columns(site: SourcePixels, one: WhitenedPixels, nodes: Array) -> Array:
+def _asymmetry_columns(site: SourcePixels, whitened: WhitenedPixels, nodes: Array) -> Array:
     """Return the effect of rotation and asymmetry on the whitened pixels at unit light, shape
     (value, 3).
     """
@@ -332,17 +342,17 @@ def _asymmetry_columns(site: SourcePixels, one: WhitenedPixels, nodes: Array) ->
     tilted = pictures(site.aperture, transfer, *site.axes)[3]
     columns = np.stack([tilted, sharp[1], sharp[2]], axis=1)
     columns = np.concatenate([columns, np.zeros((site.window.ring_dn.size, 3))])
-    return one.whiten(columns[site.value_mask])
+    return whitened.whiten(columns[site.value_mask])
 
 
-def _blocks(own: list[Array]) -> Array:
+def _blocks(columns: list[Array]) -> Array:
     """Return design columns of all sources: separate lights, common model parameters."""
-    lights = np.zeros((sum(len(part) for part in own), len(own)))
+    lights = np.zeros((sum(len(part) for part in columns), len(columns)))
     first = 0
-    for index, part in enumerate(own):
+    for index, part in enumerate(columns):
         lights[first : first + len(part), index] = part[:, 0]
         first += len(part)
-    return np.concatenate([lights, np.concatenate([part[:, 1:] for part in own])], axis=1)
+    return np.concatenate([lights, np.concatenate([part[:, 1:] for part in columns])], axis=1)
 
 
 def _chi2_explained(columns: Array, residual: Array) -> float:
@@ -357,7 +367,7 @@ def _chi2_explained(columns: Array, residual: Array) -> float:
 def camera_nonlinearity(sites: list[SourcePixels], fit: BlurModelFit2D) -> SpotNonlinearity:
     """Return the nonlinearity from the frames' noise of sources."""
     transfer = fit.form.transfer(fit.point[None])[0]
-    found = []
+    profiles = []
     for site, light in zip(sites, fit.light, strict=True):
         if site.window.frames < 2 or site.pulses is None or not site.window.sound:
             continue
@@ -368,11 +378,14 @@ def camera_nonlinearity(sites: list[SourcePixels], fit: BlurModelFit2D) -> SpotN
         )
         # Larger noise than that makes quantisation add its own only.
         plain = (np.diag(pulses + dark) > LIMITS.min_variance_dn2) | np.isinf(site.window.quiet_sd)
-        near = site.near[plain[site.near]]
-        both = np.ix_(near, near)
-        found.append(
+        near_pixels = site.near[plain[site.near]]
+        near_pairs = np.ix_(near_pixels, near_pixels)
+        profiles.append(
             power_log_likelihoods(
-                site.window.contrasts[:, near], mean[near], pulses[both], dark[both]
+                site.window.contrasts[:, near_pixels],
+                mean[near_pixels],
+                pulses[near_pairs],
+                dark[near_pairs],
             )
         )
-    return fit_nonlinearity(found)
+    return fit_nonlinearity(profiles)

@@ -96,7 +96,9 @@ def tube_of_description(
     video = VideoFilter.of(sensor)
     if video is not None and video.ln_bandwidth_sd > 0.0:
         known.append((BANDWIDTH, 0.0, video.ln_bandwidth_sd))
-    wide = HaloComponent(size_px=halo_diameters_px(context, transposed=False)) if halo else None
+    halo_component = (
+        HaloComponent(size_px=halo_diameters_px(context, transposed=False)) if halo else None
+    )
     return BlurModel2D(
-        core="exponential", lens=True, wide=wide, pinhole_px=pinhole, known=tuple(known)
+        core="exponential", lens=True, wide=halo_component, pinhole_px=pinhole, known=tuple(known)
     )

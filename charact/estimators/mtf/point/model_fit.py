@@ -24,7 +24,7 @@ class Censored:
     sd: Array  # Standard deviation of one frame, shape (pixel,), DN
     # cut, left: number of frames in which the pixel is clipped, and is not, shape (pixel,)
     cut: Array
-    left: Array
+    n_unclipped: Array
     mean: Array  # Mean of the latter above the background, shape (pixel,), DN
 
     def terms(self, height: Array) -> tuple[Array, Array, Array]:
@@ -43,9 +43,13 @@ class Censored:
         mills = np.sqrt(2.0 / np.pi) / erfcx(-z / np.sqrt(2.0))
         bend = np.where(z < -1e4, 1.0, mills * (mills + z))
         off = (self.mean - height) / self.sd
-        slope = (self.cut * mills + self.left * off) / self.sd
-        curvature = (self.cut * bend + self.left) / self.sd**2
-        return slope, curvature, np.sum(self.cut * log_tail - 0.5 * self.left * off**2, axis=-1)
+        slope = (self.cut * mills + self.n_unclipped * off) / self.sd
+        curvature = (self.cut * bend + self.n_unclipped) / self.sd**2
+        return (
+            slope,
+            curvature,
+            np.sum(self.cut * log_tail - 0.5 * self.n_unclipped * off**2, axis=-1),
+        )
 
     def lights(
         self, overlap: Array, curvature: Array, hidden: Array, start: Array
@@ -134,29 +138,29 @@ class PointFitter:
     def fit(self, form: BlurModel2D, start: Array, *, iterations: int = 40) -> BlurModelFit2D:
         """Fit a model from starting values."""
         bounds = form.bounds
-        point, here = least_squares(
+        point, optimum = least_squares(
             lambda theta: self._linearise(form, theta),
             start,
             bounds,
             iterations=iterations,
             relative_tolerance=1e-8,
         )
-        sources: list[_Source] = here.model
-        covariance = covariance_at(here.normal, bounds)
+        sources: list[_Source] = optimum.model
+        covariance = covariance_at(optimum.normal, bounds)
         height = (
-            -0.5 * here.cost
+            -0.5 * optimum.cost
             + form.log_volume()
-            - 0.5 * sum(float(np.log(one.curvature)) for one in sources)
+            - 0.5 * sum(float(np.log(source.curvature)) for source in sources)
         )
         return BlurModelFit2D(
             form=form,
             point=point,
             covariance=covariance,
-            light=np.array([one.light for one in sources]),
-            log_evidence=ln_evidence(height, covariance, point, bounds, here.gradient),
-            cost=here.cost,
-            chi2=sum(one.chi2 for one in sources),
-            free=max(sum(one.free for one in self.pixels) - point.size - len(self.pixels), 1),
+            light=np.array([source.light for source in sources]),
+            log_evidence=ln_evidence(height, covariance, point, bounds, optimum.gradient),
+            cost=optimum.cost,
+            chi2=sum(source.chi2 for source in sources),
+            free=max(sum(source.free for source in self.pixels) - point.size - len(self.pixels), 1),
         )
 
     def _linearise(self, form: BlurModel2D, point: Array) -> Linearisation:
@@ -165,42 +169,50 @@ class PointFitter:
         # Differences point inwards, to stay within the bounds.
         moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * 1e-5 * np.ptp(bounds, axis=1)
         nodes = form.nodes(np.concatenate([point[None], point + np.diag(moves)]))
-        sources = [_source(one, nodes, moves) for one in self.pixels]
+        sources = [_source(source, nodes, moves) for source in self.pixels]
         mean, precision = form.prior
         off = point - mean
         gradient, normal = -off * precision, np.diag(precision)
-        for one in sources:
-            design = one.light * (
-                one.slopes - np.outer(one.unit, one.unit @ one.slopes) / one.curvature
+        for source in sources:
+            design = source.light * (
+                source.slopes
+                - np.outer(source.unit, source.unit @ source.slopes) / source.curvature
             )
-            gradient = gradient + design.T @ one.residual
+            gradient = gradient + design.T @ source.residual
             normal = normal + design.T @ design
         return Linearisation(
-            float(off**2 @ precision) + sum(one.cost for one in sources), gradient, normal, sources
+            float(off**2 @ precision) + sum(source.cost for source in sources),
+            gradient,
+            normal,
+            sources,
         )
 
     def log_probability(self, form: BlurModel2D, theta: Array) -> Array:
         """Return ln posterior with lights, positions and backgrounds marginalised, shape (n,)."""
         value = form.log_prior(theta)
-        inside = np.isfinite(value)
-        if inside.any():
-            nodes = form.nodes(theta[inside])
-            value[inside] += sum(_log_likelihood(one, nodes) for one in self.pixels)
+        in_bounds = np.isfinite(value)
+        if in_bounds.any():
+            nodes = form.nodes(theta[in_bounds])
+            value[in_bounds] += sum(
+                _log_likelihood(source_pixels, nodes) for source_pixels in self.pixels
+            )
         return value
 
 
-def _log_likelihood(one: WhitenedPixels, nodes: Array) -> Array:
+def _log_likelihood(pixels: WhitenedPixels, nodes: Array) -> Array:
     """Return ln likelihood of one source for transfers (n, node), its light marginalised, shape
     (n,).
     """
-    unit = nodes @ one.matrix[:, : nodes.shape[1]].T
-    overlap, curvature = unit @ one.data, np.maximum(np.einsum("nv,nv->n", unit, unit), 1e-300)
-    if one.censored is None:
+    unit = nodes @ pixels.matrix[:, : nodes.shape[1]].T
+    overlap, curvature = unit @ pixels.data, np.maximum(np.einsum("nv,nv->n", unit, unit), 1e-300)
+    if pixels.censored is None:
         return 0.5 * overlap**2 / curvature - 0.5 * np.log(curvature)
-    hidden = nodes @ one.censored.matrix[:, : nodes.shape[1]].T
-    light, bend = one.censored.lights(overlap, curvature, hidden, overlap / curvature)
+    hidden = nodes @ pixels.censored.matrix[:, : nodes.shape[1]].T
+    light, bend = pixels.censored.lights(overlap, curvature, hidden, overlap / curvature)
     # The light is marginalised by Laplace's approximation.
-    value = one.censored.terms(light[:, None] * hidden)[2] - 0.5 * np.log(np.maximum(bend, 1e-300))
+    value = pixels.censored.terms(light[:, None] * hidden)[2] - 0.5 * np.log(
+        np.maximum(bend, 1e-300)
+    )
     return overlap * light - 0.5 * curvature * light**2 + value
 
 

@@ -45,7 +45,7 @@ class EvidenceWeightedModels2D(NamedTuple):
     """A fitted blur model with its weight by evidence."""
 
     fit: BlurModelFit2D
-    share: float
+    weight: float
 
 
 def candidate_cores(pinhole: float | tuple[float, float], *, described: bool) -> list[BlurModel2D]:
@@ -57,15 +57,17 @@ def candidate_cores(pinhole: float | tuple[float, float], *, described: bool) ->
 
 
 def fit_sources(
-    sites: list[SourcePixels], cores: list[BlurModel2D], wide: tuple[ExtendedComponent, ...] | None
+    sites: list[SourcePixels],
+    cores: list[BlurModel2D],
+    components: tuple[ExtendedComponent, ...] | None,
 ) -> tuple[list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]]:
     """Fit sources of one camera: positions, noise and blur models in turn; the most probable model
     comes first.
 
     There are no models where none has a finite evidence.
 
-    `wide` are the extended components to be tried with refined cores; None: the cores are the only
-    models.
+    `components` are the extended components to be tried with refined cores; None: the cores are the
+    only models.
     """
     begun = [position_source(site) for site in sites]
     sites = [site for site, _ in begun]
@@ -78,12 +80,12 @@ def fit_sources(
         starts = {fit.form: fit.point for fit in fits}
         best = max(fits, key=lambda fit: _likelihood(sites, fit))
         sites, fitter = _update_sources(sites, best, lower)
-    found = fit_models(fitter, starts, wide)
-    if found and found[0].fit.form != best.form:
+    models = fit_models(fitter, starts, components)
+    if models and models[0].fit.form != best.form:
         # Positions and noise were those of a simpler model.
-        sites, fitter = _update_sources(sites, found[0].fit)
-        found = fit_models(fitter, starts, wide)
-    return sites, fitter, found
+        sites, fitter = _update_sources(sites, models[0].fit)
+        models = fit_models(fitter, starts, components)
+    return sites, fitter, models
 
 
 def _likelihood(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
@@ -96,15 +98,15 @@ def _likelihood(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
 
 def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurModelFit2D:
     """Fit a model; one with defocus from near focus and from far off."""
-    near = fitter.fit(form, start)
+    near_focus = fitter.fit(form, start)
     if "defocus_square" not in form.parameters:
-        return near
-    far = start.copy()
-    far[0], far[list(form.parameters).index("defocus_square")] = (
+        return near_focus
+    defocused = start.copy()
+    defocused[0], defocused[list(form.parameters).index("defocus_square")] = (
         start[0] + np.log(ACCURACY.defocus_start[0]),
         ACCURACY.defocus_start[1],
     )
-    return min(near, fitter.fit(form, far), key=lambda one: one.cost)
+    return min(near_focus, fitter.fit(form, defocused), key=lambda fit: fit.cost)
 
 
 def _update_sources(
@@ -126,7 +128,10 @@ def _fitter_for(
     if light is None:
         light = np.array([_light_of_core(site) for site in sites])
     return PointFitter(
-        [whiten_source(site, transfer, float(one)) for site, one in zip(sites, light, strict=True)]
+        [
+            whiten_source(site, transfer, float(source_light))
+            for site, source_light in zip(sites, light, strict=True)
+        ]
     )
 
 
@@ -143,54 +148,57 @@ def start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
     start = form.start(float(fit.point[0]))
     known = dict(zip(fit.form.parameters, fit.point, strict=True))
     return np.array(
-        [known.get(name, own) for name, own in zip(form.parameters, start, strict=True)]
+        [known.get(name, default) for name, default in zip(form.parameters, start, strict=True)]
     )
 
 
 def fit_models(
     fitter: PointFitter,
     starts: dict[BlurModel2D, Array],
-    wide: tuple[ExtendedComponent, ...] | None,
+    components: tuple[ExtendedComponent, ...] | None,
 ) -> list[EvidenceWeightedModels2D]:
     """Fit candidate blur models and return them with their weights, the most probable first."""
-    found = [fitter.fit(form, start) for form, start in starts.items()]
-    if wide is None:
-        return _rank_by_evidence(found)
-    found += [
-        fitter.fit(form, start_from(one, form))
-        for one in _cores_within(found, ACCURACY.candidate_ln_evidence)
-        if one.form.round and (form := replace(one.form, round=False))
+    fits = [fitter.fit(form, start) for form, start in starts.items()]
+    if components is None:
+        return _rank_by_evidence(fits)
+    fits += [
+        fitter.fit(form, start_from(candidate, form))
+        for candidate in _cores_within(fits, ACCURACY.candidate_ln_evidence)
+        if candidate.form.round and (form := replace(candidate.form, round=False))
     ]
-    tubes = [one for one in found if one.form.core == "exponential"]
-    likeliest = max(tubes, key=lambda one: one.log_evidence)
-    if likeliest in _cores_within(found, ACCURACY.candidate_ln_evidence):
-        found.append(_fit_two_blurs(fitter, likeliest))
+    tubes = [candidate for candidate in fits if candidate.form.core == "exponential"]
+    likeliest = max(tubes, key=lambda candidate: candidate.log_evidence)
+    if likeliest in _cores_within(fits, ACCURACY.candidate_ln_evidence):
+        fits.append(_fit_two_blurs(fitter, likeliest))
         if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(
             likeliest.covariance[1, 1]
         ):
-            found.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
-    near = _cores_within(found, 3.0)
-    for light in wide:
-        for core in _cores_within(found, ACCURACY.candidate_ln_evidence)[:4]:
-            always = core in near or isinstance(light, HaloComponent)
+            fits.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
+    likely_cores = _cores_within(fits, 3.0)
+    for light in components:
+        for core in _cores_within(fits, ACCURACY.candidate_ln_evidence)[:4]:
+            always = core in likely_cores or isinstance(light, HaloComponent)
             more = _fit_extended(fitter, core, light, -np.inf if always else 4.0)
-            found += [] if more is None else [more]
-    if any(isinstance(light, HaloComponent) for light in wide):
+            fits += [] if more is None else [more]
+    if any(isinstance(light, HaloComponent) for light in components):
         # A described intensifier has a halo.
-        found = [one for one in found if one.form.wide is not None] or found
-    best = max(found, key=_weight)
-    found += [
+        fits = [candidate for candidate in fits if candidate.form.wide is not None] or fits
+    best = max(fits, key=_weight)
+    fits += [
         fitter.fit(form, start_from(best, form))
         for size in DEPARTURES
         if (form := replace(best.form, departures=size))
     ]
-    return _rank_by_evidence(found)
+    return _rank_by_evidence(fits)
 
 
-def _cores_within(found: list[BlurModelFit2D], distance: float) -> list[BlurModelFit2D]:
+def _cores_within(fits: list[BlurModelFit2D], distance: float) -> list[BlurModelFit2D]:
     """Return the cores whose ln evidence is within a distance of the best, best first."""
-    cores = sorted((one for one in found if one.form.wide is None), key=lambda one: -_weight(one))
-    return [one for one in cores if _weight(one) > _weight(cores[0]) - distance]
+    cores = sorted(
+        (candidate for candidate in fits if candidate.form.wide is None),
+        key=lambda candidate: -_weight(candidate),
+    )
+    return [candidate for candidate in cores if _weight(candidate) > _weight(cores[0]) - distance]
 
 
 def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
@@ -202,7 +210,7 @@ def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
         start[0] += np.log(1.3)
         start[list(form.parameters).index("blur_px")] = blur
         begun.append(fitter.fit(form, start))
-    return min(begun, key=lambda one: one.cost)
+    return min(begun, key=lambda fit: fit.cost)
 
 
 def _weight(fit: BlurModelFit2D) -> float:
@@ -214,21 +222,21 @@ def _weight(fit: BlurModelFit2D) -> float:
 
 
 def _fit_extended(
-    fitter: PointFitter, core: BlurModelFit2D, wide: ExtendedComponent, worth: float
+    fitter: PointFitter, core: BlurModelFit2D, component: ExtendedComponent, worth: float
 ) -> BlurModelFit2D | None:
     """Fit a core with an extended component from several sizes; None if chi squared gains less than
     `worth`.
     """
-    form = replace(core.form, wide=wide)
+    form = replace(core.form, wide=component)
     first = form.blur_parameters
-    bounds = form.bounds[first : first + len(wide.parameters)]
+    bounds = form.bounds[first : first + len(component.parameters)]
     sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, 6)
     begun = []
     for size in sizes:
-        beyond = [0.05, size, *([0.5] if len(bounds) > 2 else [])]
-        start = np.concatenate([core.point[:first], beyond, core.point[first:]])
+        extended_start = [0.05, size, *([0.5] if len(bounds) > 2 else [])]
+        start = np.concatenate([core.point[:first], extended_start, core.point[first:]])
         begun.append(fitter.fit(form, start, iterations=6))
-    best = min(begun, key=lambda one: one.cost)
+    best = min(begun, key=lambda candidate: candidate.cost)
     if best.cost > core.cost - worth:
         return None
     fit = fitter.fit(form, best.point)
@@ -236,6 +244,6 @@ def _fit_extended(
     return fit if fit.point[first] > bounds[0, 0] else None
 
 
-def _rank_by_evidence(found: list[BlurModelFit2D]) -> list[EvidenceWeightedModels2D]:
-    ranked = weigh_by_evidence([_weight(fit) for fit in found], least=ACCURACY.min_model_weight)
-    return [EvidenceWeightedModels2D(fit=found[index], share=share) for index, share in ranked]
+def _rank_by_evidence(fits: list[BlurModelFit2D]) -> list[EvidenceWeightedModels2D]:
+    ranked = weigh_by_evidence([_weight(fit) for fit in fits], least=ACCURACY.min_model_weight)
+    return [EvidenceWeightedModels2D(fit=fits[index], weight=weight) for index, weight in ranked]

@@ -41,10 +41,10 @@ class SpotNonlinearity:
     def effect(self) -> str:
         """Effect of the likeliest response on MTF50."""
         exponent = 1.0 / (1.0 - self.power)
-        moved = 100.0 * (np.sqrt(exponent) - 1.0)
+        mtf_percent = 100.0 * (np.sqrt(exponent) - 1.0)
         return (
             f"the noise indicates a response of exponent {exponent:.2g}, which changes MTF50 "
-            f"by about {moved:+.0f} %"
+            f"by about {mtf_percent:+.0f} %"
         )
 
     @property
@@ -65,11 +65,11 @@ def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
     fine = CubicSpline(POWERS, np.sum([np.zeros(POWERS.size), *profiles], axis=0))(FINE_POWERS)
     best = int(np.argmax(fine))
     gain = 2.0 * (fine[best] - np.interp(0.0, FINE_POWERS, fine))
-    within = FINE_POWERS[fine > fine[best] - 0.5 * LIMITS.nonlinear_sd**2]
+    likely_powers = FINE_POWERS[fine > fine[best] - 0.5 * LIMITS.nonlinear_sd**2]
     return SpotNonlinearity(
         significance=float(np.sqrt(max(gain, 0.0))),
         power=float(FINE_POWERS[best]),
-        exponents=(1.0 / (1.0 - float(within[0])), 1.0 / (1.0 - float(within[-1]))),
+        exponents=(1.0 / (1.0 - float(likely_powers[0])), 1.0 / (1.0 - float(likely_powers[-1]))),
     )
 
 

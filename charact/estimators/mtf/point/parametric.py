@@ -168,7 +168,7 @@ def measure_points(
     }
     sites = []
     for part in (
-        [stack.region(*one) for one in regions]
+        [stack.region(*roi) for roi in regions]
         if regions
         else [stack.region(*region) if region else stack]
     ):
@@ -178,23 +178,25 @@ def measure_points(
         sites.append(site)
     # Rings beyond the light are needed to separate it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
-    reach = (
+    halo_range_px = (
         float(rings[-1 - ACCURACY.empty_rings].max()) if len(rings) > ACCURACY.empty_rings else 0.0
     )
-    cores, wide = method.forms(pinhole, all(site.window.holds_halo for site in sites), reach)
+    cores, components = method.forms(
+        pinhole, all(site.window.holds_halo for site in sites), halo_range_px
+    )
     if any(form.bandwidth_order > 1 for form in cores):
         sites = [
             replace(site, aperture=replace(site.aperture, orders=BANDWIDTH_ORDERS))
             for site in sites
         ]
-    sites, fitter, found = fit_sources(sites, cores, wide)
-    if not found or not found[0].fit.cost < LIMITS.max_cost * found[0].fit.free:
+    sites, fitter, models = fit_sources(sites, cores, components)
+    if not models or not models[0].fit.cost < LIMITS.max_cost * models[0].fit.free:
         reason = (
             "no blur model describes the source: it may be light of another shape, or far "
             "beyond full scale"
         )
         return refuse_all(common, reason, "model-misfit")
-    best = found[0].fit
+    best = models[0].fit
     # The noise of a single frame's light is poorly known; there the detection decides.
     weak = best.light < LIMITS.min_light_sd * light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
@@ -209,20 +211,22 @@ def measure_points(
             f"uncertainties{crowd}"
         )
         return refuse_all(common, required)
-    return _result(method, sites, fitter, found, {**common, "notes": stack.notes}, pinhole, context)
+    return _result(
+        method, sites, fitter, models, {**common, "notes": stack.notes}, pinhole, context
+    )
 
 
 def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
     """Return valid diameter or bounds."""
     low, high = LIMITS.pinhole_px
     if isinstance(pinhole_px, tuple | list):
-        least, most = (float(number) for number in pinhole_px)
-        if not low <= least < most < high:
+        smallest, largest = (float(number) for number in pinhole_px)
+        if not low <= smallest < largest < high:
             raise BadInput(
-                f"bounds of pinhole_px must rise within [0, 50) column pitches, got {least:g} to "
-                f"{most:g}"
+                "bounds of pinhole_px must rise within [0, 50) column pitches, got "
+                f"{smallest:g} to {largest:g}"
             )
-        return least, most
+        return smallest, largest
     if pinhole_px is not None and not low <= pinhole_px < high:
         raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
     return float(pinhole_px or 0.0)
@@ -231,9 +235,10 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
 def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRefusal:
     """Return the source of a part of the frames."""
     if min(part.shape[1:]) < LIMITS.min_region_px:
-        least = f"{LIMITS.min_region_px} x {LIMITS.min_region_px} px"
+        min_region = f"{LIMITS.min_region_px} x {LIMITS.min_region_px} px"
         return PointRefusal(
-            f"a point needs a region of at least {least}, got {part.shape[1:]}", "window-too-small"
+            f"a point needs a region of at least {min_region}, got {part.shape[1:]}",
+            "window-too-small",
         )
     full = context.full_scale_dn or part.full_scale_dn
     source = detect_source(part.data, context.pitch_ratio)
@@ -271,18 +276,18 @@ def _result(
     method: PointMethod,
     sites: list[SourcePixels],
     fitter: PointFitter,
-    found: list[EvidenceWeightedModels2D],
+    models: list[EvidenceWeightedModels2D],
     common: dict[str, Any],
     pinhole: float | tuple[float, float],
     context: Context,
 ) -> Result:
     """Return measurements, curves and figure data of fitted sources."""
-    drawn = [_posterior(fitter, one, number, context) for number, one in enumerate(found)]
-    response = camera_nonlinearity(sites, found[0].fit)
-    findings = source_findings(sites, fitter, found)
+    drawn = [_posterior(fitter, model, number, context) for number, model in enumerate(models)]
+    response = camera_nonlinearity(sites, models[0].fit)
+    findings = source_findings(sites, fitter, models)
     # Of a described tube the pulse widths are tried coarsely, so that noise may appear to grow
     # faster than the light.
-    known = bool(found[0].fit.form.known)
+    known = bool(models[0].fit.form.known)
     if response.is_nonlinear and (response.power < -LIMITS.max_negative_power or not known):
         findings.append(finding("gamma", response.effect))
     if context.sensor and any(site.cut.any() for site in sites):
@@ -292,12 +297,12 @@ def _result(
                 "wells may fill before the digitiser clips; MTF50 may be 26 to 43 % low",
             )
         )
-    if any("not-converged" in one.flags for one in drawn):
+    if any("not-converged" in posterior.flags for posterior in drawn):
         findings.append(finding("not-converged", "interval from the curvature at the optimum"))
-    common["notes"] = (*common["notes"], *_notes(sites, found, pinhole, context), response.note)
-    total = sum(one.share for one in found)
+    common["notes"] = (*common["notes"], *_notes(sites, models, pinhole, context), response.note)
+    total = sum(model.weight for model in models)
     wanted = ACCURACY.quick_draws if context.quick else ACCURACY.draws
-    counts = [max(1, round(wanted * one.share / total)) for one in found]
+    counts = [max(1, round(wanted * model.weight / total)) for model in models]
     measurements: list[Measurement] = []
     curves, aperture = {}, sites[0].aperture
     frequency = np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)])
@@ -305,36 +310,36 @@ def _result(
         draws = np.concatenate(
             [
                 mtf_of_camera(
-                    one.fit.form, posterior.draws[:count], frequency, aperture, vertical=vertical
+                    model.fit.form, posterior.draws[:count], frequency, aperture, vertical=vertical
                 )
-                for one, posterior, count in zip(found, drawn, counts, strict=True)
+                for model, posterior, count in zip(models, drawn, counts, strict=True)
             ]
         )
         fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
-        one = {**common, "orientation_deg": angle}
-        own = [
+        direction_settings = {**common, "orientation_deg": angle}
+        numbers = [
             _note_several_peaks(
-                crossing_measurement(quantity, fine, drawn[0], one),
+                crossing_measurement(quantity, fine, drawn[0], direction_settings),
                 crossing_frequency(FINE, fine, at),
             )
             for quantity, at in LEVELS.items()
         ]
         for values, at in zip(pinned.T, PINNED, strict=True) if "mtf" in method.quantities else ():
             measured = measurement_from_draws(
-                "mtf", "1", values, frequency_cy_per_px=float(at), **one
+                "mtf", "1", values, frequency_cy_per_px=float(at), **direction_settings
             )
-            own.append(_note_several_peaks(measured, values))
-        exact = aperture.video is None or vertical or found[0].fit.form.bandwidth_order > 1
+            numbers.append(_note_several_peaks(measured, values))
+        exact = aperture.video is None or vertical or models[0].fit.form.bandwidth_order > 1
         doubt = None if exact or aperture.video is None else aperture.video.doubt
         measurements += [
-            flag_filter_uncertainty(number, doubt, partial(_crossing, fine)) for number in own
+            flag_filter_uncertainty(number, doubt, partial(_crossing, fine)) for number in numbers
         ]
         curves[name] = curve_of(REPORTED, reported)
-    measurements = [one.with_(findings=findings) for one in measurements]
+    measurements = [number.with_(findings=findings) for number in measurements]
     return Result(
         measurements=flag_undersampled(measurements, sites[0].window),
         curves=curves,
-        evidence={"point-profile": _model_figure_data(sites[0], fitter, found[0].fit)},
+        evidence={"point-profile": _model_figure_data(sites[0], fitter, models[0].fit)},
     )
 
 
@@ -354,10 +359,10 @@ def mtf_of_camera(
 
 
 def _posterior(
-    fitter: PointFitter, one: EvidenceWeightedModels2D, number: int, context: Context
+    fitter: PointFitter, model: EvidenceWeightedModels2D, number: int, context: Context
 ) -> Posterior:
     """Sample the posterior of one blur model, by importance sampling if quick."""
-    fit = one.fit
+    fit = model.fit
     arguments = {
         "names": tuple(fit.form.parameters),
         "units": tuple(unit for unit, _ in fit.form.parameters.values()),
@@ -368,7 +373,7 @@ def _posterior(
         "draws": ACCURACY.quick_draws if context.quick else ACCURACY.draws,
     }
     log_probability = partial(fitter.log_probability, fit.form)
-    effort = max(one.share, 0.25)
+    effort = max(model.weight, 0.25)
     if context.quick:
         enough, first = 500.0 * effort, round(1000 * effort)
         return importance_sample(log_probability, **arguments, enough=enough, first_draws=first)
@@ -388,10 +393,10 @@ def _model_figure_data(
     level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.value_mask], rcond=None)[
         0
     ]
-    mean, used = lit + background @ level, site.value_mask
-    left = pixels.root.T @ (pixels.root @ (site.values - mean)[used])
-    mean[used] += pixels.rounding @ left
-    window, (x_px, y_px) = site.window, site.place
+    mean, mask = lit + background @ level, site.value_mask
+    residual = pixels.root.T @ (pixels.root @ (site.values - mean)[mask])
+    mean[mask] += pixels.rounding @ residual
+    window, (x_px, y_px) = site.window, site.position
     core, rings = np.split(mean, [window.core.size])
     core = core.reshape(window.core.shape)
     # The lines through the source's centre.
@@ -423,25 +428,28 @@ def _crossing(fine: Array, level: float) -> float:
     return float(np.nanmedian(crossing_frequency(FINE, fine, level)))
 
 
-def _note_several_peaks(one: Measurement, draws: Array) -> Measurement:
+def _note_several_peaks(measurement: Measurement, draws: Array) -> Measurement:
     """Add a note where the draws have several peaks, which the interval spans."""
     finite = draws[np.isfinite(draws)]
-    if one.value is None or not has_several_peaks(finite[:, None]):
-        return one
+    if measurement.value is None or not has_several_peaks(finite[:, None]):
+        return measurement
     low, high = np.quantile(finite, (0.16, 0.84))
-    return one.with_(
-        notes=(*one.notes, f"Blur models of similar evidence give {low:.3g} and {high:.3g}.")
+    return measurement.with_(
+        notes=(
+            *measurement.notes,
+            f"Blur models of similar evidence give {low:.3g} and {high:.3g}.",
+        )
     )
 
 
 def _notes(
     sites: list[SourcePixels],
-    found: list[EvidenceWeightedModels2D],
+    models: list[EvidenceWeightedModels2D],
     pinhole: float | tuple[float, float],
     context: Context,
 ) -> tuple[str, ...]:
     """Return notes that do not affect validity."""
-    parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)
+    parts = ", ".join(f"{model.fit.form.name} {100 * model.weight:.0f} %" for model in models)
     out = [f"Blur models by evidence: {parts}."]
     cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)
     if cut:
@@ -459,14 +467,16 @@ def _notes(
         )
     if pinhole == 0.0:
         out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")
-    if all(one.fit.form.wide is None for one in found):
+    if all(model.fit.form.wide is None for model in models):
         out.append("MTF normalised to the core; any halo is not included.")
     if any(site.dark.common > 0 for site in sites):
         out.append("Noise is correlated between pixels; accounted for.")
-    most = float(np.exp(-2.0 * np.pi**2 * min(site.window.quiet_sd for site in sites) ** 2) / np.pi)
-    if most >= LIMITS.min_rounding_shift_dn:
+    shift_dn = float(
+        np.exp(-2.0 * np.pi**2 * min(site.window.quiet_sd for site in sites) ** 2) / np.pi
+    )
+    if shift_dn >= LIMITS.min_rounding_shift_dn:
         out.append(
-            f"Quantisation may shift faint light and its level by up to {most:.2f} DN; the fit "
+            f"Quantisation may shift faint light and its level by up to {shift_dn:.2f} DN; the fit "
             "includes this, and the plotted model the estimated shift."
         )
     if context.sensor is None:

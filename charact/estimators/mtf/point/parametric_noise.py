@@ -59,7 +59,7 @@ def measure_surroundings_noise(
     """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
-    far = (
+    surroundings = (
         (distance > min(ACCURACY.noise_distance_px, 0.6 * float(distance.max())))
         & (distance < 4.0 * ACCURACY.noise_distance_px)
         & ~np.asarray(neighbours)
@@ -68,9 +68,9 @@ def measure_surroundings_noise(
     if len(frames) > 1:
         off, freedom = frames - frames.mean(axis=0), 1.0 - 1.0 / len(frames)
     else:
-        y, x = np.nonzero(far)
+        y, x = np.nonzero(surroundings)
         plane = np.stack([np.ones(y.size), y, x], axis=1)
-        fitted = np.linalg.lstsq(plane, frames[0][far], rcond=None)[0]
+        fitted = np.linalg.lstsq(plane, frames[0][surroundings], rcond=None)[0]
         every = fitted[0] + fitted[1] * np.arange(rows)[:, None] + fitted[2] * np.arange(cols)
         off, freedom = frames - every, 1.0
     rounding = (
@@ -78,33 +78,35 @@ def measure_surroundings_noise(
     )
     if len(frames) == 1 and np.any(neighbours):
         # Light of neighbours would resemble correlated noise: use the lower quantiles.
-        low, high = np.quantile(off[0, far], ACCURACY.background_quantiles)
+        low, high = np.quantile(off[0, surroundings], ACCURACY.background_quantiles)
         return SurroundingsNoise(
             variance=max(float((high - low) / ACCURACY.background_quantile_sd) ** 2, rounding)
         )
     # Exclude single bright events such as ion feedback.
-    centre = np.clip(off, *np.quantile(off[:, far], (1e-4, 1.0 - 1e-4)))
-    variance = float((centre[:, far] ** 2).mean()) / freedom
+    centre = np.clip(off, *np.quantile(off[:, surroundings], (1e-4, 1.0 - 1e-4)))
+    variance = float((centre[:, surroundings] ** 2).mean()) / freedom
     if variance <= rounding:
         return SurroundingsNoise(variance=rounding)
-    return _fit_correlation(np.where(far, centre, 0.0), far, variance * freedom, variance)
+    return _fit_correlation(
+        np.where(surroundings, centre, 0.0), surroundings, variance * freedom, variance
+    )
 
 
 def _fit_correlation(
-    off: Array, far: NDArray[np.bool_], norm: float, variance: float
+    off: Array, surroundings: NDArray[np.bool_], norm: float, variance: float
 ) -> SurroundingsNoise:
     """Return the surroundings' noise with the correlation of neighbours, if significant."""
-    found, count = [], []
-    rows, cols = far.shape
+    correlations, count = [], []
+    rows, cols = surroundings.shape
     for down, along in LAGS:
         a = (slice(None, rows - down), slice(max(0, -along), cols - max(0, along)))
         b = (slice(down, None), slice(max(0, along), cols + min(0, along)))
-        pairs = max(int((far[a] & far[b]).sum()), 1)
-        found.append(
+        pairs = max(int((surroundings[a] & surroundings[b]).sum()), 1)
+        correlations.append(
             float(np.einsum("frc,frc->", off[:, *a], off[:, *b])) / (pairs * len(off) * norm)
         )
         count.append(pairs * max(len(off) - 1, 1))
-    correlation, error = np.array(found), 1.0 / np.sqrt(np.array(count, float))
+    correlation, error = np.array(correlations), 1.0 / np.sqrt(np.array(count, float))
     if np.abs(correlation / error).max() < LIMITS.max_correlation_sd:
         return SurroundingsNoise(variance=variance)
     down, along = (
@@ -113,11 +115,11 @@ def _fit_correlation(
     shapes = (down[:, None] * along[None]).reshape(-1, len(LAGS))
     common = np.clip(shapes @ correlation / np.maximum(np.sum(shapes**2, axis=1), 1e-12), 0.0, 1.0)
     best = int(np.argmin(np.sum((correlation - common[:, None] * shapes) ** 2, axis=1)))
-    high, wide = np.unravel_index(best, (WIDTHS_PX.size, WIDTHS_PX.size))
+    high, across = np.unravel_index(best, (WIDTHS_PX.size, WIDTHS_PX.size))
     return SurroundingsNoise(
         variance=variance,
         common=float(common[best]),
-        width_px=(float(WIDTHS_PX[wide]), float(WIDTHS_PX[high])),
+        width_px=(float(WIDTHS_PX[across]), float(WIDTHS_PX[high])),
     )
 
 
@@ -150,7 +152,7 @@ def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Arr
     """
     frequency, transfer = radial
     log = np.log(np.clip(transfer, 1e-12, 1.0))
-    whole = _width(frequency, log)
+    pulse_width = _width(frequency, log)
     laws = [
         ((1.0 - fraction) * log, _width(frequency, fraction * log))
         for fraction in (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
@@ -160,7 +162,7 @@ def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Arr
             np.minimum.accumulate(np.minimum(log + 2.0 * (np.pi * frequency * width) ** 2, 0.0)),
             width,
         )
-        for width in whole * WIDTHS
+        for width in pulse_width * WIDTHS
     ]
     return [
         np.diag(np.maximum(mean, 0.0)),
@@ -205,17 +207,17 @@ def _covariance(
     along, down = (_pulse(at, positions, width_px) for at in (x, y))
     columns = (along[:, :, None] * along[:, None, :]).reshape(positions.size, -1)
     rows = (down[:, :, None] * down[:, None, :]).reshape(positions.size, -1)
-    both = (rows.T @ density @ columns).reshape(y.size, y.size, x.size, x.size)
-    unit = both.transpose(0, 2, 1, 3).reshape(x.size * y.size, -1)
+    products = (rows.T @ density @ columns).reshape(y.size, y.size, x.size, x.size)
+    unit = products.transpose(0, 2, 1, 3).reshape(x.size * y.size, -1)
     return unit * (float(np.maximum(mean, 0.0).sum()) / max(float(np.trace(unit)), 1e-300))
 
 
-def _pulse(at: Array, places: Array, sigma: float) -> Array:
+def _pulse(at: Array, positions: Array, sigma: float) -> Array:
     """Return a Gaussian pulse integrated over pixels, shape (position, pixel)."""
     from scipy.special import ndtr
 
     half = 0.5 * float(np.diff(at[:2])[0])
-    off = at - places[:, None]
+    off = at - positions[:, None]
     return ndtr((off + half) / sigma) - ndtr((off - half) / sigma)
 
 
@@ -224,15 +226,15 @@ def fit_pulses(
     dark: Array,
     units: Sequence[Array],
     factor: Array,
-    near: NDArray[np.int64],
+    pixels: NDArray[np.int64],
     fitted: Array | None = None,
 ) -> Pulses:
     """Return the pulses that make independent samples of the noise most probable.
 
     `samples`: deviations, each of the noise of one frame, shape (sample, pixel), DN; `dark`:
     covariance of the dark noise, shape (pixel, pixel); `units`: candidate covariances at unit gain;
-    `factor`: image lag of each pair of pixels, shape (pixel, pixel); `near`: pixels used; `fitted`:
-    directions in which a fit absorbed noise, shape (pixel, direction); None: none.
+    `factor`: image lag of each pair of pixels, shape (pixel, pixel); `pixels`: pixels used;
+    `fitted`: directions in which a fit absorbed noise, shape (pixel, direction); None: none.
 
     Notes
     -----
@@ -240,16 +242,16 @@ def fit_pulses(
     values constrain it (2 / n is the variance of its ln), the noise is Student's t, whose variance
     is n / (n - 2) times larger.
     """
-    both, quiet_dn = np.ix_(near, near), float(np.sqrt(dark[near[0], near[0]]))
-    root = np.linalg.inv(np.linalg.cholesky(dark[both]))
+    pixel_pairs, quiet_dn = np.ix_(pixels, pixels), float(np.sqrt(dark[pixels[0], pixels[0]]))
+    root = np.linalg.inv(np.linalg.cholesky(dark[pixel_pairs]))
     if fitted is not None:
         # Restricted likelihood: only directions orthogonal to the fit have the noise's variance.
-        basis = np.linalg.qr(root @ fitted[near], mode="complete")[0]
+        basis = np.linalg.qr(root @ fitted[pixels], mode="complete")[0]
         root = basis[:, fitted.shape[1] :].T @ root
-    white = samples[:, near] @ root.T
-    found = []
+    white = samples[:, pixels] @ root.T
+    fits = []
     for number, unit in enumerate(units):
-        values, vectors = np.linalg.eigh(root @ (unit * factor)[both] @ root.T)
+        values, vectors = np.linalg.eigh(root @ (unit * factor)[pixel_pairs] @ root.T)
         values = np.maximum(values, 0.0)
         gains = GAINS / max(float(values.mean()), 1e-300)
         power = ((white @ vectors) ** 2).sum(axis=0)
@@ -264,9 +266,9 @@ def fit_pulses(
         n_values = max(2.0 / max(spread, 1e-9), 6.0)
         median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
         odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
-        found.append((float(fit.max()) - odds, median * n_values / (n_values - 2.0)))
-    best = int(np.argmax([fit for fit, _ in found]))
-    return Pulses(gain=found[best][1], unit=units[best])
+        fits.append((float(fit.max()) - odds, median * n_values / (n_values - 2.0)))
+    best = int(np.argmax([fit for fit, _ in fits]))
+    return Pulses(gain=fits[best][1], unit=units[best])
 
 
 def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
@@ -284,12 +286,14 @@ def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
     from scipy.special import ndtri
 
     code, number = np.unique(codes, return_counts=True)
-    below = np.cumsum(number) - number
-    commonest, lower = int(np.argmax(number)), int(np.searchsorted(below, 16))
+    number_below = np.cumsum(number) - number
+    commonest, lower = int(np.argmax(number)), int(np.searchsorted(number_below, 16))
     if lower >= commonest:
         return ACCURACY.hidden_sd_dn
-    near, far = (float(ndtri(below[one] / codes.size)) for one in (commonest, lower))
-    return float(code[commonest] - code[lower]) / max(near - far, 1e-9)
+    z_common, z_lower = (
+        float(ndtri(number_below[index] / codes.size)) for index in (commonest, lower)
+    )
+    return float(code[commonest] - code[lower]) / max(z_common - z_lower, 1e-9)
 
 
 def is_clipped_at_black(codes: NDArray) -> bool:
@@ -307,12 +311,15 @@ def is_clipped_at_black(codes: NDArray) -> bool:
     from scipy.special import ndtr, ndtri
 
     code, number = np.unique(codes, return_counts=True)
-    above = codes.size - np.cumsum(number)
-    near = int(np.argmax(above <= 0.5 * above[0]))
-    far = max(int(np.argmax(above <= 0.05 * above[0])), near + 1)
-    if near == 0 or far >= code.size or above[far] < 20:
+    number_above = codes.size - np.cumsum(number)
+    median_index = int(np.argmax(number_above <= 0.5 * number_above[0]))
+    upper_index = max(int(np.argmax(number_above <= 0.05 * number_above[0])), median_index + 1)
+    if median_index == 0 or upper_index >= code.size or number_above[upper_index] < 20:
         return False
-    at, z = code[[0, near, far]].astype(float), ndtri(1.0 - above[[0, near, far]] / codes.size)
+    at, z = (
+        code[[0, median_index, upper_index]].astype(float),
+        ndtri(1.0 - number_above[[0, median_index, upper_index]] / codes.size),
+    )
     lower, upper = np.diff(at) / np.diff(z)
     missing = float(ndtr(z[0] - float(np.diff(code).min()) / lower))
     return bool(

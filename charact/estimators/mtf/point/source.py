@@ -21,7 +21,7 @@ class DetectedSource:
     col: int
     # Height above the background in standard deviations of the smoothed background
     significance: float
-    others: bool  # Whether other sources are detected too
+    has_others: bool  # Whether other sources are detected too
     neighbours: tuple[
         tuple[int, int], ...
     ] = ()  # Rows and columns of the other peaks in the region, px
@@ -61,7 +61,7 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | PointRe
     height = float(steady[row, col]) - level
     # Neighbours that cover much of the region raise its scatter; the lower quantiles show the
     # background.
-    low, high = (float(one) for one in np.quantile(steady, ACCURACY.background_quantiles))
+    low, high = (float(quantile) for quantile in np.quantile(steady, ACCURACY.background_quantiles))
     bare, over = (
         max((high - low) / ACCURACY.background_quantile_sd, _least_spread(data)),
         float(steady[row, col]) - high,
@@ -70,13 +70,13 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | PointRe
         height < LIMITS.clear_height * LIMITS.min_height_sd * spread
         and over > LIMITS.min_height_sd * bare
     ):
-        alike = _peaks(
+        similar_peaks = _peaks(
             steady, high, max(LIMITS.min_height_sd * bare, LIMITS.min_relative_height * over)
         )
         if (
             sum(
                 bool(_steadiness(smooth[:, *at] - high, bare) >= LIMITS.min_steadiness_sd)
-                for at in alike
+                for at in similar_peaks
             )
             > LIMITS.min_crowd
         ):
@@ -92,16 +92,16 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | PointRe
             else ""
         )
         return PointRefusal(f"no target: the brightest spot is {stands}{crowd}")
-    least = max(LIMITS.min_height_sd * spread, LIMITS.min_other_height * height)
-    (row, col), *peaks = _peaks(steady, level, least)
+    min_height_dn = max(LIMITS.min_height_sd * spread, LIMITS.min_other_height * height)
+    (row, col), *peaks = _peaks(steady, level, min_height_dn)
     significance = (float(steady[row, col]) - level) / spread
     steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
     if steadiness < LIMITS.min_steadiness_sd:
         needed = f"at least {LIMITS.min_steadiness_sd:g} are required"
         stands = f"{round_down(steadiness):.1f} standard uncertainties over the frames; {needed}"
         return PointRefusal(f"no target: the brightest spot is {stands}")
-    high = _surroundings(steady.shape, row, col, pitch_ratio) & (steady - level > least)
-    others = bool(
+    high = _surroundings(steady.shape, row, col, pitch_ratio) & (steady - level > min_height_dn)
+    has_others = bool(
         high.any()
         and _steadiness(smooth[:, high] - level, spread).max() >= LIMITS.min_steadiness_sd
     )
@@ -111,11 +111,11 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | PointRe
         if _steadiness(smooth[:, *at] - level, spread) >= LIMITS.min_steadiness_sd
     )
     return DetectedSource(
-        row=row, col=col, significance=significance, others=others, neighbours=steady_ones
+        row=row, col=col, significance=significance, has_others=has_others, neighbours=steady_ones
     )
 
 
-def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
+def _peaks(steady: Array, level: float, min_height_dn: float) -> list[tuple[int, int]]:
     """Return the intended source and the other peaks above a level, from high to low.
 
     A peak on the flank of another, without a saddle between them, is part of it.
@@ -123,48 +123,48 @@ def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
     from scipy import ndimage
 
     highest = ndimage.maximum_filter(steady, size=5)
-    rows, cols = np.nonzero((steady == highest) & (steady - level >= least))
+    rows, cols = np.nonzero((steady == highest) & (steady - level >= min_height_dn))
     order = np.argsort(-steady[rows, cols], kind="stable")[:100]
     peaks = list(zip(rows[order].tolist(), cols[order].tolist(), strict=True))
     centre = 0.5 * (np.array(steady.shape) - 1.0)
     bright = [
-        place
-        for place in peaks
-        if steady[place] - level > LIMITS.min_relative_height * (steady[peaks[0]] - level)
+        peak
+        for peak in peaks
+        if steady[peak] - level > LIMITS.min_relative_height * (steady[peaks[0]] - level)
     ]
-    apart = {
-        place: min(
+    separation = {
+        peak: min(
             [
                 LIMITS.isolated_px,
-                *(float(np.hypot(*np.subtract(place, o))) for o in peaks if o != place),
+                *(float(np.hypot(*np.subtract(peak, o))) for o in peaks if o != peak),
             ]
         )
-        for place in bright
+        for peak in bright
     }
     row, col = min(
-        bright, key=lambda place: (-apart[place], float(np.hypot(*(np.array(place) - centre))))
+        bright, key=lambda peak: (-separation[peak], float(np.hypot(*(np.array(peak) - centre))))
     )
-    others = [
-        place
-        for place in peaks
-        if np.hypot(place[0] - row, place[1] - col) >= LIMITS.min_peak_distance_px
-        and _saddle(steady, place, (row, col)) - level
-        < LIMITS.max_saddle * min(steady[place] - level, steady[row, col] - level)
+    distinct = [
+        peak
+        for peak in peaks
+        if np.hypot(peak[0] - row, peak[1] - col) >= LIMITS.min_peak_distance_px
+        and _saddle(steady, peak, (row, col)) - level
+        < LIMITS.max_saddle * min(steady[peak] - level, steady[row, col] - level)
     ]
     # The brightest part of a blend is the source.
-    own = [
-        place
-        for place in peaks
-        if place not in others
-        and np.hypot(place[0] - row, place[1] - col) < LIMITS.min_peak_distance_px
+    cluster = [
+        peak
+        for peak in peaks
+        if peak not in distinct
+        and np.hypot(peak[0] - row, peak[1] - col) < LIMITS.min_peak_distance_px
     ]
-    return [max(own, key=lambda place: float(steady[place])), *others]
+    return [max(cluster, key=lambda peak: float(steady[peak])), *distinct]
 
 
-def _saddle(steady: Array, one: tuple[int, int], other: tuple[int, int]) -> float:
+def _saddle(steady: Array, peak: tuple[int, int], other: tuple[int, int]) -> float:
     """Return the lowest light on the line between two peaks."""
     steps = np.linspace(0.0, 1.0, 2 * LIMITS.min_peak_distance_px)[:, None]
-    rows, cols = np.rint(np.array(one) * (1.0 - steps) + np.array(other) * steps).astype(int).T
+    rows, cols = np.rint(np.array(peak) * (1.0 - steps) + np.array(other) * steps).astype(int).T
     return float(steady[rows, cols].min())
 
 

@@ -44,13 +44,13 @@ class SourcePixels:
     full_scale_dn: float | None  # Full scale, DN; None: unknown
     screen: bool  # Whether a phosphor pattern makes pixels unequal
     # Column and row of the source from the centre of the window, column pitches
-    place: tuple[float, float] = (0.0, 0.0)
+    position: tuple[float, float] = (0.0, 0.0)
     pulses: Pulses | None = None  # Noise of its light; None before it is estimated
 
     @property
     def axes(self) -> tuple[Array, Array]:
         """Positions of columns and rows from the source, column pitches."""
-        return self.window.x - self.place[0], self.window.y - self.place[1]
+        return self.window.x - self.position[0], self.window.y - self.position[1]
 
     @property
     def near(self) -> NDArray[np.int64]:
@@ -88,9 +88,11 @@ class SourcePixels:
         if not len(ring):
             return np.empty(0)
         area = np.pi * (ring[:, -1] ** 2 - ring[:, 0] ** 2) / float(np.diff(self.window.y[:2])[0])
-        least = self.dark.variance * self.dark.grain / self.window.frames / np.maximum(area, 1.0)
+        noise_floor = (
+            self.dark.variance * self.dark.grain / self.window.frames / np.maximum(area, 1.0)
+        )
         # Student's t of an estimate from 12 sectors.
-        return 11.0 / 9.0 * np.maximum(self.window.ring_variance, least)
+        return 11.0 / 9.0 * np.maximum(self.window.ring_variance, noise_floor)
 
     def matrix(self) -> Array:
         """Return the matrix from a transfer to core pixels and rings of unit light, shape (value,
@@ -120,21 +122,21 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
         + (ACCURACY.first_relative_sd * top) ** 2
     )
     sd = np.append(np.sqrt(variance / site.window.frames), np.sqrt(site.ring_variance()))
-    used = site.value_mask
-    site = replace(site, place=site.window.centre)
-    flat = site.background()[used] / sd[used, None]
-    data = site.values[used] / sd[used]
+    mask = site.value_mask
+    site = replace(site, position=site.window.centre)
+    flat = site.background()[mask] / sd[mask, None]
+    data = site.values[mask] / sd[mask]
     thetas = np.stack([np.log(GUESSES), np.full_like(GUESSES, 1.5), np.zeros_like(GUESSES)], axis=1)
     transfers = GUESSED.transfer(thetas)
     described = replace(site.aperture, orders=1)
     shapes = (
         transfers.reshape(len(thetas), -1)
-        @ replace(site, aperture=described).matrix()[used].T
-        / sd[used]
+        @ replace(site, aperture=described).matrix()[mask].T
+        / sd[mask]
     )
     basis = np.linalg.qr(flat)[0]
-    free, left = shapes - (shapes @ basis) @ basis.T, data - basis @ (basis.T @ data)
-    best = int(np.argmax((free @ left) * np.abs(free @ left) / np.sum(free**2, axis=1)))
+    free, residual = shapes - (shapes @ basis) @ basis.T, data - basis @ (basis.T @ data)
+    best = int(np.argmax((free @ residual) * np.abs(free @ residual) / np.sum(free**2, axis=1)))
     for _ in range(3):
         site, move = _reposition(site, transfers[best], sd[: height.size])
         if move < 0.01:
@@ -156,13 +158,13 @@ def _core_residual(site: SourcePixels, transfer: Array, sd: Array) -> _CoreResid
     core = site.window.keep.ravel()
     shown = pictures(site.aperture, transfer, *site.axes)[:3].T
     design = np.concatenate([shown, site.background()[: core.size]], axis=1)
-    found = np.linalg.lstsq(
+    coefficients = np.linalg.lstsq(
         design[core] / sd[core, None], site.window.core.ravel()[core] / sd[core], rcond=None
     )[0]
     return _CoreResidual(
-        coefficients=np.asarray(found, np.float64),
+        coefficients=np.asarray(coefficients, np.float64),
         design=design,
-        residual=site.window.core.ravel() - design @ found,
+        residual=site.window.core.ravel() - design @ coefficients,
     )
 
 
@@ -170,10 +172,10 @@ def _reposition(site: SourcePixels, transfer: Array, sd: Array) -> tuple[SourceP
     """Return a source at the position that fits a transfer best, to first order, and its shift,
     px.
     """
-    found = _core_residual(site, transfer, sd).coefficients
-    move = np.clip(-found[1:3] / max(float(found[0]), 1e-300), -1.0, 1.0)
-    position = (site.place[0] + float(move[0]), site.place[1] + float(move[1]))
-    return replace(site, place=position), float(np.abs(move).max())
+    coefficients = _core_residual(site, transfer, sd).coefficients
+    move = np.clip(-coefficients[1:3] / max(float(coefficients[0]), 1e-300), -1.0, 1.0)
+    position = (site.position[0] + float(move[0]), site.position[1] + float(move[1]))
+    return replace(site, position=position), float(np.abs(move).max())
 
 
 def _sd(site: SourcePixels) -> Array:
@@ -197,12 +199,12 @@ def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
     noise.
     """
     transfer = fit.form.transfer(fit.point[None])[0]
-    left, near = _core_residual(site, transfer, _sd(site)), site.near
-    light = np.maximum(left.coefficients[0] * left.design[near, 0], 0.0)
+    core, near_pixels = _core_residual(site, transfer, _sd(site)), site.near
+    light = np.maximum(core.coefficients[0] * core.design[near_pixels, 0], 0.0)
     still = site.dark.variance + _rounding_variance(site)
     variance = still + GAINS[:, None] * still / max(float(light.mean()), 1e-300) * light
     return float(
-        np.max(-0.5 * np.sum(np.log(variance) + left.residual[near] ** 2 / variance, axis=1))
+        np.max(-0.5 * np.sum(np.log(variance) + core.residual[near_pixels] ** 2 / variance, axis=1))
     )
 
 
@@ -218,20 +220,21 @@ def add_noise(
     site, _ = _reposition(site, transfer, _sd(site))
     x, y = site.axes
     mean = light * pictures(site.aperture, transfer, x, y)[0]
-    near = site.near
-    if near.size < 9:
+    near_pixels = site.near
+    if near_pixels.size < 9:
         return site
     blur = fit.form.camera(fit.point[None], FREQUENCIES, COSINES)[0].mean(axis=0)
     units = pulse_covariances((FREQUENCIES, blur), mean, x, y)
     factor = site.memory.between_rows(site.window.parity)
     if site.window.frames > 1:
         return replace(
-            site, pulses=fit_pulses(site.window.contrasts, dark_noise(site), units, factor, near)
+            site,
+            pulses=fit_pulses(site.window.contrasts, dark_noise(site), units, factor, near_pixels),
         )
-    left = _core_residual(site, transfer, _sd(site))
-    fitted = np.concatenate([left.design, _slopes(site, fit)], axis=1)
+    core = _core_residual(site, transfer, _sd(site))
+    fitted = np.concatenate([core.design, _slopes(site, fit)], axis=1)
     still = dark_noise(site) + _rounding_variance(site) * np.eye(mean.size)
-    pulses = fit_pulses(left.residual[None], still, units, factor, near, fitted)
+    pulses = fit_pulses(core.residual[None], still, units, factor, near_pixels, fitted)
     return replace(site, pulses=replace(pulses, gain=lower * pulses.gain))
 
 
@@ -317,27 +320,31 @@ def whiten_source(site: SourcePixels, transfer: Array, light: float) -> Whitened
     `transfer`: approximate transfer, shape (direction, frequency), for weights and the effect of a
     shift; `light`: approximate light, DN px^2.
     """
-    used, size = site.value_mask, site.window.core.size
+    mask, size = site.value_mask, site.window.core.size
     matrix, level = site.matrix(), site.background()
     mean = light * (matrix[:, : transfer.size] @ transfer.ravel())
-    slopes = np.zeros((used.size, 2))
+    slopes = np.zeros((mask.size, 2))
     slopes[:size] = light * pictures(site.aperture, transfer, *site.axes)[1:3].T
     nuisance = np.concatenate([level, slopes, _neighbours(site, transfer)], axis=1)
-    whole = covariance(site, mean, light)
-    root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole[np.ix_(used, used)])), np.float64)
-    white = root @ nuisance[used]
+    pixel_covariance = covariance(site, mean, light)
+    root = np.asarray(
+        np.linalg.inv(np.linalg.cholesky(pixel_covariance[np.ix_(mask, mask)])), np.float64
+    )
+    white = root @ nuisance[mask]
     basis, upper = np.linalg.qr(white / np.linalg.norm(white, axis=0))
-    raw, data = root @ matrix[used], root @ site.values[used]
+    raw, data = root @ matrix[mask], root @ site.values[mask]
     hidden = np.asarray(site.cut.any(axis=0), np.bool_)
     back = np.linalg.solve(upper, basis.T) / np.linalg.norm(white, axis=0)[:, None]
     return WhitenedPixels(
         data=data - basis @ (basis.T @ data),
         matrix=raw - basis @ (basis.T @ raw),
-        free=int(used.sum()) - nuisance.shape[1],
+        free=int(mask.sum()) - nuisance.shape[1],
         root=root,
         basis=basis,
-        rounding=rounding(site, mean)[np.ix_(used, used)],
-        censored=_pixels_at_full_scale(site, hidden, matrix, nuisance, back, raw, data, whole)
+        rounding=rounding(site, mean)[np.ix_(mask, mask)],
+        censored=_pixels_at_full_scale(
+            site, hidden, matrix, nuisance, back, raw, data, pixel_covariance
+        )
         if hidden.any()
         else None,
     )
@@ -355,7 +362,7 @@ def _neighbours(site: SourcePixels, transfer: Array) -> Array:
         rings = ring_matrix(site.aperture, ring_px)[:, : transfer.size] @ transfer.ravel()
         columns += [
             np.append(core[0], rings),
-            *(np.append(one, np.zeros(rings.size)) for one in core[1:]),
+            *(np.append(slope, np.zeros(rings.size)) for slope in core[1:]),
         ]
     return np.stack(columns, axis=1) if columns else np.empty((site.value_mask.size, 0))
 
@@ -368,22 +375,22 @@ def _pixels_at_full_scale(
     back: Array,
     raw: Array,
     data: Array,
-    whole: Array,
+    pixel_covariance: Array,
 ) -> Censored:
     """Return the clipped pixels, with the background and position of the others."""
     size = hidden.size
     linear = nuisance[:size][hidden]
     level = linear @ (back @ data)
     cut = site.cut[:, hidden]
-    left = np.sum(~cut, axis=0)
-    mean = np.sum(np.where(cut, 0.0, site.frames[:, hidden]), axis=0) / np.maximum(left, 1)
+    n_unclipped = np.sum(~cut, axis=0)
+    mean = np.sum(np.where(cut, 0.0, site.frames[:, hidden]), axis=0) / np.maximum(n_unclipped, 1)
     assert site.full_scale_dn is not None
     return Censored(
         matrix=matrix[:size][hidden] - linear @ (back @ raw),
         limit=LIMITS.full_fraction * site.full_scale_dn - level,
-        sd=np.sqrt(np.diag(whole)[:size][hidden] * site.window.frames),
+        sd=np.sqrt(np.diag(pixel_covariance)[:size][hidden] * site.window.frames),
         cut=cut.sum(axis=0).astype(float),
-        left=left.astype(float),
+        n_unclipped=n_unclipped.astype(float),
         mean=mean - level,
     )
 

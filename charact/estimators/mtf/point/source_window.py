@@ -101,24 +101,26 @@ def source_window(stack: FrameStack, source: DetectedSource, context: Context) -
     halo_radius_px = halo_diameters_px(context, transposed=False)[1] / 2.0 if described else np.inf
     frames, rows, cols = data.shape
     top, bottom = max(0, row - ACCURACY.half_rows), min(rows, row + ACCURACY.half_rows + 1)
-    left, right = max(0, col - ACCURACY.half_cols), min(cols, col + ACCURACY.half_cols + 1)
+    first_col, last_col = max(0, col - ACCURACY.half_cols), min(cols, col + ACCURACY.half_cols + 1)
     mean = data.mean(axis=0, dtype=np.float64)
-    core = data[:, top:bottom, left:right].astype(float)
-    x = np.arange(left, right) - float(col)
+    core = data[:, top:bottom, first_col:last_col].astype(float)
+    x = np.arange(first_col, last_col) - float(col)
     y = (np.arange(top, bottom) - float(row)) * pitch_ratio
     parity = np.repeat(np.arange(top, bottom) % 2 == 1, x.size)
     radius = np.hypot(np.arange(cols) - col, ((np.arange(rows) - row) * pitch_ratio)[:, None])
-    outside = np.ones((rows, cols), bool)
-    outside[top:bottom, left:right] = False
-    own = ~neighbour_mask(mean.shape, neighbours, pitch_ratio)
-    outside &= own
-    reach = min(row * pitch_ratio, (rows - 1 - row) * pitch_ratio, col, cols - 1 - col)
-    rings = _rings(mean, radius, outside, row, col, reach, pitch_ratio)
+    surroundings = np.ones((rows, cols), bool)
+    surroundings[top:bottom, first_col:last_col] = False
+    undisturbed = ~neighbour_mask(mean.shape, neighbours, pitch_ratio)
+    surroundings &= undisturbed
+    border_px = min(row * pitch_ratio, (rows - 1 - row) * pitch_ratio, col, cols - 1 - col)
+    rings = _rings(mean, radius, surroundings, row, col, border_px, pitch_ratio)
     positions = np.array(
         [(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float
     ).reshape(-1, 2)
-    far = outside & (radius > (27.0 if reach > 31 else 0.7 * reach)) & (radius < 48.0)
-    values = data[:, far] if far.any() else data.reshape(frames, -1)
+    far_ring = (
+        surroundings & (radius > (27.0 if border_px > 31 else 0.7 * border_px)) & (radius < 48.0)
+    )
+    values = data[:, far_ring] if far_ring.any() else data.reshape(frames, -1)
     noise = float(np.sqrt(values.var(axis=0, ddof=1).mean() if frames > 1 else values.var()))
     rounded = data.dtype.kind in "ui"
     # A causal video filter follows a described sensor.
@@ -126,7 +128,7 @@ def source_window(stack: FrameStack, source: DetectedSource, context: Context) -
     return Window(
         core=core.mean(axis=0),
         deviations=(core - core.mean(axis=0)).reshape(frames, -1),
-        keep=sound & own[top:bottom, left:right],
+        keep=sound & undisturbed[top:bottom, first_col:last_col],
         sound=bool(sound.all()),
         x=x,
         y=y,
@@ -137,7 +139,7 @@ def source_window(stack: FrameStack, source: DetectedSource, context: Context) -
         ring_correlation=rings[3],
         quiet_sd=min(dark_sd_from_histogram(values), noise) if rounded else np.inf,
         frames=frames,
-        holds_halo=reach >= halo_radius_px + 5.0,
+        holds_halo=border_px >= halo_radius_px + 5.0,
         cut=core.shape[1:] != (2 * ACCURACY.half_rows + 1, 2 * ACCURACY.half_cols + 1),
         clipped=is_clipped_at_black(values),
         neighbours=positions,
@@ -155,10 +157,10 @@ def neighbour_mask(
 ) -> NDArray[np.bool_]:
     """Return the pixels that belong to neighbouring sources, shape (row, col)."""
     rows, cols = np.ogrid[: shape[0], : shape[1]]
-    near = np.zeros(shape, bool)
+    mask = np.zeros(shape, bool)
     for row, col in neighbours:
-        near |= (cols - col) ** 2 + ((rows - row) * pitch_ratio) ** 2 < LIMITS.neighbour_px**2
-    return near
+        mask |= (cols - col) ** 2 + ((rows - row) * pitch_ratio) ** 2 < LIMITS.neighbour_px**2
+    return mask
 
 
 def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -> NDArray[np.bool_]:
@@ -179,10 +181,10 @@ def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -
 def _rings(
     mean: Array,
     radius: Array,
-    outside: NDArray[np.bool_],
+    surroundings: NDArray[np.bool_],
     row: int,
     col: int,
-    reach: float,
+    border_px: float,
     pitch_ratio: float,
 ) -> tuple[Array, Array, Array, Array, list[Array]]:
     """Return distances, means, variances and correlations of rings, and columns and rows of their
@@ -195,19 +197,19 @@ def _rings(
     )
     distances, values, sectors, pixels, lengths, positions = [], [], [], [], [], []
     for low, high in pairwise(ACCURACY.ring_borders_px):
-        if high > reach:
+        if high > border_px:
             break
-        inside = outside & (radius >= low) & (radius < high)
-        if inside.sum() < 24:
+        ring = surroundings & (radius >= low) & (radius < high)
+        if ring.sum() < 24:
             continue
-        distances.append(_ring_quantiles(radius[inside]))
-        values.append(float(mean[inside].mean()))
+        distances.append(_ring_quantiles(radius[ring]))
+        values.append(float(mean[ring].mean()))
         sectors.append(
-            _sectors(mean[inside], angle[inside], round(np.pi * (low + high) / ACCURACY.sector_px))
+            _sectors(mean[ring], angle[ring], round(np.pi * (low + high) / ACCURACY.sector_px))
         )
-        pixels.append(float(inside.sum()))
+        pixels.append(float(ring.sum()))
         lengths.append((low, high))
-        y, x = np.nonzero(inside)
+        y, x = np.nonzero(ring)
         positions.append(np.stack([x - col, (y - row) * pitch_ratio]))
     if not distances:
         return (
@@ -250,19 +252,23 @@ def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Ar
     and w are correlated by l/sqrt(v w). The variance per pixel is averaged over adjacent rings:
     that of few sectors may be too small by chance.
     """
-    count = np.array([len(own) for own in sectors], float)
-    square = np.array([own @ own for own in sectors]) + 1e-300
-    seen = float(np.average([own @ np.roll(own, 1) for own in sectors] / square, weights=count))
+    count = np.array([len(sector) for sector in sectors], float)
+    square = np.array([sector @ sector for sector in sectors]) + 1e-300
+    sector_correlation = float(
+        np.average([sector @ np.roll(sector, 1) for sector in sectors] / square, weights=count)
+    )
     # Subtracting their mean reduces the correlation of sectors.
     size = float(count.mean())
-    alike = (1.0 + seen * (size - 1.0)) / (size - 2.0 + 2.0 * seen)
+    correlated_sectors = (1.0 + sector_correlation * (size - 1.0)) / (
+        size - 2.0 + 2.0 * sector_correlation
+    )
     # Noise is correlated over at most one pixel across a border.
-    reach = float(np.clip(alike * ACCURACY.sector_px, 0.0, 1.0))
-    wider = 1.0 + 2.0 * reach / ACCURACY.sector_px
+    correlation_px = float(np.clip(correlated_sectors * ACCURACY.sector_px, 0.0, 1.0))
+    wider = 1.0 + 2.0 * correlation_px / ACCURACY.sector_px
     by_pixel = pixels * wider * square / (count - wider) / count
     weight = np.eye(count.size) + np.eye(count.size, k=1) + np.eye(count.size, k=-1)
     variance = (weight @ (count * by_pixel)) / (weight @ count) / pixels + 1e-6
     width = np.diff(borders, axis=1)[:, 0]
     touch = np.isclose(borders[1:, 0], borders[:-1, 1])
-    adjacent = np.where(touch, reach / np.sqrt(width[1:] * width[:-1]), 0.0)
+    adjacent = np.where(touch, correlation_px / np.sqrt(width[1:] * width[:-1]), 0.0)
     return variance, np.eye(count.size) + np.diag(adjacent, 1) + np.diag(adjacent, -1)

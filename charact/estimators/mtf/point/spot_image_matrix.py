@@ -75,8 +75,8 @@ def _lagrange(nodes: Array, at: Array) -> Array:
     """Return the polynomials that are one at one node and none at the others, shape (at, node)."""
     out = np.ones((at.size, nodes.size))
     for index, node in enumerate(nodes):
-        others = np.delete(nodes, index)
-        out[:, index] = np.prod((at[:, None] - others) / (node - others), axis=1)
+        other_nodes = np.delete(nodes, index)
+        out[:, index] = np.prod((at[:, None] - other_nodes) / (node - other_nodes), axis=1)
     return out
 
 
@@ -87,18 +87,18 @@ class _Panel:
     fx: Array
     fy: Array
     weight: NDArray[np.complex128]
-    between: Array
+    interpolation: Array
 
 
 @lru_cache(maxsize=24)
 def _panels(aperture: Aperture, order: int = 0) -> list[_Panel]:
     panels = []
     for (low, high), f in zip(pairwise(BORDERS), FREQUENCIES.reshape(-1, NODES), strict=True):
-        turn, share = np.polynomial.legendre.leggauss(int(TURNS + TURNS_PER_CYCLE * high))
-        turn, share = 0.25 * np.pi * (turn + 1.0), 0.25 * np.pi * share
+        turn, weights = np.polynomial.legendre.leggauss(int(TURNS + TURNS_PER_CYCLE * high))
+        turn, weights = 0.25 * np.pi * (turn + 1.0), 0.25 * np.pi * weights
         fx, fy = f[:, None] * np.cos(turn), f[:, None] * np.sin(turn)
         # Four quadrants of the plane.
-        area = 4.0 * (0.5 * (high - low) * WEIGHTS * f)[:, None] * share
+        area = 4.0 * (0.5 * (high - low) * WEIGHTS * f)[:, None] * weights
         known = aperture.horizontal(fx.ravel(), order).reshape(fx.shape) * aperture.vertical(fy)
         panels.append(
             _Panel(
@@ -127,8 +127,8 @@ def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
             along = panel.weight.real[:, None] * np.cos(phase)
             if aperture.video is not None:
                 along = along - panel.weight.imag[:, None] * np.sin(phase)
-            both = (fall[:, :, None] * along[:, None, :]).reshape(NODES, -1, x.size * y.size)
-            columns.append(panel.between.T @ both)
+            products = (fall[:, :, None] * along[:, None, :]).reshape(NODES, -1, x.size * y.size)
+            columns.append(panel.interpolation.T @ products)
         parts.append(np.concatenate(columns).transpose(2, 1, 0).reshape(x.size * y.size, -1))
     return np.concatenate(parts, axis=1)
 
@@ -141,8 +141,10 @@ def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
     """
     out = np.zeros((4, y.size, x.size))
     for number, panel in enumerate(_panels(aperture)):
-        here = transfer[:, number * NODES : (number + 1) * NODES]
-        weight = (panel.weight.reshape(NODES, -1) * (here.T @ panel.between.T)).ravel()
+        panel_transfer = transfer[:, number * NODES : (number + 1) * NODES]
+        weight = (
+            panel.weight.reshape(NODES, -1) * (panel_transfer.T @ panel.interpolation.T)
+        ).ravel()
         phase = 2.0 * np.pi * panel.fx[:, None] * x
         turned = weight[:, None] * np.exp(1j * phase)
         along, slope = turned.real, -2.0 * np.pi * panel.fx[:, None] * turned.imag
@@ -165,7 +167,7 @@ def ring_matrix(aperture: Aperture, ring_px: Array) -> Array:
         return out
     some = ring_px[:, np.linspace(0, ring_px.shape[1] - 1, PER_RING).round().astype(int)]
     at, weight = np.polynomial.legendre.leggauss(FINE)
-    between = _lagrange(GAUSS, at)
+    interpolation = _lagrange(GAUSS, at)
     half = 0.5 * np.diff(BORDERS)
     f = 0.5 * (BORDERS[1:] + BORDERS[:-1])[:, None] + half[:, None] * at
     pixel = np.sinc(f / np.sqrt(2.0)) * np.sinc(f * aperture.height_px / np.sqrt(2.0))
@@ -173,7 +175,7 @@ def ring_matrix(aperture: Aperture, ring_px: Array) -> Array:
         j0(2.0 * np.pi * f[..., None, None] * some).mean(axis=-1)
         * (2.0 * np.pi * f * pixel)[..., None]
     )
-    radially = np.einsum("pfr,pf,fn->rpn", kernel, half[:, None] * weight, between).reshape(
+    radially = np.einsum("pfr,pf,fn->rpn", kernel, half[:, None] * weight, interpolation).reshape(
         len(ring_px), -1
     )
     turns = np.cos(np.pi * (np.arange(64) + 0.5) / 64)

@@ -75,23 +75,23 @@ def point_spread(
     MTF(f) = |sum v exp(-2 pi i f x)| / sum v over a disc of 8 px, v above the mean of the ring from
     8 to 14 px.
     """
-    used = stack if region is None else stack.region(*region)
+    cut_stack = stack if region is None else stack.region(*region)
     settings = {"half_px": ACCURACY.spot_radius_px, "pinhole_px": pinhole_px}
     common: dict[str, Any] = {
         "method": METHOD,
-        "region": region or (0, 0, *used.shape[1:]),
+        "region": region or (0, 0, *cut_stack.shape[1:]),
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings=settings),
     }
-    if min(used.shape[1:]) < 2 * ACCURACY.background_radius_px:
+    if min(cut_stack.shape[1:]) < 2 * ACCURACY.background_radius_px:
         reason = f"a spot needs a region of at least {2 * ACCURACY.background_radius_px:.0f} px"
         return refuse_all(common, reason, "window-too-small")
-    source = detect_source(used.data, context.pitch_ratio)
+    source = detect_source(cut_stack.data, context.pitch_ratio)
     if isinstance(source, PointRefusal):
         return refuse_all(common, *source)
-    if len(used) < LIMITS.min_transform_frames:
-        reason = f"a spot needs at least {LIMITS.min_transform_frames} frames, got {len(used)}"
+    if len(cut_stack) < LIMITS.min_transform_frames:
+        reason = f"a spot needs at least {LIMITS.min_transform_frames} frames, got {len(cut_stack)}"
         return refuse_all(common, reason, "too-few-frames")
-    spots, flags, missing = _spots(used, source, context)
+    spots, flags, missing = _spots(cut_stack, source, context)
     if "saturated" in flags:
         return refuse_all(
             common,
@@ -103,17 +103,17 @@ def point_spread(
         len(light)
     ):
         return refuse_all(common, "no target: the spot's light is not significant over the frames")
-    positions = _places(used.shape[1:], source, context)
+    positions = _places(cut_stack.shape[1:], source, context)
     still = [finding(flag, EFFECTS[flag]) for flag in flags if flag in EFFECTS]
     findings = [*still, *motion_findings(tuple(flag for flag in flags if flag not in EFFECTS))]
-    found, curves = [], {}
+    measurements, curves = [], {}
     for name, angle, position in (("mtf", 0.0, positions[1]), ("mtf_vertical", 90.0, positions[0])):
-        one, curve = _direction(
+        numbers, curve = _direction(
             spots, position, pinhole_px or 0.0, missing, {**common, "orientation_deg": angle}
         )
-        found += [number.with_(findings=findings) for number in one]
+        measurements += [number.with_(findings=findings) for number in numbers]
         curves[name] = curve
-    return Result(measurements=tuple(found), curves=curves)
+    return Result(measurements=tuple(measurements), curves=curves)
 
 
 def _places(
@@ -127,43 +127,43 @@ def _places(
 
 
 def _spots(
-    used: FrameStack, source: DetectedSource, context: Context
+    stack: FrameStack, source: DetectedSource, context: Context
 ) -> tuple[Array, tuple[str, ...], float]:
     """Return spots above their rings (frame, row, col), flags, and the fraction of light that may
     be missing.
     """
-    y, x = _places(used.shape[1:], source, context)
+    y, x = _places(stack.shape[1:], source, context)
     radius = np.hypot(x, y)
-    inside = radius < ACCURACY.spot_radius_px
+    disc = radius < ACCURACY.spot_radius_px
     ring = (radius >= ACCURACY.spot_radius_px) & (radius < ACCURACY.background_radius_px)
-    background = used.data[:, ring].mean(axis=1)
-    spots = np.where(inside, used.data - background[:, None, None], 0.0)
-    full = context.full_scale_dn or used.full_scale_dn
-    saturated = full is not None and used.data[:, inside].max() >= 0.97 * full
+    background = stack.data[:, ring].mean(axis=1)
+    spots = np.where(disc, stack.data - background[:, None, None], 0.0)
+    full = context.full_scale_dn or stack.full_scale_dn
+    saturated = full is not None and stack.data[:, disc].max() >= 0.97 * full
     cut = min(-y[0, 0], y[-1, 0], -x[0, 0], x[0, -1]) < ACCURACY.background_radius_px
     mean = spots.mean(axis=0)
-    wide = float((mean * radius**2).sum()) > LIMITS.max_rms_radius_px**2 * float(mean.sum())
+    is_wide = float((mean * radius**2).sum()) > LIMITS.max_rms_radius_px**2 * float(mean.sum())
     # The halo of an intensifier extends beyond the disc: its light is missing from the
     # normalisation.
-    beyond = bool(cut) or wide or context.sensor is not None
+    has_lost_light = bool(cut) or is_wide or context.sensor is not None
     tail, tail_sd = _tail(spots, radius)
-    beyond |= tail > max(LIMITS.max_border_light, 3.0 * tail_sd) or _has_halo(
-        used.data, radius, ring
+    has_lost_light |= tail > max(LIMITS.max_border_light, 3.0 * tail_sd) or _has_halo(
+        stack.data, radius, ring
     )
     raised = (
         ("saturated", saturated),
-        ("several-targets", source.others),
-        ("window-too-small", beyond),
+        ("several-targets", source.has_others),
+        ("window-too-small", has_lost_light),
         ("model-misfit", _is_asymmetric(spots, x, y)),
-        ("clipped", is_clipped_at_black(used.data[:, ring])),
+        ("clipped", is_clipped_at_black(stack.data[:, ring])),
     )
-    moved = motion_flags(
-        spots, *_offsets_from_centre(mean, x.ravel(), y.ravel()), np.arange(used.shape[1]) % 2 == 1
+    motion = motion_flags(
+        spots, *_offsets_from_centre(mean, x.ravel(), y.ravel()), np.arange(stack.shape[1]) % 2 == 1
     )
     missing = ACCURACY.light_beyond * float(np.hypot(max(tail, 0.0), tail_sd))
     return (
         np.asarray(spots, np.float64),
-        (*(name for name, seen in raised if seen), *moved),
+        (*(name for name, is_raised in raised if is_raised), *motion),
         missing,
     )
 
@@ -216,11 +216,11 @@ def _is_asymmetric(spots: Array, x: Array, y: Array) -> bool:
 
 
 def _direction(
-    spots: Array, place: Array, pinhole_px: float, missing: float, common: dict
+    spots: Array, position: Array, pinhole_px: float, missing: float, common: dict
 ) -> tuple[list[Measurement], Curve]:
     """Return levels and curve along one direction, with jackknife uncertainties."""
-    waves = np.exp(-2j * np.pi * FREQUENCY[:, None] * place.ravel())
-    lines = spots.sum(axis=1 if place.shape[0] == 1 else 2)
+    waves = np.exp(-2j * np.pi * FREQUENCY[:, None] * position.ravel())
+    lines = spots.sum(axis=1 if position.shape[0] == 1 else 2)
     mean = lines.mean(axis=0)
     left_out = (lines.sum(axis=0) - lines) / (len(lines) - 1)
     curves = np.abs(np.concatenate([mean[None], left_out]) @ waves.T)

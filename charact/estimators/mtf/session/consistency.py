@@ -32,14 +32,14 @@ def mtf_consistency(result: Result, kinds: Mapping[str, str]) -> Result:
     """
     rows = [
         (
-            f"{one[0]} - {other[0]}",
+            f"{reading[0]} - {other[0]}",
             m.frequency_cy_per_px,
-            one[1] - other[1],
-            np.hypot(one[2], other[2]),
+            reading[1] - other[1],
+            np.hypot(reading[2], other[2]),
         )
         for m in result.find("mtf")
         if kinds.get(m.stack or "") == "bars" and m.value is not None
-        for one, other in combinations(_readings(m, result, kinds), 2)
+        for reading, other in combinations(_readings(m, result, kinds), 2)
     ]
     if not rows:
         return Result()
@@ -67,20 +67,22 @@ def _readings(
     direction.
     """
     low, high = bars.interval68 or (np.nan, np.nan)
-    found = [("bars", bars.value or 0.0, (high - low) / (2 * HALF68_SD))]
+    readings = [("bars", bars.value or 0.0, (high - low) / (2 * HALF68_SD))]
     for name, curve in result.curves.items():
         stack = curve.stack or name.partition(":")[2]
         if stack not in kinds or curve.interval68 is None:
             continue
-        apart = abs((bars.orientation_deg or 0.0) - _direction_deg(name, stack, result)) % 180.0
-        if min(apart, 180.0 - apart) > THRESHOLDS.same_direction_deg:
+        difference_deg = (
+            abs((bars.orientation_deg or 0.0) - _direction_deg(name, stack, result)) % 180.0
+        )
+        if min(difference_deg, 180.0 - difference_deg) > THRESHOLDS.same_direction_deg:
             continue
         value, width = (
             float(np.interp(bars.frequency_cy_per_px or 0.0, curve.frequency_cy_per_px, line))
             for line in (curve.value, np.diff(curve.interval68, axis=0)[0])
         )
-        found.append((kinds[stack], value, width / (2 * HALF68_SD)))
-    return found
+        readings.append((kinds[stack], value, width / (2 * HALF68_SD)))
+    return readings
 
 
 def _direction_deg(name: str, stack: str, result: Result) -> float:
@@ -119,10 +121,12 @@ def mtf_uniformity(
     rows = [_row(source, conditions, context) for source in sources(result, kinds)]
     evidence = {}
     for vertical, name in ((False, ""), (True, ", vertical")):
-        own = [row for row in rows if row["vertical"] == vertical]
-        slopes = {key: slope for key in AGAINST if (slope := _slope(own, key)) is not None}
+        direction_rows = [row for row in rows if row["vertical"] == vertical]
+        slopes = {
+            key: slope for key in AGAINST if (slope := _slope(direction_rows, key)) is not None
+        }
         if slopes:
-            evidence[f"MTF50 over the field and settings{name}"] = _table(own, slopes)
+            evidence[f"MTF50 over the field and settings{name}"] = _table(direction_rows, slopes)
     return Result(evidence=evidence)
 
 
@@ -134,8 +138,12 @@ def _row(source: ConstraintSource, conditions: Mapping[str, Conditions], context
     angle = m.orientation_deg or 0.0
     low, high = m.interval68 or (np.nan, np.nan)
     pitch = pitches(source.kind, angle, context)
-    taken = conditions.get(m.stack or "", Conditions())
-    light = taken.illuminance_lux if taken.illuminance_lux is not None else taken.photons_per_px
+    stack_conditions = conditions.get(m.stack or "", Conditions())
+    light = (
+        stack_conditions.illuminance_lux
+        if stack_conditions.illuminance_lux is not None
+        else stack_conditions.photons_per_px
+    )
     row, col, height, width = m.region or (np.nan,) * 4
     return {
         "target": m.stack or "",
@@ -144,7 +152,7 @@ def _row(source: ConstraintSource, conditions: Mapping[str, Conditions], context
         "sd": (high - low) / (2.0 * HALF68_SD * pitch),
         "row_px": row + 0.5 * height,
         "col_px": col + 0.5 * width,
-        "mcp_v": np.nan if taken.mcp_v is None else taken.mcp_v,
+        "mcp_v": np.nan if stack_conditions.mcp_v is None else stack_conditions.mcp_v,
         "ln_light": np.log(light) if light else np.nan,
     }
 
@@ -159,9 +167,9 @@ def _slope(rows: list[dict], key: str) -> list[float] | None:
     x, y, weight = np.array([(row[key], row["mtf50"], row["sd"] ** -2) for row in known]).T
     if np.ptp(x) <= 1e-9 * max(float(np.abs(x).max()), 1.0):
         return None
-    away = x - np.average(x, weights=weight)
-    spread = float(np.sum(weight * away**2))
-    return [float(np.sum(weight * away * y) / spread), float(spread**-0.5)]
+    deviation = x - np.average(x, weights=weight)
+    spread = float(np.sum(weight * deviation**2))
+    return [float(np.sum(weight * deviation * y) / spread), float(spread**-0.5)]
 
 
 def _table(rows: list[dict], slopes: dict[str, list[float]]) -> dict:

@@ -27,7 +27,7 @@ class MtfConstraint:
     """Combinations of the MTF that one target measures, with standard uncertainties.
 
     Frequencies (f,) are cycles per column pitch; `weights` has the shape (combination, f);
-    `within`: normalised to a window narrower than the halo.
+    `excludes_halo`: normalised to a window narrower than the halo.
     """
 
     target: str
@@ -37,7 +37,7 @@ class MtfConstraint:
     weights: Array
     value: Array
     sd: Array
-    within: bool = False
+    excludes_halo: bool = False
 
     @classmethod
     def of_value(
@@ -49,7 +49,7 @@ class MtfConstraint:
         value: float,
         interval68: Interval,
         *,
-        within: bool = False,
+        excludes_halo: bool = False,
     ) -> "MtfConstraint":
         """Return the constraint of one value of the MTF."""
         return cls(
@@ -59,7 +59,7 @@ class MtfConstraint:
             angle_rad=np.array([np.deg2rad(angle_deg)]),
             weights=np.ones((1, 1)),
             value=np.array([value]),
-            within=within,
+            excludes_halo=excludes_halo,
             sd=np.array(
                 [np.hypot((interval68[1] - interval68[0]) / (2.0 * HALF68_SD), THRESHOLDS.model_sd)]
             ),
@@ -89,9 +89,9 @@ def constraints_from(
     flats.
     """
     curves = [
-        one
+        constraint
         for source in sources(result, kinds)
-        if (one := _curve_constraint(source, context)) is not None
+        if (constraint := _curve_constraint(source, context)) is not None
     ]
     bars = [
         MtfConstraint.of_value(
@@ -112,31 +112,31 @@ def constraints_from(
         for name, angle in POST_GAIN.items()
         if name in result.curves
     ]
-    return [*curves, *bars], [one for one in bounds if one is not None]
+    return [*curves, *bars], [constraint for constraint in bounds if constraint is not None]
 
 
 def sources(result: Result, kinds: Mapping[str, str]) -> Iterator[ConstraintSource]:
     """Yield every edge and point with a valid MTF50 and its curves."""
-    seen = set()
+    visited = set()
     for m in result.find("mtf50"):
         kind = kinds.get(m.stack or "")
-        if kind not in ("edge", "point") or not _is_valid(m) or (m.stack, m.region) in seen:
+        if kind not in ("edge", "point") or not _is_valid(m) or (m.stack, m.region) in visited:
             continue
-        seen.add((m.stack, m.region))
+        visited.add((m.stack, m.region))
         region = "" if m.region is None else ":{},{},{},{}".format(*m.region)
-        places = (f":{m.stack}", f"{region}:{m.stack}", f":{m.stack}{region}")
+        suffixes = (f":{m.stack}", f"{region}:{m.stack}", f":{m.stack}{region}")
         directions = {
             "mtf": 0.0 if kind == "point" else (m.orientation_deg or 0.0),
             "mtf_vertical": 90.0,
         }
-        held = {
+        curve_of_name = {
             name: curve
             for name in directions
-            for place in places
-            if (curve := result.curves.get(name + place)) is not None
+            for suffix in suffixes
+            if (curve := result.curves.get(name + suffix)) is not None
         }
-        if held:
-            curves = tuple((curve, directions[name]) for name, curve in held.items())
+        if curve_of_name:
+            curves = tuple((curve, directions[name]) for name, curve in curve_of_name.items())
             yield ConstraintSource(target=f"{m.stack}", kind=kind, of=m, curves=curves)
 
 
@@ -151,16 +151,16 @@ def _curve_constraint(source: ConstraintSource, context: Context) -> MtfConstrai
     parts, frequencies, angles = [], [], []
     for curve, angle_deg in source.curves:
         values = interpolate_draws(FREQUENCIES, curve)
-        used = values.mean(axis=0) > THRESHOLDS.min_mtf
-        parts.append(values[:, used])
-        frequencies.append(FREQUENCIES[used] / pitches(source.kind, angle_deg, context))
-        angles.append(np.full(int(used.sum()), np.deg2rad(angle_deg)))
+        is_measured = values.mean(axis=0) > THRESHOLDS.min_mtf
+        parts.append(values[:, is_measured])
+        frequencies.append(FREQUENCIES[is_measured] / pitches(source.kind, angle_deg, context))
+        angles.append(np.full(int(is_measured.sum()), np.deg2rad(angle_deg)))
     draws = np.concatenate(parts, axis=1)
     if draws.shape[1] < 1 or not np.isfinite(draws).all():
         return None
     variance, axes = np.linalg.eigh(np.atleast_2d(np.cov(draws.T)))
-    kept = variance > THRESHOLDS.min_component**2 * variance[-1]
-    weights = axes[:, kept].T
+    components = variance > THRESHOLDS.min_component**2 * variance[-1]
+    weights = axes[:, components].T
     return MtfConstraint(
         target=source.target,
         kind=source.kind,
@@ -168,8 +168,8 @@ def _curve_constraint(source: ConstraintSource, context: Context) -> MtfConstrai
         angle_rad=np.concatenate(angles),
         weights=weights,
         value=weights @ draws.mean(axis=0),
-        sd=np.sqrt(variance[kept] + THRESHOLDS.model_sd**2),
-        within=_excludes_halo(source, context),
+        sd=np.sqrt(variance[components] + THRESHOLDS.model_sd**2),
+        excludes_halo=_excludes_halo(source, context),
     )
 
 
@@ -178,8 +178,8 @@ def interpolate_draws(wanted: Array, curve: Curve) -> Array:
     assert curve.draws is not None
     frequency = curve.frequency_cy_per_px
     right = np.clip(np.searchsorted(frequency, wanted), 1, len(frequency) - 1)
-    share = (wanted - frequency[right - 1]) / (frequency[right] - frequency[right - 1])
-    return curve.draws[:, right - 1] * (1.0 - share) + curve.draws[:, right] * share
+    fraction = (wanted - frequency[right - 1]) / (frequency[right] - frequency[right - 1])
+    return curve.draws[:, right - 1] * (1.0 - fraction) + curve.draws[:, right] * fraction
 
 
 def _single_value_constraint(source: ConstraintSource, context: Context) -> MtfConstraint | None:
@@ -198,9 +198,15 @@ def _single_value_constraint(source: ConstraintSource, context: Context) -> MtfC
     best = int(np.argmin(np.abs(lines[0] - 0.5)))
     value, low, high = lines[:, best].tolist()
     frequency = FREQUENCIES[best] / pitches(source.kind, angle_deg, context)
-    within = _excludes_halo(source, context)
+    excludes_halo = _excludes_halo(source, context)
     return MtfConstraint.of_value(
-        source.target, source.kind, frequency, angle_deg, value, (low, high), within=within
+        source.target,
+        source.kind,
+        frequency,
+        angle_deg,
+        value,
+        (low, high),
+        excludes_halo=excludes_halo,
     )
 
 
@@ -235,8 +241,8 @@ def _post_gain_bound(curve: Curve, angle_deg: float, context: Context) -> MtfCon
     """
     if curve.interval68 is None:
         return None
-    inside = curve.frequency_cy_per_px > 0
-    best = int(np.argmin(np.where(inside, np.abs(curve.value - 0.5), np.inf)))
+    positive = curve.frequency_cy_per_px > 0
+    best = int(np.argmin(np.where(positive, np.abs(curve.value - 0.5), np.inf)))
     low, high = np.asarray(curve.interval68)[:, best].tolist()
     frequency = curve.frequency_cy_per_px[best] / (context.pitch_ratio if angle_deg else 1.0)
     target = "flats, vertical" if angle_deg else "flats"

@@ -62,31 +62,34 @@ class JointLikelihood:
     @cached_property
     def combinations(self) -> int:
         """Number of combinations that the targets measure."""
-        return sum(one.value.size for one in self.constraints)
+        return sum(constraint.value.size for constraint in self.constraints)
 
     @cached_property
     def _places(self) -> tuple[Array, Array, NDArray[np.bool_], Array, Array | None]:
-        """Frequencies of all targets along rows and columns; whether within; described transfer and
-        its bend.
+        """Frequencies of all targets along rows and columns; whether the halo is excluded;
+        described transfer and its bend.
         """
         every = (*self.constraints, *self.bounds)
         frequency, angle = (
             np.concatenate(of)
             for of in zip(*((o.frequency, o.angle_rad) for o in every), strict=True)
         )
-        within = np.concatenate([np.full(one.frequency.size, one.within) for one in every])
+        excludes_halo = np.concatenate(
+            [np.full(constraint.frequency.size, constraint.excludes_halo) for constraint in every]
+        )
         fx, fy = np.abs(frequency * np.cos(angle)), np.abs(frequency * np.sin(angle))
-        return fx, fy, within, self.form.known(fx, fy), self.form.known.bend(fx)
+        return fx, fy, excludes_halo, self.form.known(fx, fy), self.form.known.bend(fx)
 
     def residuals(self, theta: Array) -> Array:
         """Return whitened residuals of targets, then of bounds, shape (n, combination + bound)."""
-        fx, fy, within, known, bend = self._places
-        mtf = known * self.form.unknown(theta, fx, fy, bend=bend, within=within)
+        fx, fy, excludes_halo, known, bend = self._places
+        mtf = known * self.form.unknown(theta, fx, fy, bend=bend, excludes_halo=excludes_halo)
         every = (*self.constraints, *self.bounds)
-        ends = np.cumsum([one.frequency.size for one in every])[:-1]
+        ends = np.cumsum([constraint.frequency.size for constraint in every])[:-1]
         parts = np.split(mtf, ends, axis=1)
         return np.concatenate(
-            [one.residual(part) for one, part in zip(every, parts, strict=True)], axis=1
+            [constraint.residual(part) for constraint, part in zip(every, parts, strict=True)],
+            axis=1,
         )
 
     def log_probability(self, theta: Array) -> Array:
@@ -126,11 +129,11 @@ class JointFit:
     def leverage(self) -> Array:
         """Share of the residuals' noise that the fit takes up, shape (combination, combination)."""
         walls = self.problem.form.bounds
-        away = np.minimum(self.point - walls[:, 0], walls[:, 1] - self.point)
-        free = away > 1e-6 * np.ptp(walls, axis=1)
-        held = np.linalg.inv(np.linalg.inv(self.covariance)[np.ix_(free, free)])
+        wall_distance = np.minimum(self.point - walls[:, 0], walls[:, 1] - self.point)
+        free = wall_distance > 1e-6 * np.ptp(walls, axis=1)
+        covariance = np.linalg.inv(np.linalg.inv(self.covariance)[np.ix_(free, free)])
         slope = self.slope[: self.problem.combinations, free]
-        return slope @ held @ slope.T
+        return slope @ covariance @ slope.T
 
 
 def fit_joint_model(problem: JointLikelihood) -> JointFit:
@@ -143,11 +146,11 @@ def fit_joint_model(problem: JointLikelihood) -> JointFit:
     begun = start[int(np.argmax(problem.log_probability(start)))]
     point, _ = find_maximum(problem.log_probability, begun, walls, iterations=20)
     slope, residual = _slope(problem.residuals, point, walls), problem.residuals(point[None])[0]
-    below = residual[count:]
+    margins = residual[count:]
     # Curvature of -ln Phi(z): h (h + z), h the density over Phi.
-    ratio = np.exp(-0.5 * below**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(below))
+    ratio = np.exp(-0.5 * margins**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(margins))
     curvature = slope.T @ (
-        np.concatenate([np.ones(count), ratio * (ratio + below)])[:, None] * slope
+        np.concatenate([np.ones(count), ratio * (ratio + margins)])[:, None] * slope
     )
     covariance = np.asarray(
         np.linalg.inv(curvature + np.diag(problem.form.prior_precision)), np.float64
@@ -185,30 +188,30 @@ def consistency_test(fit: JointFit) -> dict[str, Any]:
     z^2.
     """
     problem, count = fit.problem, fit.problem.combinations
-    residual, below, leverage = fit.residual[:count], fit.residual[count:], fit.leverage
-    broken = np.minimum(below, 0.0)
+    residual, margins, leverage = fit.residual[:count], fit.residual[count:], fit.leverage
+    broken = np.minimum(margins, 0.0)
     total = float(residual @ residual + np.sum(broken**2))
     freedom = float(max(residual.size - np.trace(leverage), 0.0))
     probability = float(chdtrc(freedom, total)) if freedom > 0.05 else 1.0
     chi2, chances, parts, first = [], [], [], 0
-    for one in problem.constraints:
-        own = slice(first, first + one.value.size)
-        first += one.value.size
+    for constraint in problem.constraints:
+        rows = slice(first, first + constraint.value.size)
+        first += constraint.value.size
         variance, axes = np.linalg.eigh(
-            np.eye(one.value.size) - 0.5 * (leverage + leverage.T)[own, own]
+            np.eye(constraint.value.size) - 0.5 * (leverage + leverage.T)[rows, rows]
         )
         compared = variance > THRESHOLDS.min_compared
-        along = axes[:, compared].T @ residual[own]
+        along = axes[:, compared].T @ residual[rows]
         chi2.append(float(np.sum(along**2 / variance[compared])))
         chances.append(float(chdtrc(compared.sum(), chi2[-1])) if compared.any() else 1.0)
-        parts.append(residual[own].tolist())
-    every, chances = (*problem.constraints, *problem.bounds), [*chances, *ndtr(below).tolist()]
+        parts.append(residual[rows].tolist())
+    every, chances = (*problem.constraints, *problem.bounds), [*chances, *ndtr(margins).tolist()]
     parts += [[z] for z in broken.tolist()]
     return {
         "figure": "joint-mtf",
         "counts_halo": problem.form.wide is not None,
-        "target": [one.target for one in every],
-        "kind": [one.kind for one in every],
+        "target": [constraint.target for constraint in every],
+        "kind": [constraint.kind for constraint in every],
         "values": [len(part) for part in parts],
         "residuals_sd": parts,
         "apart_chi_squared": [*chi2, *(broken**2).tolist()],
@@ -234,8 +237,8 @@ class JointMtf:
     def forms(self) -> dict[str, float]:
         """Share of the evidence of each form by its name."""
         return {
-            fit.problem.form.name: float(share)
-            for fit, share in zip(self.fits, self.shares, strict=True)
+            fit.problem.form.name: float(weight)
+            for fit, weight in zip(self.fits, self.shares, strict=True)
         }
 
     def mtf(self, frequency: Array, vertical: bool) -> Array:
@@ -246,8 +249,8 @@ class JointMtf:
         fx, fy = (none, frequency) if vertical else (frequency, none)
         return np.concatenate(
             [
-                fit.problem.form.transfer(posterior.draws[: max(1, round(DRAWS * share))], fx, fy)
-                for fit, posterior, share in zip(
+                fit.problem.form.transfer(posterior.draws[: max(1, round(DRAWS * weight))], fx, fy)
+                for fit, posterior, weight in zip(
                     self.fits, self.posteriors, self.shares, strict=True
                 )
             ]
@@ -283,48 +286,50 @@ def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context)
     0.01 the flag is `model-misfit`.
     """
     sound, bounds = constraints_from(result, kinds, context)
-    if len({one.target for one in sound}) < 2:
+    if len({constraint.target for constraint in sound}) < 2:
         return Result()
-    found = _fit_and_draw(sound, bounds, context)
-    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in found.forms.items())
-    settings = {"quick": context.quick, "forms": shares, "targets": found.test["target"]}
+    joint = _fit_and_draw(sound, bounds, context)
+    shares = ", ".join(f"{name} {100 * weight:.0f} %" for name, weight in joint.forms.items())
+    settings = {"quick": context.quick, "forms": shares, "targets": joint.test["target"]}
     common = {
         "method": "joint",
-        "flags": _flags(found),
-        "notes": _notes(found.test, shares),
+        "flags": _flags(joint),
+        "notes": _notes(joint.test, shares),
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings=settings),
     }
     measurements: list[Measurement] = []
     curves = {}
     for vertical in _directions(sound):
-        own = {**common, "orientation_deg": 90.0 if vertical else 0.0}
-        fine, pinned = found.mtf(FINE, vertical), found.mtf(np.array(PINNED), vertical)
+        direction_settings = {**common, "orientation_deg": 90.0 if vertical else 0.0}
+        fine, pinned = joint.mtf(FINE, vertical), joint.mtf(np.array(PINNED), vertical)
         measurements += [
             *(
-                _crossing_frequency(name, level, fine, found, own)
+                _crossing_frequency(name, level, fine, joint, direction_settings)
                 for name, level in (("mtf50", 0.5), ("mtf10", 0.1))
             ),
             *(
-                measurement_from_draws("mtf", "1", values, frequency_cy_per_px=frequency, **own)
+                measurement_from_draws(
+                    "mtf", "1", values, frequency_cy_per_px=frequency, **direction_settings
+                )
                 for frequency, values in zip(PINNED, pinned.T, strict=True)
             ),
         ]
         name = "mtf_joint_vertical" if vertical else "mtf_joint"
-        curves[name] = curve_of(REPORTED, found.mtf(np.maximum(REPORTED, 1e-6), vertical))
+        curves[name] = curve_of(REPORTED, joint.mtf(np.maximum(REPORTED, 1e-6), vertical))
     return Result(
         measurements=tuple(measurements),
         curves=curves,
-        evidence={"joint MTF": {**found.test, "forms": found.forms}},
+        evidence={"joint MTF": {**joint.test, "forms": joint.forms}},
     )
 
 
 def _directions(sound: Sequence[MtfConstraint]) -> list[bool]:
     """Return which of rows (False) and columns (True) have targets."""
     off = np.concatenate(
-        [np.abs((np.rad2deg(one.angle_rad) + 90.0) % 180.0 - 90.0) for one in sound]
+        [np.abs((np.rad2deg(constraint.angle_rad) + 90.0) % 180.0 - 90.0) for constraint in sound]
     )
-    near = {False: off < THRESHOLDS.near_axis_deg, True: off > 90.0 - THRESHOLDS.near_axis_deg}
-    return [vertical for vertical, has in near.items() if has.any()] or [False]
+    has_axis = {False: off < THRESHOLDS.near_axis_deg, True: off > 90.0 - THRESHOLDS.near_axis_deg}
+    return [vertical for vertical, has in has_axis.items() if has.any()] or [False]
 
 
 def _fit_and_draw(
@@ -333,11 +338,11 @@ def _fit_and_draw(
     """Fit every form and draw from those that the data leave open."""
     elliptical, known = len(_directions(sound)) == 2, KnownCameraTransfer.of(context)
     # The halo of a described intensifier counts where a target's window contains all of it.
-    wide = None
-    if context.sensor is not None and not all(one.within for one in sound):
-        wide = HaloComponent(size_px=halo_diameters_px(context, transposed=False))
+    halo = None
+    if context.sensor is not None and not all(constraint.excludes_halo for constraint in sound):
+        halo = HaloComponent(size_px=halo_diameters_px(context, transposed=False))
     forms = [
-        JointBlurModel(core=core, blurred=blurred, wide=wide, elliptical=elliptical, known=known)
+        JointBlurModel(core=core, blurred=blurred, wide=halo, elliptical=elliptical, known=known)
         for core, blurred in CORES
     ]
     fits = [
@@ -347,10 +352,10 @@ def _fit_and_draw(
     fits.sort(key=lambda fit: -fit.log_evidence)
     shares = np.exp([fit.log_evidence - fits[0].log_evidence for fit in fits])
     shares /= shares.sum()
-    kept = shares > THRESHOLDS.min_model_weight
+    likely = shares > THRESHOLDS.min_model_weight
     fits, shares = (
-        [fit for fit, keep in zip(fits, kept, strict=True) if keep],
-        shares[kept] / shares[kept].sum(),
+        [fit for fit, keep in zip(fits, likely, strict=True) if keep],
+        shares[likely] / shares[likely].sum(),
     )
     posteriors = [
         _posterior(fit, context, context.seed + number) for number, fit in enumerate(fits)
@@ -378,19 +383,21 @@ def _posterior(fit: JointFit, context: Context, seed: int) -> Posterior:
     return sample_posterior(fit.problem.log_probability, **asked, max_steps=3000)
 
 
-def _flags(found: JointMtf) -> tuple[str, ...]:
+def _flags(joint: JointMtf) -> tuple[str, ...]:
     """Return the flags of the joint MTF."""
     flags = {
-        flag for posterior in found.posteriors for flag in posterior.flags if flag != "prior-bound"
+        flag for posterior in joint.posteriors for flag in posterior.flags if flag != "prior-bound"
     }
-    for fit, posterior in zip(found.fits, found.posteriors, strict=True):
+    for fit, posterior in zip(joint.fits, joint.posteriors, strict=True):
         chosen = np.array([name not in NATURAL_BOUNDS for name in posterior.names])
         if crowds_at_bound(posterior.draws, fit.problem.form.bounds)[chosen].any():
             flags.add("prior-bound")
-    apart = found.test["apart_probability"]
+    target_p_values = joint.test["apart_probability"]
     # Bonferroni over the targets.
-    least = min(found.test["probability"], min(apart) * len(apart))
-    return tuple(flags | ({"model-misfit"} if least < THRESHOLDS.misfit_p_value else set()))
+    lowest_p_value = min(joint.test["probability"], min(target_p_values) * len(target_p_values))
+    return tuple(
+        flags | ({"model-misfit"} if lowest_p_value < THRESHOLDS.misfit_p_value else set())
+    )
 
 
 def _notes(test: dict[str, Any], shares: str) -> tuple[str, ...]:
@@ -406,7 +413,7 @@ def _notes(test: dict[str, Any], shares: str) -> tuple[str, ...]:
 
 
 def _crossing_frequency(
-    quantity: str, level: float, fine: Array, found: JointMtf, common: dict
+    quantity: str, level: float, fine: Array, joint: JointMtf, common: dict
 ) -> Measurement:
     """Return the frequency at which the MTF falls to a level; refused where it does not in 2 % of
     the draws.
@@ -420,5 +427,5 @@ def _crossing_frequency(
         )
         return make_refusal(quantity, "cy/px", reason, **common)
     return measurement_from_draws(
-        quantity, "cy/px", draws[known], posterior=found.posteriors[0], **common
+        quantity, "cy/px", draws[known], posterior=joint.posteriors[0], **common
     )

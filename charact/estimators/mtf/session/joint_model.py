@@ -80,8 +80,8 @@ class JointBlurModel:
         """Unit and bounds of each parameter by name."""
         blur = {"blur_px2": ("px2", (0.0, 3.0))} if self.blurred else {}
         stretch = {"ln_vertical_stretch": ("1", (-1.0, 1.0))} if self.elliptical else {}
-        wide = self.wide.parameters if self.wide else {}
-        return {**self.family.parameters, **blur, **stretch, **wide, **self.known.parameters}
+        extended = self.wide.parameters if self.wide else {}
+        return {**self.family.parameters, **blur, **stretch, **extended, **self.known.parameters}
 
     @cached_property
     def bounds(self) -> Array:
@@ -91,14 +91,20 @@ class JointBlurModel:
     @property
     def start(self) -> Array:
         """A starting point of the optimisation."""
-        wide = (
+        extended = (
             [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()]
             if self.wide
             else []
         )
         blur, stretch = [0.3] * self.blurred, [0.0] * self.elliptical
         return np.array(
-            [*self.family.start(0.2), *blur, *stretch, *wide, *(0.0 for _ in self.known.parameters)]
+            [
+                *self.family.start(0.2),
+                *blur,
+                *stretch,
+                *extended,
+                *(0.0 for _ in self.known.parameters),
+            ]
         )
 
     def transfer(self, theta: Array, fx: Array, fy: Array) -> Array:
@@ -114,16 +120,16 @@ class JointBlurModel:
         fy: Array,
         *,
         bend: Array | None,
-        within: NDArray[np.bool_] | bool = False,
+        excludes_halo: NDArray[np.bool_] | bool = False,
     ) -> Array:
         """Return the MTF over aperture and described video, shape (n, parameter) and (f,) -> (n,
         f).
 
-        Frequencies are cycles per column pitch; `bend` is `known.bend` of `fx`; `within`: where it
-        is normalised to a window narrower than the halo, whose light is then left out.
+        Frequencies are cycles per column pitch; `bend` is `known.bend` of `fx`; `excludes_halo`:
+        where it is normalised to a window narrower than the halo, whose light is then left out.
         """
-        size, place = self.family.core_parameters, self._stretch_index
-        stretch = np.exp(theta[:, place : place + 1]) if self.elliptical else 1.0
+        size, stretch_index = self.family.core_parameters, self._stretch_index
+        stretch = np.exp(theta[:, stretch_index : stretch_index + 1]) if self.elliptical else 1.0
         radius = np.maximum(np.hypot(fx, fy / stretch), 1e-7)
         core = self.family.modulus(theta[:, :size], radius)
         if self.blurred:
@@ -132,9 +138,9 @@ class JointBlurModel:
             core = core * np.exp(powers(theta[:, -1]) @ bend)
         if self.wide is None:
             return core
-        tail = theta[:, place + self.elliptical :][:, : len(self.wide.parameters)]
-        far = self.wide.transfer(np.maximum(np.hypot(fx, fy), 1e-7), tail[:, 1:])
-        return core * np.where(within, 1.0, 1.0 - tail[:, :1] + tail[:, :1] * far)
+        tail = theta[:, stretch_index + self.elliptical :][:, : len(self.wide.parameters)]
+        extended = self.wide.transfer(np.maximum(np.hypot(fx, fy), 1e-7), tail[:, 1:])
+        return core * np.where(excludes_halo, 1.0, 1.0 - tail[:, :1] + tail[:, :1] * extended)
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds."""

@@ -113,11 +113,11 @@ def fit_mtf_budget(
     camera = StageModel.of(sensor, interlaced=interlaced, halo=halo)
     whitened = [
         (
-            one.curves,
-            np.concatenate([curve.value for curve in one.curves]),
-            _whitener(one.covariance),
+            target.curves,
+            np.concatenate([curve.value for curve in target.curves]),
+            _whitener(target.covariance),
         )
-        for one in measured
+        for target in measured
     ]
     bounds = camera.bounds
 
@@ -137,10 +137,10 @@ def fit_mtf_budget(
         return total
 
     def log_probability(theta: Array) -> Array:
-        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
-        safe = np.where(inside[:, None], theta, camera.mean)
+        in_bounds = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        safe = np.where(in_bounds[:, None], theta, camera.mean)
         prior = np.sum(((safe - camera.mean) / camera.sd) ** 2, axis=1)
-        return np.where(inside, -0.5 * (chi2(safe) + prior), -np.inf)
+        return np.where(in_bounds, -0.5 * (chi2(safe) + prior), -np.inf)
 
     point, covariance = find_maximum(log_probability, camera.mean, bounds)
     posterior = (laplace if quick else sample_posterior)(
@@ -159,7 +159,7 @@ def fit_mtf_budget(
     )
     prior = np.clip(prior, bounds[:, 0] + 1e-6, bounds[:, 1])
     identified, products, known = _identify_stages(
-        camera, posterior.draws, prior, [curve for one in measured for curve in one.curves]
+        camera, posterior.draws, prior, [curve for target in measured for curve in target.curves]
     )
     return MtfBudget(
         posterior=posterior,
@@ -177,8 +177,8 @@ def _whitener(covariance: Array) -> Array:
     form.
     """
     value, vector = np.linalg.eigh(np.asarray(covariance, float))
-    kept = value > 1e-6 * value.max()
-    return vector[:, kept] / np.sqrt(value[kept])
+    measured = value > 1e-6 * value.max()
+    return vector[:, measured] / np.sqrt(value[measured])
 
 
 def _identify_stages(
@@ -193,19 +193,23 @@ def _identify_stages(
     half = np.array(
         [max(_half_frequency(curve.frequency_cy_per_px, curve.value) for curve in across)]
     )
-    here, before = (
+    ln_stages, before = (
         camera.log_stages(theta, half, across[0].direction)[:, :, 0] for theta in (draws, prior)
     )
-    sd, prior_sd = here.std(axis=1), before.std(axis=1)
-    there = [i for i in range(len(STAGES)) if STAGES[i] in camera.stages]
-    known = [i for i in there if prior_sd[i] < 1e-9]
-    alone = [i for i in there if i not in known and sd[i] < THRESHOLDS.identified * prior_sd[i]]
-    left = [i for i in there if i not in known and i not in alone]
+    sd, prior_sd = ln_stages.std(axis=1), before.std(axis=1)
+    present = [i for i in range(len(STAGES)) if STAGES[i] in camera.stages]
+    known = [i for i in present if prior_sd[i] < 1e-9]
+    alone = [i for i in present if i not in known and sd[i] < THRESHOLDS.identified * prior_sd[i]]
+    unidentified = [i for i in present if i not in known and i not in alone]
     products: list[tuple[int, ...]] = []
-    for group in (group for size in range(2, len(left) + 1) for group in combinations(left, size)):
+    for group in (
+        group
+        for size in range(2, len(unidentified) + 1)
+        for group in combinations(unidentified, size)
+    ):
         members = list(group)
-        together = here[members].sum(axis=0).std()
-        if not any(set(found) & set(group) for found in products) and (
+        together = ln_stages[members].sum(axis=0).std()
+        if not any(set(product) & set(group) for product in products) and (
             together < THRESHOLDS.product * np.sqrt(np.sum(sd[members] ** 2))
         ):
             products.append(group)
@@ -228,11 +232,11 @@ def _sentences(
     chance: float,
 ) -> tuple[str, ...]:
     grouped = {stage for group in products for stage in group}
-    rest = [stage for stage in stages if stage not in (*identified, *known, *grouped)]
+    undetermined = [stage for stage in stages if stage not in (*identified, *known, *grouped)]
     out = [f"identified by the curves: {', '.join(identified) or 'none'}"]
     out += [f"only the product of {' and '.join(group)} is identified" for group in products]
-    if rest:
-        out.append(f"no better known than from the description: {', '.join(rest)}")
+    if undetermined:
+        out.append(f"no better known than from the description: {', '.join(undetermined)}")
     if known:
         out.append(f"taken as known: {', '.join(known)}")
     if chance < THRESHOLDS.budget_p_value:
@@ -249,10 +253,10 @@ def add_mtf_budget(result: Result, kinds: Mapping[str, str], *, context: Context
     count once. The difference of a joint MTF of two or three parameters from a product of stages
     adds the covariance s^2 exp(-|f - f'|/0.08) along each direction.
     """
-    whole = None if context.sensor is None else _system_curves(result, kinds)
-    if context.sensor is None or whole is None:
+    system = None if context.sensor is None else _system_curves(result, kinds)
+    if context.sensor is None or system is None:
         return result
-    curves, explained, halo = whole
+    curves, explained, halo = system
     after = _post_gain_curves(result)
     measured = [_with_covariance(curves, context)]
     measured += [] if after is None else [_with_covariance(after, context, after_gain=True)]
@@ -301,15 +305,19 @@ def _system_curves(
     return (across, down), vouching[0], halo
 
 
-def _draw_jointly(one: Curve, other: Curve) -> bool:
-    return one.draws is not None and other.draws is not None and len(one.draws) == len(other.draws)
+def _draw_jointly(first: Curve, second: Curve) -> bool:
+    return (
+        first.draws is not None
+        and second.draws is not None
+        and len(first.draws) == len(second.draws)
+    )
 
 
 def _post_gain_curves(result: Result) -> tuple[Curve, Curve] | None:
     """Return the valid curves of the flats' noise, vertical ones in cycles per row pitch."""
-    found = result.find("post_gain_mtf50")
+    measured = result.find("post_gain_mtf50")
     across, down = (result.curves.get(name) for name in POST_GAIN)
-    if not found or any(m.status != "ok" for m in found) or across is None or down is None:
+    if not measured or any(m.status != "ok" for m in measured) or across is None or down is None:
         return None
     return (across, down) if _draw_jointly(across, down) else None
 
@@ -323,25 +331,25 @@ def _with_covariance(
         per_pitch = _per_pitch(direction, context)
         # Curves of the whole camera count column pitches in both directions, those after the gain
         # each its own.
-        own = FREQUENCIES * per_pitch if after_gain else FREQUENCIES
-        used = (own <= curve.frequency_cy_per_px[-1]) & (
-            np.interp(own, curve.frequency_cy_per_px, curve.value) > THRESHOLDS.min_mtf
+        pitch_frequency = FREQUENCIES * per_pitch if after_gain else FREQUENCIES
+        is_measured = (pitch_frequency <= curve.frequency_cy_per_px[-1]) & (
+            np.interp(pitch_frequency, curve.frequency_cy_per_px, curve.value) > THRESHOLDS.min_mtf
         )
-        drawn.append(interpolate_draws(own[used], curve))
+        drawn.append(interpolate_draws(pitch_frequency[is_measured], curve))
         parts.append(
             MeasuredCurve(
                 direction=direction,
-                frequency_cy_per_px=FREQUENCIES[used] * per_pitch,
+                frequency_cy_per_px=FREQUENCIES[is_measured] * per_pitch,
                 value=drawn[-1].mean(axis=0),
                 after_gain=after_gain,
             )
         )
     covariance = np.atleast_2d(np.cov(np.concatenate(drawn, axis=1).T))
     first = len(parts[0].value)
-    for part, own in zip(parts, (slice(None, first), slice(first, None)), strict=True):
-        apart = np.abs(part.frequency_cy_per_px[:, None] - part.frequency_cy_per_px)
-        covariance[own, own] += THRESHOLDS.cascade_sd**2 * np.exp(
-            -apart / THRESHOLDS.cascade_correlation_cy_per_px
+    for part, block in zip(parts, (slice(None, first), slice(first, None)), strict=True):
+        separation = np.abs(part.frequency_cy_per_px[:, None] - part.frequency_cy_per_px)
+        covariance[block, block] += THRESHOLDS.cascade_sd**2 * np.exp(
+            -separation / THRESHOLDS.cascade_correlation_cy_per_px
         )
     return MeasuredCurves(curves=tuple(parts), covariance=covariance)
 
@@ -358,13 +366,13 @@ def _stage_losses(budget: MtfBudget, curves: tuple[Curve, Curve], context: Conte
     out = []
     for curve, direction, lines in zip(curves, DIRECTIONS, ("rows", "columns"), strict=True):
         half = _half_frequency(curve.frequency_cy_per_px, curve.value)
-        own = np.array([half * _per_pitch(direction, context)])
-        left = {
-            stage: float(np.median(budget.product((stage,), own, direction)))
+        mtf50_frequency = np.array([half * _per_pitch(direction, context)])
+        transfer_of_stage = {
+            stage: float(np.median(budget.product((stage,), mtf50_frequency, direction)))
             for stage in budget.camera.stages
         }
         measured = ", ".join(
-            f"{stage} {value:.2f}" for stage, value in left.items() if value < 0.9995
+            f"{stage} {value:.2f}" for stage, value in transfer_of_stage.items() if value < 0.9995
         )
         out.append(
             f"along {lines} at {half:.3f} cycles per column pitch the stages leave {measured}"
@@ -406,20 +414,22 @@ def _panel(
 ) -> dict[str, Any]:
     """Return one direction: stages, their product and the measured curves, with 95 % intervals."""
     assert context.sensor is not None
-    own, stages = SHOWN * _per_pitch(direction, context), budget.camera.stages
+    pitch_frequency, stages = SHOWN * _per_pitch(direction, context), budget.camera.stages
     mm = float(context.sensor.ccd.pitch_x_um) * 1e-3 * float(context.sensor.taper.demagnification)
     panel = {
         "frequency_cy_per_column": SHOWN.tolist(),
         "cathode_lp_per_mm": (SHOWN / mm).tolist(),
-        "stages": {stage: _band(budget.product((stage,), own, direction)) for stage in stages},
-        "product": _band(budget.product(stages, own, direction)),
+        "stages": {
+            stage: _band(budget.product((stage,), pitch_frequency, direction)) for stage in stages
+        },
+        "product": _band(budget.product(stages, pitch_frequency, direction)),
         "measured": _band(interpolate_draws(SHOWN, curve)),
     }
     if after is not None:
-        panel["product_after_gain"] = _band(budget.product(AFTER_GAIN, own, direction))
+        panel["product_after_gain"] = _band(budget.product(AFTER_GAIN, pitch_frequency, direction))
         # Beyond its last frequency a curve holds nothing; null is a gap in what is drawn.
-        known = np.where(own <= after.frequency_cy_per_px[-1], 1.0, np.nan)
-        panel["measured_after_gain"] = _band(interpolate_draws(own, after) * known)
+        known = np.where(pitch_frequency <= after.frequency_cy_per_px[-1], 1.0, np.nan)
+        panel["measured_after_gain"] = _band(interpolate_draws(pitch_frequency, after) * known)
     return panel
 
 

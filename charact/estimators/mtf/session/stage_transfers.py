@@ -100,7 +100,7 @@ class StageModel:
         cathode = detector / float(taper.demagnification)
         blur_um, cut_off = get["optics.aberration_blur_um"], get["tube.mtf_frequency_lp_per_mm"]
         tube = -np.exp(get["tube.mtf_exponent"] * np.log(np.maximum(cathode, 1e-9) / cut_off))
-        share = get["tube.post_gain_share"]
+        post_gain_share = get["tube.post_gain_share"]
         interface = get["taper.interface_mtf_lp_per_mm"]
         fibres = forms.disc(detector, float(taper.fibre_pitch_um) * 1e-3)
         pixel = np.abs(np.sinc(frequency * (1.0 if along else self.rows_summed)))
@@ -114,8 +114,8 @@ class StageModel:
             [
                 np.log(diffraction) - 2.0 * (np.pi * cathode * blur_um * 1e-3) ** 2,
                 none + self._log_halo(get, cathode),
-                (1.0 - share) * tube,
-                share * tube,
+                (1.0 - post_gain_share) * tube,
+                post_gain_share * tube,
                 np.log(np.maximum(np.abs(fibres), 1e-12)) - (detector / interface) ** 2,
                 none + np.log(np.maximum(pixel, 1e-12)),
                 none + (self._log_video(get, frequency) if along else 0.0),
@@ -126,8 +126,8 @@ class StageModel:
         """Return ln of (1 - q) + q times the transfer of a halo four gaps wide."""
         if HALO[0] not in get:
             return 0.0
-        share, elastic, gap_mm = (get[name] for name in HALO)
-        return np.log1p(share * (forms.halo(cathode, 4.0 * gap_mm[:, 0], elastic[:, 0]) - 1.0))
+        fraction, elastic, gap_mm = (get[name] for name in HALO)
+        return np.log1p(fraction * (forms.halo(cathode, 4.0 * gap_mm[:, 0], elastic[:, 0]) - 1.0))
 
     def _log_video(self, get: dict[str, Array], frequency: Array) -> Array | float:
         """Return ln of the transfer of the video, interpolated in bandwidth."""
@@ -138,12 +138,12 @@ class StageModel:
         table = _video_table(
             tuple(frequency.tolist()), float(video.pixel_clock_mhz), video.filter_order
         )
-        place = np.interp(
+        position = np.interp(
             get["video.bandwidth_mhz"][:, 0], BANDWIDTHS_MHZ, np.arange(len(BANDWIDTHS_MHZ))
         )
-        below = np.minimum(place.astype(int), len(BANDWIDTHS_MHZ) - 2)
-        share = (place - below)[:, None]
-        return (1.0 - share) * table[below] + share * table[below + 1]
+        node = np.minimum(position.astype(int), len(BANDWIDTHS_MHZ) - 2)
+        part = (position - node)[:, None]
+        return (1.0 - part) * table[node] + part * table[node + 1]
 
 
 @lru_cache(maxsize=32)
@@ -155,8 +155,8 @@ def _video_table(frequency: tuple[float, ...], clock_mhz: float, order: int) -> 
     return np.log(
         np.array(
             [
-                np.abs(video_filter.transfer(at, float(one), clock_mhz, order))
-                for one in BANDWIDTHS_MHZ
+                np.abs(video_filter.transfer(at, float(bandwidth_mhz), clock_mhz, order))
+                for bandwidth_mhz in BANDWIDTHS_MHZ
             ]
         )
     )

@@ -21,7 +21,7 @@ BEYOND = 0.8
 
 
 def matches_bars(
-    place: NDArray, rows: NDArray, frequency: float, bars: int
+    position: NDArray, rows: NDArray, frequency: float, bars: int
 ) -> tuple[float, float, float] | None:
     """Return how much blurred bars explain, bright or dark, their middle and their frequency, None
     if they are none.
@@ -37,18 +37,18 @@ def matches_bars(
     tried = np.array(
         np.meshgrid(np.linspace(0.92, 1.08, 17) * frequency, np.linspace(-0.6, 0.6, 21))
     ).reshape(2, -1)
-    design = _design((place - (tried[1] / frequency)[:, None]) * tried[0][:, None], bars)
-    ground = np.stack([np.ones_like(place), place * frequency], axis=1)
+    design = _design((position - (tried[1] / frequency)[:, None]) * tried[0][:, None], bars)
+    ground = np.stack([np.ones_like(position), position * frequency], axis=1)
     design = np.concatenate([np.broadcast_to(ground, (*design.shape[:2], 2)), design], axis=2)
     transposed = design.swapaxes(1, 2)
     right = transposed @ (value - value.mean())
     coefficient = np.linalg.solve(transposed @ design + 1e-9 * np.eye(4), right[..., None])[..., 0]
     variance = float(np.sum((value - value.mean()) ** 2))
-    left = variance - np.sum(coefficient * right, axis=1)
-    best = int(np.argmin(left))
+    residual = variance - np.sum(coefficient * right, axis=1)
+    best = int(np.argmin(residual))
     sign = -1.0 if coefficient[best, 3] < 0.0 else 1.0
     box, wave = sign * coefficient[best, 2:]
-    unexplained = float(left[best]) - min(2.0 * noise, THRESHOLDS.max_bar_noise * variance)
+    unexplained = float(residual[best]) - min(2.0 * noise, THRESHOLDS.max_bar_noise * variance)
     if (
         not wave > THRESHOLDS.modulation_sd * np.sqrt(2.0 * noise) / value.size
         or box < THRESHOLDS.min_box_over_wave * wave
@@ -56,12 +56,12 @@ def matches_bars(
         return None
     if unexplained > (1.0 - THRESHOLDS.min_explained) * variance:
         return None
-    centre, own = float(tried[1, best] / frequency), float(tried[0, best])
-    level = sign * (value - coefficient[best, 1] * place * frequency)
-    explained = 1.0 - float(left[best]) / variance
+    centre, fitted_frequency = float(tried[1, best] / frequency), float(tried[0, best])
+    level = sign * (value - coefficient[best, 1] * position * frequency)
+    explained = 1.0 - float(residual[best]) / variance
     return (
-        (explained, centre, own)
-        if _has_isolated_ends((place - centre) * own, level, bars)
+        (explained, centre, fitted_frequency)
+        if _has_isolated_ends((position - centre) * fitted_frequency, level, bars)
         else None
     )
 
@@ -70,19 +70,19 @@ def _has_isolated_ends(phase: NDArray, level: NDArray, bars: int) -> bool:
     """Return whether a profile over phases in periods holds so many bars: one more, or less, shows
     next to the last.
     """
-    outside, ends = [], []
+    backgrounds, ends = [], []
     for sign in (-1, 1):
-        beyond = (sign * phase > 0.5 * bars + 0.15) & (sign * phase < 0.5 * bars + BEYOND)
+        background = (sign * phase > 0.5 * bars + 0.15) & (sign * phase < 0.5 * bars + BEYOND)
         last = np.abs(phase - sign * 0.5 * (bars - 1)) < 0.25
-        if np.count_nonzero(beyond) < 1 or np.count_nonzero(last) < 1:
+        if np.count_nonzero(background) < 1 or np.count_nonzero(last) < 1:
             return False
-        outside.append(float(level[beyond].mean()))
+        backgrounds.append(float(level[background].mean()))
         ends.append(float(level[last].mean()))
-    height = 0.5 * (ends[0] + ends[1]) - min(outside)
-    between = float(level[np.abs(phase) < 0.5 * bars].mean())
+    height = 0.5 * (ends[0] + ends[1]) - min(backgrounds)
+    group_level = float(level[np.abs(phase) < 0.5 * bars].mean())
     dark = (
-        max(outside) < min(outside) + THRESHOLDS.max_background * height
-        and max(outside) < between - 0.25 * height
+        max(backgrounds) < min(backgrounds) + THRESHOLDS.max_background * height
+        and max(backgrounds) < group_level - 0.25 * height
     )
     return dark and abs(ends[1] - ends[0]) < THRESHOLDS.max_inequality * height
 
@@ -154,15 +154,15 @@ def find_bar_groups(
     if bars is not None and bars < 3:
         raise BadInput(f"a group of bars that is looked for must have at least 3 bars, got {bars}")
     picture, _ = mean_frame_of(pictures)
-    found = [
+    groups = [
         group
         for transposed in (False, True)
         for group in _find_upright(
             np.ascontiguousarray(picture.T) if transposed else picture, bars, transposed=transposed
         )
     ]
-    apart = _separate(found)
-    boxes = [_box(group) for group in apart]
+    separate = _separate(groups)
+    boxes = [_box(group) for group in separate]
     return tuple(
         DetectedBarGroup(
             region=_region(group, [box for box in boxes if box != _box(group)], picture.shape),
@@ -171,7 +171,7 @@ def find_bar_groups(
             bars=group.bars,
             significance=group.significance,
         )
-        for group in sorted(apart, key=lambda group: group.frequency)
+        for group in sorted(separate, key=lambda group: group.frequency)
     )
 
 
@@ -195,19 +195,22 @@ def _find_upright(picture: Array, bars: int | None, *, transposed: bool) -> list
     answers = sorted(_detections(picture, bars or MIN_BARS), key=lambda answer: -answer.amplitude)[
         :600
     ]
-    found: list[_Group] = []
+    groups: list[_Group] = []
     for answer in answers:
-        boxes = (_box(group) for group in found)
+        boxes = (_box(group) for group in groups)
         if not any(
             box[0] <= answer.row <= box[2] and box[1] <= answer.col <= box[3] for box in boxes
         ):
             group = _verify(picture, answer, bars)
             if group is not None:
-                found.append(group)
+                groups.append(group)
     return (
-        [replace(one, row=one.col, col=one.row, transposed=True) for one in found]
+        [
+            replace(upright_group, row=upright_group.col, col=upright_group.row, transposed=True)
+            for upright_group in groups
+        ]
         if transposed
-        else found
+        else groups
     )
 
 
@@ -264,11 +267,11 @@ def _filter_amplitude(picture: Array, bars: int, period_px: float) -> Array:
     import cv2
 
     half = int(np.ceil(0.5 * bars * period_px))
-    place = np.arange(-half, half + 1)
-    inside = np.clip(0.5 * bars * period_px + 0.5 - np.abs(place), 0.0, 1.0)
-    wave = inside * np.exp(2j * np.pi * place / period_px)
-    wave -= inside * wave.sum() / inside.sum()
-    wave /= 0.5 * np.sum(inside)
+    position = np.arange(-half, half + 1)
+    window = np.clip(0.5 * bars * period_px + 0.5 - np.abs(position), 0.0, 1.0)
+    wave = window * np.exp(2j * np.pi * position / period_px)
+    wave -= window * wave.sum() / window.sum()
+    wave /= 0.5 * np.sum(window)
     along = np.full(
         max(1, round(0.5 * ASPECT * ACCURACY.central_fraction * period_px)), 1.0, np.float32
     )
@@ -282,10 +285,14 @@ def _filter_amplitude(picture: Array, bars: int, period_px: float) -> Array:
     return np.hypot(*(np.asarray(part, np.float32) for part in parts))
 
 
-def _peaks(response: Array, least: float, bars: int, period_px: float) -> list[tuple[int, int]]:
+def _peaks(
+    response: Array, min_response: float, bars: int, period_px: float
+) -> list[tuple[int, int]]:
     """Return (row, col) of the places that reach a height, each the highest of its surroundings."""
     size = (2 * round(0.25 * ASPECT * period_px) + 1, 2 * round(0.25 * bars * period_px) + 1)
-    rows, cols = np.nonzero((response >= local_maximum(response, *size)) & (response > least))
+    rows, cols = np.nonzero(
+        (response >= local_maximum(response, *size)) & (response > min_response)
+    )
     return list(zip(rows.tolist(), cols.tolist(), strict=True))
 
 
@@ -304,7 +311,7 @@ def _verify(picture: Array, answer: _Detection, bars: int | None) -> _Group | No
             looked.append((fitted, number, at))
     if not looked:
         return None
-    (_, centre, frequency), number, answer = max(looked, key=lambda one: one[0][0])
+    (_, centre, frequency), number, answer = max(looked, key=lambda match: match[0][0])
     top, bottom = _bar_extent(picture, answer.row, answer.col + centre, frequency, number)
     if (bottom - top) * frequency < THRESHOLDS.min_bar_aspect / 2:
         return None
@@ -333,13 +340,15 @@ def _candidate_counts(picture: Array, answer: _Detection) -> list[tuple[int, flo
     height = np.abs(
         gaussian_filter1d(wave, BAR_ACCURACY.smoothing_periods / answer.frequency, mode="nearest")
     )
-    here = min(max(round(answer.col), 0), value.size - 1)
-    low = height < 0.5 * height[here]
-    before, after = np.flatnonzero(low[:here]), np.flatnonzero(low[here:])
-    left = int(before[-1]) + 1 if before.size else 0
-    right = here + int(after[0]) if after.size else value.size
-    guess = round((right - left) * answer.frequency)
-    return [(n, 0.5 * (left + right - 1)) for n in range(guess - 1, guess + 2) if n >= MIN_BARS]
+    centre = min(max(round(answer.col), 0), value.size - 1)
+    low = height < 0.5 * height[centre]
+    before, after = np.flatnonzero(low[:centre]), np.flatnonzero(low[centre:])
+    first_col = int(before[-1]) + 1 if before.size else 0
+    last_col = centre + int(after[0]) if after.size else value.size
+    guess = round((last_col - first_col) * answer.frequency)
+    return [
+        (n, 0.5 * (first_col + last_col - 1)) for n in range(guess - 1, guess + 2) if n >= MIN_BARS
+    ]
 
 
 def _strip(picture: Array, answer: _Detection, bars: int) -> tuple[NDArray, NDArray] | None:
@@ -348,14 +357,17 @@ def _strip(picture: Array, answer: _Detection, bars: int) -> tuple[NDArray, NDAr
     """
     half = max(1, round(0.25 * ACCURACY.central_fraction * ASPECT / answer.frequency))
     top, bottom = round(answer.row) - half, round(answer.row) + half + 1
-    reach = (0.5 * bars + BEYOND) / answer.frequency
-    left, right = int(np.floor(answer.col - reach)), int(np.ceil(answer.col + reach)) + 1
-    if top < 0 or bottom > picture.shape[0] or left < 0 or right > picture.shape[1]:
+    half_width = (0.5 * bars + BEYOND) / answer.frequency
+    first_col, last_col = (
+        int(np.floor(answer.col - half_width)),
+        int(np.ceil(answer.col + half_width)) + 1,
+    )
+    if top < 0 or bottom > picture.shape[0] or first_col < 0 or last_col > picture.shape[1]:
         return None
     factor = max(1, int(1.0 / (answer.frequency * 2.0 * ACCURACY.pixels_per_period)))
-    rows = picture[top:bottom, left : left + (right - left) // factor * factor]
+    rows = picture[top:bottom, first_col : first_col + (last_col - first_col) // factor * factor]
     binned = rows.reshape(len(rows), -1, factor).mean(axis=2, dtype=np.float64)
-    return left + (np.arange(binned.shape[1]) + 0.5) * factor - 0.5 - answer.col, binned
+    return first_col + (np.arange(binned.shape[1]) + 0.5) * factor - 0.5 - answer.col, binned
 
 
 def _bar_extent(
@@ -365,35 +377,35 @@ def _bar_extent(
     more.
     """
     half = 0.5 * bars / frequency
-    left, right = (
+    first_col, last_col = (
         max(int(np.floor(col - half)), 0),
         min(int(np.ceil(col + half)) + 1, picture.shape[1]),
     )
-    phase = np.exp(-2j * np.pi * frequency * (np.arange(left, right) - col))
-    reach = round(6.0 / frequency)
-    first, last = max(round(row) - reach, 0), min(round(row) + reach + 1, picture.shape[0])
-    part = picture[first:last, left:right]
+    phase = np.exp(-2j * np.pi * frequency * (np.arange(first_col, last_col) - col))
+    max_rows = round(6.0 / frequency)
+    first, last = max(round(row) - max_rows, 0), min(round(row) + max_rows + 1, picture.shape[0])
+    part = picture[first:last, first_col:last_col]
     wave = (part - part.mean(axis=1, keepdims=True)) @ phase
     size = max(1, round(0.5 / frequency))
     smooth = np.convolve(wave, np.ones(size) / size, "same")
-    here = round(row) - first
-    near = slice(max(here - size, 0), here + size + 1)
-    level = float(np.median(np.abs(smooth[near])))
+    centre = round(row) - first
+    core = slice(max(centre - size, 0), centre + size + 1)
+    level = float(np.median(np.abs(smooth[core])))
     low = np.abs(smooth) < 0.5 * level
-    above, below = np.flatnonzero(low[:here]), np.flatnonzero(low[here:])
+    low_before, low_after = np.flatnonzero(low[:centre]), np.flatnonzero(low[centre:])
     return (
-        float(first + (above[-1] + 1 if above.size else 0)),
-        float(first + (here + below[0] if below.size else len(low))),
+        float(first + (low_before[-1] + 1 if low_before.size else 0)),
+        float(first + (centre + low_after[0] if low_after.size else len(low))),
     )
 
 
 def _separate(groups: list[_Group]) -> list[_Group]:
     """Return one group for each place, the most significant."""
-    kept: list[_Group] = []
+    separate: list[_Group] = []
     for group in sorted(groups, key=lambda group: -group.significance):
-        if not any(_overlap(_box(group), _box(other)) for other in kept):
-            kept.append(group)
-    return kept
+        if not any(_overlap(_box(group), _box(other)) for other in separate):
+            separate.append(group)
+    return separate
 
 
 def _box(group: _Group) -> tuple[float, float, float, float]:
@@ -403,19 +415,24 @@ def _box(group: _Group) -> tuple[float, float, float, float]:
     return group.row - down, group.col - right, group.row + down, group.col + right
 
 
-def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+def _overlap(first: tuple[float, ...], second: tuple[float, ...]) -> bool:
+    return (
+        first[0] < second[2]
+        and second[0] < first[2]
+        and first[1] < second[3]
+        and second[1] < first[3]
+    )
 
 
 def _region(
-    group: _Group, others: list[tuple[float, float, float, float]], shape: tuple[int, ...]
+    group: _Group, other_boxes: list[tuple[float, float, float, float]], shape: tuple[int, ...]
 ) -> Region:
     """Return the group with a margin, cut half way to its neighbours."""
     box = _box(group)
     margin = max(14.0, 1.5 / group.frequency) + 4.0
-    gaps = [max(o[0] - box[2], box[0] - o[2], o[1] - box[3], box[1] - o[3]) for o in others]
+    gaps = [max(o[0] - box[2], box[0] - o[2], o[1] - box[3], box[1] - o[3]) for o in other_boxes]
     margin = min(margin, max(0.5 * min(gaps, default=np.inf), 2.0))
-    top, left = max(int(np.floor(box[0] - margin)), 0), max(int(np.floor(box[1] - margin)), 0)
+    top, first_col = max(int(np.floor(box[0] - margin)), 0), max(int(np.floor(box[1] - margin)), 0)
     bottom = min(int(np.ceil(box[2] + margin)) + 1, shape[0])
-    right = min(int(np.ceil(box[3] + margin)) + 1, shape[1])
-    return top, left, bottom - top, right - left
+    last_col = min(int(np.ceil(box[3] + margin)) + 1, shape[1])
+    return top, first_col, bottom - top, last_col - first_col

@@ -43,13 +43,15 @@ def clear_rectangle(segment: Segment, fields: list[Gradient]) -> DetectedEdge | 
     if not upright:
         foreign, row, col = foreign.T, col, row
     slope = -np.tan(segment.normal_rad) if upright else -1.0 / np.tan(segment.normal_rad)
-    found = _best_rectangle(foreign, row, col, float(slope), segment, upright)
-    if found is None:
+    rectangle = _best_rectangle(foreign, row, col, float(slope), segment, upright)
+    if rectangle is None:
         return None
-    worth, (top, left, height, width) = found
-    top, left, height, width = (top, left, height, width) if upright else (left, top, width, height)
+    worth, (top, first_col, height, width) = rectangle
+    top, first_col, height, width = (
+        (top, first_col, height, width) if upright else (first_col, top, width, height)
+    )
     return DetectedEdge(
-        region=(box[0] + top, box[1] + left, height, width),
+        region=(box[0] + top, box[1] + first_col, height, width),
         worth=worth,
         orientation_deg=float(np.rad2deg(segment.normal_rad)) % 180.0,
     )
@@ -81,13 +83,13 @@ def _foreign(
     foreign = np.zeros(across.shape, bool)
     for field in fields:
         aligned = cosine * field.right[cut] + sine * field.down[cut]
-        alike = aligned > np.cos(np.deg2rad(THRESHOLDS.own_direction_deg)) * field.modulus[cut]
+        parallel = aligned > np.cos(np.deg2rad(THRESHOLDS.own_direction_deg)) * field.modulus[cut]
         width = float(np.hypot(segment.blur_px, field.scale_px))
         slope = segment.slope_dn * segment.width_px / width
-        own = alike & (
+        on_edge = parallel & (
             (across < 3.0 * width + 1.0) | (field.modulus[cut] < THRESHOLDS.own_tail * slope)
         )
-        foreign |= (field.significance[cut] > THRESHOLDS.foreign_sd) & ~own
+        foreign |= (field.significance[cut] > THRESHOLDS.foreign_sd) & ~on_edge
     widened = 2 * round(1.0 + segment.blur_px) + 1
     return cv2.dilate(foreign.astype(np.uint8), np.ones((widened, widened), np.uint8)) > 0
 
@@ -114,7 +116,7 @@ def _best_rectangle(
     spare = segment.blur_px + segment.scale_px
     first = 0 if row - half < 3.0 + spare else int(np.ceil(row - half + spare))
     last = rows if row + half > rows - 4.0 - spare else int(np.floor(row + half - spare))
-    least = max(THRESHOLDS.min_plateau_px, THRESHOLDS.min_plateau_blurs * segment.blur_px)
+    min_width_px = max(THRESHOLDS.min_plateau_px, THRESHOLDS.min_plateau_blurs * segment.blur_px)
     best: tuple[float, Region] | None = None
     for top in np.unique(
         np.linspace(first, max(first, last - THRESHOLDS.min_edge_rows), ACCURACY.cuts).astype(int)
@@ -130,15 +132,15 @@ def _best_rectangle(
                 continue
             ends = col + slope * (np.array([top, bottom - 1]) - row)
             empty = total[bottom] - total[top]
-            left = _reach(empty[::-1], cols - 1 - float(ends.min()))
-            right = _reach(empty, float(ends.max()))
-            reach = min(left, right)
-            if reach < least:
+            left_px = _reach(empty[::-1], cols - 1 - float(ends.min()))
+            right_px = _reach(empty, float(ends.max()))
+            width_px = min(left_px, right_px)
+            if width_px < min_width_px:
                 continue
-            worth = (bottom - top) * reach / (reach + ACCURACY.plateau_scale_px)
+            worth = (bottom - top) * width_px / (width_px + ACCURACY.plateau_scale_px)
             if best is None or worth > best[0]:
-                low = int(np.ceil(ends.min() - min(left, ACCURACY.max_plateau_px)))
-                high = int(np.floor(ends.max() + min(right, ACCURACY.max_plateau_px))) + 1
+                low = int(np.ceil(ends.min() - min(left_px, ACCURACY.max_plateau_px)))
+                high = int(np.floor(ends.max() + min(right_px, ACCURACY.max_plateau_px))) + 1
                 low, high = max(low, 0), min(high, cols)
                 if empty[high] - empty[low] == 0:
                     best = (float(worth), (int(top), low, int(bottom - top), high - low))
@@ -177,20 +179,20 @@ def find_edges(pictures: NDArray | FrameStack) -> tuple[DetectedEdge, ...]:
     at least. The growing follows Grompone von Gioi et al., doi:10.5201/ipol.2012.gjmr-lsd; the
     noise is read off the picture instead of taken as white.
     """
-    kept, _ = _sort_segments(pictures)
-    return tuple(clear for _, clear in kept)
+    usable, _ = _sort_segments(pictures)
+    return tuple(clear for _, clear in usable)
 
 
 def find_unusable_edges(pictures: NDArray | FrameStack) -> tuple[tuple[Region, str], ...]:
     """Return the straight edges that `find_edges` leaves out: region of the edge itself, px, and
     why.
     """
-    kept, unusable = _sort_segments(pictures)
+    usable, unusable = _sort_segments(pictures)
     rows, cols = mean_frame_of(pictures)[0].shape
     out = []
     for segment, why in unusable:
         if segment.length_px >= THRESHOLDS.min_edge_rows and not any(
-            _covers(segment, other) for other, _ in kept
+            _covers(segment, other) for other, _ in usable
         ):
             down, right = segment.cut(ACCURACY.outline_blurs * segment.blur_px)
             height, width = min(down.stop, rows) - down.start, min(right.stop, cols) - right.start
@@ -208,7 +210,7 @@ def _sort_segments(
     scales = [scale for scale in SCALES_PX if min(picture.shape) > 8 * scale]
     fields = [gradient(picture, scale, whole_codes=whole_codes) for scale in scales]
     segments = _of_all_scales(fields)
-    found: list[tuple[Segment, DetectedEdge]] = []
+    candidates: list[tuple[Segment, DetectedEdge]] = []
     unusable: list[tuple[Segment, str]] = []
     for segment in segments:
         if _is_bar(segment, segments):
@@ -219,35 +221,37 @@ def _sort_segments(
         if clear is None:
             unusable.append((segment, "no room next to it"))
         else:
-            found.append((segment, clear))
-    kept: list[tuple[Segment, DetectedEdge]] = []
-    for segment, clear in sorted(found, key=lambda pair: -pair[1].worth):
-        if not any(_same_edge(segment, clear, *other) for other in kept):
-            kept.append((segment, clear))
-    return kept, unusable
+            candidates.append((segment, clear))
+    usable: list[tuple[Segment, DetectedEdge]] = []
+    for segment, clear in sorted(candidates, key=lambda pair: -pair[1].worth):
+        if not any(_same_edge(segment, clear, *other) for other in usable):
+            usable.append((segment, clear))
+    return usable, unusable
 
 
 def _of_all_scales(fields: list[Gradient]) -> list[Segment]:
     """Return segments of all scales, each from the finest that shows most of its length in one
     piece.
     """
-    kept: list[Segment] = []
+    segments: list[Segment] = []
     for number, field in enumerate(fields):
         for segment in segments_of(field):
             if any(
                 _shows(finer, segment)
                 for finer in fields[:number]
                 if finer.scale_px < segment.scale_px
-            ) and not any(_covers(segment, other) for other in kept):
+            ) and not any(_covers(segment, other) for other in segments):
                 continue
-            finer = [other for other in kept if _covers(segment, other)]
+            finer = [other for other in segments if _covers(segment, other)]
             if (
                 max((other.length_px for other in finer), default=0.0)
                 < THRESHOLDS.one_piece * segment.length_px
             ):
-                kept = [other for other in kept if not any(other is one for one in finer)]
-                kept.append(segment)
-    return kept
+                segments = [
+                    other for other in segments if not any(other is covered for covered in finer)
+                ]
+                segments.append(segment)
+    return segments
 
 
 def _shows(finer: Gradient, segment: Segment) -> bool:
@@ -259,23 +263,25 @@ def _shows(finer: Gradient, segment: Segment) -> bool:
     rows, cols = significance.shape
     row, col = np.ogrid[cut[0].start : cut[0].start + rows, cut[1].start : cut[1].start + cols]
     along = segment.along(row, col)
-    near = (np.abs(segment.across(row, col)) < 2.0 * segment.scale_px) & (
+    on_line = (np.abs(segment.across(row, col)) < 2.0 * segment.scale_px) & (
         np.abs(along) < 0.5 * segment.length_px
     )
-    cell = ((along[near] + 0.5 * segment.length_px) / ACCURACY.finer_scale_cell_px).astype(int)
+    cell = ((along[on_line] + 0.5 * segment.length_px) / ACCURACY.finer_scale_cell_px).astype(int)
     shown = np.zeros(int(segment.length_px / ACCURACY.finer_scale_cell_px) + 1, bool)
-    shown[cell[significance[near] > THRESHOLDS.finer_scale_sd]] = True
+    shown[cell[significance[on_line] > THRESHOLDS.finer_scale_sd]] = True
     return float(shown.mean()) > 0.9
 
 
 def _covers(coarse: Segment, fine: Segment) -> bool:
     """Return whether a segment of a finer scale lies on a coarse one."""
-    near = abs(float(coarse.across(np.array(fine.row), np.array(fine.col)))) < 2.0 * coarse.scale_px
+    is_on_line = (
+        abs(float(coarse.across(np.array(fine.row), np.array(fine.col)))) < 2.0 * coarse.scale_px
+    )
     alongside = (
         abs(float(coarse.along(np.array(fine.row), np.array(fine.col)))) < 0.5 * coarse.length_px
     )
     return (
-        near
+        is_on_line
         and alongside
         and np.cos(coarse.normal_rad - fine.normal_rad) > np.cos(np.deg2rad(15.0))
     )
@@ -303,24 +309,28 @@ def _is_bar(segment: Segment, segments: Iterable[Segment]) -> bool:
             sides[float(np.sign(across))].append(abs(across))
         else:
             same.append(abs(across))
-    near = [min(distances, default=np.inf) for distances in sides.values()]
-    spacing = min(near)
+    nearest = [min(distances, default=np.inf) for distances in sides.values()]
+    spacing = min(nearest)
     if spacing > THRESHOLDS.bar_aspect * segment.length_px:
         return False
     return any(
         abs(distance / spacing - 1.0) < THRESHOLDS.bar_evenness
-        for distance in near
+        for distance in nearest
         if distance > spacing
     ) or any(abs(distance / (2.0 * spacing) - 1.0) < THRESHOLDS.bar_evenness for distance in same)
 
 
-def _same_edge(segment: Segment, clear: DetectedEdge, other: Segment, others: DetectedEdge) -> bool:
+def _same_edge(
+    segment: Segment, clear: DetectedEdge, other: Segment, other_clear: DetectedEdge
+) -> bool:
     """Return whether two segments lie on one line and their regions meet."""
     if np.cos(segment.normal_rad - other.normal_rad) < np.cos(np.deg2rad(10.0)):
         return False
     sides = (
-        min(clear.region[k] + clear.region[k + 2], others.region[k] + others.region[k + 2])
-        - max(clear.region[k], others.region[k])
+        min(
+            clear.region[k] + clear.region[k + 2], other_clear.region[k] + other_clear.region[k + 2]
+        )
+        - max(clear.region[k], other_clear.region[k])
         for k in (0, 1)
     )
     across = abs(float(other.across(np.array(segment.row), np.array(segment.col))))

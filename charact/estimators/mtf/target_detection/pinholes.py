@@ -40,20 +40,22 @@ class SteadySpots:
         error = max(float(over.std(ddof=1)), self.spread) / np.sqrt(len(over))
         return bool(over.mean() >= LIMITS.min_steadiness_sd * error)
 
-    def far_spread(self, places: list[tuple[int, int]], apart_px: int) -> float:
+    def far_spread(self, positions: list[tuple[int, int]], apart_px: int) -> float:
         """Return the standard deviation that the background's far tail says, places and their
         surroundings left out.
         """
         bare = np.ones(self.height.shape, bool)
-        for row, col in places:
+        for row, col in positions:
             bare[
                 max(row - apart_px, 0) : row + apart_px + 1,
                 max(col - apart_px, 0) : col + apart_px + 1,
             ] = False
-        rest = self.height[bare]
+        background = self.height[bare]
         # The quantile at 0.999 of a normal distribution.
-        far = float(np.quantile(rest, 0.999)) / 3.0902 if rest.size > 20_000 else 0.0
-        return max(self.spread, far)
+        tail_sd = (
+            float(np.quantile(background, 0.999)) / 3.0902 if background.size > 20_000 else 0.0
+        )
+        return max(self.spread, tail_sd)
 
 
 def steady_light(
@@ -84,8 +86,8 @@ def steady_light(
 
 
 def _subtract_background(picture: Array, replaced: tuple[NDArray[np.bool_], Array]) -> Array:
-    whole = np.where(*replaced, picture)
-    return gaussian_blur(whole, SMOOTHING_PX) - gaussian_blur(whole, ACCURACY.background_px)
+    cleaned = np.where(*replaced, picture)
+    return gaussian_blur(cleaned, SMOOTHING_PX) - gaussian_blur(cleaned, ACCURACY.background_px)
 
 
 Array = NDArray[np.float32]
@@ -143,24 +145,24 @@ def find_pinholes(
     replaced = _hot_pixels(picture)
     light = steady_light(pictures, replaced)
     picture = np.where(*replaced, picture)
-    places, spread = _sources(light)
+    positions, spread = _sources(light)
     spots = [
-        (*spot, place)
-        for place in places
-        if (spot := _spot(picture, place, full_scale_dn)) is not None
+        (*spot, position)
+        for position in positions
+        if (spot := _spot(picture, position, full_scale_dn)) is not None
     ]
-    found = [
+    pinholes = [
         DetectedPoint(
             region=region,
             row=row,
             col=col,
             saturated=saturated,
-            significance=float(light.height[place]) / spread,
+            significance=float(light.height[position]) / spread,
         )
-        for row, col, saturated, place in spots
+        for row, col, saturated, position in spots
         if (region := _region(row, col, [spot[:2] for spot in spots], picture.shape)) is not None
     ]
-    return tuple(sorted(found, key=lambda point: -point.significance))
+    return tuple(sorted(pinholes, key=lambda point: -point.significance))
 
 
 def _sources(light: SteadySpots) -> tuple[list[tuple[int, int]], float]:
@@ -169,25 +171,25 @@ def _sources(light: SteadySpots) -> tuple[list[tuple[int, int]], float]:
     """
     brightest = THRESHOLDS.min_source * float(light.height.max())
     likely = _peaks(light.height, max(LIMITS.min_height_sd * light.spread, brightest))
-    likely = [place for place in likely if light.stays(*place)]
+    likely = [position for position in likely if light.stays(*position)]
     spread = light.far_spread(likely, MIN_REACH_PX)
     return [
-        place for place in likely if light.height[place] >= LIMITS.min_height_sd * spread
+        position for position in likely if light.height[position] >= LIMITS.min_height_sd * spread
     ], spread
 
 
-def _peaks(smooth: Array, least: float) -> list[tuple[int, int]]:
+def _peaks(smooth: Array, min_height: float) -> list[tuple[int, int]]:
     """Return the middle of every spot above a height, highest first; a flat top is one spot."""
     size = 2 * round(2.0 * SMOOTHING_PX) + 1
-    rows, cols = np.nonzero((smooth >= local_maximum(smooth, size, size)) & (smooth > least))
+    rows, cols = np.nonzero((smooth >= local_maximum(smooth, size, size)) & (smooth > min_height))
     order = np.argsort(-smooth[rows, cols])[:500]
-    kept: list[tuple[int, int]] = []
+    peaks: list[tuple[int, int]] = []
     for row, col in zip(rows[order].tolist(), cols[order].tolist(), strict=True):
         # A lesser peak on the flank of a higher one is its noise.
-        near = ((r, c) for r, c in kept if np.hypot(row - r, col - c) < MIN_REACH_PX)
-        if not any(smooth[row, col] < 0.25 * smooth[place] for place in near):
-            kept.append((row, col))
-    return kept
+        neighbours = ((r, c) for r, c in peaks if np.hypot(row - r, col - c) < MIN_REACH_PX)
+        if not any(smooth[row, col] < 0.25 * smooth[neighbour] for neighbour in neighbours):
+            peaks.append((row, col))
+    return peaks
 
 
 def _hot_pixels(picture: Array) -> tuple[NDArray[np.bool_], Array]:
@@ -210,27 +212,31 @@ def _hot_pixels(picture: Array) -> tuple[NDArray[np.bool_], Array]:
 
 
 def _spot(
-    picture: Array, place: tuple[int, int], full_scale_dn: float | None
+    picture: Array, position: tuple[int, int], full_scale_dn: float | None
 ) -> tuple[float, float, bool] | None:
     """Return centroid and saturation of a spot; None of a line or a blot."""
-    row, col = place
-    reach = 6
-    if not (reach <= row < picture.shape[0] - reach and reach <= col < picture.shape[1] - reach):
+    row, col = position
+    half_px = 6
+    if not (
+        half_px <= row < picture.shape[0] - half_px and half_px <= col < picture.shape[1] - half_px
+    ):
         return None
-    part = picture[row - reach : row + reach + 1, col - reach : col + reach + 1].astype(float)
+    part = picture[row - half_px : row + half_px + 1, col - half_px : col + half_px + 1].astype(
+        float
+    )
     border = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
     light = part - float(np.median(border))
     core = np.where(light > 0.3 * light[4:-4, 4:-4].max(), light, 0.0)
     rows, cols = np.mgrid[: core.shape[0], : core.shape[1]]
     total = core.sum()
     centre = np.array([(core * rows).sum(), (core * cols).sum()]) / total
-    apart = np.stack([rows - centre[0], cols - centre[1]])
-    moments = np.einsum("iyx,jyx,yx->ij", apart, apart, core) / total + np.eye(2) / 12.0
-    narrow, wide = np.sqrt(np.linalg.eigvalsh(moments))
-    if wide > THRESHOLDS.max_axis_ratio * narrow or wide > 0.5 * reach:
+    offsets = np.stack([rows - centre[0], cols - centre[1]])
+    moments = np.einsum("iyx,jyx,yx->ij", offsets, offsets, core) / total + np.eye(2) / 12.0
+    minor, major = np.sqrt(np.linalg.eigvalsh(moments))
+    if major > THRESHOLDS.max_axis_ratio * minor or major > 0.5 * half_px:
         return None
     saturated = full_scale_dn is not None and bool(part.max() >= 0.999 * full_scale_dn)
-    return float(row - reach + centre[0]), float(col - reach + centre[1]), saturated
+    return float(row - half_px + centre[0]), float(col - half_px + centre[1]), saturated
 
 
 def _region(
@@ -243,10 +249,10 @@ def _region(
     half = int(min([48, *(0.5 * gap for gap in gaps)]))
     if half < MIN_REACH_PX:
         return None
-    top, left = max(round(row) - half, 0), max(round(col) - half, 0)
-    bottom, right = min(round(row) + half + 1, shape[0]), min(round(col) + half + 1, shape[1])
+    top, first_col = max(round(row) - half, 0), max(round(col) - half, 0)
+    bottom, last_col = min(round(row) + half + 1, shape[0]), min(round(col) + half + 1, shape[1])
     return (
-        (top, left, bottom - top, right - left)
-        if min(bottom - top, right - left) > MIN_REACH_PX
+        (top, first_col, bottom - top, last_col - first_col)
+        if min(bottom - top, last_col - first_col) > MIN_REACH_PX
         else None
     )

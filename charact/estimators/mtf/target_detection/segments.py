@@ -61,18 +61,18 @@ class Segment:
 
 def segments_of(field: Gradient) -> list[Segment]:
     """Return the straight segments of a gradient, heaviest first; each pixel belongs to one."""
-    found = sorted(_candidates(field), key=lambda candidate: -candidate[0].size)
+    candidates = sorted(_candidates(field), key=lambda candidate: -candidate[0].size)
     claimed = np.zeros(field.modulus.shape, bool)
-    kept = []
-    for row, col in found:
+    segments = []
+    for row, col in candidates:
         free = ~claimed[row, col]
         if np.count_nonzero(free) < 0.5 * row.size:
             continue
         segment = _fit_segment(field, row[free], col[free])
         if segment is not None:
-            kept.append(segment)
+            segments.append(segment)
         claimed[row, col] = True
-    return _join(kept)
+    return _join(segments)
 
 
 def _candidates(field: Gradient) -> list[tuple[NDArray, NDArray]]:
@@ -86,7 +86,7 @@ def _candidates(field: Gradient) -> list[tuple[NDArray, NDArray]]:
         return []
     rows, cols = np.nonzero(member)
     angle = np.arctan2(field.down[rows, cols], field.right[rows, cols])
-    found = []
+    candidates = []
     for direction in np.arange(ACCURACY.n_directions) * 2.0 * np.pi / ACCURACY.n_directions:
         aligned = np.cos(angle - direction) > np.cos(np.deg2rad(28.0))
         mask = np.zeros(member.shape, np.uint8)
@@ -98,10 +98,12 @@ def _candidates(field: Gradient) -> list[tuple[NDArray, NDArray]]:
         seeded[label[field.significance > THRESHOLDS.seed_sd]] = True
         for number in np.flatnonzero(seeded & (diagonal >= MIN_LENGTH_PX)):
             if number:
-                left, top, width, height = stats[number, :4]
-                inside = np.nonzero(label[top : top + height, left : left + width] == number)
-                found.append((inside[0] + top, inside[1] + left))
-    return found
+                first_col, top, width, height = stats[number, :4]
+                members = np.nonzero(
+                    label[top : top + height, first_col : first_col + width] == number
+                )
+                candidates.append((members[0] + top, members[1] + first_col))
+    return candidates
 
 
 def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
@@ -113,8 +115,8 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
     modulus = field.modulus[row, col].astype(float)
     weight = modulus / modulus.sum()
     middle = np.array([weight @ row, weight @ col])
-    apart = np.stack([row - middle[0], col - middle[1]])
-    axis = np.linalg.eigh((apart * weight) @ apart.T)[1][:, 1]
+    offsets = np.stack([row - middle[0], col - middle[1]])
+    axis = np.linalg.eigh((offsets * weight) @ offsets.T)[1][:, 1]
     normal = _bright_direction(axis, weight @ field.right[row, col], weight @ field.down[row, col])
     segment = Segment(
         row=float(middle[0]),
@@ -134,7 +136,7 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
     bow = _bow_px(along, across, modulus)
     if bow > max(THRESHOLDS.max_bow * length, THRESHOLDS.min_bow_px):
         return None
-    used = (
+    length_px = (
         length
         if bow < THRESHOLDS.used_bow_px
         else length * float(np.sqrt(THRESHOLDS.used_bow_px / bow))
@@ -144,7 +146,7 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
         segment,
         row=segment.row + shift * float(np.cos(normal)),
         col=segment.col - shift * float(np.sin(normal)),
-        length_px=used,
+        length_px=length_px,
     )
     slope, width = _profile(placed, field)
     return None if not width > 0 else replace(placed, width_px=width, slope_dn=slope)
@@ -154,8 +156,8 @@ def _profile(segment: Segment, field: Gradient) -> tuple[float, float]:
     """Return the height and the standard deviation of the mean gradient across a segment, DN per px
     and px.
     """
-    reach = 3.0 * segment.scale_px + 3.0
-    cut = segment.cut(reach)
+    half_width_px = 3.0 * segment.scale_px + 3.0
+    cut = segment.cut(half_width_px)
     rise = (
         np.cos(segment.normal_rad) * field.right[cut] + np.sin(segment.normal_rad) * field.down[cut]
     )
@@ -163,12 +165,14 @@ def _profile(segment: Segment, field: Gradient) -> tuple[float, float]:
         cut[0].start : cut[0].start + rise.shape[0], cut[1].start : cut[1].start + rise.shape[1]
     ]
     across = segment.across(row, col)
-    near = (np.abs(segment.along(row, col)) < 0.4 * segment.length_px) & (np.abs(across) < reach)
-    total = float(rise[near].sum())
-    core = near & (np.abs(across) < 1.0)
+    on_line = (np.abs(segment.along(row, col)) < 0.4 * segment.length_px) & (
+        np.abs(across) < half_width_px
+    )
+    total = float(rise[on_line].sum())
+    core = on_line & (np.abs(across) < 1.0)
     if not total > 0 or not core.any():
         return 0.0, 0.0
-    variance = float((rise[near] * across[near] ** 2).sum()) / total
+    variance = float((rise[on_line] * across[on_line] ** 2).sum()) / total
     return float(rise[core].mean()), float(np.sqrt(max(variance, segment.scale_px**2)))
 
 
@@ -185,11 +189,13 @@ def _bow_px(along: NDArray, across: NDArray, weight: NDArray) -> float:
     """
     cell = np.floor((along - along.min()) / 2.0).astype(int)
     total = np.bincount(cell, weight)
-    place = np.bincount(cell, weight * across) / np.maximum(total, 1e-12)
-    good = total > 0.3 * np.median(total)
-    if np.count_nonzero(good) < 6:
+    cell_offset = np.bincount(cell, weight * across) / np.maximum(total, 1e-12)
+    well_filled = total > 0.3 * np.median(total)
+    if np.count_nonzero(well_filled) < 6:
         return 0.0
-    curvature = float(np.polyfit(2.0 * np.arange(cell.max() + 1.0)[good], place[good], 2)[0])
+    curvature = float(
+        np.polyfit(2.0 * np.arange(cell.max() + 1.0)[well_filled], cell_offset[well_filled], 2)[0]
+    )
     return abs(curvature) * float(np.ptp(along)) ** 2 / 4.0
 
 
@@ -209,31 +215,31 @@ def _join(segments: list[Segment]) -> list[Segment]:
     return joined
 
 
-def _same_line(one: Segment, other: Segment) -> bool:
-    if np.cos(one.normal_rad - other.normal_rad) < np.cos(np.deg2rad(4.0)):
+def _same_line(segment: Segment, other: Segment) -> bool:
+    if np.cos(segment.normal_rad - other.normal_rad) < np.cos(np.deg2rad(4.0)):
         return False
     row, col = other.ends().T
-    along = one.along(row, col)
-    gap = max(abs(float(along.mean())) - 0.5 * (one.length_px + float(np.ptp(along))), 0.0)
+    along = segment.along(row, col)
+    gap = max(abs(float(along.mean())) - 0.5 * (segment.length_px + float(np.ptp(along))), 0.0)
     allowed = 1.5 + 0.02 * gap
     return gap < ACCURACY.gap_px and bool(
-        np.all(np.abs(one.across(row, col)) < allowed + 0.05 * other.length_px)
+        np.all(np.abs(segment.across(row, col)) < allowed + 0.05 * other.length_px)
     )
 
 
-def _union(one: Segment, other: Segment) -> Segment:
+def _union(segment: Segment, other: Segment) -> Segment:
     """Return the segment between the outer ends of two."""
-    ends = np.concatenate([one.ends(), other.ends()])
-    along = one.along(*ends.T)
+    ends = np.concatenate([segment.ends(), other.ends()])
+    along = segment.along(*ends.T)
     first, last = ends[np.argmin(along)], ends[np.argmax(along)]
     row, col = 0.5 * (first + last)
-    share = one.weight / (one.weight + other.weight)
+    weight = segment.weight / (segment.weight + other.weight)
     return replace(
-        one,
+        segment,
         row=float(row),
         col=float(col),
         normal_rad=float(np.arctan2(-(last - first)[1], (last - first)[0])),
         length_px=float(np.hypot(*(last - first))),
-        slope_dn=share * one.slope_dn + (1.0 - share) * other.slope_dn,
-        weight=one.weight + other.weight,
+        slope_dn=weight * segment.slope_dn + (1.0 - weight) * other.slope_dn,
+        weight=segment.weight + other.weight,
     )

@@ -16,10 +16,10 @@ def mean_frame_of(pictures: NDArray | FrameStack) -> tuple[NDArray[np.float32], 
     data = pictures.data if isinstance(pictures, FrameStack) else np.asarray(pictures)
     if data.ndim == 2:
         data = data[None]
-    whole = data.dtype.kind in "ui" or bool(np.all(data[0] == np.rint(data[0])))
+    has_whole_codes = data.dtype.kind in "ui" or bool(np.all(data[0] == np.rint(data[0])))
     return np.ascontiguousarray(
         data.mean(axis=0, dtype=np.float64).astype(np.float32)
-    ), whole and len(data) == 1
+    ), has_whole_codes and len(data) == 1
 
 
 def gaussian_blur(picture: NDArray[np.float32], scale_px: float) -> NDArray[np.float32]:
@@ -94,24 +94,24 @@ def _noise(smooth: Array, right: Array, down: Array, scale_px: float) -> Array:
     for part_rows in np.array_split(np.arange(smooth.shape[0]), rows):
         for part_cols in np.array_split(np.arange(smooth.shape[1]), cols):
             block = (slice(part_rows[0], part_rows[-1] + 1), slice(part_cols[0], part_cols[-1] + 1))
-            both = np.abs(np.concatenate([right[block].ravel(), down[block].ravel()]))
+            differences = np.abs(np.concatenate([right[block].ravel(), down[block].ravel()]))
             level.append(float(np.median(smooth[block])))
             # The lowest quarter of the moduli, which structure hardly changes, ends at 0.318639
             # standard deviations.
-            sd.append(float(np.quantile(both, 0.25)) / 0.318639)
+            sd.append(float(np.quantile(differences, 0.25)) / 0.318639)
     return _by_level(np.array(level), np.array(sd), smooth)
 
 
 def _by_level(level: NDArray, sd: NDArray, smooth: Array) -> Array:
     """Interpolate the noise of quiet blocks over the level."""
-    place = np.clip(
+    level_index = np.clip(
         ((level - level.min()) / max(np.ptp(level), 1e-12) * ACCURACY.noise_levels).astype(int),
         0,
         ACCURACY.noise_levels - 1,
     )
     filled = [
-        number for number in range(ACCURACY.noise_levels) if np.count_nonzero(place == number)
+        number for number in range(ACCURACY.noise_levels) if np.count_nonzero(level_index == number)
     ]
-    middles = [float(np.mean(level[place == number])) for number in filled]
-    quiet = [float(np.quantile(sd[place == number], 0.4)) for number in filled]
+    middles = [float(np.mean(level[level_index == number])) for number in filled]
+    quiet = [float(np.quantile(sd[level_index == number], 0.4)) for number in filled]
     return np.interp(smooth, middles, quiet).astype(np.float32)

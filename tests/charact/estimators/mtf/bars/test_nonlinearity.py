@@ -47,7 +47,7 @@ def told(stack, scene, monkeypatch):
 def powers(scene, rng, monkeypatch):
     """Return the flags of bars, and the powers of the light with which their noise grows."""
     one, of_response = told(scene.frames_drawn(rng), scene, monkeypatch)
-    return one.flags, of_response.shared, of_response.own
+    return one.flags, of_response.shared, of_response.per_pixel
 
 
 def bent_frames(scene, curvature, rng):
@@ -130,7 +130,7 @@ def test_the_picture_tells_its_curvature_and_what_it_does(curvature, seed, monke
     """
     rng = np.random.default_rng(seed)
     one, of = told(bent_frames(PLAIN, curvature, rng), PLAIN, monkeypatch)
-    assert of.shared is None and of.own is None
+    assert of.shared is None and of.per_pixel is None
     assert of.curvature == pytest.approx(curvature, abs=4.0 * of.sd + 0.15 * abs(curvature))
     assert (
         ("gamma" in one.flags)

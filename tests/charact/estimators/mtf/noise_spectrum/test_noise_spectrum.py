@@ -202,7 +202,7 @@ def test_scattered_light_that_is_said_not_to_show_gains_what_is_said(seed):
     before = peak(ScintillatingFlats(half_frequency_cy_per_px=0.15, frames=16), seed)
     near, _ = scatter_limits(before)
     veiled = UndetectedComponent(
-        shape=before.problem.shape, share=near.share, length_px=near.length_px
+        shape=before.problem.shape, fraction=near.fraction, length_px=near.length_px
     )
     power = replace(before.problem, shape=veiled).model(before.point[None])[0]
     after = optimum_under_model(
@@ -216,7 +216,11 @@ def test_scattered_light_that_is_said_not_to_show_gains_what_is_said(seed):
     def curve(one: SpectrumOptimum):
         return transfer_of(one, one.point[None], frequency, vertical=False, pitch_ratio=1.0)
 
-    veil = 1.0 - near.share + near.share / (1.0 + (2.0 * np.pi * frequency * near.length_px) ** 2)
+    veil = (
+        1.0
+        - near.fraction
+        + near.fraction / (1.0 + (2.0 * np.pi * frequency * near.length_px) ** 2)
+    )
     told, true = (
         float(crossing_frequency(frequency, one, 0.5)[0])
         for one in (curve(after), curve(before) * veil)

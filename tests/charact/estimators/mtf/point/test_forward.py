@@ -188,7 +188,7 @@ def test_rings_of_light_that_neighbours_share_scatter_as_told(seed):
     chi2 = []
     for _ in range(120):
         grain = ndimage.gaussian_filter(rng.standard_normal((2, 80, 80)), (0.0, 1.0, 1.0))
-        source = DetectedSource(row=40, col=40, significance=9.0, others=False)
+        source = DetectedSource(row=40, col=40, significance=9.0, has_others=False)
         window = source_window(FrameStack(data=grain), source, Context())
         # A halo lifts all rings at once.
         told = window.ring_covariance(window.ring_variance)

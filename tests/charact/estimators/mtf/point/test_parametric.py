@@ -107,7 +107,7 @@ def test_pixels_of_which_only_a_least_value_is_known_weigh_by_the_tail_beyond_it
         limit=100 * one,
         sd=10 * one,
         cut=4 * one,
-        left=0 * one,
+        n_unclipped=0 * one,
         mean=0 * one,
     )
     slope, curvature, value = (part[0] for part in cut.terms(heights[None]))
@@ -127,7 +127,7 @@ def test_a_clipped_pixel_far_from_its_limit_keeps_a_finite_likelihood():
         limit=100 * one,
         sd=10 * one,
         cut=4 * one,
-        left=0 * one,
+        n_unclipped=0 * one,
         mean=0 * one,
     )
     for height in (-1e12, -1e5, 1e5, 1e12):

@@ -201,4 +201,4 @@ def test_flashes_beside_a_point_are_no_other_points() -> None:
     frames[2:] += spot(60.0, (40, 150))
     steady = source.detect_source(frames, 1.0)
     assert isinstance(flashed, source.DetectedSource) and isinstance(steady, source.DetectedSource)
-    assert not flashed.others and steady.others
+    assert not flashed.has_others and steady.has_others
