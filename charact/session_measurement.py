@@ -9,7 +9,7 @@ import numpy as np
 
 from charact.method import Context
 from charact.method.registry import Progress, Spread, ignore_progress
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Result, make_refusal

@@ -18,14 +18,11 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
+from labdata.camera.tube import TubeLimits
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.infrared_imager import InfraredImager
-from labdata.limits import TubeLimits
-from labdata.sensor import Sensor
-from labdata.sensors import Camera
 from labdata.session import Kind
-from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
 from simulate.image_source import name_of, read_cube, read_image
 from simulate.motion import Look, Motion
@@ -97,7 +94,7 @@ def load_described_camera(sensor: str, phosphor: str | None = None) -> Descripti
     camera = load_camera(sensor)
     if phosphor is None:
         return camera
-    if not isinstance(camera, Sensor):
+    if not camera.has_tube:
         raise BadInput(f"--phosphor needs a camera with a tube, got {camera.name!r}")
     return camera.with_phosphor(load_phosphor(phosphor))
 
@@ -122,7 +119,7 @@ def simulate(
         photoelectrons_from_radiance,
     )
 
-    if isinstance(description, InfraredImager):
+    if description.is_thermal:
         return _infrared_shot(request, description, conditions, progress)
     if is_scene(request.source):
         from simulate.radiance.scene import LabScene, load_scene
@@ -237,7 +234,7 @@ def _motion(
 
 def _infrared_shot(
     request: SimulationRequest,
-    description: InfraredImager,
+    description: Camera,
     conditions: Conditions,
     progress: Progress,
     *,
@@ -346,7 +343,7 @@ def preview(
     request: SimulationRequest, description: Description, conditions: Conditions
 ) -> "RenderedView | InfraredView":
     """Return an outdoor scene in few pixels of a camera; another source raises BadInput."""
-    if isinstance(description, InfraredImager):
+    if description.is_thermal:
         return _infrared_shot(request, description, conditions, _ignore_progress, preview=True).seen
     from simulate.iiccd.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
@@ -392,7 +389,7 @@ def _bench_shot(
     from simulate.lab import LabBench
     from simulate.radiance.lab_target import as_stood
 
-    if isinstance(description, InfraredImager):
+    if description.is_thermal:
         raise BadInput(f"a bench scene needs a camera of visible light, got {description.name!r}")
     kind, lux = request.kind or "edge", conditions.illuminance_lux
     for name, (option, of) in OF_A_TARGET.items():
@@ -407,7 +404,7 @@ def _bench_shot(
         raise BadInput(f"a dark must have no light, got --illuminance-lux {lux:g}")
     target = as_stood(kind, request.target)
     if lux is None:
-        if kind != "dark" and not isinstance(description, Sensor):
+        if kind != "dark" and not description.has_tube:
             raise BadInput(
                 f"a bench scene before {description.name!r} needs --illuminance-lux at its chip, "
                 "got none"
@@ -498,7 +495,7 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
     if gain is not None and not (math.isfinite(gain) and gain > 0.0):
         raise BadInput(f"--gain must be positive, got {gain:g}")
     exposure_s = 1.0 / float(camera.video.field_rate_hz)
-    if isinstance(camera, InfraredImager):
+    if camera.is_thermal:
         if unfit := [*given, *(["gain"] if gain is not None else [])]:
             raise BadInput(
                 f"--{unfit[0].replace('_', '-')} needs a camera of visible light, got "
@@ -510,7 +507,7 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
         )
     if given.get("automatic_gain") and not camera.video.automatic_gain:
         raise BadInput(f"--automatic-gain needs a camera that has it, got {camera.name!r}")
-    if isinstance(camera, SolidStateCamera):
+    if not camera.has_tube:
         most = float(camera.register.em_gain)
         if gain is not None and not 1.0 <= gain <= most:
             raise BadInput(
@@ -536,7 +533,7 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
     return Conditions(exposure_s=exposure_s, **{**nominal, **given})
 
 
-def voltage_of(sensor: Sensor, luminous_gain: float | None) -> float:
+def voltage_of(sensor: Camera, luminous_gain: float | None) -> float:
     """Return the MCP voltage for a luminous gain, V = V0 (G/G0)^(1/m); None: the reference
     voltage.
     """
@@ -557,7 +554,7 @@ def voltage_limit_warnings(camera: Description, conditions: Conditions) -> tuple
     would refuse.
     """
     mcp_v = conditions.mcp_v
-    if not isinstance(camera, Sensor) or mcp_v is None:
+    if not camera.has_tube or mcp_v is None:
         return ()
     limit = camera.limits.mcp_v
     if limit == TubeLimits().mcp_v or mcp_v <= float(limit):

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.frames import FrameStack, read_only
-from labdata.sensor import Sensor
 from labdata.session import Kind
-from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
 from simulate.iiccd import tube_photometry as photometry
 from simulate.iiccd.camera import IntensifiedCamera, SiliconCamera
@@ -60,7 +59,7 @@ class LabBench:
 
     def __init__(
         self,
-        sensor: Sensor | SolidStateCamera,
+        sensor: Camera,
         scene: LabScene | str | Path | None = None,
         *,
         left_out: frozenset[str] = frozenset(),
@@ -68,7 +67,7 @@ class LabBench:
     ) -> None:
         self.camera: IntensifiedCamera | SiliconCamera = (
             IntensifiedCamera(sensor, left_out=left_out)
-            if isinstance(sensor, Sensor)
+            if sensor.has_tube
             else SiliconCamera(sensor)
         )
         self.scene = scene if isinstance(scene, LabScene) else load_bench(scene or "bench")

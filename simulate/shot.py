@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
-from labdata.sensors import Camera
 from labdata.session import Kind
 from labdata.target import Target
 from simulate.motion import Look, Motion

@@ -15,8 +15,8 @@ from labdata.errors import BadInput
 if TYPE_CHECKING:
     from charact.api import Analysis
     from charact.reporting.frequency_unit import FrequencyUnit
+    from labdata.camera.description import Camera
     from labdata.frames import FrameStack
-    from labdata.sensor import Sensor
     from labdata.session import Session
 
 app = typer.Typer(
@@ -149,7 +149,7 @@ def flats(
 
 
 def _flats_of(
-    file: Path, sensor: "Sensor | None", plane: str | None, axis: str | None
+    file: Path, sensor: "Camera | None", plane: str | None, axis: str | None
 ) -> "Session":
     """Return the session in a folder, or a session of one stack of flats."""
     from labdata.conditions import Conditions

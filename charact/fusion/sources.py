@@ -18,17 +18,16 @@ from charact.fusion.geometry import CameraGeometry
 from charact.fusion.noise_law import NoiseLaw, measure_noise
 from charact.fusion.thresholds import FUSION
 from labdata import result_io
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers import read_frames
-from labdata.infrared_imager import InfraredImager
 from labdata.measurement import Result
-from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.session import MANIFEST, Session, StackEntry, open_session
 
 Described = tuple[NoiseLaw, PosteriorPsf]
-Describe = Callable[[Sensor, float], Described]
+Describe = Callable[[Camera, float], Described]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +42,8 @@ class Source:
 
     name: str
     stack: FrameStack
-    sensor: Sensor | None = None
-    imager: InfraredImager | None = None
+    sensor: Camera | None = None
+    imager: Camera | None = None
     described: Described | None = None
     session: Session | None = None
     entry: StackEntry | None = None
@@ -116,8 +115,8 @@ def read_source(
     given: str,
     name: str,
     *,
-    sensor: Sensor | None = None,
-    imager: InfraredImager | None = None,
+    sensor: Camera | None = None,
+    imager: Camera | None = None,
     mcp_v: float | None = None,
     black_dn: float | None = None,
     describe: Describe | None = None,
@@ -140,7 +139,7 @@ def read_source(
         own = own or session.imager or session.sensor
         if own is not None and own.is_thermal:
             imager = imager or own
-        elif imager is None and hasattr(own, "tube"):
+        elif imager is None and own is not None and own.has_tube:
             sensor = sensor or own
     else:
         _require_no_palette(Path(given))
@@ -204,7 +203,7 @@ def _geometry(source: Source) -> tuple[CameraGeometry | None, tuple[str, ...]]:
         return found, ()
     if camera is None:
         return None, (f"{name}: lens unknown without a description of the camera",)
-    if isinstance(camera, InfraredImager):
+    if camera.is_thermal:
         if camera.shape != shape or camera.array is None:
             return None, (
                 f"{name}: {camera.name} describes no lens of a frame of {shape[0]} x {shape[1]} px",

@@ -12,10 +12,10 @@ import numpy as np
 
 from charact.method import Context
 from drivers.interface import Camera
+from labdata.camera.description import has_tube
 from labdata.capture import CameraSettings, Frame
 from labdata.conditions import Conditions, conditions_of
 from labdata.errors import BadInput
-from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.serialiser import from_toml
 from labdata.session import MANIFEST, SessionFile, StackRecord
@@ -123,7 +123,7 @@ class SessionSource:
         self._bit_depth = self._form.bit_depth
         self.context = Context(
             quick=True,
-            sensor=camera if isinstance(camera, Sensor) else None,
+            sensor=camera if has_tube(camera) else None,
             interlaced=bool(self._form.interlaced),
             full_scale_dn=None if self._bit_depth is None else float(2**self._bit_depth - 1),
         )

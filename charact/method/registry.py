@@ -17,10 +17,9 @@ from labdata.errors import BadInput
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-    from labdata.infrared_imager import InfraredImager
+    from labdata.camera.chip import Register
+    from labdata.camera.description import Camera
     from labdata.measurement import Measurement, Result
-    from labdata.sensor import Sensor
-    from labdata.solid_state import Register
 
 Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
 
@@ -186,7 +185,7 @@ class Context:
     quick
         No Markov chain: intervals from the Laplace approximation or importance sampling.
     sensor
-        Sensor description, for pixel pitches and priors; None if unknown.
+        Camera description, for pixel pitches and priors; None if unknown.
     register
         Electron-multiplying register of a camera without a tube; None if absent or unknown.
     imager
@@ -207,9 +206,9 @@ class Context:
 
     seed: int = 0
     quick: bool = False
-    sensor: "Sensor | None" = None
+    sensor: "Camera | None" = None
     register: "Register | None" = None
-    imager: "InfraredImager | None" = None
+    imager: "Camera | None" = None
     interlaced: bool = False
     linear: bool = False
     full_scale_dn: float | None = None

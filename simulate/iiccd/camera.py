@@ -12,10 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera as Description
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.sensor import Sensor
-from labdata.solid_state import SolidStateCamera
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.iiccd.ccd import Ccd, Register, Silicon
@@ -169,7 +168,7 @@ class IntensifiedCamera(Camera):
     conditions say that they were on.
     """
 
-    sensor: Sensor  # the description; its values are taken as the truth
+    sensor: Description  # the description; its values are taken as the truth
     # Whether the taper distorts and shears the image. The lab bench measures without: its targets
     # are known on the frame.
     geometry: bool = False
@@ -194,7 +193,7 @@ class IntensifiedCamera(Camera):
     )
 
     @property
-    def description(self) -> Sensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def description(self) -> Description:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The description."""
         return self.sensor
 
@@ -407,7 +406,7 @@ class SiliconCamera(Camera):
     """A CCD or EMCCD camera without a tube; no stage remembers earlier frames."""
 
     # The description; its values are taken as the truth.
-    description: SolidStateCamera
+    description: Description
     has_tube = False
     stages = (Optics, Silicon, Collection, Ccd, Register, Video)
 

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 
 
@@ -185,8 +186,7 @@ class CameraFrame(ABC):
     """
 
     has_tube: ClassVar[bool]
-    # A `labdata.sensor.Sensor` or, without a tube, a `labdata.solid_state.SolidStateCamera`.
-    description: Any
+    description: Camera
 
     @abstractmethod
     def open_s(self, conditions: Conditions) -> float:

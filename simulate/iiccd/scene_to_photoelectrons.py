@@ -3,11 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera as Described
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.sensor import Sensor
-from labdata.sensors import Camera as Described
-from labdata.solid_state import SolidStateCamera
 from simulate.iiccd import image_placement
 from simulate.iiccd.camera import Camera, IntensifiedCamera, SiliconCamera
 from simulate.iiccd.stage_image import StageImage
@@ -20,14 +18,14 @@ def camera_from_description(description: Described) -> IntensifiedCamera | Silic
     The lab bench builds its own, without geometry: there a target's place on the frame is known. A
     thermal imager is BadInput: it sees no visible light.
     """
-    if isinstance(description, SolidStateCamera):
-        return SiliconCamera(description)
-    if not isinstance(description, Sensor):
+    if description.is_thermal:
         raise BadInput(
             f"light at a photocathode or chip needs a camera of visible light, got "
             f"{description.name!r}"
         )
-    return IntensifiedCamera(description, geometry=True, local_depletion=True)
+    if description.has_tube:
+        return IntensifiedCamera(description, geometry=True, local_depletion=True)
+    return SiliconCamera(description)
 
 
 def mcp_input_from_radiance(

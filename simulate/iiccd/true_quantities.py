@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.sensor import Sensor
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import PulseMoments, Slot
@@ -24,7 +24,7 @@ DEGREES = {"horizontal": 0.0, "vertical": 90.0}
 
 
 def true_mtf(
-    sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
+    sensor: Camera, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
     """Return the MTF of the camera without veiling glare, 1 at zero frequency, of the frequencies'
     shape.
@@ -51,7 +51,7 @@ def true_mtf(
 
 
 def post_gain_mtf(
-    sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
+    sensor: Camera, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
     """Return the MTF of the stages after the gain, which shape the noise; arguments as for
     `true_mtf`.
@@ -80,7 +80,7 @@ def _transfer(
 
 
 def true_crossing_frequency(
-    sensor: Sensor, level: float, direction: Direction = "horizontal"
+    sensor: Camera, level: float, direction: Direction = "horizontal"
 ) -> float:
     """Return the lowest frequency where the MTF falls to a level, cycles per column pitch."""
     from scipy.optimize import brentq
@@ -96,7 +96,7 @@ def true_crossing_frequency(
     return float(root)
 
 
-def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dict[str, float]:
+def true_quantities(sensor: Camera, conditions: Conditions | None = None) -> dict[str, float]:
     """Return the true quantities with which measurements of a session can be compared.
 
     Parameters

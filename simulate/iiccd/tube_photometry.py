@@ -5,9 +5,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
-from labdata.sensor import Sensor
-from labdata.solid_state import SolidStateCamera
 from simulate.radiance.cube import band_widths
 from simulate.radiance.spectrum import LUMENS_PER_WATT, hat_integrals, luminous_efficiency, planck
 
@@ -16,7 +15,7 @@ JOULE_METRE = 6.62607015e-34 * 2.99792458e8
 LAMP_K = 2856.0
 
 
-def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+def quantum_efficiency(sensor: Camera, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     """Return the photocathode's quantum efficiency, linear in its table, scaled to its luminous
     sensitivity.
     """
@@ -82,12 +81,12 @@ def luminous_sensitivity(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike
     return float(1e6 * np.sum(responsivity * power) / lumens)
 
 
-def photoelectrons_per_lumen_s(sensor: Sensor) -> float:
+def photoelectrons_per_lumen_s(sensor: Camera) -> float:
     """Return photoelectrons per lumen and second of 2856 K light, S/e."""
     return float(sensor.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6 / ELEMENTARY_CHARGE_C
 
 
-def ebi_per_s_cm2(sensor: Sensor, temperature_c: float | None = None) -> float:
+def ebi_per_s_cm2(sensor: Camera, temperature_c: float | None = None) -> float:
     """Return photoelectrons emitted in the dark, per s and cm2: EBI times S/e, doubling with
     warmth.
     """
@@ -97,7 +96,7 @@ def ebi_per_s_cm2(sensor: Sensor, temperature_c: float | None = None) -> float:
     return rate * 2.0 ** (warmer / float(cathode.ebi_doubling_k))
 
 
-def photons_per_photoelectron(sensor: Sensor) -> float:
+def photons_per_photoelectron(sensor: Camera) -> float:
     """Return phosphor photons per photoelectron at the reference voltage, the undetected counted.
 
     Notes
@@ -111,7 +110,7 @@ def photons_per_photoelectron(sensor: Sensor) -> float:
     return float(sensor.tube.luminous_gain) / photon_lumen_s / photoelectrons_per_lumen_s(sensor)
 
 
-def gain_factor(sensor: Sensor, mcp_v: float | None, gain_control: float | None) -> float:
+def gain_factor(sensor: Camera, mcp_v: float | None, gain_control: float | None) -> float:
     """Return the gain relative to the nominal one, by the MCP's voltage or by the control word that
     sets it.
 
@@ -142,7 +141,7 @@ def gain_factor(sensor: Sensor, mcp_v: float | None, gain_control: float | None)
 
 
 def photons_per_lux(
-    sensor: Sensor | SolidStateCamera,
+    sensor: Camera,
     wavelength_nm: NDArray[np.float64],
     radiance: NDArray[np.float64],
 ) -> tuple[float, NDArray[np.float64]]:
@@ -165,7 +164,7 @@ def photons_per_lux(
     """
     width = band_widths(wavelength_nm)
     lumens = width * LUMENS_PER_WATT * luminous_efficiency(wavelength_nm)
-    if isinstance(sensor, Sensor):
+    if sensor.has_tube:
         efficiency = quantum_efficiency(sensor, wavelength_nm)
         peak = quantum_efficiency(sensor, sensor.photocathode.wavelength_nm).max()
         per_lumen_s = photoelectrons_per_lumen_s(sensor)

@@ -8,9 +8,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.chip import gain_at_no_signal
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.solid_state import gain_at_no_signal
 from simulate.iiccd.chain import Slot, Stage, values_of
 from simulate.iiccd.grid import ACCURACY, CameraFrame
 from simulate.iiccd.readout_noise import draw_interference, draw_row_offsets
@@ -110,7 +110,7 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
     gain: float = 1.0
     sync_jitter_px: float = 0.0  # standard deviation of the start of a line, pixels
     line_noise_dn: float = 0.0  # standard deviation of an offset common to a line, DN
-    # Of a digital read-out, see `labdata.solid_state.Readout`.
+    # Of a digital read-out, see `labdata.camera.chip.Readout`.
     row_noise_dn2: float = 0.0
     row_noise_exponent: float = 0.0
     interference_dn2: float = 0.0
@@ -140,7 +140,7 @@ class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
             )
             jitter_px = float(video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz
         gain = 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
-        readout = getattr(camera.description, "readout", None)
+        readout = camera.description.readout
         shared = {
             name: float(getattr(readout, name)) for name in _OF_READOUT if readout is not None
         }

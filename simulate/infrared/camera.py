@@ -10,8 +10,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
-from labdata.infrared_imager import InfraredImager
 from simulate.iiccd.chain import Chain, Stage, values_of
 from simulate.iiccd.stage_image import StageImage
 from simulate.infrared.arrays import (
@@ -76,7 +76,7 @@ class InfraredCamera:
     40
     """
 
-    description: InfraredImager
+    description: Camera
     left_out: frozenset[str] = frozenset()  # names of effects, see `effects`
     is_thermal = True
     has_tube = False

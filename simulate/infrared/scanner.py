@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
-from labdata.infrared_imager import InfraredImager
 from simulate.iiccd.chain import Stage
 from simulate.iiccd.stage_image import StageImage
 from simulate.infrared.optics import Slot
@@ -184,7 +184,7 @@ class LineScan(Stage, slot=Slot.SCAN, takes="signal of pixels", emits="signal of
         return signal[..., first] * (1.0 - share) + signal[..., first + 1] * share + self.reference
 
 
-def noise_equivalent_radiance(imager: InfraredImager, noise_hz: float) -> float:
+def noise_equivalent_radiance(imager: Camera, noise_hz: float) -> float:
     r"""Return the noise of a scanner's detector as radiance of the scene, W m-2 sr-1.
 
     Notes

@@ -8,7 +8,7 @@ from pathlib import Path
 from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
 from labdata import Conditions, load_sensor
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 from simulate.iiccd.true_quantities import true_quantities
 from simulate.lab import LabBench, Target
 from tests.truth.sessions import InMemoryStack

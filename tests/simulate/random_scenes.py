@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import Conditions, Sensor, load_sensor
-from labdata.camera_description import Parameter
+from labdata import Camera, Conditions, load_sensor
+from labdata.camera.parameters import Parameter
 from labdata.phosphors import load_phosphor, phosphor_names
 from simulate.iiccd.camera import IntensifiedCamera
 
@@ -94,7 +94,7 @@ def random_scene(number: int, shape: tuple[int, int] | None = None) -> Scene:
     )
 
 
-def random_sensor(rng: np.random.Generator) -> Sensor:
+def random_sensor(rng: np.random.Generator) -> Camera:
     """Return the case study, the case study with another screen, or the digital camera, half of
     them as described.
     """
@@ -106,7 +106,7 @@ def random_sensor(rng: np.random.Generator) -> Sensor:
     return sensor.with_values(_drawn(sensor, rng)) if rng.random() < 0.5 else sensor
 
 
-def _drawn(sensor: Sensor, rng: np.random.Generator) -> dict[str, float]:
+def _drawn(sensor: Camera, rng: np.random.Generator) -> dict[str, float]:
     """A value inside its range for every number that effects follow from."""
     values: dict[str, float] = {}
     for section in (

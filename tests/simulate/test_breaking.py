@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import BadInput, Conditions, Sensor, Target
+from labdata import BadInput, Camera, Conditions, Target
 from labdata.sensors import load_camera
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Slot
@@ -475,7 +475,7 @@ def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes
 )
 def test_descriptions_that_contradict_themselves_are_refused(changes, sheet):
     with pytest.raises(BadInput) as refused:
-        description: Sensor = sheet
+        description: Camera = sheet
         for stage, fields in changes.items():
             description = replace(
                 description, **{stage: replace(getattr(description, stage), **fields)}

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import BadInput, Conditions, Sensor
+from labdata import BadInput, Camera, Conditions
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
 from simulate.iiccd import pattern
 from simulate.iiccd.camera import IntensifiedCamera
@@ -241,7 +241,7 @@ def _read_of_a_pulse(owed: Any, grid: Any, height: int, taps: tuple[float, ...])
     return np.fft.irfft2(transfer, grid.shape) * 4.0 * height
 
 
-def small(sensor: Sensor, shape: tuple[int, int] = SHAPE) -> Sensor:
+def small(sensor: Camera, shape: tuple[int, int] = SHAPE) -> Camera:
     """The sensor with a smaller chip."""
     return replace(sensor, ccd=replace(sensor.ccd, rows=shape[0], columns=shape[1]))
 
@@ -285,7 +285,7 @@ def test_the_noise_that_tolerances_are_shares_of_is_that_of_drawn_frames() -> No
 
 
 def test_a_dim_scene_is_simulated_without_halo_overflow_and_smear_and_nothing_measured_shows_it(
-    sheet: Sensor,
+    sheet: Camera,
 ) -> None:
     tolerance = 0.1
     pair = Pair.of(
@@ -315,14 +315,14 @@ def test_a_dim_scene_is_simulated_without_halo_overflow_and_smear_and_nothing_me
     assert measured((first - whole) / noise, groups)[3] > 3.2
 
 
-def test_with_one_bright_lamp_in_view_they_are_kept(sheet: Sensor) -> None:
+def test_with_one_bright_lamp_in_view_they_are_kept(sheet: Camera) -> None:
     lit = dim_picture()
     lit[60:63, 40:43] += 1e5
     pair = Pair.of(IntensifiedCamera(small(sheet)), lit, Conditions(mcp_v=800.0), 0.1)
     assert not {"halo", "column blooming", "smear"} & pair.plan.names
 
 
-def test_a_control_that_will_lower_the_gain_keeps_the_noise_that_then_shows(sheet: Sensor) -> None:
+def test_a_control_that_will_lower_the_gain_keeps_the_noise_that_then_shows(sheet: Camera) -> None:
     # This supply holds the screen at what a fiftieth of the light would give.
     camera = IntensifiedCamera(small(sheet).with_values({"tube.brightness_control_lux": 1e-6}))
     off = Conditions(mcp_v=840.0, brightness_control=False)
@@ -384,7 +384,7 @@ def test_each_effect_alone_changes_no_more_than_its_influence(number: int) -> No
     assert tried > 0
 
 
-def test_in_sparse_light_the_noise_tells_more_of_the_halo_than_the_mean(sheet: Sensor) -> None:
+def test_in_sparse_light_the_noise_tells_more_of_the_halo_than_the_mean(sheet: Camera) -> None:
     camera, conditions = (
         IntensifiedCamera(small(sheet)),
         Conditions(mcp_v=950.0, temperature_c=-20.0),

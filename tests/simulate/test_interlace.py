@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import Conditions, Sensor, Target
+from labdata import Camera, Conditions, Target
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.column_blooming import apply_column_blooming, spread_excess_charge
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
@@ -26,7 +26,7 @@ LEVEL_PE, FRAMES = 6.0, 240
 # Noise of a flat.
 
 
-def _deviations(sensor: Sensor, seed: int) -> NDArray[np.floating]:
+def _deviations(sensor: Camera, seed: int) -> NDArray[np.floating]:
     """A flat's frames less their own mean in time, so that fixed patterns are gone, DN, shape
     (frame, row, col).
     """

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import Conditions, Sensor
+from labdata import Camera, Conditions
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.stage_image import StageImage
 from tests.simulate import event_by_event as slow
@@ -53,7 +53,7 @@ CASES = [
 
 
 def drawn(
-    sensor: Sensor, at_mcp: StageImage, frames: int, seed: int, tier: Sampler
+    sensor: Camera, at_mcp: StageImage, frames: int, seed: int, tier: Sampler
 ) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape
     (frame, row, col).
@@ -66,7 +66,7 @@ def drawn(
 
 
 def flat_frames(
-    sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: Sampler
+    sensor: Camera, photoelectrons_per_pixel: float, frames: int, seed: int, tier: Sampler
 ) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame,
     row, col).
@@ -77,7 +77,7 @@ def flat_frames(
     return drawn(sensor, StageImage(values=flat, grid=camera.cells), frames, seed, tier)
 
 
-def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
+def in_fine_steps(sensor: Camera, photoelectrons: float) -> Camera:
     """The sensor with sixteen bits that span its flat, wells without end."""
     camera = slow.of_sensor(sensor)
     factor = camera.height_moment(2) / camera.height_moment(1) / camera.charge_e
@@ -92,7 +92,7 @@ def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
 
 
 def measured_flat(
-    sensor: Sensor, level: float, frames: int, seed: int, tier: Sampler
+    sensor: Camera, level: float, frames: int, seed: int, tier: Sampler
 ) -> tuple[slow.Moments, slow.Moments, float]:
     """Moments of a flat in `BLOCKS` of so many frames, their errors, e- above black, and the
     digitiser's step, e-.

@@ -8,12 +8,12 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, Sensor
+from labdata import BadInput, Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.camera import Camera, IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain, Slot, Stage
-from simulate.iiccd.scene_to_photoelectrons import Camera, camera_from_description
+from simulate.iiccd.scene_to_photoelectrons import camera_from_description
 from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
@@ -96,7 +96,6 @@ def cameras(plain, camera) -> dict[str, Camera]:
         replace(found, ccd=replace(found.ccd, rows=24, columns=40))
         for found in (load_camera("gen3-digital-iccd"), load_camera("emccd-512"))
     )
-    assert isinstance(digital, Sensor)
     return {
         "tube": IntensifiedCamera(patterned, geometry=True),
         "depleted tube": IntensifiedCamera(

@@ -15,6 +15,7 @@ from charact.estimators.bloom.series_consistency import check_consistency
 from charact.estimators.bloom.smear import smear_measurement
 from charact.estimators.bloom.source_view import SECTORS
 from charact.method import Context
+from labdata.camera.description import Camera
 from labdata.flags import Finding
 from labdata.measurement import (
     Interval,
@@ -26,7 +27,6 @@ from labdata.measurement import (
     make_refusal,
     measurement_from_draws,
 )
-from labdata.sensor import Sensor
 from labdata.session import Session
 
 
@@ -70,7 +70,7 @@ LEVELS = {
 
 
 def bloom_measurements(
-    spots: tuple[PointStack, ...], *, square: bool, sensor: Sensor | None = None, **fields: Any
+    spots: tuple[PointStack, ...], *, square: bool, sensor: Camera | None = None, **fields: Any
 ) -> list[Measurement]:
     """Return the extents of every stack, refused where the source stays below the threshold.
 
@@ -201,7 +201,7 @@ def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
 
 
 def _areas_at_full_scale(
-    spot: PointStack, sensor: Sensor | None, **common: Any
+    spot: PointStack, sensor: Camera | None, **common: Any
 ) -> list[Measurement]:
     """Area at full scale in pixels and, if known, at the photocathode and in the field of view."""
     units = {"px": 1.0}

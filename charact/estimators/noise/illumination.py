@@ -16,9 +16,9 @@ from charact.estimators.noise.rounding import rounding_sd
 from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import SNR
 from charact.method import Context
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
+from labdata.camera.tube import Photocathode
 from labdata.conditions import Conditions
-from labdata.sensor import Photocathode
 
 Array = NDArray[np.float64]
 

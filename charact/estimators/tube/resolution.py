@@ -28,6 +28,7 @@ from charact.estimators.noise.illumination import (
 )
 from charact.estimators.tube.thresholds import DETECTION
 from charact.method import Context
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.measurement import (
     Curve,
@@ -36,7 +37,6 @@ from labdata.measurement import (
     make_refusal,
     measurement_from_draws,
 )
-from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 METHOD = "bar-detection"
@@ -219,7 +219,7 @@ def _flags(measurements: tuple[Measurement, ...]) -> tuple[str, ...]:
     )
 
 
-def _curves(result: Result, sensor: Sensor, rng: np.random.Generator) -> list[MtfDraws]:
+def _curves(result: Result, sensor: Camera, rng: np.random.Generator) -> list[MtfDraws]:
     """Return the MTF along rows and columns, as far as it was measured."""
     found = []
     for orientation, names in CURVES.items():

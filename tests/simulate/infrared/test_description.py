@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, load_sensor
+from labdata.camera.files import ThermalImagerFile
 from labdata.sensors import load_camera, save_sensor
 from labdata.serialiser import from_mapping
 from simulate import api
@@ -49,19 +50,24 @@ def test_a_description_has_the_tables_of_one_kind(tmp_path):
         tomllib.loads((Path(api.__file__).parents[1] / f"labdata/sensors/{name}.toml").read_text())
         for name in NAMES
     ]
-    described = type(load_camera(NAMES[0]))
+    described = ThermalImagerFile
     with pytest.raises(
         BadInput, match="must have one of scanner, bolometer, cooled_array, got scanner, bolometer"
     ):
         from_mapping(tables[0] | {"bolometer": tables[1]["bolometer"]}, described)
     with pytest.raises(BadInput, match="got none"):
         from_mapping(
-            {key: value for key, value in tables[1].items() if key != "bolometer"}, described
+            {key: value for key, value in tables[1].items() if key != "bolometer"},
+            ThermalImagerFile,
         )
     with pytest.raises(BadInput, match="unknown key 'netd' in bolometer; did you mean"):
-        from_mapping(tables[1] | {"bolometer": tables[1]["bolometer"] | {"netd": 40}}, described)
+        from_mapping(
+            tables[1] | {"bolometer": tables[1]["bolometer"] | {"netd": 40}}, ThermalImagerFile
+        )
     with pytest.raises(BadInput, match="a scanner must be interlaced and an array progressive"):
-        from_mapping(tables[1] | {"video": tables[1]["video"] | {"interlaced": True}}, described)
+        from_mapping(
+            tables[1] | {"video": tables[1]["video"] | {"interlaced": True}}, ThermalImagerFile
+        )
     for name in NAMES:
         save_sensor(load_camera(name), tmp_path / "again.toml")
         assert load_camera(tmp_path / "again.toml") == load_camera(name)

@@ -11,7 +11,7 @@ from charact.estimators.bloom.series.halo_models import HaloModel, ModelParamete
 from charact.estimators.bloom.series.likelihood import ModelParts, SeriesLikelihood
 from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.transfer import frequencies
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class SaturatingHaloModel(HaloModel):
         return neighbourhood_px(self.sensor)
 
 
-def neighbourhood_px(sensor: Sensor | None) -> float:
+def neighbourhood_px(sensor: Camera | None) -> float:
     """Range over which the MCP load is averaged, column pitches; 0 without a sensor description."""
     if sensor is None:
         return 0.0

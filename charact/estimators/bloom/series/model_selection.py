@@ -18,7 +18,7 @@ from charact.estimators.bloom.series.likelihood import RingSeries, SeriesLikelih
 from charact.estimators.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
 from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.series.rings import SECTORS
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def candidates(
     series: RingSeries,
     *,
     pitch_ratio: float,
-    sensor: Sensor | None,
+    sensor: Camera | None,
     has_tube: bool,
     first_diameter_px: float,
 ) -> list[FittedHaloModel]:

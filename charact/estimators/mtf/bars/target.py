@@ -9,7 +9,7 @@ from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.blur_models import transfer as forms
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.method import Context
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 
 Array = NDArray[np.float64]
 

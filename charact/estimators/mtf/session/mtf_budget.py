@@ -32,8 +32,8 @@ from charact.estimators.mtf.session.stage_transfers import (
 from charact.estimators.mtf.session.thresholds import THRESHOLDS
 from charact.inference import find_maximum, laplace, sample_posterior
 from charact.method import Context
+from labdata.camera.description import Camera
 from labdata.measurement import Curve, Measurement, Posterior, Result
-from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ class MtfBudget:
 
 def fit_mtf_budget(
     measured: Sequence[MeasuredCurves],
-    sensor: Sensor,
+    sensor: Camera,
     *,
     interlaced: bool,
     seed: int,

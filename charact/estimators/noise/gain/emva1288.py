@@ -16,9 +16,9 @@ from charact.estimators.noise.rounding import QUANTISATION_DN2, rounding_sd
 from charact.estimators.noise.thresholds import GAIN
 from charact.inference import laplace, sample_posterior
 from charact.method import Context
+from labdata.camera.chip import excess_noise_factor
 from labdata.conditions import Conditions
 from labdata.measurement import Posterior
-from labdata.solid_state import excess_noise_factor
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from charact.estimators.noise.stack.components import (
 from charact.estimators.noise.thresholds import CUBE, STACK
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
-from labdata.lazy_stack import LazyStack
+from labdata.frames import LazyStack
 
 
 def shading_findings(found: Contrasts) -> list[Finding]:

@@ -17,7 +17,7 @@ from charact.estimators.mtf.session.constraints import constraints_from
 from charact.estimators.mtf.session.joint import fit_joint_mtf
 from charact.fitting.mtf_observations import mtf_observations
 from charact.method import Context
-from labdata import Conditions, Curve, Result, Sensor, Session, StackEntry, load_sensor
+from labdata import Camera, Conditions, Curve, Result, Session, StackEntry, load_sensor
 from labdata.measurement import measurement_from_draws, measurement_from_sd
 
 QUICK = Context(seed=1, quick=True)
@@ -170,7 +170,7 @@ def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(seed: int) -
         0
     ]
 
-    def standard_errors_off(of: Sensor) -> float:
+    def standard_errors_off(of: Camera) -> float:
         context = Context(seed=1, quick=True, sensor=of)
         found = fit_joint_mtf(told_of, {"e1": "edge", "e2": "edge"}, context=context).find("mtf10")[
             0

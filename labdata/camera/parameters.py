@@ -1,10 +1,8 @@
-"""Camera descriptions as stages of parameters, each with range, basis and source."""
+"""Parameters of a camera description, each with range, basis and source, and their draws."""
 
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar, Literal, Self
-
-import numpy as np
+from typing import Any, Literal
 
 from labdata.errors import BadInput, check
 
@@ -96,80 +94,6 @@ class Draws:
                 tuple(row[i] * by for i, by in zip(kept, scale, strict=True)) for row in self.values
             ),
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Description:
-    """A camera as stages of parameters, such as "optics.f_number"."""
-
-    is_thermal: ClassVar[bool] = False  # whether it sees the thermal infrared, in kelvin
-
-    def parameters(self) -> dict[str, Parameter]:
-        """Every parameter by its path, such as "optics.f_number"."""
-        return {
-            f"{stage.name}.{item.name}": value
-            for stage in fields(self)
-            if is_dataclass(part := getattr(self, stage.name))
-            for item in fields(part)
-            if isinstance(value := getattr(part, item.name), Parameter)
-        }
-
-    def with_parameters(self, changes: dict[str, Parameter]) -> Self:
-        """Return a copy with parameters replaced by path."""
-        if unknown := changes.keys() - self.parameters().keys():
-            raise BadInput(
-                f"a sensor parameter must be one of its stages' own, got {sorted(unknown)}"
-            )
-        stages: dict[str, dict[str, Parameter]] = {}
-        for path, parameter in changes.items():
-            stage, name = path.split(".")
-            stages.setdefault(stage, {})[name] = parameter
-        return replace(
-            self,
-            **{stage: replace(getattr(self, stage), **named) for stage, named in stages.items()},
-        )
-
-    def with_values(self, values: dict[str, float]) -> Self:
-        """Return a copy in which parameters have other values, exact, by path."""
-        known = self.parameters()
-        if unknown := values.keys() - known.keys():
-            raise BadInput(
-                f"a sensor parameter must be one of its stages' own, got {sorted(unknown)}"
-            )
-        return self.with_parameters(
-            {
-                path: replace(known[path], value=float(value), low=None, high=None)
-                for path, value in values.items()
-            }
-        )
-
-    def draw(self, rng: np.random.Generator) -> Self:
-        """Return the camera of one joint posterior draw; a description without draws is a
-        BadInput.
-        """
-        draws: Draws = getattr(self, "draws", Draws())
-        if not draws.values:
-            raise BadInput(
-                "a camera to draw must be a fitted one with posterior draws, got a description "
-                "without"
-            )
-        row = draws.values[int(rng.integers(len(draws.values)))]
-        return self.with_values(dict(zip(draws.names, row, strict=True)))
-
-
-def must_be_positive(stage: Any, *names: str) -> None:
-    """Require lengths, times and factors of a stage to be positive."""
-    check(stage, positive=names)
-
-
-def must_not_be_negative(stage: Any, *names: str) -> None:
-    """Require numbers of a stage not to be negative."""
-    check(stage, not_negative=names)
-
-
-def must_be_a_share(stage: Any, *names: str) -> None:
-    """Require fractions and probabilities of a stage to lie between 0 and 1."""
-    check(stage, fraction=names)
 
 
 def must_be_an_efficiency_table(

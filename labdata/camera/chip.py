@@ -1,13 +1,11 @@
-"""Description of a camera without an intensifier: CCD or electron-multiplying CCD."""
+"""Sections of a camera description: silicon, CCD, register and digital read-out."""
 
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from labdata.camera_description import Description, Draws, Parameter, must_be_an_efficiency_table
-from labdata.errors import BadInput, check, check_range
-from labdata.sensor import Ccd, Optics, Video
+from labdata.camera.parameters import Parameter, must_be_an_efficiency_table
+from labdata.errors import check, check_range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +17,36 @@ class Silicon:
 
     def __post_init__(self) -> None:
         must_be_an_efficiency_table(self.wavelength_nm, self.quantum_efficiency)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ccd:
+    """CCD, interline or frame-transfer."""
+
+    columns: int
+    rows: int
+    pitch_x_um: Parameter
+    pitch_y_um: Parameter
+    #: fill factor included, at the phosphor's peak; without a tube, the table's highest
+    quantum_efficiency: Parameter
+    full_well_e: Parameter  #: of one pixel as read
+    read_noise_e: Parameter
+    dark_current_e_per_s: Parameter  #: per pixel at 25 C
+    dark_current_doubling_k: Parameter
+    prnu: Parameter  #: relative standard deviation
+    smear_fraction: Parameter  #: of the overexposed pixel, for a spot one tenth of the picture high
+    #: overexposure that the drain carries off, in full wells; 1 is no drain
+    antibloom_ratio: Parameter
+    dsnu_e: Parameter  #: standard deviation of the fixed dark pattern, per exposure at 25 C
+
+    def __post_init__(self) -> None:
+        check(
+            self,
+            one_or_more="columns rows",
+            positive="pitch_x_um pitch_y_um full_well_e dark_current_doubling_k quantum_efficiency",
+            fraction="quantum_efficiency smear_fraction",
+            not_negative="read_noise_e dark_current_e_per_s prnu dsnu_e antibloom_ratio",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,53 +130,3 @@ def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
     (2003), eq. 20).
     """
     return 2.0 * (em_gain - 1.0) * em_gain ** -(1.0 + 1.0 / stages) + 1.0 / em_gain
-
-
-EFFICIENCY = "ccd.quantum_efficiency"
-
-
-@dataclass(frozen=True, kw_only=True)
-class SolidStateCamera(Description):
-    """A progressive, digital camera without an intensifier.
-
-    Parameters and sources are as in `labdata.sensor.Sensor`. `video.conversion_gain_dn_per_e`
-    counts electrons at the output, after multiplication; `ccd.quantum_efficiency` is the highest of
-    the silicon's table.
-    """
-
-    name: str
-    optics: Optics
-    silicon: Silicon
-    ccd: Ccd
-    register: Register
-    video: Video
-    readout: Readout = field(default_factory=Readout)
-    draws: Draws = field(default_factory=Draws)
-    notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        highest = max(self.silicon.quantum_efficiency)
-        if abs(float(self.ccd.quantum_efficiency) - highest) > 0.01 * highest:
-            raise BadInput(
-                f"quantum_efficiency of the ccd must be the silicon's highest, {highest:g}, "
-                f"got {float(self.ccd.quantum_efficiency):g}"
-            )
-        if self.video.interlaced or not self.video.digital:
-            raise BadInput(
-                "a camera without a tube must be progressive and digital, got video or interlace"
-            )
-
-    def with_parameters(self, changes: dict[str, Parameter]) -> Self:
-        """Return a copy with parameters replaced by path; the silicon's table is scaled to a new
-        highest efficiency.
-        """
-        if EFFICIENCY not in changes:
-            return super().with_parameters(changes)
-        highest = float(changes[EFFICIENCY])
-        table = self.silicon.quantum_efficiency
-        scaled = tuple(min(one * highest / max(table), highest) for one in table)
-        silicon = replace(self.silicon, quantum_efficiency=scaled)
-        ccd = replace(self.ccd, quantum_efficiency=changes[EFFICIENCY])
-        return super(SolidStateCamera, replace(self, silicon=silicon, ccd=ccd)).with_parameters(
-            changes
-        )
