@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
+from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class VideoFilter:
         """Return the filter of a sensor description; None for a digital camera or without
         description.
         """
-        if sensor is None or sensor.video.low_pass is None:
+        if not has_tube(sensor) or sensor.video.low_pass is None:
             return None
         bandwidth, clock, order = sensor.video.low_pass
         known = sensor.video.bandwidth_mhz

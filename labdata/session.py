@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from labdata.camera.chip import Register
-from labdata.camera.description import Camera, has_tube
+from labdata.camera.description import Camera
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions, conditions_of, flat_conditions
 from labdata.errors import BadInput
@@ -286,27 +285,11 @@ class Session:
         return dark.read().mean_dn
 
     @property
-    def sensor(self) -> Camera | None:
-        """Description of the camera where it is an intensified one."""
-        return self.camera if has_tube(self.camera) else None
-
-    @property
-    def imager(self) -> Camera | None:
-        """Description of the camera where it is an infrared imager."""
-        return self.camera if self.camera is not None and self.camera.is_thermal else None
-
-    @property
-    def register(self) -> Register | None:
-        """Electron-multiplying register of a camera without intensifier; None where it has none."""
-        camera = self.camera
-        return camera.register if camera is not None and camera.multiplies else None
-
-    @property
     def is_interlaced(self) -> bool:
         """Whether frames have two fields exposed one after the other."""
         if self.interlaced is not None:
             return self.interlaced
-        return self.camera is not None and self.camera.video.interlaced
+        return self.camera is not None and self.camera.interlaced
 
 
 def open_session(path: str | Path) -> Session:

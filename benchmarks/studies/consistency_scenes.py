@@ -250,7 +250,7 @@ class SimulatedScene:
         return Context(
             seed=seed,
             quick=quick,
-            sensor=sensor,
+            camera=sensor,
             interlaced=interlaced,
             full_scale_dn=full_scale_dn,
         )

@@ -273,7 +273,7 @@ def case_of(cell: Scenario[GainScene], repeat: int) -> Case:
         truth=scene.truth[QUANTITY],
         draw=scene.session_drawn,
         context={
-            "sensor": scene.description,
+            "camera": scene.description,
             "interlaced": scene.interlaced,
             "full_scale_dn": BLACK_AND_FULL_DN[1],
         },

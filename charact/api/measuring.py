@@ -92,7 +92,7 @@ def mtf(
     described = sensor_of(sensor)
     interlaced = described is not None and described.video.interlaced
     context = Context(
-        seed=seed, quick=quick, sensor=described, interlaced=interlaced, progress=progress
+        seed=seed, quick=quick, camera=described, interlaced=interlaced, progress=progress
     )
     chosen = {"method": method, "within_percent": within_percent, "context": context, **target}
     if roi is None:

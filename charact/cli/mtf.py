@@ -127,10 +127,12 @@ def flats(
         from charact.estimators.mtf import measure_flats
         from charact.reporting.frequency_unit import FrequencyUnit
         from charact.session_measurement import method_context
+        from labdata.camera.description import has_tube
 
         session = _flats_of(file, _sensor(sensor), plane, axis)
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
-        frequency = FrequencyUnit.of(session.sensor, rows=rows, unit=units, **lengths)
+        camera = session.camera if has_tube(session.camera) else None
+        frequency = FrequencyUnit.of(camera, rows=rows, unit=units, **lengths)
         with progress_bar(events=events) as progress:
             context = method_context(session, quick=quick, seed=seed, progress=progress)
             result = measure_flats(session, method=method, within_percent=within, context=context)

@@ -170,7 +170,7 @@ def _gain(camera: Camera, result: Result, flat_conditions: Conditions) -> list[O
     """Observe the slope of the photon transfer curve, K g F^2, from the system gain or else from
     covariances.
     """
-    factor = excess_of(flat_conditions, Context(register=camera.register)).factor
+    factor = excess_of(flat_conditions, Context(camera=camera)).factor
     measured = [(m, factor) for m in admissible_measurements(result, "system_gain", "DN/e-")]
     measured = measured or [
         (m, 1.0) for m in admissible_measurements(result, "covariance_gain", "DN")

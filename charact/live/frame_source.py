@@ -12,7 +12,6 @@ import numpy as np
 
 from charact.method import Context
 from drivers.interface import Camera
-from labdata.camera.description import has_tube
 from labdata.capture import CameraSettings, Frame
 from labdata.conditions import Conditions, conditions_of
 from labdata.errors import BadInput
@@ -123,7 +122,7 @@ class SessionSource:
         self._bit_depth = self._form.bit_depth
         self.context = Context(
             quick=True,
-            sensor=camera if has_tube(camera) else None,
+            camera=camera,
             interlaced=bool(self._form.interlaced),
             full_scale_dn=None if self._bit_depth is None else float(2**self._bit_depth - 1),
         )

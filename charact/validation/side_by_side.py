@@ -138,7 +138,7 @@ class _Bench:
         self.context = Context(
             seed=seed,
             quick=True,
-            sensor=session.sensor,
+            camera=session.camera,
             interlaced=session.is_interlaced,
             full_scale_dn=full,
         )

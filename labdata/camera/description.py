@@ -232,6 +232,11 @@ def has_tube(camera: Camera | None) -> TypeGuard[Camera]:
     return camera is not None and camera.has_tube
 
 
+def is_thermal(camera: Camera | None) -> TypeGuard[Camera]:
+    """Whether a camera is known and sees the thermal infrared."""
+    return camera is not None and camera.is_thermal
+
+
 def _lumens_per_photon(phosphor: Phosphor) -> float:
     """Luminous efficacy times photon energy, lm s per photon up to the elementary charge."""
     return float(phosphor.luminous_efficacy_lm_per_w) * float(phosphor.photon_energy_ev)

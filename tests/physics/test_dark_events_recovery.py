@@ -27,7 +27,7 @@ def darks(sensor, seed: int, frames: int = 64):
     context = Context(
         seed=1,
         quick=True,
-        sensor=SHEET,
+        camera=SHEET,
         interlaced=True,
         full_scale_dn=2.0**sensor.video.bit_depth - 1,
     )

@@ -59,7 +59,7 @@ def bias_percent(number, interlaced):
         height_sd=0.01,
         lag=NO_LAG,
     )
-    forms = blur_models(blur_exponent(Context(sensor=scene.description)), blurred=True, floor=False)
+    forms = blur_models(blur_exponent(Context(camera=scene.description)), blurred=True, floor=False)
     found = fit_spectrum(summary, seed=1, quick=True, forms=forms)
     return 100.0 * (float(np.mean(found.posterior["power"])) - 1.0)
 

@@ -154,7 +154,7 @@ def test_frequencies_are_shown_in_cycles_per_milliradian_of_the_description(seed
     """
     given = session(imager("vox-lwir-640"), edge=True, seed=seed)
     lines = ['name = "imager"', 'sensor = "imager.toml"', "bit_depth = 14"]
-    save_sensor(given.imager, tmp_path / "imager.toml")
+    save_sensor(given.camera, tmp_path / "imager.toml")
     for one in given.stacks:
         np.save(tmp_path / f"{one.label}.npy", one.read().data)
         lines += [

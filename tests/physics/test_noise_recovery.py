@@ -51,7 +51,7 @@ def test_covariance_gain_and_blur_factor_of_a_specimen_are_found_again(seed):
     context = Context(
         seed=1,
         quick=True,
-        sensor=load_sensor("pulnix-ag5745ef3"),
+        camera=load_sensor("pulnix-ag5745ef3"),
         interlaced=True,
         full_scale_dn=255.0,
     )

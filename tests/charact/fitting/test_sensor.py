@@ -160,7 +160,7 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
     told = told_of(seed)
     halo = Result(measurements=told.result.find("halo_diameter"))
     model = model_of(
-        told.session.sensor, tube_observations(told.session, told.session.sensor, halo, ())
+        told.session.camera, tube_observations(told.session, told.session.camera, halo, ())
     )
     posterior = posterior_of(model, seed=seed)
     assert posterior.sampler == "slice" and not posterior.flags
@@ -188,8 +188,8 @@ def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(
     others = tuple(m for m in told.result.measurements if m.quantity != "blur_factor")
     result = replace(told.result, measurements=(*others, wrong))
     model = model_of(
-        told.session.sensor,
-        tube_observations(told.session, told.session.sensor, result, told.levels),
+        told.session.camera,
+        tube_observations(told.session, told.session.camera, result, told.levels),
     )
     wider, said = inflate_errors(model)
     assert said is not None and said.flag == "model-misfit"
@@ -203,7 +203,7 @@ def test_a_bent_measurement_stays_outside(told_of: Callable, seed: int) -> None:
     result = replace(told.result, measurements=bent)
     names = [
         one.name
-        for one in tube_observations(told.session, told.session.sensor, result, told.levels)
+        for one in tube_observations(told.session, told.session.camera, result, told.levels)
     ]
     assert names == ["levels"]
 

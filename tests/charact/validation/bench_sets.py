@@ -103,7 +103,7 @@ class BenchSets:
         self.context = Context(
             seed=0,
             quick=True,
-            sensor=self.camera if self.camera.has_tube else None,
+            camera=self.camera if self.camera.has_tube else None,
             interlaced=self.camera.video.interlaced,
             full_scale_dn=self.top,
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom import transfer
 from charact.estimators.bloom.transfer import frequencies
-from labdata.camera.description import Camera
+from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
 Core = Literal["gaussian", "tube", "moffat", "matern"]
@@ -202,7 +202,7 @@ def tube_priors(sensor: Camera | None) -> tuple[ModelParameter, ...]:
         name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3
     )
     exponent = ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
-    if sensor is None:
+    if not has_tube(sensor):
         return frequency, exponent
     scale = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
     cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * scale

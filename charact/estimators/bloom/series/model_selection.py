@@ -113,7 +113,9 @@ def candidates(
     # tube's core is known.
     plausible = [model for model in reversed(out) if model.bic < least_bic + WORTHWHILE]
     cores = {
-        model.form.core: model for model in plausible if sensor is None or model.form.core == "tube"
+        model.form.core: model
+        for model in plausible
+        if not has_tube(sensor) or model.form.core == "tube"
     }
     tiring = [
         saturating

@@ -171,7 +171,7 @@ def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(seed: int) -
     ]
 
     def standard_errors_off(of: Camera) -> float:
-        context = Context(seed=1, quick=True, sensor=of)
+        context = Context(seed=1, quick=True, camera=of)
         found = fit_joint_mtf(told_of, {"e1": "edge", "e2": "edge"}, context=context).find("mtf10")[
             0
         ]
@@ -184,7 +184,7 @@ def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(seed: int) -
 
 def test_an_edge_along_rows_counts_row_pitches_and_a_point_column_pitches(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    context = Context(seed=1, quick=True, sensor=load_sensor("pulnix-ag5745ef3"))
+    context = Context(seed=1, quick=True, camera=load_sensor("pulnix-ag5745ef3"))
     edge = target(rng, "e", half=0.22 * context.pitch_ratio, angle=90.0)
     point = target(rng, "p", name="mtf_vertical")
     sound, _ = constraints_from(edge + point, KINDS, context)
