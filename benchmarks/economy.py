@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 
 from labdata import Conditions, load_sensor
-from simulate.iiccd import pattern, stage_image
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effect_bounds import (
+from simulate.camera import pattern, stage_image
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.effect_bounds import (
     NoiseBudget,
     bound_effects,
     per_pixel,
     select_camera_effects,
 )
-from simulate.iiccd.fast_sampler import charge_distribution
-from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
+from simulate.camera.fast_sampler import charge_distribution
+from simulate.camera.scene_to_photoelectrons import photoelectrons_from_image
 from tests.simulate.random_scenes import Scene, random_scene
 
 FRAMES = 10

@@ -71,8 +71,8 @@ def seconds_a_frame(
     out, s.
     """
     from labdata import Conditions, load_sensor
-    from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.scene_to_photoelectrons import (
+    from simulate.camera.camera import IntensifiedCamera
+    from simulate.camera.scene_to_photoelectrons import (
         camera_from_description,
         mcp_input_from_photoelectrons,
     )

@@ -113,7 +113,7 @@ def simulate(
     BadInput
         If the source cannot be read, or an option does not apply to it.
     """
-    from simulate.iiccd.scene_to_photoelectrons import (
+    from simulate.camera.scene_to_photoelectrons import (
         camera_from_description,
         photoelectrons_from_image,
         photoelectrons_from_radiance,
@@ -168,7 +168,7 @@ def _outdoor_shot(
     progress: Progress,
 ) -> Shot:
     """Return a camera of visible light before an outdoor scene."""
-    from simulate.iiccd.scene_to_photoelectrons import (
+    from simulate.camera.scene_to_photoelectrons import (
         camera_from_description,
         photoelectrons_from_radiance,
     )
@@ -241,7 +241,7 @@ def _infrared_shot(
     preview: bool = False,
 ) -> InfraredShot:
     """Return a thermal imager before an outdoor scene; another source is BadInput."""
-    from simulate.infrared.camera import InfraredCamera
+    from simulate.camera.thermal_imager import InfraredCamera
     from simulate.infrared_view import view_infrared
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
@@ -345,7 +345,7 @@ def preview(
     """Return an outdoor scene in few pixels of a camera; another source raises BadInput."""
     if description.is_thermal:
         return _infrared_shot(request, description, conditions, _ignore_progress, preview=True).seen
-    from simulate.iiccd.scene_to_photoelectrons import camera_from_description
+    from simulate.camera.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
@@ -456,13 +456,13 @@ def _select_effects(
     """Return the camera without the effects that this light does not need, and the fields of the
     shot.
     """
-    from simulate.effect_selection import EffectSelection
-    from simulate.iiccd.effect_bounds import (
+    from simulate.camera.effect_bounds import (
         NoiseBudget,
         bound_effects,
         per_pixel,
         select_camera_effects,
     )
+    from simulate.effect_selection import EffectSelection
 
     if not camera.has_tube:
         return camera, {"exact": request.tolerance is None}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.infrared.camera import KELVIN, InfraredCamera
+from simulate.camera.thermal_imager import KELVIN, InfraredCamera
 from simulate.outdoor_rendering import PREVIEW_PX
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.scene import OutdoorScene

@@ -16,10 +16,10 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack, read_only
 from labdata.session import Kind
 from labdata.target import Target
-from simulate.iiccd import tube_photometry as photometry
-from simulate.iiccd.camera import IntensifiedCamera, SiliconCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera import tube_photometry as photometry
+from simulate.camera.camera import IntensifiedCamera, SiliconCamera
+from simulate.camera.chain import Slot
+from simulate.camera.stage_image import StageImage
 from simulate.radiance.lab_target import TargetView, render_bench
 from simulate.radiance.scene import LabScene, load_bench
 from simulate.radiance.spectrum import planck
@@ -41,7 +41,7 @@ class LabBench:
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if
         None.
     left_out
-        Neglected effects of the camera, see `simulate.iiccd.chain.Stage.effects`.
+        Neglected effects of the camera, see `simulate.camera.chain.Stage.effects`.
     like
         Bench of a camera with the same pixels and nearly the same optics: targets lie as before it,
         so that benches of many draws of one camera share their images. None: none.
@@ -54,7 +54,7 @@ class LabBench:
     light on its way there is therefore left out, its blur and veiling glare excepted: loss,
     fall-off, vignetting, distortion. So is the fibres' geometry, as targets are known on the frame,
     and protection from bright sources, since the bench stays far below a lux. For these, see
-    `simulate.iiccd.scene_to_photoelectrons.mcp_input_from_radiance`.
+    `simulate.camera.scene_to_photoelectrons.mcp_input_from_radiance`.
     """
 
     def __init__(

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd import tube_photometry
-from simulate.iiccd.camera import Camera, IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.effect_bounds import NoiseBudget
-from simulate.iiccd.grid import ACCURACY
+from simulate.camera import tube_photometry
+from simulate.camera.camera import Camera, IntensifiedCamera
+from simulate.camera.chain import Slot
+from simulate.camera.effect_bounds import NoiseBudget
+from simulate.camera.grid import ACCURACY
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import KNOWN, RenderSensor, workers
 from simulate.radiance.integrator.renderer import Rendering, render_scene

@@ -18,8 +18,8 @@ from benchmarks.figures import effect_plans
 from benchmarks.figures.lab_card import CARD, card, luminance, radiance, shown
 from labdata import Camera, Conditions, load_sensor, open_session
 from labdata.sensors import save_sensor
-from simulate.iiccd import true_quantities
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera import true_quantities
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
     photoelectrons_from_radiance,

@@ -259,7 +259,7 @@ class SimulatedScene:
         """Frequency along a direction at which the MTF falls to a level, cycles per column
         pitch.
         """
-        from simulate.iiccd import true_quantities
+        from simulate.camera import true_quantities
 
         return true_quantities.true_crossing_frequency(self.camera, level, angle_deg)
 

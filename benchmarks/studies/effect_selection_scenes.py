@@ -10,7 +10,7 @@ import numpy as np
 
 from labdata import Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd.scene_to_photoelectrons import camera_from_description
+from simulate.camera.scene_to_photoelectrons import camera_from_description
 from simulate.outdoor_rendering import OutdoorRendering, render_sensor_of
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.outgoing_radiance import radiance_along

@@ -113,7 +113,7 @@ class GainScene:
     @cached_property
     def truth(self) -> dict[str, float]:
         """What the simulator says of the specimen."""
-        from simulate.iiccd import true_quantities
+        from simulate.camera import true_quantities
 
         return true_quantities.true_quantities(self.camera, self.settings)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from benchmarks.studies import infrared_stability
 from labdata.sensors import load_camera
-from simulate.infrared.camera import InfraredCamera
+from simulate.camera.thermal_imager import InfraredCamera
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
 from simulate.thermal import infrared_rendering as rendering

@@ -180,7 +180,7 @@ def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
     Of a plane of a mosaic the light is that of pixels `pitch_px` apart, read as the rows and
     columns of the plane.
     """
-    from simulate.iiccd.chain import Slot
+    from simulate.camera.chain import Slot
 
     pitch_px, target, conditions = shot.pitch_px, replace(shot.target, region=None), shot.conditions
     if pitch_px == 1:

@@ -11,7 +11,7 @@ from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.gating import IN_STEP, fields_open_ns, whole_field_s
 from labdata.target import Kind, Target
-from simulate.iiccd.fast_sampler.frame_generator import SEGMENT_FRAMES
+from simulate.camera.fast_sampler.frame_generator import SEGMENT_FRAMES
 from simulate.lab import LabBench
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement
 from simulate.virtual_bench.true_sensor import TRUTH, read_truth

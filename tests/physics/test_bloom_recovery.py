@@ -12,9 +12,9 @@ from scipy import ndimage
 from charact.estimators import bloom
 from charact.method import Context
 from labdata import Conditions, Session, Target, load_sensor
-from simulate.iiccd import true_quantities
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
+from simulate.camera import true_quantities
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import Slot
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 from tests.truth.sessions import InMemoryStack

@@ -9,7 +9,7 @@ from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
 from labdata import Conditions, load_sensor
 from labdata.camera.parameters import Parameter
-from simulate.iiccd.true_quantities import true_quantities
+from simulate.camera.true_quantities import true_quantities
 from simulate.lab import LabBench, Target
 from tests.truth.sessions import InMemoryStack
 

@@ -8,7 +8,7 @@ import pytest
 from charact.fitting import predicted_quantities
 from charact.fitting.predicted_quantities import Values
 from labdata import Camera, Conditions, load_sensor
-from simulate.iiccd import true_quantities
+from simulate.camera import true_quantities
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 GATE_S = 0.0133

@@ -17,9 +17,9 @@ from charact.estimators.noise.gain.pooled_noise import ImageLag, PooledNoise
 from charact.estimators.noise.gain.single_setting import blur_exponent
 from charact.estimators.noise.stack.spectrum import bins_of
 from charact.method import Context
-from simulate.iiccd import true_quantities
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
+from simulate.camera import true_quantities
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import Slot
 
 NO_LAG = ImageLag(
     lag=np.array([1]),

@@ -12,8 +12,8 @@ from charact.session_measurement import measure, measure_noise, method_context
 from labdata import BadInput, FrameStack, Session, Target, result_io
 from labdata.measurement import make_measurement
 from labdata.sensors import load_camera, save_sensor
-from simulate.infrared.camera import InfraredCamera
-from simulate.infrared.targets import half_moon
+from simulate.camera.thermal_imager import InfraredCamera
+from simulate.camera.thermal_targets import half_moon
 from tests.charact.cli.runner import done_well
 from tests.charact.estimators.infrared.cameras import entry
 

@@ -10,7 +10,7 @@ import pytest
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import Conditions, Session, Target, load_sensor
-from simulate.iiccd import true_quantities
+from simulate.camera import true_quantities
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 from tests.truth.sessions import InMemoryStack

@@ -11,7 +11,7 @@ from charact.estimators.mtf.point.forward import point_forward
 from charact.estimators.mtf.point.parametric import point_parametric
 from charact.method import Context
 from labdata import Conditions, Target, load_sensor
-from simulate.iiccd import true_quantities
+from simulate.camera import true_quantities
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 

@@ -8,7 +8,7 @@ import pytest
 from charact.estimators.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
 from charact.estimators.mtf.session.stage_transfers import STAGES, Direction, StageModel
 from labdata import Camera, load_sensor
-from simulate.iiccd import true_quantities
+from simulate.camera import true_quantities
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 FREQUENCY = np.linspace(0.02, 0.48, 24)

@@ -16,9 +16,9 @@ from labdata import Camera, Conditions, Result, Session, Target
 from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
 from labdata.session import Kind, LoadedStackEntry
-from simulate.iiccd.phosphor import PhosphorDecay
-from simulate.iiccd.true_quantities import true_quantities
-from simulate.iiccd.video import VideoFilter
+from simulate.camera.phosphor import PhosphorDecay
+from simulate.camera.true_quantities import true_quantities
+from simulate.camera.video import VideoFilter
 from simulate.lab import LabBench
 
 NAMES = ("pulnix-ag5745ef3", "gen3-digital-iccd")

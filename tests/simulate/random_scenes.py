@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from labdata import Camera, Conditions, load_sensor
 from labdata.camera.parameters import Parameter
 from labdata.phosphors import load_phosphor, phosphor_names
-from simulate.iiccd.camera import IntensifiedCamera
+from simulate.camera.camera import IntensifiedCamera
 
 Image = NDArray[np.floating]
 REFERENCE_V = 800.0

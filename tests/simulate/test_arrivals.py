@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.iiccd.camera import IntensifiedCamera
+from simulate.camera.camera import IntensifiedCamera
 
 LIGHT_M_PER_S = 2.99792458e8
 

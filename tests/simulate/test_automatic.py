@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, load_sensor
-from simulate.iiccd import tube_photometry
-from simulate.iiccd.automatic_controls import (
+from simulate.camera import tube_photometry
+from simulate.camera.automatic_controls import (
     SET_LEVEL,
     AutomaticControls,
     AutomaticGain,
     AutomaticState,
     BrightnessControl,
 )
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
 GAIN = AutomaticGain(set_level_dn=100.0, range_db=16.0, time_constant_s=0.5, step_s=1 / 30)
 CONTROL = BrightnessControl(limit_e_per_s_cm2=1e8, attack_s=0.2, step_s=1 / 30)

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from labdata import BadInput, Camera, Conditions, Target
 from labdata.sensors import load_camera
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import Slot
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
 )
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.stage_image import StageImage
 from simulate.lab import LabBench
 from simulate.radiance.cube import RadianceCube
 

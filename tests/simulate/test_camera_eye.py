@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, load_sensor
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.outdoor_rendering import render_sensor_of
 
 

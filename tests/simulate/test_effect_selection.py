@@ -19,15 +19,15 @@ import pytest
 from numpy.typing import NDArray
 
 from labdata import BadInput, Camera, Conditions
+from simulate.camera import pattern
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import Slot
+from simulate.camera.effect_bounds import select_camera_effects
+from simulate.camera.scene_to_photoelectrons import photoelectrons_from_image
+from simulate.camera.stage_image import StageImage
+from simulate.camera.transfer import PixelAperture, product
+from simulate.camera.video import filter_lines
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
-from simulate.iiccd import pattern
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.effect_bounds import select_camera_effects
-from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import PixelAperture, product
-from simulate.iiccd.video import filter_lines
 from tests.simulate.random_scenes import random_scene
 from tests.simulate.samplers import drawn_by
 

@@ -9,10 +9,10 @@ import pytest
 
 from labdata import BadInput, Conditions, Target
 from labdata.sensors import load_camera
-from simulate.iiccd import tube_photometry
-from simulate.iiccd.camera import IntensifiedCamera, SiliconCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera import tube_photometry
+from simulate.camera.camera import IntensifiedCamera, SiliconCamera
+from simulate.camera.chain import Slot
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
@@ -55,7 +55,7 @@ def camera(request, plain, silicon):
 
 def _per_pixel(camera, light) -> np.ndarray:
     """Photoelectrons that every pixel as read collects."""
-    from simulate.iiccd.pixels import Collection
+    from simulate.camera.pixels import Collection
 
     return Collection(row_pairs=camera.is_interlaced).mean(light).values
 

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from labdata import Camera, Conditions, Target
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.column_blooming import apply_column_blooming, spread_excess_charge
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.column_blooming import apply_column_blooming, spread_excess_charge
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.lab import LabBench
 from tests.simulate import event_by_event as slow
 

@@ -18,8 +18,8 @@ import pytest
 from numpy.typing import NDArray
 
 from labdata import Camera, Conditions
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.stage_image import StageImage
 from tests.simulate import event_by_event as slow
 from tests.simulate.samplers import Sampler, drawn_by
 

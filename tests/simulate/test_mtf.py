@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, Target
-from simulate.iiccd import true_quantities
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import product
+from simulate.camera import true_quantities
+from simulate.camera.chain import Slot
+from simulate.camera.stage_image import StageImage
+from simulate.camera.transfer import product
 from simulate.lab import LabBench
 
 ROWS, COLUMNS, RATIO = 160, 200, 13.0 / 11.0

@@ -14,11 +14,11 @@ import pytest
 from scipy.integrate import quad
 
 from labdata import Conditions
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.fast_sampler.kernel import noise_kernel
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import GapSpread, PixelAperture, fold_transfer
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import Slot
+from simulate.camera.fast_sampler.kernel import noise_kernel
+from simulate.camera.stage_image import StageImage
+from simulate.camera.transfer import GapSpread, PixelAperture, fold_transfer
 from tests.simulate.samplers import drawn_by
 
 PITCH_MM = 0.02

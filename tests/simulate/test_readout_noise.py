@@ -11,9 +11,9 @@ from labdata import BadInput, Conditions, Target
 from labdata.camera.chip import Readout, gain_at_no_signal
 from labdata.camera.description import Camera
 from labdata.sensors import load_camera
-from simulate.iiccd import readout_noise
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.video import Video
+from simulate.camera import readout_noise
+from simulate.camera.stage_image import StageImage
+from simulate.camera.video import Video
 from simulate.lab import LabBench
 
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from simulate.iiccd import true_quantities, tube_photometry
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.phosphor import PhosphorDecay, apply_phosphor_decay
-from simulate.iiccd.transfer import HaloBlur, PixelAperture, TubeShare, product
+from simulate.camera import true_quantities, tube_photometry
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import Slot
+from simulate.camera.microchannel import MicrochannelPlate
+from simulate.camera.phosphor import PhosphorDecay, apply_phosphor_decay
+from simulate.camera.transfer import HaloBlur, PixelAperture, TubeShare, product
 from tests.simulate.test_photometry import drawn_pulses
 
 FIELD_S = 1.0 / 59.94

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.iiccd import tube_photometry
-from simulate.iiccd.automatic_controls import SET_LEVEL
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera import tube_photometry
+from simulate.camera.automatic_controls import SET_LEVEL
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import Slot
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
 NONE = Conditions()
 LEVELS = {"dense": 20.0, "sparse": 0.2}

@@ -9,11 +9,11 @@ import pytest
 
 from labdata import BadInput, Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd import pattern
-from simulate.iiccd.camera import SiliconCamera
-from simulate.iiccd.ccd import Ccd, Register
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera import pattern
+from simulate.camera.camera import SiliconCamera
+from simulate.camera.ccd import Ccd, Register
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.stage_image import StageImage
 
 COLD = Conditions(temperature_c=-70.0)
 

@@ -9,14 +9,14 @@ import pytest
 
 from labdata import Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd import true_quantities
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera import true_quantities
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
 )
-from simulate.iiccd.stage_images import stage_images
+from simulate.camera.stage_images import stage_images
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.spectrum import planck
 

@@ -10,11 +10,11 @@ import pytest
 
 from labdata import BadInput, Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd.camera import Camera, IntensifiedCamera
-from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.chain import Chain, Slot, Stage
-from simulate.iiccd.scene_to_photoelectrons import camera_from_description
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.camera import Camera, IntensifiedCamera
+from simulate.camera.ccd import Ccd
+from simulate.camera.chain import Chain, Slot, Stage
+from simulate.camera.scene_to_photoelectrons import camera_from_description
+from simulate.camera.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
 DRAWS = 60

@@ -9,16 +9,21 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, load_sensor
-from simulate.iiccd import true_quantities
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import PulseMoments, Slot
-from simulate.iiccd.fast_sampler import charge_distribution, event_samplers, frame_generator, kernel
-from simulate.iiccd.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
-from simulate.iiccd.grid import ACCURACY
-from simulate.iiccd.phosphor import PhosphorDecay
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import PixelAperture, product
+from simulate.camera import true_quantities
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import PulseMoments, Slot
+from simulate.camera.fast_sampler import (
+    charge_distribution,
+    event_samplers,
+    frame_generator,
+    kernel,
+)
+from simulate.camera.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
+from simulate.camera.grid import ACCURACY
+from simulate.camera.phosphor import PhosphorDecay
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.stage_image import StageImage
+from simulate.camera.transfer import PixelAperture, product
 from tests.simulate.samplers import SAMPLERS, drawn_by
 from tests.simulate.test_noise import _block_variance, _captured
 

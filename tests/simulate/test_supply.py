@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.photocathode import BrightSourceProtection, Photocathode
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.chain import Slot
+from simulate.camera.photocathode import BrightSourceProtection, Photocathode
+from simulate.camera.stage_image import StageImage
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def _transfer(blur, frequency: float) -> float:
     ("voltage_v", "radius_um", "at_64"), [(800.0, 4.7, 0.41), (400.0, 6.6, 0.17)]
 )
 def test_flight_across_the_gap_is_that_of_table_1_5(supply, voltage_v, radius_um, at_64):
-    from simulate.iiccd.transfer import GapSpread
+    from simulate.camera.transfer import GapSpread
 
     radius = supply.flight_um(voltage_v)
     assert radius == pytest.approx(radius_um, abs=0.05)

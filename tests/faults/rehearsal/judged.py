@@ -9,7 +9,7 @@ import numpy as np
 
 from charact.reporting.truth import TruthComparison, compare_with_truth
 from labdata import Camera, Conditions, Result, Session
-from simulate.iiccd import true_quantities
+from simulate.camera import true_quantities
 from tests.faults.rehearsal.night import GATE_NS
 
 AT_EACH_GAIN = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor")

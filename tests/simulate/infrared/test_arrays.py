@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.infrared.camera import InfraredCamera
+from simulate.camera.thermal_imager import InfraredCamera
 from tests.simulate.infrared.measures import (
     contrast,
     imager,

@@ -13,8 +13,8 @@ from labdata.camera.files import ThermalImagerFile
 from labdata.sensors import load_camera, save_sensor
 from labdata.serialiser import from_mapping
 from simulate import api
-from simulate.infrared.camera import InfraredCamera
-from simulate.infrared.targets import four_bars, half_moon
+from simulate.camera.thermal_imager import InfraredCamera
+from simulate.camera.thermal_targets import four_bars, half_moon
 from simulate.radiance.spectrum import band_radiance
 from tests.simulate.infrared.measures import imager
 

@@ -5,8 +5,8 @@ import pytest
 
 from labdata import BadInput
 from labdata.sensors import load_camera
-from simulate.infrared.camera import InfraredCamera
-from simulate.infrared.scanner import noise_equivalent_radiance
+from simulate.camera.scanner import noise_equivalent_radiance
+from simulate.camera.thermal_imager import InfraredCamera
 from tests.simulate.infrared.measures import (
     AMPLITUDE_MRAD,
     FIELD_MRAD,
