@@ -241,7 +241,7 @@ def _infrared_shot(
     preview: bool = False,
 ) -> InfraredShot:
     """Return a thermal imager before an outdoor scene; another source is BadInput."""
-    from simulate.camera.thermal_imager import InfraredCamera
+    from simulate.camera.thermal_imager import ThermalImager
     from simulate.infrared_view import view_infrared
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
@@ -260,7 +260,7 @@ def _infrared_shot(
         _delay_s(request, scene),
     )
 
-    def view(now: OutdoorScene, camera: InfraredCamera, seed: int, is_set: bool) -> "InfraredView":
+    def view(now: OutdoorScene, camera: ThermalImager, seed: int, is_set: bool) -> "InfraredView":
         return view_infrared(
             now,
             camera,
@@ -274,7 +274,7 @@ def _infrared_shot(
 
     seen = view(
         scene.at(delay_s).for_sensor(request.sensor),
-        InfraredCamera(description),
+        ThermalImager(description),
         request.seed,
         False,
     )

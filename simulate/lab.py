@@ -17,7 +17,7 @@ from labdata.frames import FrameStack, read_only
 from labdata.session import Kind
 from labdata.target import Target
 from simulate.camera import tube_photometry as photometry
-from simulate.camera.camera import IntensifiedCamera, SiliconCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot
 from simulate.camera.stage_image import StageImage
 from simulate.radiance.lab_target import TargetView, render_bench
@@ -65,11 +65,7 @@ class LabBench:
         left_out: frozenset[str] = frozenset(),
         like: "LabBench | None" = None,
     ) -> None:
-        self.camera: IntensifiedCamera | SiliconCamera = (
-            IntensifiedCamera(sensor, left_out=left_out)
-            if sensor.has_tube
-            else SiliconCamera(sensor)
-        )
+        self.camera = CameraModel(sensor, left_out=left_out)
         self.scene = scene if isinstance(scene, LabScene) else load_bench(scene or "bench")
         self._like = like
         self._pictures: OrderedDict[tuple[Kind, Target, float | None], NDArray[np.float32]] = (
@@ -135,7 +131,7 @@ class LabBench:
         exposure, EBI included.
         """
         camera = self.camera
-        if isinstance(camera, SiliconCamera):
+        if not camera.has_tube:
             if kind == "dark":
                 return StageImage(
                     values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells
@@ -224,11 +220,7 @@ class LabBench:
         camera, photons = self.camera, conditions.photons_per_px
         if conditions.illuminance_lux is not None:
             return conditions.illuminance_lux
-        if (
-            isinstance(camera, IntensifiedCamera)
-            or photons is None
-            or conditions.wavelength_nm is None
-        ):
+        if camera.has_tube or photons is None or conditions.wavelength_nm is None:
             stated = "" if camera.has_tube else ", or photons_per_px and wavelength_nm,"
             raise BadInput(
                 f"illuminance_lux{stated} must be given for a stack of kind {kind!r}, got none"

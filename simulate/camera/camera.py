@@ -1,24 +1,22 @@
-"""Cameras with a tube and without: the stages of a description as one chain, its mean frame and its
-frames.
-"""
+"""Camera of visible light: stages of its description as one chain, its mean frame, its frames."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import count
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera as Description
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera import tube_photometry
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.camera.ccd import Ccd, Register, Silicon
-from simulate.camera.chain import Chain, Slot, values_of
+from simulate.camera.chain import Chain, Slot, Stage, stages_with_section, values_of
 from simulate.camera.grid import ACCURACY, CameraFrame
 from simulate.camera.lens import Optics, RadiometricLens
 from simulate.camera.microchannel import MicrochannelPlate
@@ -31,36 +29,85 @@ from simulate.camera.video import Video
 
 Frames = Iterator[NDArray[np.unsignedinteger]]
 
+# Stages in the order of the light. A camera has those whose section its description has.
+STAGES: tuple[type[Stage], ...] = (
+    Optics,
+    Photocathode,
+    ProximityGap,
+    FibreGeometry,
+    MicrochannelPlate,
+    Phosphor,
+    Taper,
+    Silicon,
+    Collection,
+    PhosphorDecay,
+    FieldReadout,
+    Ccd,
+    Register,
+    Video,
+)
 
-class Camera(CameraFrame):
-    """Camera built from its description. Its light "at the MCP" is, without a tube, photoelectrons
-    in the chip.
+
+@dataclass(frozen=True)
+class CameraModel(CameraFrame):
+    """Camera of visible light built from its description, with a tube or without.
+
+    Its light "at the MCP" is, without a tube, photoelectrons in the chip. Automatic gain and
+    brightness control are off, as they are for any measurement, unless the conditions say that
+    they were on.
     """
 
-    # In the order of the light; `chain` has them under conditions.
-    stages: ClassVar[tuple[Any, ...]]
-    left_out: frozenset[str] = frozenset()
+    description: Camera  # its values are taken as the truth
+    # Whether the taper distorts and shears the image. The lab bench measures without: its targets
+    # are known on the frame.
+    geometry: bool = False
+    # Whether an MCP's gain falls place by place under its own load; otherwise all of the MCP falls
+    # alike.
+    local_depletion: bool = False
+    left_out: frozenset[str] = frozenset()  # names of neglected effects, see `Stage.effects`
 
     def stage(self, slot: Slot, conditions: Conditions | None = None) -> Any:
         """Return the stage in a slot, under conditions, without the effects that are left out."""
-        (kind,) = (kind for kind in self.stages if kind.slot == slot)
-        return kind.of(self, Conditions() if conditions is None else conditions).without(
-            self.left_out
-        )
+        (kind,) = (kind for kind in STAGES if kind.slot == slot)
+        return self._built(kind, Conditions() if conditions is None else conditions)
+
+    def _built(self, kind: type[Stage], conditions: Conditions) -> Stage:
+        depletion = () if self.local_depletion else ("local gain depletion",)
+        return kind.of(self, conditions).without(self.left_out.union(depletion))
 
     def chain(self, conditions: Conditions, state: AutomaticState = UNTOUCHED) -> Chain:
-        """Return the whole chain under conditions, in a state of the automatic controls.
+        """Return the whole chain under conditions, in a state of the automatic controls; without a
+        tube there are none, and one that was on is BadInput.
 
         Its light is in photons per s and cell of `scene_cells`, referred to the wavelength that is
         detected best.
         """
-        return Chain(tuple(self.stage(kind.slot, conditions) for kind in self.stages))
+        if not self.has_tube and (conditions.automatic_gain or conditions.brightness_control):
+            raise BadInput(
+                f"automatic controls must be off, as {self.description.name!r} has none; got one on"
+            )
+        kinds = stages_with_section(STAGES, self.description)
+        chain = Chain(tuple(self._built(kind, conditions) for kind in kinds))
+        if not self.has_tube:
+            return chain
+        if not self.geometry or "taper distortion and fibre shear" in self.left_out:
+            chain = chain.without(Slot.FIBRES)
+        plate, video = chain[Slot.MCP], chain[Slot.VIDEO]
+        return chain.replacing(
+            replace(plate, gain=plate.gain * state.brightness),
+            replace(video, gain=video.gain * state.gain),
+        )
 
     def lens(self, magnification: float = 0.0) -> RadiometricLens:
         """Return the lens for scenes of known radiance; that of the chain is for light stated at
         the cathode.
         """
-        table_nm, efficiency = self._detector
+        if self.has_tube:
+            cathode = self.description.photocathode
+            table_nm, efficiency = cathode.wavelength_nm, cathode.relative_quantum_efficiency
+        else:
+            silicon = self.description.silicon
+            table_nm, efficiency = silicon.wavelength_nm, silicon.quantum_efficiency
         return values_of(
             RadiometricLens,
             self.description.optics,
@@ -71,16 +118,37 @@ class Camera(CameraFrame):
             row_pairs=self.is_interlaced,
         )
 
-    @property
-    def _detector(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Wavelengths, nm, and quantum efficiency at any scale."""
-        raise NotImplementedError
+    def open_s(self, conditions: Conditions) -> float:
+        """Time that gate or shutter is open in one exposure, s: all of it unless the conditions say
+        less.
+        """
+        gate_s = None if conditions.gate_ns is None else conditions.gate_ns * 1e-9
+        if not self.has_tube:
+            stated = [seconds for seconds in (conditions.exposure_s, gate_s) if seconds is not None]
+            shortest = min(stated, default=self.frame_s)
+            if not 0.0 < shortest <= self.frame_s * 1.001:
+                raise BadInput(
+                    f"an exposure must be positive and at most one frame, {self.frame_s:.6g} s, "
+                    f"got {shortest:g} s"
+                )
+            return min(shortest, self.frame_s)
+        if conditions.gate_ns is None or gate_s is None:
+            return self.field_s
+        if not 0.0 < conditions.gate_ns <= self.field_s * 1e9 * 1.001:
+            raise BadInput(
+                f"gate_ns must be positive and at most one exposure, {self.field_s * 1e9:.6g} ns, "
+                f"got {conditions.gate_ns:g}"
+            )
+        return min(gate_s, self.field_s)
 
     def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons that light frees, per cell of `scene_cells` and
         exposure.
         """
-        raise NotImplementedError
+        if not self.has_tube:
+            return self.stage(Slot.SILICON, conditions).detect(photons_per_s)
+        cathode = self.stage(Slot.PHOTOCATHODE, conditions)
+        return cathode.without(frozenset({"EBI"})).mean(photons_per_s)
 
     def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the MCP input, per cell of `cells` and exposure.
@@ -92,13 +160,34 @@ class Camera(CameraFrame):
         conditions
             Gate and temperature.
         """
-        raise NotImplementedError
+        if not self.has_tube:
+            return photoelectrons.resample_to(self.cells)
+        cathode = self.stage(Slot.PHOTOCATHODE, conditions)
+        dark = np.float32(cathode.ebi_per_s_cm2 * cathode.open_s * self.scene_cells.cell_area_cm2)
+        released = photoelectrons.with_values(photoelectrons.values + dark)
+        return self.to_plate(conditions, self.cathode_lux(photoelectrons)).mean(released)
 
     def mcp_input(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the MCP input for photons per s and cell of
         `scene_cells`.
         """
         return self.to_mcp_input(self.photoelectrons(photons_per_s, conditions), conditions)
+
+    def cathode_lux(self, photoelectrons: StageImage) -> float:
+        """Mean illuminance of 2856 K light over cathode and time, from photoelectrons per cell and
+        exposure, lux.
+        """
+        per_s_cm2 = (
+            photoelectrons.values.mean(dtype=float) / self.scene_cells.cell_area_cm2 / self.field_s
+        )
+        return per_s_cm2 / (tube_photometry.photoelectrons_per_lumen_s(self.description) * 1e-4)
+
+    def to_plate(self, conditions: Conditions, cathode_lux: float) -> Chain:
+        """Return the chain from the gap to the MCP input under a mean illuminance of the cathode,
+        lux.
+        """
+        chain = self.chain(conditions).between(Slot.GAP, Slot.MCP).without(Slot.MCP)
+        return chain.replacing(replace(chain[Slot.GAP], cathode_lux=cathode_lux))
 
     def mean_frame(
         self, at_mcp: StageImage, conditions: Conditions, state: AutomaticState = UNTOUCHED
@@ -124,139 +213,6 @@ class Camera(CameraFrame):
             .values[0]
         )
 
-    def frames(
-        self,
-        at_mcp: StageImage,
-        conditions: Conditions,
-        *,
-        seed: int,
-        first_frame: int = 0,
-        exact: bool = False,
-        threads: int = 1,
-    ) -> Frames:
-        """Yield the frames of a static scene, shape (row, col), DN; never ends.
-
-        Parameters
-        ----------
-        at_mcp
-            Expected photoelectrons at the MCP input per cell and exposure, on `cells`.
-        conditions
-            Gate, voltage, temperature, and which automatic controls were on: these start untouched
-            in frame 0.
-        seed
-            Seed of the run. A frame depends on it and on its own number alone.
-        first_frame
-            Number of the first frame.
-        exact
-            Whether every pulse is drawn: by the fast sampler, which does so where light is sparse,
-            else stage by stage.
-        threads
-            Threads that share a frame of the fast sampler; frames do not depend on their number.
-        """
-        # Without a tube no stage remembers earlier frames, and all are drawn stage by stage.
-        chain = self.chain(conditions)
-        pixels, readout = chain[Slot.PIXELS].mean(at_mcp), chain.between(Slot.CCD, Slot.VIDEO)
-        for frame in count(first_frame):
-            yield readout.draw(pixels, np.random.default_rng([seed, 1, frame])).values
-
-
-@dataclass(frozen=True)
-class IntensifiedCamera(Camera):
-    """An image-intensified camera.
-
-    Automatic gain and brightness control are off, as they are for any measurement, unless the
-    conditions say that they were on.
-    """
-
-    sensor: Description  # the description; its values are taken as the truth
-    # Whether the taper distorts and shears the image. The lab bench measures without: its targets
-    # are known on the frame.
-    geometry: bool = False
-    # Whether an MCP's gain falls place by place under its own load; otherwise all of the MCP falls
-    # alike.
-    local_depletion: bool = False
-    left_out: frozenset[str] = frozenset()  # names of neglected effects, see `Stage.effects`
-    has_tube = True
-    stages = (
-        Optics,
-        Photocathode,
-        ProximityGap,
-        FibreGeometry,
-        MicrochannelPlate,
-        Phosphor,
-        Taper,
-        Collection,
-        PhosphorDecay,
-        FieldReadout,
-        Ccd,
-        Video,
-    )
-
-    @property
-    def description(self) -> Description:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The description."""
-        return self.sensor
-
-    @property
-    def _detector(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        return (
-            self.sensor.photocathode.wavelength_nm,
-            self.sensor.photocathode.relative_quantum_efficiency,
-        )
-
-    def open_s(self, conditions: Conditions) -> float:
-        """Time the gate is open in one exposure, s: the whole field unless the conditions say
-        less.
-        """
-        if conditions.gate_ns is None:
-            return self.field_s
-        if not 0.0 < conditions.gate_ns <= self.field_s * 1e9 * 1.001:
-            raise BadInput(
-                f"gate_ns must be positive and at most one exposure, {self.field_s * 1e9:.6g} ns, "
-                f"got {conditions.gate_ns:g}"
-            )
-        return min(conditions.gate_ns * 1e-9, self.field_s)
-
-    def stage(self, slot: Slot, conditions: Conditions | None = None) -> Any:
-        stage = super().stage(slot, conditions)
-        return stage if self.local_depletion else stage.without(frozenset({"local gain depletion"}))
-
-    def chain(self, conditions: Conditions, state: AutomaticState = UNTOUCHED) -> Chain:
-        chain = super().chain(conditions)
-        if not self.geometry or "taper distortion and fibre shear" in self.left_out:
-            chain = chain.without(Slot.FIBRES)
-        plate, video = chain[Slot.MCP], chain[Slot.VIDEO]
-        return chain.replacing(
-            replace(plate, gain=plate.gain * state.brightness),
-            replace(video, gain=video.gain * state.gain),
-        )
-
-    def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
-        cathode = self.stage(Slot.PHOTOCATHODE, conditions)
-        return cathode.without(frozenset({"EBI"})).mean(photons_per_s)
-
-    def cathode_lux(self, photoelectrons: StageImage) -> float:
-        """Mean illuminance of 2856 K light over cathode and time, from photoelectrons per cell and
-        exposure, lux.
-        """
-        per_s_cm2 = (
-            photoelectrons.values.mean(dtype=float) / self.scene_cells.cell_area_cm2 / self.field_s
-        )
-        return per_s_cm2 / (tube_photometry.photoelectrons_per_lumen_s(self.sensor) * 1e-4)
-
-    def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
-        cathode = self.stage(Slot.PHOTOCATHODE, conditions)
-        dark = np.float32(cathode.ebi_per_s_cm2 * cathode.open_s * self.scene_cells.cell_area_cm2)
-        released = photoelectrons.with_values(photoelectrons.values + dark)
-        return self.to_plate(conditions, self.cathode_lux(photoelectrons)).mean(released)
-
-    def to_plate(self, conditions: Conditions, cathode_lux: float) -> Chain:
-        """Return the chain from the gap to the MCP input under a mean illuminance of the cathode,
-        lux.
-        """
-        chain = self.chain(conditions).between(Slot.GAP, Slot.MCP).without(Slot.MCP)
-        return chain.replacing(replace(chain[Slot.GAP], cathode_lux=cathode_lux))
-
     def automatic_state_of(
         self, at_mcp: StageImage, conditions: Conditions
     ) -> Callable[[int], AutomaticState]:
@@ -268,7 +224,7 @@ class IntensifiedCamera(Camera):
         """
         controls, known = AutomaticControls.of(self, conditions), [UNTOUCHED]
         cm2_s = at_mcp.values.size * self.cells.cell_area_cm2 * self.field_s
-        video = self.sensor.video
+        video = self.description.video
 
         def following(state: AutomaticState) -> AutomaticState:
             output, above = 0.0, 0.0
@@ -308,6 +264,27 @@ class IntensifiedCamera(Camera):
         exact: bool = False,
         threads: int = 1,
     ) -> Frames:
+        """Yield the frames of a static scene, shape (row, col), DN; never ends.
+
+        Parameters
+        ----------
+        at_mcp
+            Expected photoelectrons at the MCP input per cell and exposure, on `cells`.
+        conditions
+            Gate, voltage, temperature, and which automatic controls were on: these start untouched
+            in frame 0.
+        seed
+            Seed of the run. A frame depends on it and on its own number alone.
+        first_frame
+            Number of the first frame.
+        exact
+            Whether every pulse is drawn: by the fast sampler, which does so where light is sparse,
+            else stage by stage.
+        threads
+            Threads that share a frame of the fast sampler; frames do not depend on their number.
+        """
+        if not self.has_tube:
+            return self._frames_without_memory(at_mcp, conditions, seed, first_frame)
         if not np.isfinite(at_mcp.values).all():
             raise BadInput("photoelectrons at the plate must be finite, got some that are not")
         if exact and not self.is_sparse(at_mcp):
@@ -322,6 +299,15 @@ class IntensifiedCamera(Camera):
         return sampler.static(
             at_mcp, self.automatic_state_of(at_mcp, conditions), first_frame, sparse=sparse
         )
+
+    def _frames_without_memory(
+        self, at_mcp: StageImage, conditions: Conditions, seed: int, first_frame: int
+    ) -> Frames:
+        """Yield frames of a chain in which no stage remembers earlier ones, stage by stage."""
+        chain = self.chain(conditions)
+        pixels, readout = chain[Slot.PIXELS].mean(at_mcp), chain.between(Slot.CCD, Slot.VIDEO)
+        for frame in count(first_frame):
+            yield readout.draw(pixels, np.random.default_rng([seed, 1, frame])).values
 
     def chain_frames(
         self, at_mcp: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0
@@ -399,45 +385,3 @@ class IntensifiedCamera(Camera):
         )
         controls = AutomaticControls.of(self, conditions)
         return sampler.moving(scenes, controls.next, is_sparse=self.is_sparse, settled=settled)
-
-
-@dataclass(frozen=True)
-class SiliconCamera(Camera):
-    """A CCD or EMCCD camera without a tube; no stage remembers earlier frames."""
-
-    # The description; its values are taken as the truth.
-    description: Description
-    has_tube = False
-    stages = (Optics, Silicon, Collection, Ccd, Register, Video)
-
-    @property
-    def _detector(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        return self.description.silicon.wavelength_nm, self.description.silicon.quantum_efficiency
-
-    def open_s(self, conditions: Conditions) -> float:
-        """Time the shutter is open in one frame, s: the whole frame unless the conditions say
-        less.
-        """
-        gate_s = None if conditions.gate_ns is None else conditions.gate_ns * 1e-9
-        given = [seconds for seconds in (conditions.exposure_s, gate_s) if seconds is not None]
-        shortest = min(given, default=self.frame_s)
-        if not 0.0 < shortest <= self.frame_s * 1.001:
-            raise BadInput(
-                f"an exposure must be positive and at most one frame, {self.frame_s:.6g} s, got "
-                f"{shortest:g} s"
-            )
-        return min(shortest, self.frame_s)
-
-    def chain(self, conditions: Conditions, state: AutomaticState = UNTOUCHED) -> Chain:
-        """Return the whole chain; automatic controls are refused, as there are none."""
-        if conditions.automatic_gain or conditions.brightness_control:
-            raise BadInput(
-                f"automatic controls must be off, as {self.description.name!r} has none; got one on"
-            )
-        return super().chain(conditions)
-
-    def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
-        return self.stage(Slot.SILICON, conditions).detect(photons_per_s)
-
-    def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
-        return photoelectrons.resample_to(self.cells)

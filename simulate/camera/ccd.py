@@ -21,7 +21,14 @@ DARK_REFERENCE_C = 25.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Silicon(Stage, slot=Slot.SILICON, takes="photons", emits="photoelectrons in the chip"):
+class Silicon(
+    Stage,
+    slot=Slot.SILICON,
+    section="silicon",
+    quantity="photoelectrons per exposure and cell, expected",
+    takes="photons",
+    emits="photoelectrons in the chip",
+):
     """Photosensitive chip behind an electronic shutter.
 
     Notes
@@ -82,7 +89,7 @@ def dark_charge(camera: CameraFrame, conditions: Conditions) -> tuple[float, flo
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ccd(Stage, slot=Slot.CCD):
+class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
     """Interline CCD as it is read, one charge per frame pixel."""
 
     # electrons per photon on the pixel, fill factor included, dimensionless
@@ -253,7 +260,14 @@ class Ccd(Stage, slot=Slot.CCD):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Register(Stage, slot=Slot.REGISTER, takes="charge in the wells", emits="charge"):
+class Register(
+    Stage,
+    slot=Slot.REGISTER,
+    section="register",
+    quantity="electrons per pixel behind the register",
+    takes="charge in the wells",
+    emits="charge",
+):
     """Serial register and output amplifier.
 
     Notes

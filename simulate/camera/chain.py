@@ -3,21 +3,22 @@ its pulses.
 """
 
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from enum import Enum
+from enum import StrEnum
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera.stage_image import StageImage
 from simulate.camera.transfer import StageBlur
 
 
-class Slot(Enum):
+class Slot(StrEnum):
     """Place of a stage in the chain, in the order of the light; its random numbers follow from the
     value.
     """
@@ -46,20 +47,31 @@ class Stage:
     values of its parameters without it; `bounds` bounds their influence on a frame.
     """
 
-    slot: ClassVar[Enum]
+    slot: ClassVar[str]
+    section: ClassVar[str]  # of the description; a camera without it lacks the stage
     effects: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     takes: str
     emits: str
+    quantity: str  # what an image behind the stage shows, with its unit
 
-    def __init_subclass__(cls, *, slot: Enum, takes: str = "", emits: str = "") -> None:
-        cls.slot = slot
+    def __init_subclass__(
+        cls, *, slot: str, section: str = "", takes: str = "", emits: str = "", quantity: str = ""
+    ) -> None:
+        cls.slot, cls.section = slot, section
         if takes:
             cls.takes, cls.emits = takes, emits
+        if quantity:
+            cls.quantity = quantity
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the stage of a camera under conditions."""
+        raise NotImplementedError
 
     @property
     def name(self) -> str:
         """Name of the stage."""
-        return self.slot.value
+        return str(self.slot)
 
     def mean(self, light: Any) -> StageImage:
         """Return the mean image behind the stage; a lens takes the scene's radiance."""
@@ -83,6 +95,11 @@ class Stage:
             for key, value in self.effects[name].items()
         }
         return replace(self, **off) if off else self  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+
+def stages_with_section(kinds: Iterable[type[Stage]], description: Any) -> tuple[type[Stage], ...]:
+    """Return the kinds of stages whose section a description has."""
+    return tuple(kind for kind in kinds if getattr(description, kind.section) is not None)
 
 
 def values_of(kind: Any, section: Any, **others: Any) -> Any:
@@ -126,23 +143,23 @@ class Chain:
                 f"the stages of a chain must have names of their own, got {sorted(repeated)} twice"
             )
 
-    def __getitem__(self, slot: Enum) -> Any:
+    def __getitem__(self, slot: str) -> Any:
         """Return the stage in a slot."""
         return self.stages[self._place(slot)]
 
-    def _place(self, slot: Enum) -> int:
+    def _place(self, slot: str) -> int:
         slots = [stage.slot for stage in self.stages]
         if slot not in slots:
             raise BadInput(
-                f"a stage must be one of {[each.value for each in slots]}, got {slot.value!r}"
+                f"a stage must be one of {[str(each) for each in slots]}, got {str(slot)!r}"
             )
         return slots.index(slot)
 
-    def between(self, first: Enum, last: Enum) -> "Chain":
+    def between(self, first: str, last: str) -> "Chain":
         """Return the chain from one slot to another, both included."""
         return Chain(self.stages[self._place(first) : self._place(last) + 1])
 
-    def without(self, slot: Enum) -> "Chain":
+    def without(self, slot: str) -> "Chain":
         """Return the chain with one stage left out; refused where its neighbours then do not
         fit.
         """

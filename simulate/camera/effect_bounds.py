@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
-from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Chain, PulseMoments, Slot
 from simulate.camera.fast_sampler.kernel import noise_kernel
 from simulate.camera.grid import ACCURACY
@@ -59,7 +59,7 @@ FRAME_S = {
 class NoiseBudget:
     """Expected light and temporal noise of a frame, from which influences are bounded."""
 
-    camera: IntensifiedCamera  # the camera, nothing left out
+    camera: CameraModel  # the camera, nothing left out
     # Photoelectrons that light frees per pixel as read and exposure, in the frame and in the margin
     # around it, see `per_pixel`, shape (row, col).
     photoelectrons: Map
@@ -191,7 +191,7 @@ class NoiseBudget:
     @cached_property
     def step_e(self) -> float:
         """Quantisation step, e-; 0 with gamma, whose smallest step tends to 0."""
-        video = self.camera.sensor.video
+        video = self.camera.description.video
         gain = float(video.conversion_gain_dn_per_e) * self.state.gain
         return 1.0 / gain if float(video.gamma) == 1.0 else 0.0
 
@@ -392,11 +392,11 @@ def bound_effects(budget: NoiseBudget) -> list[OptionalEffect]:
 
 
 def select_camera_effects(
-    camera: IntensifiedCamera,
+    camera: CameraModel,
     photoelectrons: StageImage,
     conditions: Conditions,
     tolerance: float = DEFAULT_TOLERANCE,
-) -> tuple[IntensifiedCamera, EffectSelection]:
+) -> tuple[CameraModel, EffectSelection]:
     """Return the camera without the effects that this light does not need, and the selection.
 
     Parameters
@@ -437,7 +437,7 @@ def _ends(budget: NoiseBudget) -> Iterable[AutomaticState]:
     )
 
 
-def per_pixel(camera: IntensifiedCamera, photoelectrons: StageImage) -> Map:
+def per_pixel(camera: CameraModel, photoelectrons: StageImage) -> Map:
     """Sum photoelectrons per cell of `camera.scene_cells` to photoelectrons per pixel as read.
 
     Returns

@@ -6,7 +6,7 @@ import zlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,8 +185,12 @@ class CameraFrame(ABC):
     clock.
     """
 
-    has_tube: ClassVar[bool]
     description: Camera
+
+    @property
+    def has_tube(self) -> bool:
+        """Whether an image intensifier stands before the chip."""
+        return self.description.has_tube
 
     @abstractmethod
     def open_s(self, conditions: Conditions) -> float:
@@ -195,14 +199,14 @@ class CameraFrame(ABC):
     @property
     def is_interlaced(self) -> bool:
         """Whether a frame is two fields exposed one after the other."""
-        return self.description.video.interlaced
+        return self.description.interlaced
 
     @property
     def fields_per_frame(self) -> int:
         """Exposures in one frame; where there are two, a pixel as read is as many rows of the chip
         high.
         """
-        return 2 if self.is_interlaced else 1
+        return self.description.fields
 
     @property
     def field_s(self) -> float:

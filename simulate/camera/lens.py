@@ -19,7 +19,14 @@ from simulate.radiance.cube import RadianceCube
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optics(Stage, slot=Slot.OPTICS, takes="photons", emits="photons"):
+class Optics(
+    Stage,
+    slot=Slot.OPTICS,
+    section="optics",
+    quantity="photons per s and cell, of the wavelength detected best",
+    takes="photons",
+    emits="photons",
+):
     """Lens between the scene and the photocathode."""
 
     blur: StageBlur  # its blur
@@ -55,7 +62,14 @@ FOCUS_SPAN_NM = (500.0, 925.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RadiometricLens(Stage, slot=Slot.OPTICS, takes="radiance", emits="photons"):
+class RadiometricLens(
+    Stage,
+    slot=Slot.OPTICS,
+    section="optics",
+    quantity="photons per s and cell, of the wavelength detected best",
+    takes="radiance",
+    emits="photons",
+):
     """Lens that images a scene of known spectral radiance on the photocathode, or on a chip without
     a tube.
 

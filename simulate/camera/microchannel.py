@@ -19,7 +19,12 @@ Map = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class MicrochannelPlate(
-    Stage, slot=Slot.MCP, takes="photoelectrons at the plate", emits="electrons"
+    Stage,
+    slot=Slot.MCP,
+    section="microchannel_plate",
+    quantity="electrons per exposure and cell",
+    takes="photoelectrons at the plate",
+    emits="electrons",
 ):
     """Microchannel plate, or a stack of MCPs: all numbers are those of the stack.
 

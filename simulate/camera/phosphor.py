@@ -34,7 +34,14 @@ def decay_components(phosphor: Any) -> Components:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Phosphor(Stage, slot=Slot.PHOSPHOR, takes="electrons", emits="screen photons"):
+class Phosphor(
+    Stage,
+    slot=Slot.PHOSPHOR,
+    section="phosphor",
+    quantity="photons per exposure and cell",
+    takes="electrons",
+    emits="screen photons",
+):
     """Phosphor with all the spread between the MCP's input and the fibre window."""
 
     photons_per_electron: float  # photons out of the window per electron that leaves the MCP
@@ -78,7 +85,12 @@ class Phosphor(Stage, slot=Slot.PHOSPHOR, takes="electrons", emits="screen photo
 
 @dataclass(frozen=True, kw_only=True)
 class PhosphorDecay(
-    Stage, slot=Slot.DECAY, takes="screen photons on pixels", emits="screen photons on pixels"
+    Stage,
+    slot=Slot.DECAY,
+    section="phosphor",
+    quantity="photons per exposure and pixel",
+    takes="screen photons on pixels",
+    emits="screen photons on pixels",
 ):
     """The phosphor's decay, field by field.
 

@@ -17,7 +17,14 @@ from simulate.camera.transfer import GapSpread, HaloBlur, StageBlur, TubeShare
 
 
 @dataclass(frozen=True, kw_only=True)
-class Photocathode(Stage, slot=Slot.PHOTOCATHODE, takes="photons", emits="photoelectrons"):
+class Photocathode(
+    Stage,
+    slot=Slot.PHOTOCATHODE,
+    section="photocathode",
+    quantity="photoelectrons per exposure and cell, expected",
+    takes="photons",
+    emits="photoelectrons",
+):
     """Photocathode behind an electronic gate.
 
     Raises
@@ -131,7 +138,12 @@ class BrightSourceProtection:
 
 @dataclass(frozen=True, kw_only=True)
 class ProximityGap(
-    Stage, slot=Slot.GAP, takes="photoelectrons", emits="photoelectrons at the plate"
+    Stage,
+    slot=Slot.GAP,
+    section="photocathode",
+    quantity="photoelectrons at the plate per exposure and cell, expected",
+    takes="photoelectrons",
+    emits="photoelectrons at the plate",
 ):
     """Proximity gap between cathode and MCP, with the halo of backscattered electrons."""
 

@@ -15,7 +15,7 @@ from simulate.camera.transfer import PixelAperture, StageBlur, fold_transfer, pr
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collection(Stage, slot=Slot.PIXELS):
+class Collection(Stage, slot=Slot.PIXELS, section="ccd"):
     """The pixels' aperture, summed over row pairs where fields are integrated.
 
     Notes
@@ -30,6 +30,7 @@ class Collection(Stage, slot=Slot.PIXELS):
     row_pairs: bool
     takes: str = "screen photons"
     emits: str = "screen photons on pixels"
+    quantity: str = "photons per exposure and pixel"
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
@@ -37,7 +38,10 @@ class Collection(Stage, slot=Slot.PIXELS):
         if camera.has_tube:
             return cls(row_pairs=camera.is_interlaced)
         return cls(
-            row_pairs=False, takes="photoelectrons in the chip", emits="photoelectrons in the wells"
+            row_pairs=False,
+            takes="photoelectrons in the chip",
+            emits="photoelectrons in the wells",
+            quantity="photoelectrons per exposure and pixel, expected",
         )
 
     def mean(self, light: StageImage) -> StageImage:
@@ -98,7 +102,12 @@ def fold_columns(spectrum: NDArray) -> NDArray:
 
 @dataclass(frozen=True, kw_only=True)
 class FieldReadout(
-    Stage, slot=Slot.SCAN, takes="screen photons on pixels", emits="screen photons as read"
+    Stage,
+    slot=Slot.SCAN,
+    section="tube",
+    quantity="photons per exposure and pixel as read",
+    takes="screen photons on pixels",
+    emits="screen photons as read",
 ):
     """The order of reading: frame row r is read in field r % 2 where video is interlaced.
 

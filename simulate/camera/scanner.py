@@ -4,16 +4,17 @@ clamp, averaging.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata.camera.description import Camera
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.camera.chain import Stage
+from simulate.camera.chain import Stage, values_of
 from simulate.camera.stage_image import StageImage
-from simulate.camera.thermal_lens import Slot
+from simulate.camera.thermal_lens import KELVIN, Slot
 from simulate.camera.thresholds import LIMITS
 
 Array = NDArray[np.floating]
@@ -34,6 +35,12 @@ class ScanTiming:
     mirror_hz: float
     active_fraction: float
     linearised: bool
+
+    @classmethod
+    def of(cls, camera: Any) -> Self:
+        """Return the timing of a scanner."""
+        field_mrad = camera.pitch_mrad[1] * camera.shape[1]
+        return values_of(cls, camera.description.scanner, field_mrad=field_mrad)
 
     @property
     def active_s(self) -> float:
@@ -75,7 +82,13 @@ def is_scanned_left(rows: int) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Narcissus(Stage, slot=Slot.NARCISSUS, takes="signal of pixels", emits="signal of pixels"):
+class Narcissus(
+    Stage,
+    slot=Slot.NARCISSUS,
+    section="scanner",
+    takes="signal of pixels",
+    emits="signal of pixels",
+):
     """Offset by the cold detector that sees itself in the lens, most on the axis: -depth (1 - (r /
     R)^2).
 
@@ -86,6 +99,15 @@ class Narcissus(Stage, slot=Slot.NARCISSUS, takes="signal of pixels", emits="sig
     effects: ClassVar = {"narcissus": {"depth": 0.0}}
     depth: float  # in units of the signal
     fields_mrad: tuple[float, float]  # of view, down and along
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the offset of a scanner's own detector."""
+        (rows, columns), (down, along) = camera.shape, camera.pitch_mrad
+        return cls(
+            depth=float(camera.description.scanner.narcissus_k or 0.0) * camera.signal_slope(),
+            fields_mrad=(rows * down, columns * along),
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         if not self.depth:
@@ -102,11 +124,18 @@ class Narcissus(Stage, slot=Slot.NARCISSUS, takes="signal of pixels", emits="sig
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameAverage(Stage, slot=Slot.AVERAGE, takes="signal of pixels", emits="signal of pixels"):
+class FrameAverage(
+    Stage, slot=Slot.AVERAGE, section="scanner", takes="signal of pixels", emits="signal of pixels"
+):
     """Means of successive frames of a moving scene; their noise is averaged by `LineNoise`."""
 
     effects: ClassVar = {"frame averaging": {"averaged": 1}}
     averaged: int
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the mean of a scanner's frames."""
+        return cls(averaged=camera.description.scanner.averaged_frames)
 
     def mean(self, light: StageImage) -> StageImage:
         if light.values.ndim < 3 or self.averaged == 1:
@@ -123,7 +152,9 @@ class FrameAverage(Stage, slot=Slot.AVERAGE, takes="signal of pixels", emits="si
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineScan(Stage, slot=Slot.SCAN, takes="signal of pixels", emits="signal of samples"):
+class LineScan(
+    Stage, slot=Slot.SCAN, section="scanner", takes="signal of pixels", emits="signal of samples"
+):
     """Scan of lines to the right and to the left through the electronics: one pole, AC coupling,
     sampling clock.
 
@@ -142,6 +173,18 @@ class LineScan(Stage, slot=Slot.SCAN, takes="signal of pixels", emits="signal of
     coupling_hz: float
     clock_error_s: float
     reference: float  # signal of the black body seen in the turn
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the scan of lines of a scanner."""
+        section = camera.description.scanner
+        return cls(
+            timing=ScanTiming.of(camera),
+            bandwidth_hz=1e6 * float(section.bandwidth_mhz),
+            coupling_hz=float(section.coupling_hz),
+            clock_error_s=1e-9 * float(section.clock_error_ns),
+            reference=float(camera.signal_of(float(section.reference_c) + KELVIN)),
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         values = np.asarray(light.values, float)
@@ -207,7 +250,9 @@ def noise_equivalent_radiance(imager: Camera, noise_hz: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineNoise(Stage, slot=Slot.NOISE, takes="signal of samples", emits="corrected signal"):
+class LineNoise(
+    Stage, slot=Slot.NOISE, section="scanner", takes="signal of samples", emits="corrected signal"
+):
     """White and 1/f noise of the detector behind the electronics, and the noise of each line's
     clamp.
 
@@ -238,6 +283,21 @@ class LineNoise(Stage, slot=Slot.NOISE, takes="signal of samples", emits="correc
     sigma: float  # standard deviation of white noise in one sample
     white: float = 1.0  # factor of white noise
     averaged: int = 1  # frames
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the noise of a scanner's lines."""
+        section = camera.description.scanner
+        return cls(
+            timing=ScanTiming.of(camera),
+            field_rate_hz=float(camera.description.video.field_rate_hz),
+            bandwidth_hz=1e6 * float(section.bandwidth_mhz),
+            coupling_hz=float(section.coupling_hz),
+            knee_hz=float(section.knee_hz),
+            clamp_samples=section.clamp_samples,
+            sigma=camera.sigma(),
+            averaged=section.averaged_frames,
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         return light

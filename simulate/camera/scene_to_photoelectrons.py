@@ -3,16 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera as Described
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera import image_placement
-from simulate.camera.camera import Camera, IntensifiedCamera, SiliconCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
 
-def camera_from_description(description: Described) -> IntensifiedCamera | SiliconCamera:
+def camera_from_description(description: Camera) -> CameraModel:
     """Return the camera with all effects: fibre geometry and local gain depletion included.
 
     The lab bench builds its own, without geometry: there a target's place on the frame is known. A
@@ -23,13 +23,15 @@ def camera_from_description(description: Described) -> IntensifiedCamera | Silic
             f"light at a photocathode or chip needs a camera of visible light, got "
             f"{description.name!r}"
         )
-    if description.has_tube:
-        return IntensifiedCamera(description, geometry=True, local_depletion=True)
-    return SiliconCamera(description)
+    return CameraModel(description, geometry=True, local_depletion=True)
 
 
 def mcp_input_from_radiance(
-    camera: Camera, cube: RadianceCube, conditions: Conditions, *, distance_m: float | None = None
+    camera: CameraModel,
+    cube: RadianceCube,
+    conditions: Conditions,
+    *,
+    distance_m: float | None = None,
 ) -> StageImage:
     """Return the expected photoelectrons at the MCP input; arguments as for
     `photoelectrons_from_radiance`.
@@ -39,7 +41,7 @@ def mcp_input_from_radiance(
 
 
 def mcp_input_from_photoelectrons(
-    camera: Camera, image_pe: NDArray[np.floating], conditions: Conditions
+    camera: CameraModel, image_pe: NDArray[np.floating], conditions: Conditions
 ) -> StageImage:
     """Return the expected photoelectrons at the MCP input; the image is as for
     `photoelectrons_from_image`.
@@ -48,7 +50,11 @@ def mcp_input_from_photoelectrons(
 
 
 def photoelectrons_from_radiance(
-    camera: Camera, cube: RadianceCube, conditions: Conditions, *, distance_m: float | None = None
+    camera: CameraModel,
+    cube: RadianceCube,
+    conditions: Conditions,
+    *,
+    distance_m: float | None = None,
 ) -> StageImage:
     """Return the expected photoelectrons of a scene of known radiance, per cell of `scene_cells`
     and exposure.
@@ -84,7 +90,7 @@ def photoelectrons_from_radiance(
     return camera.photoelectrons(lens.mean(cube), conditions)
 
 
-def photoelectrons_from_image(camera: Camera, image_pe: NDArray[np.floating]) -> StageImage:
+def photoelectrons_from_image(camera: CameraModel, image_pe: NDArray[np.floating]) -> StageImage:
     """Return an image in photoelectrons as photoelectrons per cell of `scene_cells` and exposure.
 
     Parameters

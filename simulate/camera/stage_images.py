@@ -7,37 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
-from simulate.camera.camera import Camera
-from simulate.camera.chain import Chain, Slot
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Chain, Slot, Stage
 from simulate.camera.phosphor import apply_phosphor_decay
 from simulate.camera.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
 NamedImage = tuple[str, str, NDArray[np.float32]]
 
-# What is seen after each stage, with its unit; cells are those of the grid at that place.
-QUANTITIES = {
-    Slot.OPTICS: "photons per s and cell, of the wavelength detected best",
-    Slot.PHOTOCATHODE: "photoelectrons per exposure and cell, expected",
-    Slot.GAP: "photoelectrons at the plate per exposure and cell, expected",
-    Slot.FIBRES: (
-        "photoelectrons at the plate per exposure and cell, expected where they will be seen"
-    ),
-    Slot.MCP: "electrons per exposure and cell",
-    Slot.PHOSPHOR: "photons per exposure and cell",
-    Slot.TAPER: "photons per exposure and cell",
-    Slot.PIXELS: "photons per exposure and pixel",
-    Slot.DECAY: "photons per exposure and pixel",
-    Slot.SCAN: "photons per exposure and pixel as read",
-    Slot.SILICON: "photoelectrons per exposure and cell, expected",
-    Slot.CCD: "electrons per pixel",
-    Slot.REGISTER: "electrons per pixel behind the register",
-    Slot.VIDEO: "DN",
-}
-
 
 def stage_images(
-    camera: Camera, light: StageImage | RadianceCube, conditions: Conditions, seed: int
+    camera: CameraModel, light: StageImage | RadianceCube, conditions: Conditions, seed: int
 ) -> Iterator[NamedImage]:
     """Yield the image of one frame behind each stage.
 
@@ -76,44 +56,39 @@ def stage_images(
         images := list(_draw_images(screen, at_mcp, np.random.default_rng([seed, 0, last])))
     )
     shown = apply_phosphor_decay([*fields, images[-1][2]], decay.weights)
-    yield Slot.DECAY.value, QUANTITIES[Slot.DECAY], shown[-1]
+    yield decay.name, decay.quantity, shown[-1]
     yield from _draw_images(
         chain.between(Slot.SCAN, Slot.VIDEO), StageImage(values=shown), readout_rng
     )
 
 
-def _before_the_draw(camera: Any, cube: RadianceCube, conditions: Conditions):
+def _before_the_draw(camera: CameraModel, cube: RadianceCube, conditions: Conditions):
     """Noiseless stages up to the MCP or the chip; returns the image behind them."""
-    photons_per_s = camera.lens().mean(cube)
-    yield _image_of(Slot.OPTICS, photons_per_s)
+    lens = camera.lens()
+    photons_per_s = lens.mean(cube)
+    yield _image_of(lens, photons_per_s)
     if not camera.has_tube:
         light = camera.mcp_input(photons_per_s, conditions)
-        yield _image_of(Slot.SILICON, light)
+        yield _image_of(camera.stage(Slot.SILICON, conditions), light)
         return light
-    light = camera.stage(Slot.PHOTOCATHODE, conditions).mean(photons_per_s)
-    yield _image_of(Slot.PHOTOCATHODE, light)
+    cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
+    light = cathode.mean(photons_per_s)
+    yield _image_of(cathode, light)
     for stage in camera.to_plate(conditions, camera.cathode_lux(light)).stages:
         light = stage.mean(light)
-        yield _image_of(stage.slot, light)
+        yield _image_of(stage, light)
     return light
 
 
 def _draw_images(chain: Chain, light: StageImage, rng: np.random.Generator) -> Iterator[NamedImage]:
     for stage, after in zip(chain.stages, chain.steps(light, rng), strict=True):
-        # Without a tube the pixels collect what the chip has already detected.
-        of_chip = stage.takes == "photoelectrons in the chip"
-        name, quantity, image = _image_of(Slot(stage.slot), after)
-        yield (
-            name,
-            "photoelectrons per exposure and pixel, expected" if of_chip else quantity,
-            image,
-        )
+        yield _image_of(stage, after)
 
 
-def _image_of(slot: Slot, light: StageImage) -> NamedImage:
+def _image_of(stage: Stage, light: StageImage) -> NamedImage:
     """The image without the margins of its cells, pending blurs applied."""
     image, grid = light.with_blurs_applied().values, light.grid
     image = image[-1] if image.ndim > 2 else image
     if grid is not None:
         image = image[grid.inside]
-    return slot.value, QUANTITIES[slot], np.ascontiguousarray(image, np.float32)
+    return stage.name, stage.quantity, np.ascontiguousarray(image, np.float32)

@@ -15,7 +15,14 @@ from simulate.camera.transfer import FibreTaper, StageBlur
 
 
 @dataclass(frozen=True, kw_only=True)
-class Taper(Stage, slot=Slot.TAPER, takes="screen photons", emits="screen photons"):
+class Taper(
+    Stage,
+    slot=Slot.TAPER,
+    section="taper",
+    quantity="photons per exposure and cell",
+    takes="screen photons",
+    emits="screen photons",
+):
     """Fibre-optic taper."""
 
     transmission: float  # photons out per photon in, dimensionless
@@ -61,6 +68,8 @@ class Taper(Stage, slot=Slot.TAPER, takes="screen photons", emits="screen photon
 class FibreGeometry(
     Stage,
     slot=Slot.FIBRES,
+    section="taper",
+    quantity="photoelectrons at the plate per exposure and cell, expected where they will be seen",
     takes="photoelectrons at the plate",
     emits="photoelectrons at the plate",
 ):

@@ -4,14 +4,15 @@ photodiodes.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.camera.chain import Stage
+from labdata.conditions import Conditions
+from simulate.camera.chain import Stage, values_of
 from simulate.camera.stage_image import StageImage
-from simulate.camera.thermal_lens import Slot
+from simulate.camera.thermal_lens import KELVIN, Slot
 
 Array = NDArray[np.floating]
 
@@ -23,13 +24,21 @@ def _pattern(seed: tuple[int, ...], shape: tuple[int, int]) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThermalLag(Stage, slot=Slot.LAG, takes="signal of pixels", emits="signal of samples"):
+class ThermalLag(
+    Stage, slot=Slot.LAG, section="bolometer", takes="signal of pixels", emits="signal of samples"
+):
     """Thermal time constant of a bolometer: exp(-T / tau) of the frame before stays; the first
     frame is steady.
     """
 
     effects: ClassVar = {"thermal lag": {"carry_over": 0.0}}
     carry_over: float
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the lag of a bolometer from frame to frame."""
+        tau_ms = float(camera.description.bolometer.time_constant_ms)
+        return cls(carry_over=float(np.exp(-1e3 * camera.frame_s / tau_ms)))
 
     def mean(self, light: StageImage) -> StageImage:
         if light.values.ndim < 3 or not self.carry_over:
@@ -41,7 +50,9 @@ class ThermalLag(Stage, slot=Slot.LAG, takes="signal of pixels", emits="signal o
 
 
 @dataclass(frozen=True, kw_only=True)
-class BolometerNoise(Stage, slot=Slot.NOISE, takes="signal of samples", emits="noisy signal"):
+class BolometerNoise(
+    Stage, slot=Slot.NOISE, section="bolometer", takes="signal of samples", emits="noisy signal"
+):
     """Temporal noise of single pixels, and that common to a row, a column and a frame."""
 
     effects: ClassVar = {
@@ -52,6 +63,17 @@ class BolometerNoise(Stage, slot=Slot.NOISE, takes="signal of samples", emits="n
     row: float
     column: float
     frame: float
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the temporal noise of a bolometer."""
+        sigma, section = camera.sigma(), camera.description.bolometer
+        return cls(
+            sigma=sigma,
+            row=sigma * float(section.row_noise),
+            column=sigma * float(section.column_noise),
+            frame=sigma * float(section.frame_noise),
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         return light
@@ -64,7 +86,9 @@ class BolometerNoise(Stage, slot=Slot.NOISE, takes="signal of samples", emits="n
 
 
 @dataclass(frozen=True, kw_only=True)
-class BolometerPattern(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="corrected signal"):
+class BolometerPattern(
+    Stage, slot=Slot.PATTERN, section="bolometer", takes="noisy signal", emits="corrected signal"
+):
     """Fixed pattern behind the correction by a shutter, which grows until the next one, and drift
     of the housing.
 
@@ -85,6 +109,21 @@ class BolometerPattern(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="co
     row: float
     drift_per_s: float
 
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the pattern just after a shutter."""
+        sigma, section = camera.sigma(), camera.description.bolometer
+        return cls(
+            seed=camera.pattern_seed,
+            time_s=0.0,
+            interval_s=float(section.shutter_interval_s),
+            after=sigma * float(section.pixel_pattern_after_shutter),
+            before=sigma * float(section.pixel_pattern_before_shutter),
+            column=sigma * float(section.column_pattern),
+            row=sigma * float(section.row_pattern),
+            drift_per_s=float(section.drift_mk_per_min) * 1e-3 / 60.0 * camera.signal_slope(),
+        )
+
     def mean(self, light: StageImage) -> StageImage:
         rows, cols = light.values.shape[-2:]
         shutter, age_s = divmod(self.time_s, self.interval_s)
@@ -98,13 +137,20 @@ class BolometerPattern(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="co
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotonNoise(Stage, slot=Slot.NOISE, takes="signal of pixels", emits="noisy signal"):
+class PhotonNoise(
+    Stage, slot=Slot.NOISE, section="cooled_array", takes="signal of pixels", emits="noisy signal"
+):
     """Photon noise of the electrons of an exposure, the well, and the noise of reading."""
 
     effects: ClassVar = {"photon noise": {"photon": 0.0}, "read noise": {"read_noise_e": 0.0}}
     full_well_e: float
     read_noise_e: float
     photon: float = 1.0
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the noise of a cooled array."""
+        return values_of(cls, camera.description.cooled_array)
 
     def mean(self, light: StageImage) -> StageImage:
         return light.with_values(np.minimum(light.values, self.full_well_e))
@@ -122,7 +168,9 @@ class PhotonNoise(Stage, slot=Slot.NOISE, takes="signal of pixels", emits="noisy
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwoPointCorrection(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="corrected signal"):
+class TwoPointCorrection(
+    Stage, slot=Slot.PATTERN, section="cooled_array", takes="noisy signal", emits="corrected signal"
+):
     """What a correction of gain and offset at two black bodies leaves.
 
     Notes
@@ -138,6 +186,23 @@ class TwoPointCorrection(Stage, slot=Slot.PATTERN, takes="noisy signal", emits="
     high: float
     midway: float  # standard deviation midway
     pixel: float
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the correction of a cooled array."""
+        section = camera.description.cooled_array
+        low_k, high_k = (
+            float(celsius) + KELVIN
+            for celsius in (section.correction_low_c, section.correction_high_c)
+        )
+        sigma = camera.sigma(0.5 * (low_k + high_k))
+        return cls(
+            seed=camera.pattern_seed,
+            low=float(camera.signal_of(low_k)),
+            high=float(camera.signal_of(high_k)),
+            midway=sigma * float(section.correction_residual),
+            pixel=sigma * float(section.pixel_pattern),
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         shape = light.values.shape[-2:]

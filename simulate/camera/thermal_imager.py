@@ -5,21 +5,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count as numbers
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.camera.description import Camera
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.camera.chain import Chain, Stage, values_of
+from simulate.camera.chain import Chain, Stage, stages_with_section
 from simulate.camera.scanner import (
     NOISE_BANDWIDTH,
     FrameAverage,
     LineNoise,
     LineScan,
     Narcissus,
-    ScanTiming,
     noise_equivalent_radiance,
 )
 from simulate.camera.stage_image import StageImage
@@ -30,19 +30,18 @@ from simulate.camera.thermal_arrays import (
     ThermalLag,
     TwoPointCorrection,
 )
-from simulate.camera.thermal_lens import Optics, Slot
+from simulate.camera.thermal_lens import KELVIN, Optics, Slot
 from simulate.camera.thresholds import LIMITS
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.spectrum import band_photon_radiance, band_radiance, brightness_temperature
 
 Array = NDArray[np.floating]
-KELVIN = 273.15
 # Temperature at which noise is stated, and of the spectrum within a bin and a band, K.
 STATED_K = 300.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Digitiser(Stage, slot=Slot.DIGITISER, takes="corrected signal", emits="DN"):
+class Digitiser(Stage, slot=Slot.DIGITISER, section="video", takes="corrected signal", emits="DN"):
     """Gain and level, then bits: one code is the span over 2^bits; values beyond are clipped."""
 
     effects: ClassVar = {"quantisation": {"quantised": False}}
@@ -50,6 +49,17 @@ class Digitiser(Stage, slot=Slot.DIGITISER, takes="corrected signal", emits="DN"
     full: float  # signal of code 2^bits
     bits: int
     quantised: bool = True
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the digitiser at level and span of the video, or over the well of an array."""
+        video, cooled = camera.description.video, camera.description.cooled_array
+        if cooled is not None:
+            full = LIMITS.full_scale_of_well * float(cooled.full_well_e)
+            return cls(black=0.0, full=full, bits=video.bit_depth)
+        level_k, half = float(video.level_c) + KELVIN, 0.5 * float(video.span_k)
+        black, full = (float(camera.signal_of(level_k + side)) for side in (-half, half))
+        return cls(black=black, full=full, bits=video.bit_depth)
 
     def mean(self, light: StageImage) -> StageImage:
         codes = 2**self.bits
@@ -61,8 +71,24 @@ class Digitiser(Stage, slot=Slot.DIGITISER, takes="corrected signal", emits="DN"
         return light.with_values(np.rint(dn).astype(np.uint8 if self.bits <= 8 else np.uint16))
 
 
+# Stages in the order of the light. An imager has those whose section its description has.
+STAGES: tuple[type[Stage], ...] = (
+    Optics,
+    Narcissus,
+    FrameAverage,
+    LineScan,
+    ThermalLag,
+    LineNoise,
+    BolometerNoise,
+    PhotonNoise,
+    BolometerPattern,
+    TwoPointCorrection,
+    Digitiser,
+)
+
+
 @dataclass(frozen=True)
-class InfraredCamera:
+class ThermalImager:
     """An infrared imager built from its description, whose values are taken as the truth.
 
     Its signal is linear in the radiance of the scene: the radiance within the band, W m-2 sr-1, or,
@@ -71,7 +97,7 @@ class InfraredCamera:
     Examples
     --------
     >>> from labdata.sensors import load_camera
-    >>> camera = InfraredCamera(load_camera("vox-lwir-640"))
+    >>> camera = ThermalImager(load_camera("vox-lwir-640"))
     >>> round(1e3 * camera.netd_k())
     40
     """
@@ -93,11 +119,11 @@ class InfraredCamera:
         """Names of the effects that may be left out."""
         return tuple(dict.fromkeys(name for stage in self._stages for name in stage.effects))
 
-    def without(self, *effects: str) -> "InfraredCamera":
+    def without(self, *effects: str) -> "ThermalImager":
         """Return the camera without some effects."""
         return replace(self, left_out=self.left_out | set(effects))
 
-    def with_span(self, level_c: float, span_k: float) -> "InfraredCamera":
+    def with_span(self, level_c: float, span_k: float) -> "ThermalImager":
         """Return the camera at another level, C, and span, K; a cooled array has neither."""
         if self.description.cooled_array is not None:
             raise BadInput(
@@ -106,7 +132,7 @@ class InfraredCamera:
         changed = self.description.with_values({"video.level_c": level_c, "video.span_k": span_k})
         return replace(self, description=changed)
 
-    def with_span_of(self, signal: Array) -> "InfraredCamera":
+    def with_span_of(self, signal: Array) -> "ThermalImager":
         """Return the camera at level and span of a picture, all but 0.2 % of its cells; a cooled
         array as it is.
         """
@@ -120,15 +146,15 @@ class InfraredCamera:
         return self.with_span(0.5 * (low + high), max(1.1 * (high - low), LIMITS.least_span_k))
 
     @property
-    def is_interlaced(self) -> bool:
-        """Whether a frame is two fields scanned one after the other."""
-        return self.description.video.interlaced
+    def pattern_seed(self) -> int:
+        """Seed of the fixed patterns, which belong to the imager of this name."""
+        return zlib.crc32(self.description.name.encode())
 
     @property
     def frame_s(self) -> float:
         """Time from one frame to the next, s."""
-        fields = 2 if self.is_interlaced else 1
-        return self._averaged * fields / float(self.description.video.field_rate_hz)
+        rate_hz = float(self.description.video.field_rate_hz)
+        return self._averaged * self.description.fields / rate_hz
 
     @property
     def _averaged(self) -> int:
@@ -261,10 +287,10 @@ class InfraredCamera:
         White noise alone: of a scanner without 1/f and clamp, its frames averaged, of an array
         without rows, columns and quantisation.
         """
-        return self._sigma(temperature_k) / self._averaged**0.5 / self.signal_slope(temperature_k)
+        return self.sigma(temperature_k) / self._averaged**0.5 / self.signal_slope(temperature_k)
 
-    def _sigma(self, temperature_k: float = STATED_K) -> float:
-        """Standard deviation of white temporal noise, in units of the signal."""
+    def sigma(self, temperature_k: float = STATED_K) -> float:
+        """Return the standard deviation of white temporal noise, in units of the signal."""
         about = self.description
         if about.scanner is not None:
             return noise_equivalent_radiance(
@@ -280,99 +306,8 @@ class InfraredCamera:
     @cached_property
     def _stages(self) -> tuple[Stage, ...]:
         """All stages with all effects, in the order of the light."""
-        about = self.description
-        scanner, bolometer, cooled = about.scanner, about.bolometer, about.cooled_array
-        focal_mm = about.optics.focal_length_mm
-        aperture_mm = (1.0 if focal_mm is None else float(focal_mm)) / float(about.optics.f_number)
-        lens = values_of(
-            Optics,
-            about.optics,
-            shape=self.shape,
-            pitch_mrad=self.pitch_mrad,
-            whole_lines=scanner is not None,
-            footprint_mrad=about.footprint_mrad,
-            diffraction_um=None if (wave := about.optics.diffraction_um) is None else float(wave),
-            aperture_mm=aperture_mm,
-        )
-        seed, video = zlib.crc32(about.name.encode()), about.video
-        if video.level_c is not None and video.span_k is not None:
-            level_k, half = float(video.level_c) + KELVIN, 0.5 * float(video.span_k)
-            black, full = (float(self.signal_of(level_k + side)) for side in (-half, half))
-        else:
-            black, full = (
-                0.0,
-                0.0 if cooled is None else LIMITS.full_scale_of_well * float(cooled.full_well_e),
-            )
-        digitiser = Digitiser(black=black, full=full, bits=video.bit_depth)
-        if scanner is not None:
-            timing = values_of(ScanTiming, scanner, field_mrad=self.pitch_mrad[1] * self.shape[1])
-            shared = {
-                "timing": timing,
-                "bandwidth_hz": 1e6 * float(scanner.bandwidth_mhz),
-                "coupling_hz": float(scanner.coupling_hz),
-            }
-            reference = float(self.signal_of(float(scanner.reference_c) + KELVIN))
-            scan = LineScan(
-                clock_error_s=1e-9 * float(scanner.clock_error_ns), reference=reference, **shared
-            )
-            noise = LineNoise(
-                field_rate_hz=float(video.field_rate_hz),
-                knee_hz=float(scanner.knee_hz),
-                clamp_samples=scanner.clamp_samples,
-                sigma=self._sigma(),
-                averaged=scanner.averaged_frames,
-                **shared,
-            )
-            (rows, columns), (down, along) = self.shape, self.pitch_mrad
-            narcissus = Narcissus(
-                depth=float(scanner.narcissus_k or 0.0) * self.signal_slope(),
-                fields_mrad=(rows * down, columns * along),
-            )
-            return (
-                lens,
-                narcissus,
-                FrameAverage(averaged=scanner.averaged_frames),
-                scan,
-                noise,
-                digitiser,
-            )
-        if bolometer is not None:
-            sigma = self._sigma()
-            lag = ThermalLag(
-                carry_over=float(np.exp(-1e3 * self.frame_s / float(bolometer.time_constant_ms)))
-            )
-            noise = BolometerNoise(
-                sigma=sigma,
-                row=sigma * float(bolometer.row_noise),
-                column=sigma * float(bolometer.column_noise),
-                frame=sigma * float(bolometer.frame_noise),
-            )
-            pattern = BolometerPattern(
-                seed=seed,
-                time_s=0.0,
-                interval_s=float(bolometer.shutter_interval_s),
-                after=sigma * float(bolometer.pixel_pattern_after_shutter),
-                before=sigma * float(bolometer.pixel_pattern_before_shutter),
-                column=sigma * float(bolometer.column_pattern),
-                row=sigma * float(bolometer.row_pattern),
-                drift_per_s=float(bolometer.drift_mk_per_min) * 1e-3 / 60.0 * self.signal_slope(),
-            )
-            return lens, lag, noise, pattern, digitiser
-        assert cooled is not None
-        low_k, high_k = (
-            float(cooled.correction_low_c) + KELVIN,
-            float(cooled.correction_high_c) + KELVIN,
-        )
-        sigma = self._sigma(0.5 * (low_k + high_k))
-        noise = values_of(PhotonNoise, cooled)
-        pattern = TwoPointCorrection(
-            seed=seed,
-            low=float(self.signal_of(low_k)),
-            high=float(self.signal_of(high_k)),
-            midway=sigma * float(cooled.correction_residual),
-            pixel=sigma * float(cooled.pixel_pattern),
-        )
-        return lens, noise, pattern, digitiser
+        kinds = stages_with_section(STAGES, self.description)
+        return tuple(kind.of(self, Conditions()) for kind in kinds)
 
     @cached_property
     def chain(self) -> tuple[Chain, Chain]:

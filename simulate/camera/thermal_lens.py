@@ -3,22 +3,24 @@ frame.
 """
 
 from dataclasses import dataclass
-from enum import Enum
-from typing import ClassVar
+from enum import StrEnum
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.camera.chain import Stage
+from simulate.camera.chain import Stage, values_of
 from simulate.camera.grid import irfft_image, rfft_image
 from simulate.camera.stage_image import StageImage
 from simulate.camera.thresholds import LIMITS
 
 Array = NDArray[np.floating]
+KELVIN = 273.15
 
 
-class Slot(Enum):
+class Slot(StrEnum):
     """Place of a stage in the chain, in the order of the light; its random numbers follow from the
     value.
     """
@@ -47,7 +49,9 @@ def diffraction_transfer(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optics(Stage, slot=Slot.OPTICS, takes="signal of cells", emits="signal of pixels"):
+class Optics(
+    Stage, slot=Slot.OPTICS, section="optics", takes="signal of cells", emits="signal of pixels"
+):
     """Blur of the lens and average over the detector's footprint, at the pixels of a frame.
 
     Cells are the picture's own, whole numbers of them in a pixel; their averages are undone, so
@@ -65,6 +69,23 @@ class Optics(Stage, slot=Slot.OPTICS, takes="signal of cells", emits="signal of 
     diffraction_um: float | None
     aperture_mm: float
     whole_lines: bool  # whether columns stay cells, for a line scan
+
+    @classmethod
+    def of(cls, camera: Any, conditions: Conditions) -> Self:
+        """Return the lens of an imager; an aperture of 1 stands for one without focal length."""
+        description, optics = camera.description, camera.description.optics
+        focal_mm = 1.0 if optics.focal_length_mm is None else float(optics.focal_length_mm)
+        wave = optics.diffraction_um
+        return values_of(
+            cls,
+            optics,
+            shape=camera.shape,
+            pitch_mrad=camera.pitch_mrad,
+            whole_lines=description.scanner is not None,
+            footprint_mrad=description.footprint_mrad,
+            diffraction_um=None if wave is None else float(wave),
+            aperture_mm=focal_mm / float(optics.f_number),
+        )
 
     def transfer(self, fy: Array, fx: Array, cell_mrad: tuple[float, float]) -> Array:
         """Return the transfer from cell averages to the detector, at frequencies in cy/mrad."""

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.camera.thermal_imager import InfraredCamera
+from simulate.camera.thermal_imager import ThermalImager
 
 Array = NDArray[np.floating]
 # Height over width of a bar of the four-bar target (STANAG 4349).
 BAR_ASPECT = 7.0
 
 
-def _cells(camera: InfraredCamera, oversample: int) -> tuple[Array, Array, Array]:
+def _cells(camera: ThermalImager, oversample: int) -> tuple[Array, Array, Array]:
     """Angles of the middles of cells from the axis, mrad: down (row, 1) and right (col,), and the
     sides of a cell.
     """
@@ -29,7 +29,7 @@ def _cells(camera: InfraredCamera, oversample: int) -> tuple[Array, Array, Array
 
 
 def half_moon(
-    camera: InfraredCamera,
+    camera: ThermalImager,
     *,
     tilt_deg: float = 5.0,
     right_of_mrad: float = 0.0,
@@ -73,7 +73,7 @@ def half_moon(
 
 
 def four_bars(
-    camera: InfraredCamera,
+    camera: ThermalImager,
     frequency_cy_per_mrad: float,
     *,
     level: bool = False,

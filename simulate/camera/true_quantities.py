@@ -13,7 +13,7 @@ from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera import tube_photometry
-from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.chain import PulseMoments, Slot
 from simulate.camera.transfer import PixelAperture, StageBlur, product
 from simulate.camera.video import NoFilter, VideoFilter
@@ -44,7 +44,7 @@ def true_mtf(
     Lens x [(1 - q) + q H_halo] x tube x taper x pixel, and along rows the video filter on the
     pixels' lattice. In the vertical direction the pixel is the row pair of field integration.
     """
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     return _transfer(
         camera, (*_before_gain(camera), *_after_gain(camera)), frequency_cy_per_px, direction
     )
@@ -56,12 +56,12 @@ def post_gain_mtf(
     """Return the MTF of the stages after the gain, which shape the noise; arguments as for
     `true_mtf`.
     """
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     return _transfer(camera, _after_gain(camera), frequency_cy_per_px, direction)
 
 
 def _transfer(
-    camera: IntensifiedCamera,
+    camera: CameraModel,
     blurs: tuple[StageBlur, ...],
     frequency_cy_per_px: ArrayLike,
     direction: Direction,
@@ -122,7 +122,7 @@ def true_quantities(sensor: Camera, conditions: Conditions | None = None) -> dic
         `read_noise` (DN); `black_level` (DN).
     """
     conditions = Conditions() if conditions is None else conditions
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     noise, area_cm2 = _noise(camera, conditions), camera.field_pixel_area_cm2
     ebi = tube_photometry.ebi_per_s_cm2(sensor, conditions.temperature_c) * area_cm2
     per_lux = tube_photometry.photoelectrons_per_lumen_s(sensor) * 1e-4 * area_cm2
@@ -184,10 +184,10 @@ def pulse_correlation(
     return float(4.0 * total * (x[1] - x[0]) * (y[1] - y[0])), float(next_column), float(next_row)
 
 
-def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float]:
+def _noise(camera: CameraModel, conditions: Conditions) -> dict[str, float]:
     chain, low_pass = camera.chain(conditions), camera.stage(Slot.VIDEO).low_pass
     mcp, moments = chain[Slot.MCP], PulseMoments(chain)
-    system_gain = float(camera.sensor.video.conversion_gain_dn_per_e)
+    system_gain = float(camera.description.video.conversion_gain_dn_per_e)
     gain, decay = moments.gain_e * system_gain, moments.decay[0]
     pulses = gain * mcp.excess_noise_factor
     pitch_y_mm = camera.cells.pitch_y_mm * camera.fields_per_frame
@@ -207,16 +207,16 @@ def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float
         "blur_factor": (system_gain * moments.white + pulses * decay * blur) / field,
         "correlation_horizontal": next_column,
         "correlation_vertical": next_row,
-        "read_noise": float(camera.sensor.ccd.read_noise_e)
+        "read_noise": float(camera.description.ccd.read_noise_e)
         * system_gain
         * float(np.sqrt(moments.white)),
     }
 
 
-def _before_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
+def _before_gain(camera: CameraModel) -> tuple[StageBlur, ...]:
     return camera.stage(Slot.OPTICS).blur, *camera.stage(Slot.GAP).blurs
 
 
-def _after_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
+def _after_gain(camera: CameraModel) -> tuple[StageBlur, ...]:
     aperture = PixelAperture.of(camera.cells, camera.fields_per_frame)
     return camera.stage(Slot.PHOSPHOR).spread, camera.stage(Slot.TAPER).blur, aperture

@@ -97,7 +97,7 @@ class NoFilter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Video(Stage, slot=Slot.VIDEO, takes="charge", emits="DN"):
+class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charge", emits="DN"):
     """Amplifier, low pass and digitiser."""
 
     conversion_gain_dn_per_e: float  # DN per electron of charge

@@ -13,7 +13,7 @@ from charact.estimators import bloom
 from charact.method import Context
 from labdata import Conditions, Session, Target, load_sensor
 from simulate.camera import true_quantities
-from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
@@ -90,7 +90,7 @@ def tiring(seed):
 
 def density_at_half_gain_dn(sensor):
     """Light per pixel at which the plate's gain has halved, DN."""
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     plate = camera.stage(Slot.MCP, SETTINGS)
     at_half_gain_pe = (
         plate.saturation_e_per_s_cm2 * plate.field_s * camera.field_pixel_area_cm2 / plate.gain

@@ -18,7 +18,7 @@ from charact.estimators.noise.gain.single_setting import blur_exponent
 from charact.estimators.noise.stack.spectrum import bins_of
 from charact.method import Context
 from simulate.camera import true_quantities
-from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot
 
 NO_LAG = ImageLag(
@@ -39,7 +39,7 @@ ORDERS = (-2, -1, 0, 1, 2)
 def bias_percent(number, interlaced):
     """What the fit of a camera's own spectrum, of unit power at frequency 0, is off by."""
     scene = replace(cell_of(number).scene, interlaced=interlaced)
-    camera = IntensifiedCamera(scene.camera)
+    camera = CameraModel(scene.camera)
     height = 2 if interlaced else 1
     pitch = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm * height
     bins = bins_of(scene.rows // height, scene.columns, pitch[1] / pitch[0])

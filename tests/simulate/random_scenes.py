@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from labdata import Camera, Conditions, load_sensor
 from labdata.camera.parameters import Parameter
 from labdata.phosphors import load_phosphor, phosphor_names
-from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 
 Image = NDArray[np.floating]
 REFERENCE_V = 800.0
@@ -53,7 +53,7 @@ class Scene:
 
     number: int
     kind: str
-    camera: IntensifiedCamera
+    camera: CameraModel
     image_pe: Image
     conditions: Conditions
     tolerance: float
@@ -73,7 +73,7 @@ def random_scene(number: int, shape: tuple[int, int] | None = None) -> Scene:
     sensor = random_sensor(rng)
     if shape is not None:
         sensor = replace(sensor, ccd=replace(sensor.ccd, rows=shape[0], columns=shape[1]))
-    camera = IntensifiedCamera(
+    camera = CameraModel(
         sensor, geometry=bool(rng.integers(2)), local_depletion=bool(rng.integers(2))
     )
     kind, image = random_picture(rng, camera.shape)

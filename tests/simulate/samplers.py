@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata import Conditions
-from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.stage_image import StageImage
 
 Sampler = Literal["chain", "fast", "normal"]
@@ -17,7 +17,7 @@ SAMPLERS: tuple[Sampler, ...] = ("chain", "fast", "normal")
 
 def drawn_by(
     sampler: Sampler,
-    camera: IntensifiedCamera,
+    camera: CameraModel,
     light: StageImage,
     conditions: Conditions,
     *,

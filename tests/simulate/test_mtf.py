@@ -24,7 +24,7 @@ def bench(plain) -> LabBench:
 @pytest.fixture(scope="module")
 def full(bench) -> tuple[float, float]:
     """Dark level and full signal, DN, from the truths."""
-    q = true_quantities.true_quantities(bench.camera.sensor)
+    q = true_quantities.true_quantities(bench.camera.description)
     dark = 400.0 + q["photoelectron_gain"] * q["ebi_per_field"]
     return dark, 1e-4 * q["photoelectrons_per_lux"] * q["photoelectron_gain"]
 
@@ -125,7 +125,7 @@ def test_blur_keeps_the_light(plain, full, bench):
     dark, signal = full
     image = (bench.mean("point", Target(pinhole_px=6.0), LUX) - dark) / signal
     plate = bench.mcp_input("point", Target(pinhole_px=6.0), LUX)
-    q = true_quantities.true_quantities(bench.camera.sensor)
+    q = true_quantities.true_quantities(bench.camera.description)
     # A pixel as read is two rows high and holds eight cells.
     lit = plate.values.sum(dtype=float) - plate.values.size * q["ebi_per_field"] / 8.0
     area = lit / (1e-4 * q["photoelectrons_per_lux"]) * 2.0 * RATIO

@@ -156,10 +156,10 @@ def _captured(sensor, rows: int, columns: int) -> float:
     """Share of the covariance sum that sums over blocks hold, by the same theory in the plane of
     frequencies.
     """
-    from simulate.camera.camera import IntensifiedCamera
+    from simulate.camera.camera import CameraModel
     from simulate.camera.transfer import product
 
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     # As many points as three times this on either axis tell the same to a millionth.
     x, y = ((np.arange(n) + 0.5) / n - 0.5 for n in (400, 200))
     pitch_x, pitch_y = camera.cells.pitch_x_mm, 2 * camera.cells.pitch_y_mm

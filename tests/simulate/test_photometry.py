@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulate.camera import true_quantities, tube_photometry
-from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.grid import grid_with_margin
 from simulate.camera.microchannel import MicrochannelPlate
 from simulate.camera.random_numbers import key_of, poisson_numbers
@@ -156,7 +156,7 @@ def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
 def test_plate_saturates_to_half_at_its_saturation_current(sheet):
     from labdata import Conditions
 
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     plate = camera.chain(Conditions()).stages[3]
     per_s_cm2 = plate.saturation_e_per_s_cm2 / plate.gain
     cell = per_s_cm2 * camera.field_s * camera.cells.cell_area_cm2

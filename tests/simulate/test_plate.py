@@ -9,7 +9,7 @@ import pytest
 
 from labdata import BadInput, Conditions
 from simulate.camera import pattern, tube_photometry
-from simulate.camera.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot
 from simulate.camera.grid import grid_with_margin
 from simulate.camera.microchannel import MicrochannelPlate
@@ -43,7 +43,7 @@ def test_control_word_follows_the_published_table(sheet, word, luminous_gain):
 
 
 def test_control_word_sets_the_gain_of_the_plate(sheet):
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     nominal = camera.stage(Slot.MCP, Conditions()).gain
     assert camera.stage(Slot.MCP, Conditions(gain_control=187.5)).gain == pytest.approx(
         1.95 * nominal, rel=1e-3

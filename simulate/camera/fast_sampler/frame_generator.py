@@ -136,7 +136,7 @@ class FrameGenerator:
         settled: bool,
     ) -> Iterator[Frame]:
         """Yield a frame for the scenes of each of its exposures; see
-        `IntensifiedCamera.moving_frames`.
+        `CameraModel.moving_frames`.
 
         `next_state` gives the state of the controls behind a state, a mean output of the MCP,
         electrons per s and cm2, and a mean level above black, DN. By the first scene `is_sparse`
