@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 
 from labdata import Conditions, load_sensor
-from simulate.iiccd import pattern, stage_image
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effect_bounds import (
+from simulate.camera import pattern, stage_image
+from simulate.camera.camera import CameraModel
+from simulate.camera.effect_bounds import (
     NoiseBudget,
     bound_effects,
     per_pixel,
     select_camera_effects,
 )
-from simulate.iiccd.fast_sampler import charge_distribution
-from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
+from simulate.camera.fast_sampler import charge_distribution
+from simulate.camera.scene_to_photoelectrons import photoelectrons_from_image
 from tests.simulate.random_scenes import Scene, random_scene
 
 FRAMES = 10
@@ -67,7 +67,7 @@ class Timing:
 
 
 def timed(
-    camera: Callable[[], IntensifiedCamera],
+    camera: Callable[[], CameraModel],
     freed: Any,
     conditions: Conditions,
     *,
@@ -94,7 +94,7 @@ def compared(scene: Scene) -> tuple[Timing, Timing, int]:
     """
     freed = photoelectrons_from_image(scene.camera, scene.image_pe)
 
-    def thinned() -> IntensifiedCamera:
+    def thinned() -> CameraModel:
         return select_camera_effects(scene.camera, freed, scene.conditions, scene.tolerance)[0]
 
     as_planned = timed(thinned, freed, scene.conditions)
@@ -117,7 +117,7 @@ def speed_ups(
         scene = random_scene(number, shape)
         ours, all_kept, left_out = compared(scene)
         ratio, of_frame = all_kept.run_s / ours.run_s, all_kept.frame_s / ours.frame_s
-        row = f"{number} {scene.kind}, {scene.camera.sensor.phosphor.name}"
+        row = f"{number} {scene.kind}, {scene.camera.description.phosphor.name}"
         times = "".join(f"{t.setup_s:9.2f} s +{1e3 * t.frame_s:6.1f} ms" for t in (ours, all_kept))
         line = (
             f"{row:26.26} {scene.tolerance:9.3f} {left_out:8} {times} {ratio:6.1f} {of_frame:8.1f}"
@@ -128,7 +128,7 @@ def speed_ups(
 
 def costs(repeats: int) -> None:
     """Print what each effect of the case study costs once and a frame, for a million pixels."""
-    camera = IntensifiedCamera(load_sensor("pulnix-ag5745ef3"), geometry=True, local_depletion=True)
+    camera = CameraModel(load_sensor("pulnix-ag5745ef3"), geometry=True, local_depletion=True)
     conditions = Conditions(mcp_v=800.0)
     # Many levels, each of which needs its law of pulses, and one lamp, so that wells overflow.
     image = np.broadcast_to(np.geomspace(1.0, 100.0, camera.shape[1]), camera.shape).copy()

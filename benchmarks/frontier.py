@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.plain_chain import PlainChain
 from benchmarks.scenes import uneven
 from benchmarks.simulator import median_seconds, seconds_a_frame
-from labdata import Sensor, load_sensor
+from labdata import Camera, load_sensor
 from tests.simulate import event_by_event as events
 from tests.simulate.conftest import PLAIN
 from tests.simulate.samplers import SAMPLERS, Sampler
@@ -77,7 +77,7 @@ def measured(tier: Sampler) -> list[Point]:
     return points
 
 
-def _camera() -> Sensor:
+def _camera() -> Camera:
     sheet = load_sensor("pulnix-ag5745ef3")
     small = replace(
         sheet,

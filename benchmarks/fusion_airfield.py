@@ -32,7 +32,7 @@ from charact.fusion.truth_scores import (
     truth_scores,
 )
 from simulate import api, session_files
-from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+from simulate.camera.scene_to_photoelectrons import photoelectrons_from_radiance
 
 SENSORS = ("pulnix-ag5745ef3", "vox-lwir-640")
 METHODS = ("weighted", "laplacian", "guided-filter", "noise-aware", "noise-aware-colour")

@@ -71,15 +71,13 @@ def seconds_a_frame(
     out, s.
     """
     from labdata import Conditions, load_sensor
-    from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.scene_to_photoelectrons import (
+    from simulate.camera.scene_to_photoelectrons import (
         camera_from_description,
         mcp_input_from_photoelectrons,
     )
 
     sensor = load_sensor("pulnix-ag5745ef3")
     camera = camera_from_description(sensor)
-    assert isinstance(camera, IntensifiedCamera)
     plate = sensor.microchannel_plate
     gain = min(1.0, NOMINAL_PE / level) ** (1.0 / float(plate.gain_exponent))
     conditions = Conditions(mcp_v=float(plate.reference_v) * gain)

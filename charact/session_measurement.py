@@ -9,7 +9,8 @@ import numpy as np
 
 from charact.method import Context
 from charact.method.registry import Progress, Spread, ignore_progress
-from labdata.camera_description import Parameter
+from labdata.camera.description import has_tube
+from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Result, make_refusal
@@ -323,10 +324,10 @@ def _with_measured_gap(context: Context, result: Result) -> Context:
     found = [
         m for m in result.find("halo_diameter") if m.status == "ok" and m.interval95 is not None
     ]
-    if context.sensor is None or not found or found[0].value is None or found[0].interval95 is None:
+    camera = context.camera
+    if not has_tube(camera) or not found or found[0].value is None or found[0].interval95 is None:
         return context
-    sensor = context.sensor
-    mm_per_px = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
+    mm_per_px = float(camera.ccd.pitch_x_um) * float(camera.taper.demagnification) * 1e-3
     value, low, high = (x * mm_per_px / 4.0 for x in (found[0].value, *found[0].interval95))
     gap = Parameter(
         value=value,
@@ -335,7 +336,7 @@ def _with_measured_gap(context: Context, result: Result) -> Context:
         standing="fitted",
         source="halo of the session's point sources",
     )
-    return replace(context, sensor=sensor.with_parameters({"photocathode.gap_mm": gap}))
+    return replace(context, camera=camera.with_parameters({"photocathode.gap_mm": gap}))
 
 
 def method_context(
@@ -351,9 +352,7 @@ def method_context(
     return Context(
         seed=seed,
         quick=quick,
-        sensor=session.sensor,
-        register=session.register,
-        imager=session.imager,
+        camera=session.camera,
         interlaced=session.is_interlaced,
         full_scale_dn=full_scale_dn,
         progress=progress,

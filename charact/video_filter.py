@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
 
@@ -36,11 +36,11 @@ class VideoFilter:
     ln_bandwidth_sd: float = 0.0
 
     @classmethod
-    def of(cls, sensor: Sensor | None) -> "VideoFilter | None":
+    def of(cls, sensor: Camera | None) -> "VideoFilter | None":
         """Return the filter of a sensor description; None for a digital camera or without
         description.
         """
-        if sensor is None or sensor.video.low_pass is None:
+        if not has_tube(sensor) or sensor.video.low_pass is None:
             return None
         bandwidth, clock, order = sensor.video.low_pass
         known = sensor.video.bandwidth_mhz

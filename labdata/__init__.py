@@ -3,17 +3,18 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from labdata.camera.description import Camera
     from labdata.conditions import Conditions
     from labdata.errors import BadInput
     from labdata.frames import FrameStack
     from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result
-    from labdata.sensor import Sensor
     from labdata.sensors import load_sensor
     from labdata.session import Session, StackEntry, open_session
     from labdata.target import Target
 
 __all__ = [
     "BadInput",
+    "Camera",
     "Conditions",
     "Curve",
     "FrameStack",
@@ -21,7 +22,6 @@ __all__ = [
     "Posterior",
     "Provenance",
     "Result",
-    "Sensor",
     "Session",
     "StackEntry",
     "Target",
@@ -30,11 +30,11 @@ __all__ = [
 ]
 
 _HOMES = {
+    "labdata.camera.description": ("Camera",),
     "labdata.conditions": ("Conditions",),
     "labdata.errors": ("BadInput",),
     "labdata.frames": ("FrameStack",),
     "labdata.measurement": ("Curve", "Measurement", "Posterior", "Provenance", "Result"),
-    "labdata.sensor": ("Sensor",),
     "labdata.sensors": ("load_sensor",),
     "labdata.session": ("Session", "StackEntry", "open_session"),
     "labdata.target": ("Target",),

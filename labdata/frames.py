@@ -1,7 +1,8 @@
-"""Frame stack: read-only pixels (frame, row, col) with time stamps and gaps."""
+"""Frame stacks, in memory or read on demand: pixels (frame, row, col), time stamps and gaps."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,3 +117,46 @@ class FrameStack:
             )
         first = self.origin[0] + row, self.origin[1] + col
         return replace(self, data=self.data[:, row : row + height, col : col + width], origin=first)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LazyStack:
+    """Frames that are read on demand."""
+
+    label: str  #: As in the session
+    shape: tuple[int, int, int]  #: Frames, rows and columns
+    dtype: np.dtype  #: Type of the pixels
+    time_s: NDArray  #: As in `FrameStack`
+    frame_number: NDArray  #: As in `FrameStack`
+    #: Full scale where it is stated, DN; None where only the frames could show it
+    full_scale_dn: float | None
+    block: Callable[
+        [int, int], NDArray
+    ]  #: Returns the frames first..last-1, shape (frame, row, col)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes that all frames take."""
+        return int(np.prod(self.shape)) * self.dtype.itemsize
+
+    def frames(self, first: int, last: int) -> NDArray:
+        """Read the frames first..last-1; an invalid pixel, or a frame that differs from its digest,
+        is BadInput.
+        """
+        return self.block(first, last)
+
+    def in_memory(self) -> "LazyStack":
+        """Return a copy with all frames in memory."""
+        data = self.frames(0, len(self))
+        return replace(self, block=lambda first, last: data[first:last])
+
+
+class View(Protocol):
+    """Transformation of the frames of a stack on reading: scaled, or with pixels replaced."""
+
+    def through(self, stack: LazyStack) -> LazyStack:
+        """Return the transformed stack."""
+        ...

@@ -1,61 +1,18 @@
-"""Lazy stack: frames are read on demand, so that a stack may be larger than memory."""
+"""Opening of a stack whose frames are read on demand, so that it may be larger than memory."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.file_io import require_regular, require_regular_parts
+from labdata.frames import LazyStack
 from labdata.session import StackEntry
 from labdata.store import is_ours, read_journal
 from labdata.store.array_reader import open_array, read_frames
-
-
-@dataclass(frozen=True, kw_only=True)
-class LazyStack:
-    """Frames that are read on demand."""
-
-    label: str  #: As in the session
-    shape: tuple[int, int, int]  #: Frames, rows and columns
-    dtype: np.dtype  #: Type of the pixels
-    time_s: NDArray  #: As in `labdata.frames.FrameStack`
-    frame_number: NDArray  #: As in `labdata.frames.FrameStack`
-    #: Full scale where it is stated, DN; None where only the frames could show it
-    full_scale_dn: float | None
-    block: Callable[
-        [int, int], NDArray
-    ]  #: Returns the frames first..last-1, shape (frame, row, col)
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    @property
-    def size_bytes(self) -> int:
-        """Bytes that all frames take."""
-        return int(np.prod(self.shape)) * self.dtype.itemsize
-
-    def frames(self, first: int, last: int) -> NDArray:
-        """Read the frames first..last-1; an invalid pixel, or a frame that differs from its digest,
-        is BadInput.
-        """
-        return self.block(first, last)
-
-    def in_memory(self) -> "LazyStack":
-        """Return a copy with all frames in memory."""
-        data = self.frames(0, len(self))
-        return replace(self, block=lambda first, last: data[first:last])
-
-
-class View(Protocol):
-    """Transformation of the frames of a stack on reading: scaled, or with pixels replaced."""
-
-    def through(self, stack: LazyStack) -> LazyStack:
-        """Return the transformed stack."""
-        ...
 
 
 def open_lazy_stack(entry: StackEntry) -> LazyStack:

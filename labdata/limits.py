@@ -1,15 +1,12 @@
 """Limits of a tube from its sensor description, tightened or overridden by a plan."""
 
 import math
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields
 
-from labdata.camera_description import Parameter
+from labdata.camera.description import Camera
+from labdata.camera.parameters import Parameter
+from labdata.camera.tube import TubeLimits
 from labdata.errors import BadInput, check
-
-if TYPE_CHECKING:
-    from labdata.sensor import Sensor
-
 
 NA_PER_UA = 1e3
 CM2_PER_M2 = 1e4
@@ -31,7 +28,7 @@ class TubeLoad:
     exponent_sd: float = 0.0  #: Standard uncertainty of the exponent
 
     @classmethod
-    def of(cls, sensor: "Sensor") -> "TubeLoad":
+    def of(cls, sensor: Camera) -> "TubeLoad":
         """Return the load model of a sensor description."""
         cathode, plate = sensor.photocathode, sensor.microchannel_plate
         return cls(
@@ -100,60 +97,6 @@ CAUTIOUS_LOAD = TubeLoad(
     relative_sd=1.0,
     exponent_sd=1.0,
 )
-
-
-# ruff: noqa: RUF009 - `_cautious` returns a field.
-
-_UNKNOWN = "nothing is known of this tube: "
-
-
-def _cautious(value: float, reason: str) -> Any:
-    """Return the field of a limit of an unknown tube."""
-    return field(
-        default_factory=lambda: Parameter(value=value, standing="default", source=_UNKNOWN + reason)
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class TubeLimits:
-    """Limits of a tube; the source of each parameter gives the reason. The defaults suit an unknown
-    tube.
-    """
-
-    #: Highest voltage across the microchannel plate, V
-    mcp_v: Parameter = _cautious(900.0, "a single plate works at 500 to 900 V, never above 1000 V")
-    #: Fastest rise of that voltage, V/s
-    ramp_v_per_s: Parameter = _cautious(
-        50.0, "small steps let a plate outgas; slower after storage"
-    )
-    gate_ns: Parameter = _cautious(2e7, "one field of 50 Hz video")  #: Longest gate, ns
-    #: Largest fraction of the time that the gate may be open
-    gate_duty: Parameter = _cautious(0.999, "a gate unit needs to recover between pulses")
-    #: Brightest large area on the photocathode, lux, whatever the gain
-    illuminance_lux: Parameter = _cautious(
-        1e-2, "night sky with a moon; a supply protects its tube above this"
-    )
-    #: Brightest image of a pinhole on the photocathode, lux, whatever the gain
-    point_illuminance_lux: Parameter = _cautious(
-        10.0, "too small an area to strain the tube, but the cathode ages there"
-    )
-    #: Largest mean MCP output current density at the present gain and duty, without saturation,
-    #: nA/cm2
-    anode_na_per_cm2: Parameter = _cautious(
-        100.0, "a tenth of a strip current of 1 uA/cm2 keeps the plate linear"
-    )
-    #: The same inside the image of a pinhole, where the MCP saturates far below it
-    point_anode_na_per_cm2: Parameter = _cautious(
-        3e6, "what 10 lux ask of a gain of 1000; the plate gives its strip current"
-    )
-    #: Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a
-    #: warning
-    screen_charge_c_per_cm2: Parameter = _cautious(
-        0.1, "uncoated plates age their cathodes within 0.1 to 1 C/cm2"
-    )
-
-    def __post_init__(self) -> None:
-        check(self, positive=(item.name for item in fields(self)), fraction="gate_duty")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +168,7 @@ LIMITS = tuple(item.name for item in fields(Limits))
 
 
 def limits_in_force(
-    asked: Limits = Limits(), sensor: "Sensor | None" = None, overrides: tuple[Override, ...] = ()
+    asked: Limits = Limits(), sensor: Camera | None = None, overrides: tuple[Override, ...] = ()
 ) -> LimitsInForce:
     """Return the limits in force: those of the tube, tightened or overridden by the plan.
 

@@ -8,13 +8,13 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from labdata.calibration import GainTable, LampCalibration
+from labdata.camera.description import Camera
 from labdata.capture import PIXEL_BITS
 from labdata.conditions import Conditions
 from labdata.errors import BadInput, check, check_range
 from labdata.gating import Gating
 from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
-from labdata.sensor import Sensor
 from labdata.target import Kind, Target
 
 
@@ -328,14 +328,14 @@ SETTABLE_V = 1.0  # Voltage step that every supply can set, V
 READ_V = 2.0
 
 
-def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:
+def gain_table_of(plan: Plan, sensor: Camera | None) -> GainTable | None:
     """Return the gain table of a plan, else that of its sensor, else None."""
     if plan.gain_table is not None:
         return plan.gain_table
     return None if sensor is None else sensor.gain_table
 
 
-def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
+def in_volts(plan: Plan, sensor: Camera | None) -> Plan:
     """Return the plan with every gain in volts and, where the tube is calibrated, as luminous gain.
 
     Raises

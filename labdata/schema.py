@@ -6,25 +6,30 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from labdata.camera_description import Parameter
+from labdata.camera.files import IntensifiedCameraFile, SolidStateCameraFile, ThermalImagerFile
+from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput
-from labdata.infrared_imager import InfraredImager
 from labdata.plan_file import PlanFile
-from labdata.sensor import Sensor
 from labdata.serialiser import adapter, dataclasses_in
 from labdata.session import SessionFile
-from labdata.solid_state import SolidStateCamera
+
+# Titles of the schemas of camera files.
+_TITLES = {
+    IntensifiedCameraFile: "Sensor",
+    SolidStateCameraFile: "SolidStateCamera",
+    ThermalImagerFile: "InfraredImager",
+}
 
 
 def file_schema(kind: str, more: Mapping[str, type] | None = None) -> dict[str, Any]:
     """Return the JSON Schema of a kind of file: a session, a sensor of three kinds, a plan, or one
     of more kinds.
     """
-    kinds = {
+    kinds: dict[str, type] = {
         "session": SessionFile,
-        "sensor": Sensor,
-        "solid-state": SolidStateCamera,
-        "infrared": InfraredImager,
+        "sensor": IntensifiedCameraFile,
+        "solid-state": SolidStateCameraFile,
+        "infrared": ThermalImagerFile,
         "plan": PlanFile,
     }
     kinds |= more or {}
@@ -39,16 +44,16 @@ def json_schema(type_: type) -> dict[str, Any]:
     """
     schema = adapter(type_).json_schema()
     definitions = schema["$defs"]
-    whole = definitions.pop(type_.__name__)
-    return with_descriptions(
+    tables = definitions.pop(type_.__name__)
+    described = with_descriptions(
         {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
-            **whole,
-            "title": type_.__name__,
+            **tables,
             "$defs": definitions,
         },
         dataclasses_in(type_),
     )
+    return {**described, "title": _TITLES.get(type_, type_.__name__)}
 
 
 def with_descriptions(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:

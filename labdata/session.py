@@ -5,25 +5,19 @@ import os
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from labdata.camera.description import Camera
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions, conditions_of, flat_conditions
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
-from labdata.frames import FrameStack
-from labdata.infrared_imager import InfraredImager
-from labdata.sensor import Sensor
-from labdata.sensors import Camera, load_camera
+from labdata.frames import FrameStack, View
+from labdata.sensors import load_camera
 from labdata.serialiser import from_toml
-from labdata.solid_state import Register, SolidStateCamera
 from labdata.target import Kind, Target
-
-if TYPE_CHECKING:
-    from labdata.lazy_stack import View
-
 
 MANIFEST = "session.toml"
 
@@ -111,7 +105,7 @@ class StackEntry:
     plane: str | None = None
     folder: Path  #: The session's folder
     #: How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
-    view: "View | None" = None
+    view: View | None = None
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -265,7 +259,7 @@ class Session:
                 f"{self.name!r}"
             )
         plane, pitch_px = next(iter(found), ("mono", 1))
-        if pitch_px > 1 and not isinstance(self.camera, SolidStateCamera | None):
+        if pitch_px > 1 and self.camera is not None and self.camera.silicon is None:
             raise BadInput(
                 f"a plane of a mosaic must be that of a camera without an image tube, got {plane} "
                 f"of session {self.name!r}, camera {self.camera.name!r}"
@@ -291,31 +285,11 @@ class Session:
         return dark.read().mean_dn
 
     @property
-    def sensor(self) -> Sensor | None:
-        """Description of the camera where it is an intensified one."""
-        return self.camera if isinstance(self.camera, Sensor) else None
-
-    @property
-    def imager(self) -> InfraredImager | None:
-        """Description of the camera where it is an infrared imager."""
-        return self.camera if isinstance(self.camera, InfraredImager) else None
-
-    @property
-    def register(self) -> Register | None:
-        """Electron-multiplying register of a camera without intensifier; None where it has none."""
-        camera = self.camera
-        return (
-            camera.register
-            if isinstance(camera, SolidStateCamera) and camera.register.multiplies
-            else None
-        )
-
-    @property
     def is_interlaced(self) -> bool:
         """Whether frames have two fields exposed one after the other."""
         if self.interlaced is not None:
             return self.interlaced
-        return self.camera is not None and self.camera.video.interlaced
+        return self.camera is not None and self.camera.interlaced
 
 
 def open_session(path: str | Path) -> Session:

@@ -9,13 +9,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from labdata.camera.description import Camera
+from labdata.camera.tube import TubeLimits
 from labdata.errors import BadInput, check
 from labdata.file_io import ends_mid_line, sync_folder, write_whole
-
-if TYPE_CHECKING:
-    from labdata.sensor import Sensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,10 +72,8 @@ def dose_of(
     )
 
 
-def warnings(dose: Dose, sensor: "Sensor | None") -> tuple[str, ...]:
+def warnings(dose: Dose, sensor: Camera | None) -> tuple[str, ...]:
     """Return one sentence for each part of a tube's life that is nearly used up."""
-    from labdata.limits import TubeLimits
-
     limits = TubeLimits() if sensor is None else sensor.limits
     sentences = [
         _life_warning(

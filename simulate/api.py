@@ -18,14 +18,11 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
+from labdata.camera.tube import TubeLimits
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.infrared_imager import InfraredImager
-from labdata.limits import TubeLimits
-from labdata.sensor import Sensor
-from labdata.sensors import Camera
 from labdata.session import Kind
-from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
 from simulate.image_source import name_of, read_cube, read_image
 from simulate.motion import Look, Motion
@@ -97,7 +94,7 @@ def load_described_camera(sensor: str, phosphor: str | None = None) -> Descripti
     camera = load_camera(sensor)
     if phosphor is None:
         return camera
-    if not isinstance(camera, Sensor):
+    if not camera.has_tube:
         raise BadInput(f"--phosphor needs a camera with a tube, got {camera.name!r}")
     return camera.with_phosphor(load_phosphor(phosphor))
 
@@ -116,13 +113,13 @@ def simulate(
     BadInput
         If the source cannot be read, or an option does not apply to it.
     """
-    from simulate.iiccd.scene_to_photoelectrons import (
+    from simulate.camera.scene_to_photoelectrons import (
         camera_from_description,
         photoelectrons_from_image,
         photoelectrons_from_radiance,
     )
 
-    if isinstance(description, InfraredImager):
+    if description.is_thermal:
         return _infrared_shot(request, description, conditions, progress)
     if is_scene(request.source):
         from simulate.radiance.scene import LabScene, load_scene
@@ -171,7 +168,7 @@ def _outdoor_shot(
     progress: Progress,
 ) -> Shot:
     """Return a camera of visible light before an outdoor scene."""
-    from simulate.iiccd.scene_to_photoelectrons import (
+    from simulate.camera.scene_to_photoelectrons import (
         camera_from_description,
         photoelectrons_from_radiance,
     )
@@ -237,14 +234,14 @@ def _motion(
 
 def _infrared_shot(
     request: SimulationRequest,
-    description: InfraredImager,
+    description: Camera,
     conditions: Conditions,
     progress: Progress,
     *,
     preview: bool = False,
 ) -> InfraredShot:
     """Return a thermal imager before an outdoor scene; another source is BadInput."""
-    from simulate.infrared.camera import InfraredCamera
+    from simulate.camera.thermal_imager import ThermalImager
     from simulate.infrared_view import view_infrared
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
@@ -263,7 +260,7 @@ def _infrared_shot(
         _delay_s(request, scene),
     )
 
-    def view(now: OutdoorScene, camera: InfraredCamera, seed: int, is_set: bool) -> "InfraredView":
+    def view(now: OutdoorScene, camera: ThermalImager, seed: int, is_set: bool) -> "InfraredView":
         return view_infrared(
             now,
             camera,
@@ -277,7 +274,7 @@ def _infrared_shot(
 
     seen = view(
         scene.at(delay_s).for_sensor(request.sensor),
-        InfraredCamera(description),
+        ThermalImager(description),
         request.seed,
         False,
     )
@@ -346,9 +343,9 @@ def preview(
     request: SimulationRequest, description: Description, conditions: Conditions
 ) -> "RenderedView | InfraredView":
     """Return an outdoor scene in few pixels of a camera; another source raises BadInput."""
-    if isinstance(description, InfraredImager):
+    if description.is_thermal:
         return _infrared_shot(request, description, conditions, _ignore_progress, preview=True).seen
-    from simulate.iiccd.scene_to_photoelectrons import camera_from_description
+    from simulate.camera.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
@@ -392,7 +389,7 @@ def _bench_shot(
     from simulate.lab import LabBench
     from simulate.radiance.lab_target import as_stood
 
-    if isinstance(description, InfraredImager):
+    if description.is_thermal:
         raise BadInput(f"a bench scene needs a camera of visible light, got {description.name!r}")
     kind, lux = request.kind or "edge", conditions.illuminance_lux
     for name, (option, of) in OF_A_TARGET.items():
@@ -407,7 +404,7 @@ def _bench_shot(
         raise BadInput(f"a dark must have no light, got --illuminance-lux {lux:g}")
     target = as_stood(kind, request.target)
     if lux is None:
-        if kind != "dark" and not isinstance(description, Sensor):
+        if kind != "dark" and not description.has_tube:
             raise BadInput(
                 f"a bench scene before {description.name!r} needs --illuminance-lux at its chip, "
                 "got none"
@@ -459,13 +456,13 @@ def _select_effects(
     """Return the camera without the effects that this light does not need, and the fields of the
     shot.
     """
-    from simulate.effect_selection import EffectSelection
-    from simulate.iiccd.effect_bounds import (
+    from simulate.camera.effect_bounds import (
         NoiseBudget,
         bound_effects,
         per_pixel,
         select_camera_effects,
     )
+    from simulate.effect_selection import EffectSelection
 
     if not camera.has_tube:
         return camera, {"exact": request.tolerance is None}
@@ -498,7 +495,7 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
     if gain is not None and not (math.isfinite(gain) and gain > 0.0):
         raise BadInput(f"--gain must be positive, got {gain:g}")
     exposure_s = 1.0 / float(camera.video.field_rate_hz)
-    if isinstance(camera, InfraredImager):
+    if camera.is_thermal:
         if unfit := [*given, *(["gain"] if gain is not None else [])]:
             raise BadInput(
                 f"--{unfit[0].replace('_', '-')} needs a camera of visible light, got "
@@ -510,7 +507,7 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
         )
     if given.get("automatic_gain") and not camera.video.automatic_gain:
         raise BadInput(f"--automatic-gain needs a camera that has it, got {camera.name!r}")
-    if isinstance(camera, SolidStateCamera):
+    if not camera.has_tube:
         most = float(camera.register.em_gain)
         if gain is not None and not 1.0 <= gain <= most:
             raise BadInput(
@@ -536,7 +533,7 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
     return Conditions(exposure_s=exposure_s, **{**nominal, **given})
 
 
-def voltage_of(sensor: Sensor, luminous_gain: float | None) -> float:
+def voltage_of(sensor: Camera, luminous_gain: float | None) -> float:
     """Return the MCP voltage for a luminous gain, V = V0 (G/G0)^(1/m); None: the reference
     voltage.
     """
@@ -557,7 +554,7 @@ def voltage_limit_warnings(camera: Description, conditions: Conditions) -> tuple
     would refuse.
     """
     mcp_v = conditions.mcp_v
-    if not isinstance(camera, Sensor) or mcp_v is None:
+    if not camera.has_tube or mcp_v is None:
         return ()
     limit = camera.limits.mcp_v
     if limit == TubeLimits().mcp_v or mcp_v <= float(limit):

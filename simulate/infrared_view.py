@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.infrared.camera import KELVIN, InfraredCamera
+from simulate.camera.thermal_imager import KELVIN, ThermalImager
 from simulate.outdoor_rendering import PREVIEW_PX
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.scene import OutdoorScene
@@ -42,7 +42,7 @@ class InfraredView:
     """
 
     picture: InfraredPicture
-    camera: InfraredCamera
+    camera: ThermalImager
     viewpoint: Viewpoint
     temperatures: Temperatures
     title: str
@@ -124,7 +124,7 @@ def _row(effect: Any) -> dict[str, Any]:
 
 def view_infrared(
     scene: OutdoorScene,
-    camera: InfraredCamera,
+    camera: ThermalImager,
     temperatures: Temperatures,
     *,
     tolerance: float | None,
@@ -183,8 +183,8 @@ def view_infrared(
 
 
 def _set_for_scene(
-    camera: InfraredCamera, picture: InfraredPicture
-) -> tuple[InfraredCamera, tuple[str, ...]]:
+    camera: ThermalImager, picture: InfraredPicture
+) -> tuple[ThermalImager, tuple[str, ...]]:
     """Set level and span of an imager that has them so that surfaces lie within, as an operator
     would.
     """

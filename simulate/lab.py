@@ -10,17 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.frames import FrameStack, read_only
-from labdata.sensor import Sensor
 from labdata.session import Kind
-from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
-from simulate.iiccd import tube_photometry as photometry
-from simulate.iiccd.camera import IntensifiedCamera, SiliconCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera import tube_photometry as photometry
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.stage_image import StageImage
 from simulate.radiance.lab_target import TargetView, render_bench
 from simulate.radiance.scene import LabScene, load_bench
 from simulate.radiance.spectrum import planck
@@ -42,7 +41,7 @@ class LabBench:
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if
         None.
     left_out
-        Neglected effects of the camera, see `simulate.iiccd.chain.Stage.effects`.
+        Neglected effects of the camera, see `simulate.camera.chain.Stage.effects`.
     like
         Bench of a camera with the same pixels and nearly the same optics: targets lie as before it,
         so that benches of many draws of one camera share their images. None: none.
@@ -55,22 +54,18 @@ class LabBench:
     light on its way there is therefore left out, its blur and veiling glare excepted: loss,
     fall-off, vignetting, distortion. So is the fibres' geometry, as targets are known on the frame,
     and protection from bright sources, since the bench stays far below a lux. For these, see
-    `simulate.iiccd.scene_to_photoelectrons.mcp_input_from_radiance`.
+    `simulate.camera.scene_to_photoelectrons.mcp_input_from_radiance`.
     """
 
     def __init__(
         self,
-        sensor: Sensor | SolidStateCamera,
+        sensor: Camera,
         scene: LabScene | str | Path | None = None,
         *,
         left_out: frozenset[str] = frozenset(),
         like: "LabBench | None" = None,
     ) -> None:
-        self.camera: IntensifiedCamera | SiliconCamera = (
-            IntensifiedCamera(sensor, left_out=left_out)
-            if isinstance(sensor, Sensor)
-            else SiliconCamera(sensor)
-        )
+        self.camera = CameraModel(sensor, left_out=left_out)
         self.scene = scene if isinstance(scene, LabScene) else load_bench(scene or "bench")
         self._like = like
         self._pictures: OrderedDict[tuple[Kind, Target, float | None], NDArray[np.float32]] = (
@@ -136,7 +131,7 @@ class LabBench:
         exposure, EBI included.
         """
         camera = self.camera
-        if isinstance(camera, SiliconCamera):
+        if not camera.has_tube:
             if kind == "dark":
                 return StageImage(
                     values=np.zeros(camera.cells.shape, np.float32), grid=camera.cells
@@ -225,11 +220,7 @@ class LabBench:
         camera, photons = self.camera, conditions.photons_per_px
         if conditions.illuminance_lux is not None:
             return conditions.illuminance_lux
-        if (
-            isinstance(camera, IntensifiedCamera)
-            or photons is None
-            or conditions.wavelength_nm is None
-        ):
+        if camera.has_tube or photons is None or conditions.wavelength_nm is None:
             stated = "" if camera.has_tube else ", or photons_per_px and wavelength_nm,"
             raise BadInput(
                 f"illuminance_lux{stated} must be given for a stack of kind {kind!r}, got none"

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd import tube_photometry
-from simulate.iiccd.camera import Camera, IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.effect_bounds import NoiseBudget
-from simulate.iiccd.grid import ACCURACY
+from simulate.camera import tube_photometry
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.effect_bounds import NoiseBudget
+from simulate.camera.grid import ACCURACY
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import KNOWN, RenderSensor, workers
 from simulate.radiance.integrator.renderer import Rendering, render_scene
@@ -29,7 +29,7 @@ from simulate.radiance.outdoor.scene import OutdoorScene
 STEP_NM = 5.0
 
 
-def render_sensor_of(camera: Camera, conditions: Conditions) -> RenderSensor:
+def render_sensor_of(camera: CameraModel, conditions: Conditions) -> RenderSensor:
     """Return the response of a pixel on the axis to radiance, in photoelectrons per exposure, and
     its noise.
 
@@ -57,7 +57,7 @@ def render_sensor_of(camera: Camera, conditions: Conditions) -> RenderSensor:
 
 
 def _numbers(
-    camera: Camera, conditions: Conditions
+    camera: CameraModel, conditions: Conditions
 ) -> tuple[float, float, float, float, float, float, float]:
     """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2, pe^2 of
     reading, and `evened`.
@@ -66,7 +66,7 @@ def _numbers(
     fields.
     """
     area_m2 = camera.field_pixel_area_cm2 * 1e-4
-    if not isinstance(camera, IntensifiedCamera):
+    if not camera.has_tube:
         silicon, register = (
             camera.stage(Slot.SILICON, conditions),
             camera.stage(Slot.REGISTER, conditions),
@@ -85,7 +85,7 @@ def _numbers(
     scene_shape = tuple(side + 2 * ACCURACY.scene_margin_px for side in camera.shape)
     budget = NoiseBudget(camera, np.zeros(scene_shape, np.float32), conditions)
     cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
-    read = (float(camera.sensor.ccd.read_noise_e) / budget.of_chain.gain_e) ** 2
+    read = (float(camera.description.ccd.read_noise_e) / budget.of_chain.gain_e) ** 2
     factor = budget.mcp.excess_noise_factor
     per_pe = (budget.pulses[0] + budget.of_chain.white) / budget.charge_e
     evened = min(1.0, float(np.sqrt(per_pe / factor)))
@@ -172,7 +172,7 @@ class OutdoorRendering:
     """A scene and a camera."""
 
     scene: OutdoorScene  # the scene
-    camera: Camera  # the camera, whose lens and pixels the scene's camera has
+    camera: CameraModel  # the camera, whose lens and pixels the scene's camera has
     conditions: Conditions  # gate or exposure, by which the camera's noise is judged
 
     @cached_property

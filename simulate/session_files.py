@@ -30,8 +30,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labdata.camera.description import Camera
 from labdata.file_io import write_atomically
-from labdata.sensors import Camera
 from simulate.shot import Shot
 
 if TYPE_CHECKING:

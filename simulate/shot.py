@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
-from labdata.sensors import Camera
 from labdata.session import Kind
 from labdata.target import Target
 from simulate.motion import Look, Motion
@@ -73,7 +73,7 @@ class Shot:
     @property
     def frame_distortion(self) -> tuple[float, ...]:
         """Radial distortions of lens and taper, in the order of the light, dimensionless."""
-        from simulate.iiccd.chain import Slot
+        from simulate.camera.chain import Slot
 
         fibres = (
             (self.camera.stage(Slot.FIBRES).distortion_fraction,) if self.camera.has_tube else ()
@@ -140,7 +140,7 @@ class Shot:
         """Yield the input, the expected photoelectrons or radiance behind the lens, and the image
         after each stage.
         """
-        from simulate.iiccd.stage_images import stage_images
+        from simulate.camera.stage_images import stage_images
         from simulate.radiance.cube import RadianceCube
 
         if isinstance(self.seen, RadianceCube):

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.figures.lab_card import luminance
 from labdata import Conditions, load_sensor
-from simulate.iiccd.effect_bounds import select_camera_effects
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera.effect_bounds import select_camera_effects
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     photoelectrons_from_image,
 )

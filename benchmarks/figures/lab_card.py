@@ -5,7 +5,7 @@ dark field.
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import Sensor
+from labdata import Camera
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 
@@ -54,7 +54,7 @@ def card(per_pixel: int = 1) -> NDArray[np.float32]:
     return luminance(per_pixel)[top : top + rows, left : left + cols]
 
 
-def radiance(sensor: Sensor, picture: NDArray[np.floating], cathode_lux: float) -> RadianceCube:
+def radiance(sensor: Camera, picture: NDArray[np.floating], cathode_lux: float) -> RadianceCube:
     """Return a picture under light of 2856 K whose white gives an illuminance on the photocathode,
     on the axis.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata import load_sensor
-from simulate.iiccd.tube_photometry import quantum_efficiency
+from simulate.camera.tube_photometry import quantum_efficiency
 from simulate.radiance.lamps.spectra import spectrum
 from simulate.radiance.sky.moon import ObserverLocation, moon_spectrum
 from simulate.radiance.sky.night_sky import NightSky, TownGlow, dark_sky

@@ -16,10 +16,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.figures import effect_plans
 from benchmarks.figures.lab_card import CARD, card, luminance, radiance, shown
-from labdata import Conditions, Sensor, load_sensor, open_session
+from labdata import Camera, Conditions, load_sensor, open_session
 from labdata.sensors import save_sensor
-from simulate.iiccd import true_quantities
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera import true_quantities
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
     photoelectrons_from_radiance,
@@ -67,14 +67,14 @@ def tutorial_card(path: Path) -> None:
     tifffile.imwrite(path, dn, compression="zlib", predictor=True, software="charact")
 
 
-def voltage(sensor: Sensor, luminous_gain: float) -> float:
+def voltage(sensor: Camera, luminous_gain: float) -> float:
     """Return the plate's voltage for a luminous gain, V."""
     plate = sensor.microchannel_plate
     relative = luminous_gain / float(sensor.tube.luminous_gain)
     return float(plate.reference_v) * relative ** (1.0 / float(plate.gain_exponent))
 
 
-def exposed(sensor: Sensor) -> Iterator[tuple[tuple[float, float], Picture]]:
+def exposed(sensor: Camera) -> Iterator[tuple[tuple[float, float], Picture]]:
     """Yield the scene's frame, cut to what is shown, DN, for every level and gain."""
     camera = camera_from_description(sensor)
     at_one_lux = photoelectrons_from_radiance(
@@ -89,7 +89,7 @@ def exposed(sensor: Sensor) -> Iterator[tuple[tuple[float, float], Picture]]:
             yield (lux, gain), next(stream)[shown()].astype(float)
 
 
-def contact_sheet(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image.Image:
+def contact_sheet(sensor: Camera, frames: dict[tuple[float, float], Picture]) -> Image.Image:
     """Return one frame of every level (down) and gain (across), all on the same scale of DN, pixel
     for pixel.
     """
@@ -123,7 +123,7 @@ def contact_sheet(sensor: Sensor, frames: dict[tuple[float, float], Picture]) ->
     return sheet
 
 
-def details(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image.Image:
+def details(sensor: Camera, frames: dict[tuple[float, float], Picture]) -> Image.Image:
     """Return parts of those frames and of a flat field enlarged, each on its own scale, which is
     written above it.
     """
@@ -184,7 +184,7 @@ def details(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image
     return sheet
 
 
-def with_plain_fibres(sensor: Sensor) -> Sensor:
+def with_plain_fibres(sensor: Camera) -> Camera:
     """Return the sensor whose honeycomb is as deep, and whose screen as even, as its description
     allows.
     """
@@ -197,7 +197,7 @@ def with_plain_fibres(sensor: Sensor) -> Sensor:
     )
 
 
-def flat(sensor: Sensor, *, lux: float, luminous_gain: float) -> Picture:
+def flat(sensor: Camera, *, lux: float, luminous_gain: float) -> Picture:
     """Return the mean of `AS_SEEN` frames of even light, DN above black."""
     camera, conditions = (
         camera_from_description(sensor),
@@ -211,7 +211,7 @@ def flat(sensor: Sensor, *, lux: float, luminous_gain: float) -> Picture:
     return np.mean(list(islice(stream, AS_SEEN)), axis=0) - float(sensor.video.black_level_dn)
 
 
-def stage_sheet(sensor: Sensor, path: Path) -> None:
+def stage_sheet(sensor: Camera, path: Path) -> None:
     """Write the contact sheet that `charact simulate --stage-images` makes of the card's radiance,
     in fewer greys.
 

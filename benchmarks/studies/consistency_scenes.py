@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from charact.estimators import mtf
 from charact.method import Context
 from charact.session_measurement import with_stack_label
-from labdata import Conditions, FrameStack, Result, Sensor, Session, Target, load_sensor
+from labdata import Camera, Conditions, FrameStack, Result, Session, Target, load_sensor
 from labdata.session import Kind
 from tests.truth.bars import StripScene
 from tests.truth.blur import TrueBlur, level_crossing
@@ -208,7 +208,7 @@ class SimulatedScene:
         Tilts, degrees.
     """
 
-    camera: Sensor
+    camera: Camera
     edge_deg: float
     bars_deg: float
 
@@ -250,7 +250,7 @@ class SimulatedScene:
         return Context(
             seed=seed,
             quick=quick,
-            sensor=sensor,
+            camera=sensor,
             interlaced=interlaced,
             full_scale_dn=full_scale_dn,
         )
@@ -259,12 +259,12 @@ class SimulatedScene:
         """Frequency along a direction at which the MTF falls to a level, cycles per column
         pitch.
         """
-        from simulate.iiccd import true_quantities
+        from simulate.camera import true_quantities
 
         return true_quantities.true_crossing_frequency(self.camera, level, angle_deg)
 
     def _frames(
-        self, camera: Sensor, kind: Kind, label: str, rng: np.random.Generator
+        self, camera: Camera, kind: Kind, label: str, rng: np.random.Generator
     ) -> FrameStack:
         target = {
             "edge": Target(angle_deg=self.edge_deg),
@@ -297,7 +297,7 @@ class SimulatedScene:
 
 
 def _expose_stack(
-    camera: Sensor, kind: Kind, target: Target, lux: float, rng: np.random.Generator
+    camera: Camera, kind: Kind, target: Target, lux: float, rng: np.random.Generator
 ) -> FrameStack:
     from simulate.lab import LabBench
 
@@ -309,7 +309,7 @@ def _conditions(lux: float) -> Conditions:
     return Conditions(illuminance_lux=lux, mcp_v=MCP_V, gate_ns=GATE_NS)
 
 
-def _small(sensor: Sensor) -> Sensor:
+def _small(sensor: Camera) -> Camera:
     return replace(sensor, ccd=replace(sensor.ccd, rows=ROWS, columns=COLUMNS))
 
 
@@ -317,7 +317,7 @@ def _frequency(label: str) -> float:
     return float(label.removeprefix("bars-")) if label.startswith("bars") else BARS_CY_PER_PX[0]
 
 
-def _with_defocus(sensor: Sensor, share: float) -> Sensor:
+def _with_defocus(sensor: Camera, share: float) -> Camera:
     """A lens out of focus: its blur grows by this share of a pixel of the chip, as seen through the
     taper.
     """

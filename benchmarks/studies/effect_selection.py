@@ -27,7 +27,7 @@ from benchmarks.studies.effect_selection_scenes import CAMERAS, SceneCase, case_
 from benchmarks.studies.figures import pyplot
 from labdata import Conditions
 from labdata.numba_cache import stamp_of
-from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+from simulate.camera.scene_to_photoelectrons import photoelectrons_from_radiance
 from simulate.outdoor_rendering import RenderedView
 from simulate.radiance.integrator import integrator_settings
 

@@ -8,9 +8,9 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from labdata import Conditions, Sensor
+from labdata import Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd.scene_to_photoelectrons import camera_from_description
+from simulate.camera.scene_to_photoelectrons import camera_from_description
 from simulate.outdoor_rendering import OutdoorRendering, render_sensor_of
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.outgoing_radiance import radiance_along
@@ -97,7 +97,7 @@ def _small(sensor: str):
 
 def _exposure_conditions(sensor: str, open_s: float) -> Conditions:
     camera = load_camera(sensor)
-    if isinstance(camera, Sensor):
+    if camera.has_tube:
         return Conditions(gate_ns=1e9 * open_s, mcp_v=float(camera.microchannel_plate.reference_v))
     return Conditions(exposure_s=open_s)
 

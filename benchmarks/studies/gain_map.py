@@ -29,7 +29,7 @@ from benchmarks.studies.scenario_map import (
 )
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from labdata import Conditions, FrameStack, Sensor, Session, Target, load_sensor
+from labdata import Camera, Conditions, FrameStack, Session, Target, load_sensor
 from labdata.session import Kind
 from tests.truth.cases.case import Case
 from tests.truth.sessions import InMemoryStack
@@ -84,7 +84,7 @@ class GainScene:
     gamma: float = 1.0
 
     @cached_property
-    def camera(self) -> Sensor:
+    def camera(self) -> Camera:
         """The specimen."""
         from simulate.virtual_bench.true_sensor import draw_true_sensor
 
@@ -99,7 +99,7 @@ class GainScene:
         return drawn.with_values(values)
 
     @cached_property
-    def description(self) -> Sensor:
+    def description(self) -> Camera:
         """The type, on a small chip."""
         sensor = load_sensor(SENSOR)
         ccd = replace(sensor.ccd, rows=self.rows, columns=self.columns)
@@ -113,7 +113,7 @@ class GainScene:
     @cached_property
     def truth(self) -> dict[str, float]:
         """What the simulator says of the specimen."""
-        from simulate.iiccd import true_quantities
+        from simulate.camera import true_quantities
 
         return true_quantities.true_quantities(self.camera, self.settings)
 
@@ -273,7 +273,7 @@ def case_of(cell: Scenario[GainScene], repeat: int) -> Case:
         truth=scene.truth[QUANTITY],
         draw=scene.session_drawn,
         context={
-            "sensor": scene.description,
+            "camera": scene.description,
             "interlaced": scene.interlaced,
             "full_scale_dn": BLACK_AND_FULL_DN[1],
         },

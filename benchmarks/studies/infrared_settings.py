@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from benchmarks.studies import infrared_stability
 from labdata.sensors import load_camera
-from simulate.infrared.camera import InfraredCamera
+from simulate.camera.thermal_imager import ThermalImager
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
 from simulate.thermal import infrared_rendering as rendering
@@ -60,7 +60,7 @@ class View:
     @classmethod
     def of(cls, name: str, hour: str, sensor: str, factor: int) -> "View":
         """Return a view at an hour of a scene's day."""
-        scene, camera = load_scene(name), InfraredCamera(load_camera(sensor))
+        scene, camera = load_scene(name), ThermalImager(load_camera(sensor))
         assert isinstance(scene, OutdoorScene) and scene.place is not None
         place = replace(scene.place, time=re.sub(r"T\d\d:\d\d", f"T{hour}", scene.place.time))
         scene = replace(scene, place=place)

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from benchmarks.studies.temperature_settings import FINE_STEP_S, Day, last_k
 from labdata import BadInput
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 from labdata.serialiser import from_mapping
 from simulate.radiance.brdf.microfacet import dielectric
 from simulate.radiance.brdf.protocol import directions_at_cosine

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 from simulate.radiance.outdoor.materials import Layer, Slab
 from simulate.radiance.outdoor.scene import ConvectionLaw
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN

@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers import read_array, read_frames
-from labdata.sensor import Sensor
 from labdata.sensors import load_camera, load_sensor
 from labdata.session import Kind, LoadedStackEntry, Session, StackEntry, open_session
 from labdata.target import Target
@@ -106,7 +106,7 @@ def stack(
 def session(
     stacks: Iterable[StackEntry],
     *,
-    sensor: str | Path | Sensor | None = None,
+    sensor: str | Path | Camera | None = None,
     bit_depth: int | None = None,
     interlaced: bool | None = None,
     name: str = "arrays",
@@ -118,7 +118,7 @@ def session(
     stacks
         Stacks of `stack`.
     sensor
-        Description of the camera: a shipped name, a TOML file or a `Sensor`; None: unknown.
+        Description of the camera: a shipped name, a TOML file or a `Camera`; None: unknown.
     bit_depth
         Bits of the digitiser; None: found from the data.
     interlaced
@@ -145,7 +145,7 @@ def session(
         entries.append(_with_bit_depth(one, bit_depth))
     if not entries:
         raise BadInput("a session must have at least one stack, got none")
-    camera = sensor if sensor is None or isinstance(sensor, Sensor) else load_camera(str(sensor))
+    camera = load_camera(sensor) if isinstance(sensor, str | Path) else sensor
     return Session(
         folder=Path(),
         name=name,
@@ -176,6 +176,6 @@ def session_of(source: str | Path | Session) -> Session:
     return source if isinstance(source, Session) else open_session(source)
 
 
-def sensor_of(sensor: str | Path | Sensor | None) -> Sensor | None:
+def sensor_of(sensor: str | Path | Camera | None) -> Camera | None:
     """Return a sensor description, or load it by name or file."""
-    return sensor if sensor is None or isinstance(sensor, Sensor) else load_sensor(str(sensor))
+    return load_sensor(sensor) if isinstance(sensor, str | Path) else sensor

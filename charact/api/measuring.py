@@ -9,10 +9,10 @@ from charact.api.analysis import Analysis
 from charact.api.inputs import Frames, frames_of, sensor_of, session, session_of, stack
 from charact.method import Context
 from charact.method.registry import Progress, ignore_progress
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result
-from labdata.sensor import Sensor
 from labdata.session import Session, StackEntry
 
 Region = tuple[int, int, int, int]
@@ -29,7 +29,7 @@ def mtf(
     within_percent: float = 2.0,
     quick: bool = False,
     seed: int = 0,
-    sensor: str | Path | Sensor | None = None,
+    sensor: str | Path | Camera | None = None,
     plane: str | None = None,
     axis: str | None = None,
     black_dn: float | None = None,
@@ -55,7 +55,7 @@ def mtf(
     seed
         Seed of every random step.
     sensor
-        Description of the camera: a shipped name, a TOML file or a `Sensor`; None: unknown.
+        Description of the camera: a shipped name, a TOML file or a `Camera`; None: unknown.
     plane, axis, black_dn
         As for `frames_of`.
     max_targets
@@ -92,7 +92,7 @@ def mtf(
     described = sensor_of(sensor)
     interlaced = described is not None and described.video.interlaced
     context = Context(
-        seed=seed, quick=quick, sensor=described, interlaced=interlaced, progress=progress
+        seed=seed, quick=quick, camera=described, interlaced=interlaced, progress=progress
     )
     chosen = {"method": method, "within_percent": within_percent, "context": context, **target}
     if roi is None:
@@ -113,7 +113,7 @@ def noise(
     within_percent: float = 2.0,
     quick: bool = False,
     seed: int = 0,
-    sensor: str | Path | Sensor | None = None,
+    sensor: str | Path | Camera | None = None,
     bit_depth: int | None = None,
     progress: Progress = ignore_progress,
     **conditions: Any,
@@ -164,7 +164,7 @@ def bloom(
     within_percent: float = 2.0,
     quick: bool = False,
     seed: int = 0,
-    sensor: str | Path | Sensor | None = None,
+    sensor: str | Path | Camera | None = None,
     progress: Progress = ignore_progress,
     label: str = "point",
 ) -> Analysis:
@@ -255,7 +255,7 @@ def _session(
     darks: Sequence[Frames],
     conditions: dict[str, Any],
     *,
-    sensor: str | Path | Sensor | None,
+    sensor: str | Path | Camera | None,
     bit_depth: int | None,
 ) -> Session:
     """Return the session given, or one of flats and darks."""

@@ -10,14 +10,12 @@ import numpy as np
 from charact.api.inputs import Frames, session_of
 from charact.api.measuring import measure
 from charact.method.registry import Progress, ignore_progress
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.infrared_imager import InfraredImager
 from labdata.measurement import Result
-from labdata.sensor import Sensor
-from labdata.sensors import Camera, load_camera
+from labdata.sensors import load_camera
 from labdata.session import Session
-from labdata.solid_state import SolidStateCamera
 
 if TYPE_CHECKING:
     from charact.validation import Validation
@@ -29,7 +27,7 @@ def fit(
     *,
     seed: int = 0,
     progress: Progress = ignore_progress,
-) -> Sensor | SolidStateCamera:
+) -> Camera:
     """Fit the description of a session's sensor to its measurements.
 
     Parameters
@@ -45,7 +43,7 @@ def fit(
 
     Returns
     -------
-    Sensor or SolidStateCamera
+    Camera
         Identified parameters with joint posterior draws, the others at their priors.
     """
     from charact.fitting import fit_sensor
@@ -58,7 +56,7 @@ def fit(
 
 def validate(
     source: str | Path | Session,
-    sensor: str | Path | Sensor | SolidStateCamera,
+    sensor: str | Path | Camera,
     *,
     seed: int = 0,
     progress: Progress = ignore_progress,
@@ -77,8 +75,8 @@ def validate(
     """
     from charact.validation import validate as compare
 
-    fitted = sensor if isinstance(sensor, Sensor | SolidStateCamera) else load_camera(str(sensor))
-    if isinstance(fitted, InfraredImager):
+    fitted = load_camera(sensor) if isinstance(sensor, str | Path) else sensor
+    if fitted.is_thermal:
         raise BadInput(f"a validation needs a camera of visible light, got {fitted.name!r}")
     return compare(session_of(source), fitted, seed=seed, progress=progress)
 

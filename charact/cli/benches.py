@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from charact.cli.output import Progress, print_message
 from charact.cli.outputs import remove_session
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force
 from labdata.plan import Plan, Step
 from labdata.plan_file import plan_of, read_plan
-from labdata.sensor import Sensor
 from labdata.serialiser import read_toml
 from labdata.session import Session
 from labdata.tube_dose import DoseLedger, ledger_of, warnings
@@ -201,7 +201,7 @@ def _on_real_bench(plan: Plan, session: Path, tell: Callable[[str], None], **run
 def _bench(
     plan: Plan,
     session: Path,
-    sensor: Sensor | None,
+    sensor: Camera | None,
     *,
     wires: InstrumentConfig,
     log: Path,

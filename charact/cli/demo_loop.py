@@ -136,7 +136,7 @@ def bench_truth(folder: Path, session: Session) -> "Truth":
     The MTF is a function of frequency and direction; gains are those at the MCP voltage of the
     flats.
     """
-    from simulate.iiccd.true_quantities import true_crossing_frequency, true_mtf, true_quantities
+    from simulate.camera.true_quantities import true_crossing_frequency, true_mtf, true_quantities
     from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
     sensor = read_truth(folder / TRUTH).sensor

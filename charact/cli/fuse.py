@@ -494,7 +494,7 @@ def _read(
         read_source(
             given[0],
             names[0],
-            sensor=described,
+            camera=described,
             mcp_v=mcp_v,
             black_dn=black_dn,
             describe=describe_camera,
@@ -503,7 +503,7 @@ def _read(
             read_source(
                 source,
                 name,
-                imager=thermal if name == "thermal" else None,
+                camera=thermal if name == "thermal" else None,
                 mcp_v=mcp_v,
                 describe=describe_camera,
             )
@@ -576,6 +576,7 @@ def _write_page(
 
     from charact.fusion.scores import score as score_of
     from charact.reporting.fusion_page import fusion_page
+    from labdata.camera.description import has_tube
     from labdata.file_io import write_atomically
 
     scores, truths = {}, {}
@@ -584,7 +585,7 @@ def _write_page(
         scores[name] = score_of(shown[0], shown[1], one.codes, rng=np.random.default_rng(seed))
         if truth is not None:
             truths[name] = _truth_rows(one, truth, bands, seed)
-    sensor = read[0].sensor
-    aspect = 1.0 if sensor is None else float(sensor.ccd.pitch_y_um) / float(sensor.ccd.pitch_x_um)
+    camera = read[0].camera
+    aspect = camera.pitch_ratio if has_tube(camera) else 1.0
     page = fusion_page(shown, found, scores, truths, aspect=aspect)
     write_atomically(out / "index.html", page.encode())

@@ -231,7 +231,7 @@ def _context(sensor: str | None, full_scale_dn: float | None) -> "Context":
     known = None if sensor is None else load_sensor(sensor)
     return Context(
         quick=True,
-        sensor=known,
+        camera=known,
         interlaced=known is not None and known.video.interlaced,
         full_scale_dn=full_scale_dn or (float(2**known.video.bit_depth - 1) if known else None),
     )

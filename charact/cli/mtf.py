@@ -15,8 +15,8 @@ from labdata.errors import BadInput
 if TYPE_CHECKING:
     from charact.api import Analysis
     from charact.reporting.frequency_unit import FrequencyUnit
+    from labdata.camera.description import Camera
     from labdata.frames import FrameStack
-    from labdata.sensor import Sensor
     from labdata.session import Session
 
 app = typer.Typer(
@@ -127,10 +127,12 @@ def flats(
         from charact.estimators.mtf import measure_flats
         from charact.reporting.frequency_unit import FrequencyUnit
         from charact.session_measurement import method_context
+        from labdata.camera.description import has_tube
 
         session = _flats_of(file, _sensor(sensor), plane, axis)
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
-        frequency = FrequencyUnit.of(session.sensor, rows=rows, unit=units, **lengths)
+        camera = session.camera if has_tube(session.camera) else None
+        frequency = FrequencyUnit.of(camera, rows=rows, unit=units, **lengths)
         with progress_bar(events=events) as progress:
             context = method_context(session, quick=quick, seed=seed, progress=progress)
             result = measure_flats(session, method=method, within_percent=within, context=context)
@@ -149,7 +151,7 @@ def flats(
 
 
 def _flats_of(
-    file: Path, sensor: "Sensor | None", plane: str | None, axis: str | None
+    file: Path, sensor: "Camera | None", plane: str | None, axis: str | None
 ) -> "Session":
     """Return the session in a folder, or a session of one stack of flats."""
     from labdata.conditions import Conditions

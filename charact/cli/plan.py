@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from drivers.acquisition.plan_check import Forecast, StepForecast
     from labdata.calibration import GainTable
+    from labdata.camera.description import Camera
     from labdata.conditions import Conditions
     from labdata.plan import Plan
-    from labdata.sensor import Sensor
     from labdata.tube_dose import Dose
 
 MAX_LINES = 40
@@ -72,7 +72,7 @@ def plan(
 
 
 def _document(
-    given: str, plan: "Plan", prediction: "Forecast", sensor: "Sensor | None"
+    given: str, plan: "Plan", prediction: "Forecast", sensor: "Camera | None"
 ) -> dict[str, Any]:
     from labdata.limits import LIMITS
 
@@ -131,7 +131,7 @@ def _dose_document(dose: "Dose") -> dict[str, float]:
 
 
 def _lines(
-    plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, every: bool
+    plan: "Plan", prediction: "Forecast", sensor: "Camera | None", *, every: bool
 ) -> list[str]:
     from drivers.acquisition.run_progress import duration
 
@@ -211,7 +211,7 @@ def _before(plan: "Plan") -> "Dose | None":
 
 
 def _warnings(
-    prediction: "Forecast", before: "Dose | None", sensor: "Sensor | None"
+    prediction: "Forecast", before: "Dose | None", sensor: "Camera | None"
 ) -> tuple[str, ...]:
     from labdata.tube_dose import total_dose, warnings
 

@@ -15,11 +15,10 @@ from charact import __version__
 from charact.cli import options
 from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
 from charact.cli.outputs import FITTED, Force, require_free, why_other_kind
-from labdata.camera_description import Draws
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
-    from charact.fitting.prior import VisibleCamera
+    from charact.fitting.prior import Camera
     from charact.method import Context
     from charact.validation import Validation
     from labdata.measurement import Result
@@ -361,7 +360,7 @@ def fit(
         print(f"{sensor_out}\nNext: charact validate {session} --sensor {sensor_out}")
 
 
-def _findings_in(fitted: "VisibleCamera") -> tuple[str, ...]:
+def _findings_in(fitted: "Camera") -> tuple[str, ...]:
     """Return the notes of a fitted camera that are findings of its fit."""
     from labdata.flags import FLAGS
 
@@ -377,18 +376,12 @@ def _why_no_fit(path: Path, session: Path) -> str | None:
     if path.resolve() == (session / "sensor.toml").resolve():
         return "the camera of the session"
     try:
-        return (
-            None
-            if getattr(load_camera(path), "draws", Draws()).values
-            else "a sensor that was not fitted"
-        )
+        return None if load_camera(path).draws.values else "a sensor that was not fitted"
     except BadInput:
         return "a file that is no sensor"
 
 
-def fit_and_save(
-    folder: Path, result: "Result", out: Path, *, seed: int, events: bool
-) -> "VisibleCamera":
+def fit_and_save(folder: Path, result: "Result", out: Path, *, seed: int, events: bool) -> "Camera":
     """Fit the sensor of a session and save it as a TOML file."""
     from charact.fitting import fit_sensor
     from labdata.sensors import save_sensor
@@ -412,7 +405,7 @@ def _frames_note(name: str, result: "Result") -> str:
     )
 
 
-def _of_same_frames(fitted: "VisibleCamera", session: "Session") -> bool:
+def _of_same_frames(fitted: "Camera", session: "Session") -> bool:
     """Whether a sensor was fitted to the frames of a session, as they were when it was measured."""
     from labdata import result_io
 
@@ -455,7 +448,6 @@ def validate(
 def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bool) -> "Validation":
     """Validate a session against a fitted sensor and save the result in the session folder."""
     from charact import validation
-    from labdata.infrared_imager import InfraredImager
     from labdata.sensors import load_camera
 
     session = open_session_only(folder)
@@ -465,7 +457,7 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
             f"--sensor-out {sensor}"
         )
     fitted = load_camera(sensor)
-    if isinstance(fitted, InfraredImager):
+    if fitted.is_thermal:
         raise BadInput(
             f"validate needs a camera of visible light, got {fitted.name!r} of the thermal infrared"
         )

@@ -12,8 +12,8 @@ from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 from charact.cli.outputs import Force, remove_session, require_free_session
 
 if TYPE_CHECKING:
+    from labdata.camera.description import Camera
     from labdata.conditions import Conditions
-    from labdata.sensors import Camera
     from simulate.api import SimulationRequest
     from simulate.shot import Shot
 

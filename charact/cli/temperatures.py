@@ -69,7 +69,7 @@ def temperatures(
         from labdata.errors import BadInput
         from labdata.file_io import write_atomically
         from simulate.api import load_described_camera
-        from simulate.iiccd.scene_to_photoelectrons import camera_from_description
+        from simulate.camera.scene_to_photoelectrons import camera_from_description
         from simulate.outdoor_rendering import OutdoorRendering
         from simulate.radiance.scene import LabScene, load_scene
         from simulate.thermal.temperatures import temperatures_of

@@ -6,10 +6,10 @@ from charact.estimators.bloom.posterior_psf import PosteriorPsf
 from charact.fitting import predicted_quantities as predicted
 from charact.fitting.prior import values_of_description
 from charact.fusion.noise_law import NoiseLaw, blur_px_of
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
 
 
-def describe_camera(sensor: Sensor, mcp_v: float) -> tuple[NoiseLaw, PosteriorPsf]:
+def describe_camera(sensor: Camera, mcp_v: float) -> tuple[NoiseLaw, PosteriorPsf]:
     """Return the noise law of a frame at an MCP voltage, V, and the point spread function: best
     values, one draw.
 

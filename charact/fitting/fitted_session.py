@@ -9,7 +9,7 @@ import numpy as np
 from charact.estimators.noise.findings import AUTOMATIC
 from charact.estimators.noise.rounding import step_finding
 from charact.fitting.observation import Observation, has_automatic_gain
-from charact.fitting.prior import VisibleCamera
+from charact.fitting.prior import Camera
 from labdata.errors import BadInput
 from labdata.flags import Finding
 from labdata.lazy_stack import open_lazy_stack
@@ -17,7 +17,7 @@ from labdata.measurement import Result
 from labdata.session import Session
 
 
-def camera_of(session: Session, pitch_px: int) -> VisibleCamera:
+def camera_of(session: Session, pitch_px: int) -> Camera:
     """Return the session's camera of the bit depth of its frames, and a size by their samples so
     many pixels apart.
     """
@@ -28,7 +28,7 @@ def camera_of(session: Session, pitch_px: int) -> VisibleCamera:
             f"{session.name!r}: name one in its session.toml, sensor = "
             f"{proposed_description(session)!r} fits its stacks"
         )
-    if not isinstance(camera, VisibleCamera):
+    if camera.is_thermal:
         raise BadInput(
             f"a fit needs a camera of visible light, got {camera.name!r} of the thermal infrared"
         )

@@ -12,7 +12,7 @@ from charact.fitting.observation import (
     scalar_observation,
     sd_of,
 )
-from charact.fitting.prior import VisibleCamera
+from charact.fitting.prior import Camera
 from charact.fitting.thresholds import ERRORS, LEVELS, LIMITS
 from labdata.measurement import Curve, Result
 from labdata.session import Session, StackEntry
@@ -34,7 +34,7 @@ GLARE = "optics.veiling_glare_fraction"
 
 
 def mtf_observations(
-    session: Session, sensor: VisibleCamera, result: Result, depends: tuple[str, ...] = SPREAD
+    session: Session, sensor: Camera, result: Result, depends: tuple[str, ...] = SPREAD
 ) -> list[Observation]:
     """Return the observations of MTF curves and bar targets, each along its own direction.
 
@@ -136,7 +136,7 @@ def _curve(
     name: str,
     line: Curve,
     session: Session,
-    sensor: VisibleCamera,
+    sensor: Camera,
     result: Result,
     depends: tuple[str, ...],
 ) -> Observation:
@@ -193,7 +193,7 @@ def _wavelength_nm(entry: StackEntry | None) -> float:
     return stated or predicted_quantities.BROADBAND_NM
 
 
-def _components(frequency: Array, angle_deg: float, sensor: VisibleCamera) -> tuple[Array, Array]:
+def _components(frequency: Array, angle_deg: float, sensor: Camera) -> tuple[Array, Array]:
     """Split frequencies in cy per column pitch: along rows in the same, along columns in cy per row
     pitch.
     """

@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 
 from charact.fitting.predicted_quantities import Values, excess_noise_factor
 from charact.fitting.thresholds import LIMITS
-from labdata.camera_description import Parameter
-from labdata.sensor import Sensor
-from labdata.solid_state import SolidStateCamera
+from labdata.camera.description import Camera
+from labdata.camera.parameters import Parameter
 
 Array = NDArray[np.float64]
-VisibleCamera = Sensor | SolidStateCamera
 
 # Fractions and probabilities with the upper bound 1.
 _AT_MOST_ONE = (
@@ -109,7 +107,7 @@ class SensorPrior:
         return np.where(self.power == 0, logarithms, parameters)
 
 
-def prior_of(sensor: VisibleCamera, requested: tuple[str, ...]) -> SensorPrior:
+def prior_of(sensor: Camera, requested: tuple[str, ...]) -> SensorPrior:
     """Return the prior of the requested parameters that have a range.
 
     `sensor`: sensor description whose low..high contain each parameter with 95 % probability;
@@ -135,7 +133,7 @@ def prior_of(sensor: VisibleCamera, requested: tuple[str, ...]) -> SensorPrior:
     )
 
 
-def values_of_description(sensor: VisibleCamera) -> Values:
+def values_of_description(sensor: Camera) -> Values:
     """Return the description's value of every parameter and count that a prediction needs, shape
     (1,).
     """
@@ -143,7 +141,7 @@ def values_of_description(sensor: VisibleCamera) -> Values:
         "video.filter_order": sensor.video.filter_order,
         "video.rows_per_pixel": 1 + sensor.video.interlaced,
     }
-    if isinstance(sensor, SolidStateCamera):
+    if sensor.register is not None:
         counts["register.stages"] = sensor.register.stages
     numbers = sensor.parameters() | {
         path: count for path, count in counts.items() if count is not None
@@ -151,7 +149,7 @@ def values_of_description(sensor: VisibleCamera) -> Values:
     return {path: np.array([float(number)]) for path, number in numbers.items()}
 
 
-def rounds_its_darks(sensor: Sensor) -> bool:
+def rounds_its_darks(sensor: Camera) -> bool:
     """Whether the read noise may be too small against a quantisation step for rounding to be
     additive noise.
     """

@@ -22,7 +22,6 @@ from charact.fitting.prior import (
     COMBINATIONS,
     Combination,
     SensorPrior,
-    VisibleCamera,
     prior_of,
     values_of_description,
 )
@@ -31,11 +30,11 @@ from charact.fitting.slice_sampling import slice_sample
 from charact.fitting.stack_levels import dark_rise_dn_per_s, levels_of, note_on_exclusions
 from charact.fitting.thresholds import LIMITS, SAMPLING
 from charact.fitting.tube_observations import tube_observations
-from labdata.camera_description import Parameter
+from labdata.camera.description import Camera
+from labdata.camera.parameters import Draws, Parameter
 from labdata.errors import BadInput
 from labdata.flags import Finding
 from labdata.measurement import Posterior, Result
-from labdata.sensor import Draws, Sensor
 from labdata.session import Session
 
 Array = NDArray[np.float64]
@@ -47,7 +46,7 @@ TIED = {"ccd.pitch_y_um": "ccd.pitch_x_um"}
 class Model:
     """Prior and likelihood of the requested parameters."""
 
-    sensor: VisibleCamera  # sensor description with the prior ranges and the parameters not drawn
+    sensor: Camera  # sensor description with the prior ranges and the parameters not drawn
     prior: SensorPrior  # prior of the parameters drawn
     observed: tuple[Observation, ...]  # observations of the session
 
@@ -112,7 +111,7 @@ class Model:
         return out
 
 
-def model_of(sensor: VisibleCamera, observed: tuple[Observation, ...]) -> Model:
+def model_of(sensor: Camera, observed: tuple[Observation, ...]) -> Model:
     """Return the model of the parameters that the observations depend on."""
     requested = tuple(
         dict.fromkeys(path for observation in observed for path in observation.parameters)
@@ -226,7 +225,7 @@ def fills_the_scale(session: Session) -> bool:
 
 
 def full_well_draws(
-    sensor: VisibleCamera, drawn: dict[str, Array], rng: np.random.Generator
+    sensor: Camera, drawn: dict[str, Array], rng: np.random.Generator
 ) -> Array | None:
     """Return the full well for each draw of gain and black level, e-; None if not constrained.
 
@@ -265,7 +264,7 @@ def fit_sensor(
     *,
     seed: int = 0,
     progress: Progress = lambda sentence, fraction: None,
-) -> VisibleCamera:
+) -> Camera:
     """Fit the session's camera description to its measurements.
 
     Parameters
@@ -282,7 +281,7 @@ def fit_sensor(
 
     Returns
     -------
-    Sensor or SolidStateCamera
+    Camera
         Every requested parameter has the value of the joint posterior's mode. One that the data
         identify is `fitted` (95 % range of the posterior); every other one keeps the range of its
         prior and is marked `prior`, and its value departs from the prior's only as a factor of a
@@ -307,7 +306,7 @@ def fit_sensor(
     levels = levels_of(session)
     observed = (
         tube_observations(session, camera, result, levels)
-        if isinstance(camera, Sensor)
+        if camera.has_tube
         else silicon_observations(session, camera, result, levels)
     )
     if not observed:
@@ -323,7 +322,7 @@ def fit_sensor(
     lit = [
         entry.conditions for entry in session.of_kind("flat") if entry.conditions.illuminance_lux
     ]
-    metered = isinstance(camera, Sensor)
+    metered = camera.has_tube
     fitted = description_from_posterior(
         model,
         posterior,
@@ -354,7 +353,7 @@ def description_from_posterior(
     illuminance_relative_sd: float,
     seed: int,
     scale_filled: bool = False,
-) -> VisibleCamera:
+) -> Camera:
     """Return the camera description of a posterior.
 
     `posterior`: draws in the coordinates of the model's prior; `illuminance_relative_sd`: relative
@@ -447,7 +446,7 @@ def _combination(combination: Combination, drawn: Array, value: float) -> str:
     )
 
 
-def _remaining_width(sensor: VisibleCamera, path: str, drawn: Array) -> float:
+def _remaining_width(sensor: Camera, path: str, drawn: Array) -> float:
     """Return the posterior's standard deviation over the prior's, in the coordinate of the
     prior.
     """

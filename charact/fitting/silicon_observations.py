@@ -26,10 +26,11 @@ from charact.fitting.readout_observations import (
 from charact.fitting.stack_levels import StackMean, dark_rise_dn_per_s
 from charact.fitting.thresholds import SILICON
 from charact.method import Context
+from labdata.camera.chip import Silicon, excess_noise_factor
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.measurement import Result
 from labdata.session import Session
-from labdata.solid_state import Silicon, SolidStateCamera, excess_noise_factor
 
 Array = NDArray[np.float64]
 
@@ -134,7 +135,7 @@ def electrons_per_efficiency(silicon: Silicon, level: StackMean) -> float:
 
 
 def silicon_observations(
-    session: Session, camera: SolidStateCamera, result: Result, levels: tuple[StackMean, ...]
+    session: Session, camera: Camera, result: Result, levels: tuple[StackMean, ...]
 ) -> tuple[Observation, ...]:
     """Return the observations of a session of a camera without a tube."""
     darks = [level for level in levels if level.dark and np.isfinite(level.temporal_dn2[1])]
@@ -165,13 +166,11 @@ def silicon_observations(
     return tuple(observations)
 
 
-def _gain(
-    camera: SolidStateCamera, result: Result, flat_conditions: Conditions
-) -> list[Observation]:
+def _gain(camera: Camera, result: Result, flat_conditions: Conditions) -> list[Observation]:
     """Observe the slope of the photon transfer curve, K g F^2, from the system gain or else from
     covariances.
     """
-    factor = excess_of(flat_conditions, Context(register=camera.register)).factor
+    factor = excess_of(flat_conditions, Context(camera=camera)).factor
     measured = [(m, factor) for m in admissible_measurements(result, "system_gain", "DN/e-")]
     measured = measured or [
         (m, 1.0) for m in admissible_measurements(result, "covariance_gain", "DN")
@@ -468,9 +467,7 @@ def _efficiency(result: Result) -> list[Observation]:
     ]
 
 
-def _levels(
-    camera: SolidStateCamera, levels: tuple[StackMean, ...], rise_dn_per_s: float
-) -> Observation:
+def _levels(camera: Camera, levels: tuple[StackMean, ...], rise_dn_per_s: float) -> Observation:
     """Observe stack means: black level plus gain times photoelectrons; an error of the light is
     common to all flats.
 

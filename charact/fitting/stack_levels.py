@@ -10,9 +10,7 @@ from charact.estimators.noise.stack.components import shading
 from charact.fitting.readout_observations import readout_spectrum
 from charact.fitting.thresholds import LEVELS
 from labdata.conditions import Conditions
-from labdata.sensor import Sensor
 from labdata.session import Session, StackEntry
-from labdata.solid_state import SolidStateCamera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,21 +112,21 @@ def dark_rise_dn_per_s(levels: tuple[StackMean, ...]) -> float:
 def _level(session: Session, entry: StackEntry) -> StackMean | None:
     conditions, camera, light_known = entry.conditions, session.camera, True
     illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
-    if isinstance(camera, SolidStateCamera):
+    if camera is None or camera.is_thermal:
+        return None
+    if not camera.has_tube:
         if illuminance is None and conditions.photons_per_px and conditions.wavelength_nm:
             illuminance = np.nan
         light_known = illuminance is not None
         illuminance = np.nan if illuminance is None else illuminance
         reference_v, field_s = 0.0, 1.0 / float(camera.video.field_rate_hz)
         shutter_s = gathering_s(conditions) or field_s
-    elif isinstance(camera, Sensor):
+    else:
         reference_v, field_s = (
             float(camera.microchannel_plate.reference_v),
             1.0 / float(camera.video.field_rate_hz),
         )
         shutter_s = conditions.exposure_s or field_s
-    else:
-        return None
     if illuminance is None:
         return None
     stack = entry.read()

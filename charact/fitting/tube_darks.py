@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import DARKS
 from charact.fitting.tube_ions import IonEvents
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,7 +20,7 @@ class Darks:
 
     data: NDArray[np.float32]  # shape (frame, row, col), DN
     level: StackMean
-    sensor: Sensor
+    sensor: Camera
     level_dn: float  # mean of the quiet pixels before rounding, DN
     noise_dn: float  # their standard deviation before rounding, DN
     noise_relative_sd: float  # relative error of that by the pulses among them

@@ -22,8 +22,8 @@ from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import ERRORS, LIMITS
 from charact.fitting.tube_ions import IONS, IonEvents, ions_of
 from charact.fitting.tube_pattern_observations import frame_observations
+from labdata.camera.description import Camera
 from labdata.measurement import Measurement, Result
-from labdata.sensor import Sensor
 from labdata.session import Session
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ class _Noise:
 
 def noise_observations(
     session: Session,
-    sensor: Sensor,
+    sensor: Camera,
     result: Result,
     levels: tuple[StackMean, ...],
     shown: Set[str] = frozenset(),
@@ -320,7 +320,7 @@ def _dark(m: Measurement, dark: StackMean, reference_v: float) -> _Noise:
 
 
 def tube_observations(
-    session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...]
+    session: Session, sensor: Camera, result: Result, levels: tuple[StackMean, ...]
 ) -> tuple[Observation, ...]:
     """Return the observations in the order MTF, noise, halo, stack means.
 
@@ -355,7 +355,7 @@ def tube_observations(
     return (*observations, *frames)
 
 
-def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
+def _fixed_patterns(sensor: Camera, result: Result) -> list[Observation]:
     """Observe the relative variance of the fixed pattern; the lines of the multi-fibres are a
     systematic error.
     """
@@ -376,7 +376,7 @@ def _fixed_patterns(sensor: Sensor, result: Result) -> list[Observation]:
     return observations
 
 
-def _levels(levels: tuple[StackMean, ...], sensor: Sensor) -> Observation:
+def _levels(levels: tuple[StackMean, ...], sensor: Camera) -> Observation:
     """Observe stack means: black level plus gain times photoelectrons; the clamp removes dark
     charge.
     """

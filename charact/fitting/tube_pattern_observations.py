@@ -17,14 +17,14 @@ from charact.fitting.tube_time_observations import (
     frames_of,
     time_observations,
 )
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
 PRNU = "ccd.prnu"
 
 
 def frame_observations(
-    sensor: Sensor, levels: tuple[StackMean, ...], ions: IonEvents | None
+    sensor: Camera, levels: tuple[StackMean, ...], ions: IonEvents | None
 ) -> list[Observation]:
     """Return what the frames of darks and flats show in time and space, each only where it
     shows.
@@ -36,7 +36,7 @@ def frame_observations(
     ]
 
 
-def pattern_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Observation]:
+def pattern_observations(sensor: Camera, levels: tuple[StackMean, ...]) -> list[Observation]:
     """Return the observation of the PRNU in the brightest flats, or none where their noise hides
     it.
     """

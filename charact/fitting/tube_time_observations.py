@@ -15,7 +15,7 @@ from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import rounds_its_darks, values_of_description
 from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import FRAMES
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Fields:
         return len(self.deviation), self.gate_s, self.mcp_v
 
 
-def frames_of(level: StackMean, sensor: Sensor) -> NDArray[np.float32] | None:
+def frames_of(level: StackMean, sensor: Camera) -> NDArray[np.float32] | None:
     """Return the middle of a stack's successive frames, DN, or None of too few, or of frames that
     were lost.
     """
@@ -69,7 +69,7 @@ def frames_of(level: StackMean, sensor: Sensor) -> NDArray[np.float32] | None:
     ].astype(np.float32)
 
 
-def fields_of(level: StackMean, sensor: Sensor, black_dn: float) -> Fields | None:
+def fields_of(level: StackMean, sensor: Camera, black_dn: float) -> Fields | None:
     """Return the deviations of a stack's successive frames, or None where `frames_of` has none."""
     data = frames_of(level, sensor)
     if data is None:
@@ -88,7 +88,7 @@ def fields_of(level: StackMean, sensor: Sensor, black_dn: float) -> Fields | Non
     )
 
 
-def time_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Observation]:
+def time_observations(sensor: Camera, levels: tuple[StackMean, ...]) -> list[Observation]:
     """Return the observations of image lag and line noise; a session whose flats cannot show one
     has none of it.
     """
@@ -117,7 +117,7 @@ def time_observations(sensor: Sensor, levels: tuple[StackMean, ...]) -> list[Obs
     ]
 
 
-def depends_on(observed: Observation, sensor: Sensor, paths: tuple[str, ...]) -> bool:
+def depends_on(observed: Observation, sensor: Camera, paths: tuple[str, ...]) -> bool:
     """Whether any of the parameters moves a prediction by a standard error or more over its prior
     range.
     """
@@ -138,7 +138,7 @@ def depends_on(observed: Observation, sensor: Sensor, paths: tuple[str, ...]) ->
     return max(shifted, default=0.0) > 1.0
 
 
-def _lag(flats: list[Fields], sensor: Sensor) -> Observation:
+def _lag(flats: list[Fields], sensor: Camera) -> Observation:
     """Observe the mean correlations of flats of one setting: they hardly depend on the signal."""
     measured = [measure_correlations(fields) for fields in flats]
     value = np.mean([correlations for correlations, _ in measured], axis=0)
@@ -466,7 +466,7 @@ _analog_power = _LastCall(_power_of, (*_POWER, "video.bandwidth_mhz"))
 _weights = _LastCall(_video_weights, ("video.bandwidth_mhz",))
 
 
-def _line_noise(sensor: Sensor, levels: list[StackMean], black_dn: float) -> list[Observation]:
+def _line_noise(sensor: Camera, levels: list[StackMean], black_dn: float) -> list[Observation]:
     """Observe the variance of an offset common to a line, from all stacks with enough noise
     together.
     """

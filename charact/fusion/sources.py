@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +17,16 @@ from charact.fusion.geometry import CameraGeometry
 from charact.fusion.noise_law import NoiseLaw, measure_noise
 from charact.fusion.thresholds import FUSION
 from labdata import result_io
+from labdata.camera.description import Camera, has_tube, is_thermal
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers import read_frames
-from labdata.infrared_imager import InfraredImager
 from labdata.measurement import Result
-from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.session import MANIFEST, Session, StackEntry, open_session
 
 Described = tuple[NoiseLaw, PosteriorPsf]
-Describe = Callable[[Sensor, float], Described]
+Describe = Callable[[Camera, float], Described]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +41,7 @@ class Source:
 
     name: str
     stack: FrameStack
-    sensor: Sensor | None = None
-    imager: InfraredImager | None = None
+    camera: Camera | None = None
     described: Described | None = None
     session: Session | None = None
     entry: StackEntry | None = None
@@ -63,8 +60,8 @@ class Source:
             dark = self.session.dark_like(self.entry.conditions)
             if dark is not None:
                 return float(dark.read().mean_dn), ()
-        if self.sensor is not None:
-            return float(self.sensor.video.black_level_dn), ()
+        if has_tube(self.camera):
+            return float(self.camera.video.black_level_dn), ()
         return float(np.percentile(self.stack.data[0], 0.1)), ("no-darks",)
 
     @cached_property
@@ -72,7 +69,7 @@ class Source:
         """Noise law of a frame, DN, measured from the differences of the frames; None of too
         few.
         """
-        of_light = self.imager is None
+        of_light = not is_thermal(self.camera)
         return measure_noise(self.stack, self.black[0] if of_light else 0.0, of_light=of_light)
 
     @cached_property
@@ -116,8 +113,7 @@ def read_source(
     given: str,
     name: str,
     *,
-    sensor: Sensor | None = None,
-    imager: InfraredImager | None = None,
+    camera: Camera | None = None,
     mcp_v: float | None = None,
     black_dn: float | None = None,
     describe: Describe | None = None,
@@ -125,7 +121,7 @@ def read_source(
     """Read a picture, or SESSION#LABEL with all that the session states of the camera of that
     stack.
 
-    `sensor`, `imager`: description of the camera, instead of the session's; `mcp_v`: MCP voltage,
+    `camera`: its description, instead of the session's; `mcp_v`: MCP voltage,
     V, instead of the session's; `describe`: noise law and point spread function of a description at
     a voltage, such as `charact.fitting.described_camera.describe_camera`; None: descriptions state
     neither.
@@ -136,30 +132,26 @@ def read_source(
         session = open_session(path)
         entry = session.stack(label)
         stack, result = entry.read(), result_io.load(session.folder)
-        own: Any = None if entry.sensor is None else load_camera(entry.sensor, session.folder)
-        own = own or session.imager or session.sensor
-        if own is not None and own.is_thermal:
-            imager = imager or own
-        elif imager is None and hasattr(own, "tube"):
-            sensor = sensor or own
+        stated = session.camera
+        if entry.sensor is not None:
+            stated = load_camera(entry.sensor, session.folder)
+        if has_tube(stated) or is_thermal(stated):
+            camera = camera or stated
     else:
         _require_no_palette(Path(given))
         stack = read_frames(given)
     notes = list(stack.notes)
     described = None
-    if imager is not None:
-        sensor = None
-    elif sensor is not None:
+    if has_tube(camera):
         volts = mcp_v or (None if entry is None else entry.conditions.mcp_v)
         if volts is None:
-            volts = float(sensor.microchannel_plate.reference_v)
+            volts = float(camera.microchannel_plate.reference_v)
             notes.append(f"{name}: MCP voltage unknown, {volts:g} V assumed (--mcp-v)")
-        described = None if describe is None else describe(sensor, volts)
+        described = None if describe is None else describe(camera, volts)
     source = Source(
         name=name,
         stack=stack,
-        sensor=sensor,
-        imager=imager,
+        camera=camera,
         described=described,
         session=session,
         entry=entry,
@@ -197,14 +189,14 @@ def _geometry(source: Source) -> tuple[CameraGeometry | None, tuple[str, ...]]:
     """Return pose, lens and range of a simulated session's truth, else the lens of a description,
     and notes.
     """
-    name, shape, camera = source.name, source.stack.shape[1:], source.sensor or source.imager
+    name, shape, camera = source.name, source.stack.shape[1:], source.camera
     truth = source.truth_files.get(0)
     found = None if truth is None else _read_geometry(truth)
     if found is not None and found.shape == shape:
         return found, ()
     if camera is None:
         return None, (f"{name}: lens unknown without a description of the camera",)
-    if isinstance(camera, InfraredImager):
+    if camera.is_thermal:
         if camera.shape != shape or camera.array is None:
             return None, (
                 f"{name}: {camera.name} describes no lens of a frame of {shape[0]} x {shape[1]} px",
@@ -259,7 +251,7 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
         if frame is None
         else np.asarray(stack.data[frame], np.float64)
     )
-    if source.imager is not None:
+    if is_thermal(source.camera):
         kelvin, law = _thermal_scale(source, frames)
         return Band(name=name, image=image * kelvin, noise=law, notes=tuple(notes))
     black, flags = source.black
@@ -305,8 +297,8 @@ def _thermal_scale(source: Source, frames: int) -> tuple[float, NoiseLaw]:
 
     The fixed pattern of pixels, columns and rows is the same in all frames.
     """
-    imager = source.imager
-    assert imager is not None
+    imager = source.camera
+    assert is_thermal(imager)
     video, array = imager.video, imager.bolometer
     full = source.stack.full_scale_dn or 2.0**video.bit_depth - 1.0
     kelvin = 1.0 if video.span_k is None else float(video.span_k) / full
@@ -337,7 +329,7 @@ def _bloom(
     """Return the bloom map of a frame from the measured point spread function, else from the
     described one.
     """
-    sensor, rng = source.sensor, np.random.default_rng(seed)
+    sensor, rng = source.camera, np.random.default_rng(seed)
     assert sensor is not None and source.described is not None
     ratio = float(sensor.ccd.pitch_y_um) / float(sensor.ccd.pitch_x_um)
     try:

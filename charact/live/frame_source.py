@@ -15,7 +15,6 @@ from drivers.interface import Camera
 from labdata.capture import CameraSettings, Frame
 from labdata.conditions import Conditions, conditions_of
 from labdata.errors import BadInput
-from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.serialiser import from_toml
 from labdata.session import MANIFEST, SessionFile, StackRecord
@@ -123,7 +122,7 @@ class SessionSource:
         self._bit_depth = self._form.bit_depth
         self.context = Context(
             quick=True,
-            sensor=camera if isinstance(camera, Sensor) else None,
+            camera=camera,
             interlaced=bool(self._form.interlaced),
             full_scale_dn=None if self._bit_depth is None else float(2**self._bit_depth - 1),
         )

@@ -17,10 +17,8 @@ from labdata.errors import BadInput
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-    from labdata.infrared_imager import InfraredImager
+    from labdata.camera.description import Camera
     from labdata.measurement import Measurement, Result
-    from labdata.sensor import Sensor
-    from labdata.solid_state import Register
 
 Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
 
@@ -186,7 +184,7 @@ class Context:
     quick
         No Markov chain: intervals from the Laplace approximation or importance sampling.
     sensor
-        Sensor description, for pixel pitches and priors; None if unknown.
+        Camera description, for pixel pitches and priors; None if unknown.
     register
         Electron-multiplying register of a camera without a tube; None if absent or unknown.
     imager
@@ -207,9 +205,7 @@ class Context:
 
     seed: int = 0
     quick: bool = False
-    sensor: "Sensor | None" = None
-    register: "Register | None" = None
-    imager: "InfraredImager | None" = None
+    camera: "Camera | None" = None
     interlaced: bool = False
     linear: bool = False
     full_scale_dn: float | None = None
@@ -218,13 +214,8 @@ class Context:
 
     @property
     def pitch_ratio(self) -> float:
-        """Row pitch over column pitch; 1 if the sensor is unknown."""
-        if self.imager is not None:
-            row, col = self.imager.pitch_mrad
-            return row / col
-        if self.sensor is None:
-            return 1.0
-        return float(self.sensor.ccd.pitch_y_um) / float(self.sensor.ccd.pitch_x_um)
+        """Row pitch over column pitch; 1 if the camera is unknown."""
+        return 1.0 if self.camera is None else self.camera.pitch_ratio
 
 
 @dataclass(frozen=True, kw_only=True)

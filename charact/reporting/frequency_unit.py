@@ -4,12 +4,10 @@ import math
 from dataclasses import dataclass
 
 from charact.estimators.infrared.scan_directions import DIRECTIONS
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
-from labdata.infrared_imager import InfraredImager
 from labdata.measurement import Measurement
 from labdata.quantity import ARCMIN_MRAD, FREQUENCY_UNITS, convert_frequency
-from labdata.sensor import Sensor
-from labdata.solid_state import SolidStateCamera
 
 # Lengths that a unit needs.
 NEEDS: dict[str, tuple[str, ...]] = {
@@ -69,7 +67,7 @@ class FrequencyUnit:
     @classmethod
     def of(
         cls,
-        sensor: Sensor | SolidStateCamera | InfraredImager | None,
+        sensor: Camera | None,
         *,
         unit: str,
         rows: int | None = None,
@@ -82,7 +80,7 @@ class FrequencyUnit:
         `sample_pitch_px` pixels apart.
         """
         pitch_y_um = pitch_um
-        if isinstance(sensor, InfraredImager):
+        if sensor is not None and sensor.is_thermal:
             array, lens_mm = sensor.array, sensor.optics.focal_length_mm
             pitch_um = float(array.pitch_um) if pitch_um is None and array is not None else pitch_um
             return cls(
@@ -99,7 +97,7 @@ class FrequencyUnit:
         if sensor is not None:
             if pitch_um is None:
                 pitch_um, pitch_y_um = float(sensor.ccd.pitch_x_um), float(sensor.ccd.pitch_y_um)
-            if demagnification is None and isinstance(sensor, Sensor):
+            if demagnification is None and sensor.has_tube:
                 demagnification = float(sensor.taper.demagnification) / float(
                     sensor.tube.magnification
                 )

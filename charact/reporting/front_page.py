@@ -17,6 +17,7 @@ from charact.reporting.number_format import (
     quantity_title,
     round_to_spread,
 )
+from labdata.camera.description import has_tube
 from labdata.flags import FLAGS
 from labdata.measurement import Measurement, Result
 from labdata.session import Session
@@ -93,7 +94,7 @@ def is_tube(session: Session, result: Result) -> bool:
     """Return whether the data sheet is that of an image intensifier: it is described, or its noise
     is correlated.
     """
-    if session.sensor is not None:
+    if has_tube(session.camera):
         return True
     gains = [
         m
@@ -165,9 +166,10 @@ def _short_title(m: Measurement) -> str:
 
 
 def _unit(session: Session) -> FrequencyUnit:
-    return FrequencyUnit.of(
-        session.sensor, unit="cy/px" if session.sensor is None else "lp/mm-cathode"
-    )
+    camera = session.camera
+    if has_tube(camera):
+        return FrequencyUnit.of(camera, unit="lp/mm-cathode")
+    return FrequencyUnit(unit="cy/px")
 
 
 def _value(m: Measurement, unit: FrequencyUnit) -> str:

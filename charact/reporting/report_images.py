@@ -8,6 +8,7 @@ from io import BytesIO
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement
 from labdata.session import Session, StackEntry
@@ -162,9 +163,7 @@ def bright_region(mean: NDArray) -> tuple[int, int, int, int]:
 
 def aspect_of(session: Session) -> float:
     """Return row pitch over column pitch; 1 without sensor description."""
-    if session.sensor is None:
-        return 1.0
-    return float(session.sensor.ccd.pitch_y_um) / float(session.sensor.ccd.pitch_x_um)
+    return session.camera.pitch_ratio if has_tube(session.camera) else 1.0
 
 
 def _boxes(entry: StackEntry, measurements: Sequence[Measurement]) -> tuple[Box, ...]:

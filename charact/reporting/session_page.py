@@ -13,6 +13,7 @@ from charact.reporting.emva_sheet import emva_summary
 from charact.reporting.report_images import aspect_of, representative
 from charact.reporting.style import PAPER_INK, report_style
 from charact.reporting.truth import Truth, compare_with_truth
+from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
 from labdata.flags import FLAGS
@@ -105,8 +106,8 @@ def page(
         validation=section,
         posteriors=posteriors(result),
         stacks=tables.stack_table(session),
-        sensor_rows=tables.sensor_rows(session.sensor) if session.sensor else (),
-        sensor_facts=tables.sensor_facts(session.sensor) if session.sensor else (),
+        sensor_rows=tables.sensor_rows(session.camera) if has_tube(session.camera) else (),
+        sensor_facts=tables.sensor_facts(session.camera) if has_tube(session.camera) else (),
         overridden=[note for note in session.notes if note.startswith(OVERRIDDEN)],
         left_out=list(
             dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN))

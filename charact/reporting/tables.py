@@ -19,11 +19,11 @@ from charact.reporting.number_format import (
     short_text,
     value_text,
 )
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
 from labdata.measurement import Measurement, Result
 from labdata.quantity import QUANTITIES
-from labdata.sensor import Sensor
 from labdata.session import Session
 from labdata.target import Target
 
@@ -197,7 +197,7 @@ def _condition(got: Conditions, set_points: Conditions | None, name: str) -> str
     return text if wanted is None or wanted == value else f"{text} (requested {short_text(wanted)})"
 
 
-def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:
+def sensor_rows(sensor: Camera) -> list[dict[str, str]]:
     """Return every sensor parameter with 95 % bounds, basis and source."""
     rows = []
     for path, p in sensor.parameters().items():
@@ -219,7 +219,7 @@ def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:
     return rows
 
 
-def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
+def sensor_facts(sensor: Camera) -> list[tuple[str, str]]:
     """Return the sensor attributes other than parameters: materials, size and video."""
     facts = []
     for stage in fields(sensor):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.validation.frames import MatchedStacks, VisibleCamera
+from charact.validation.frames import Camera, MatchedStacks
 
 Frames = NDArray[np.floating]
 
@@ -58,8 +58,8 @@ PARAMETERS = (
 
 
 def change_parameter(
-    camera: VisibleCamera, control: ParameterControl, change: float
-) -> tuple[VisibleCamera, float] | None:
+    camera: Camera, control: ParameterControl, change: float
+) -> tuple[Camera, float] | None:
     """Return a camera with one parameter larger by a relative change, and the change; None without
     the parameter.
 

@@ -9,18 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.validation.thresholds import VALIDATION
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.infrared_imager import InfraredImager
-from labdata.sensor import Sensor
 from labdata.session import Kind, Session, StackEntry
-from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
 
 if TYPE_CHECKING:
     from simulate.lab import LabBench
 
-VisibleCamera = Sensor | SolidStateCamera
 
 # Size of a centred crop: sufficient for every statistic, and fast to simulate.
 SHAPE = (240, 320)
@@ -122,10 +119,10 @@ def choose(session: Session) -> MatchedStacks:
     )
 
 
-def camera_of(session: Session) -> VisibleCamera:
+def camera_of(session: Session) -> Camera:
     """Return the session's camera; BadInput unless it is described and sees visible light."""
     camera = session.camera
-    if camera is None or isinstance(camera, InfraredImager):
+    if camera is None or camera.is_thermal:
         raise BadInput(
             f"a validation needs a session of a described camera of visible light, got "
             f"{'none' if camera is None else camera.name} in {session.name!r}"
@@ -134,11 +131,11 @@ def camera_of(session: Session) -> VisibleCamera:
 
 
 def simulate_frames(
-    camera: VisibleCamera,
+    camera: Camera,
     shots: tuple[MatchedFrames, ...],
     *,
     seed: int,
-    like: VisibleCamera | None = None,
+    like: Camera | None = None,
 ) -> dict[str, NDArray]:
     """Simulate frames of a camera under the stacks' conditions by label, shape (frame, row, col),
     DN.
@@ -150,7 +147,7 @@ def simulate_frames(
 
     camera = _slow_enough(camera, shots)
 
-    def bench_of(specimen: VisibleCamera, shape: tuple[int, int], **more: Any) -> LabBench:
+    def bench_of(specimen: Camera, shape: tuple[int, int], **more: Any) -> LabBench:
         return LabBench(
             replace(specimen, ccd=replace(specimen.ccd, rows=shape[0], columns=shape[1])), **more
         )
@@ -164,13 +161,13 @@ def simulate_frames(
     return out
 
 
-def _slow_enough(camera: VisibleCamera, shots: tuple[MatchedFrames, ...]) -> VisibleCamera:
+def _slow_enough(camera: Camera, shots: tuple[MatchedFrames, ...]) -> Camera:
     """Return the camera with frames as long as the exposures: without a tube nothing else depends
     on their rate.
     """
     longest_s = max((shot.conditions.exposure_s or 0.0 for shot in shots), default=0.0)
     rate = camera.video.field_rate_hz
-    if isinstance(camera, Sensor) or longest_s * float(rate) <= 1.0:
+    if camera.has_tube or longest_s * float(rate) <= 1.0:
         return camera
     return camera.with_parameters(
         {"video.field_rate_hz": replace(rate, value=1.0 / longest_s, low=None, high=None)}
@@ -183,7 +180,7 @@ def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
     Of a plane of a mosaic the light is that of pixels `pitch_px` apart, read as the rows and
     columns of the plane.
     """
-    from simulate.iiccd.chain import Slot
+    from simulate.camera.chain import Slot
 
     pitch_px, target, conditions = shot.pitch_px, replace(shot.target, region=None), shot.conditions
     if pitch_px == 1:

@@ -22,13 +22,13 @@ from charact.validation.frame_features import FrameFeatures, Numbers, features_o
 from charact.validation.frames import (
     MatchedFrames,
     MatchedStacks,
-    VisibleCamera,
     choose,
     simulate_frames,
 )
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
 from charact.validation.validation_test import ParameterChange, ValidationTest
+from labdata.camera.description import Camera
 from labdata.session import Session
 
 Frames = Mapping[str, NDArray]
@@ -41,7 +41,7 @@ NO_DRAWS = "the camera has no posterior draws: simulated at its values"
 
 def validate(
     session: Session,
-    sensor: VisibleCamera,
+    sensor: Camera,
     *,
     seed: int = 0,
     progress: Progress = lambda sentence, fraction: None,
@@ -128,7 +128,7 @@ class _Bench:
         self,
         session: Session,
         chosen: MatchedStacks,
-        sensor: VisibleCamera,
+        sensor: Camera,
         *,
         seed: int,
         steps: int,
@@ -138,7 +138,7 @@ class _Bench:
         self.context = Context(
             seed=seed,
             quick=True,
-            sensor=session.sensor,
+            camera=session.camera,
             interlaced=session.is_interlaced,
             full_scale_dn=full,
         )
@@ -147,7 +147,7 @@ class _Bench:
         self.chosen, self._sensor = chosen, sensor
         self._progress, self._steps, self._done = progress, steps, 0
 
-    def draw_camera(self) -> VisibleCamera:
+    def draw_camera(self) -> Camera:
         """Return the camera of one posterior draw; a name of its own gives it fixed patterns of its
         own.
         """
@@ -159,7 +159,7 @@ class _Bench:
         return int(self.rng.integers(2**31))
 
     def simulate(
-        self, camera: VisibleCamera, seed: int, further: tuple[MatchedFrames, ...] = ()
+        self, camera: Camera, seed: int, further: tuple[MatchedFrames, ...] = ()
     ) -> Frames:
         """Return a simulated set of frames by label; `further` are stacks besides the compared
         ones.
@@ -206,7 +206,7 @@ class _Bench:
 class _SimulatedSets:
     """Numbers and curves of the simulated sets; of the first set its camera, seed and frames."""
 
-    base: VisibleCamera
+    base: Camera
     base_seed: int
     first: Frames
     features: tuple[FrameFeatures, ...]

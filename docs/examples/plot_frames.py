@@ -14,7 +14,7 @@ from matplotlib import pyplot as plt
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
 )

@@ -15,6 +15,7 @@ from drivers.acquisition.run import Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
 from drivers.interface import Bench, Camera, Operator
 from labdata.background import BackgroundWriter
+from labdata.camera.description import Camera as Description
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
@@ -22,7 +23,6 @@ from labdata.file_io import write_atomically
 from labdata.limits import limits_in_force
 from labdata.plan import Judge, Plan, gain_table_of, in_volts
 from labdata.plan_file import plan_toml, read_plan
-from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor, sensor_names
 from labdata.session import MANIFEST, Session, open_session
 from labdata.session_writer import SessionWriter
@@ -159,7 +159,7 @@ def _safe_first(bench: Bench) -> Iterator[None]:
     bench.safe()
 
 
-def _bit_depth(sensor: Sensor | None, settings: CameraSettings) -> int:
+def _bit_depth(sensor: Description | None, settings: CameraSettings) -> int:
     """Return the bits of the digitiser from the sensor description, else from the camera's
     format.
     """
@@ -186,7 +186,7 @@ def _keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
 
 
 def _session_writer(
-    plan: Plan, folder: Path, sensor: Sensor | None, settings: CameraSettings
+    plan: Plan, folder: Path, sensor: Description | None, settings: CameraSettings
 ) -> SessionWriter:
     """Begin the session in a folder, or continue the existing one."""
     if (folder / MANIFEST).exists():
@@ -211,7 +211,7 @@ def _session_writer(
     )
 
 
-def _sensor_name(plan: Plan, folder: Path, sensor: Sensor | None) -> str | None:
+def _sensor_name(plan: Plan, folder: Path, sensor: Description | None) -> str | None:
     """Return the session's name of its sensor: a shipped one by name, any other as a copy in the
     session.
     """

@@ -9,12 +9,12 @@ from drivers.bench.interlock import Interlock
 from drivers.bench.setup import FIELD_RATE_HZ
 from drivers.bench.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
 from labdata.calibration import GainTable, LampCalibration
+from labdata.camera.description import Camera
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.errors import BadInput
 from labdata.gating import Gating, out_of_step
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step, gain_table_of
-from labdata.sensor import Sensor
 from labdata.tube_dose import Dose, dose_of, total_dose
 
 _NEEDED = {
@@ -38,7 +38,7 @@ _SET_BY_NOBODY = (
 )
 
 
-def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
+def check_plan(plan: Plan, folder: Path, sensor: Camera | None) -> None:
     """Check a plan completely; the first broken rule is BadInput.
 
     Rules: a command that the interlock refuses, a limit above the tube's, a label that is no file
@@ -55,12 +55,12 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     _check_disk(plan, folder, sensor)
 
 
-def field_hz(sensor: Sensor | None) -> float:
+def field_hz(sensor: Camera | None) -> float:
     """Return the field rate of the camera, Hz, or of 525-line video if unknown."""
     return float(sensor.video.field_rate_hz) if sensor else FIELD_RATE_HZ
 
 
-def picture_of(plan: Plan, sensor: Sensor | None) -> CameraSettings:
+def picture_of(plan: Plan, sensor: Camera | None) -> CameraSettings:
     """Return the frame format of a plan, by default the full sensor at its bit depth."""
     full_frame = CameraSettings()
     if sensor is not None:
@@ -75,7 +75,7 @@ def picture_of(plan: Plan, sensor: Sensor | None) -> CameraSettings:
     )
 
 
-def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
+def bytes_of(plan: Plan, sensor: Camera | None) -> int:
     """Return the bytes of the frames of a plan; 0 where neither plan nor sensor states the frame
     size.
     """
@@ -103,7 +103,7 @@ def same_but_wires(plan: Plan, other: Plan) -> str | None:
     return "steps"
 
 
-def _check_step(step: Step, sensor: Sensor | None) -> None:
+def _check_step(step: Step, sensor: Camera | None) -> None:
     if not step.label or step.label.startswith(".") or set(step.label) & set("/\\\0"):
         raise BadInput(
             f"a step's label must be a file name without slashes or a leading dot, got "
@@ -182,7 +182,7 @@ def _check_phase(step: Step, gating: Gating, field_hz: float) -> None:
         )
 
 
-def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
+def _check_picture(plan: Plan, sensor: Camera | None) -> None:
     """Require a frame format that lies within the sensor, keeps the field order and has all its
     bits.
     """
@@ -212,7 +212,7 @@ def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
         )
 
 
-def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
+def _check_disk(plan: Plan, folder: Path, sensor: Camera | None) -> None:
     existing_folder = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     free, needed = shutil.disk_usage(existing_folder).free, bytes_of(plan, sensor) + (64 << 20)
     if free < needed:
@@ -263,7 +263,7 @@ class Forecast:
         return max(self.steps, key=lambda step: step.share_of_limit)
 
 
-def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
+def forecast(plan: Plan, sensor: Camera | None) -> Forecast:
     """Return the forecast of a plan in volts that was checked by `check_plan`."""
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     befores = (None, *plan.steps[:-1])
@@ -280,7 +280,7 @@ def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
     )
 
 
-def sentences_out_of_step(plan: Plan, sensor: Sensor | None) -> tuple[str, ...]:
+def sentences_out_of_step(plan: Plan, sensor: Camera | None) -> tuple[str, ...]:
     """Return one sentence for each pair of gate and exposure that is not synchronous with the
     fields.
     """
@@ -295,7 +295,7 @@ def sentences_out_of_step(plan: Plan, sensor: Sensor | None) -> tuple[str, ...]:
 
 
 def _step(
-    plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, limits: LimitsInForce
+    plan: Plan, step: Step, before: Step | None, sensor: Camera | None, limits: LimitsInForce
 ) -> StepForecast:
     asked, point = step.brightest.conditions, step.kind == "point"
     settle_s = plan.settle.wait_s(None if before is None else before.conditions, step.conditions)
@@ -331,7 +331,7 @@ def _gain_moves_s(before: Step | None, step: Step, limits: LimitsInForce) -> flo
     return 0.5 + (change_v / limits.ramp_v_per_s if change_v > 0.0 else -change_v / 300.0)
 
 
-def _frame_s(step: Step, sensor: Sensor | None) -> float:
+def _frame_s(step: Step, sensor: Camera | None) -> float:
     """Return the frame period, s: two fields of interlaced video, else one exposure."""
     if sensor is None:
         period_s = 1.0 / FRAMES_PER_S

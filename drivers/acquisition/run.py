@@ -13,12 +13,12 @@ from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError, CameraError
 from drivers.interface import Bench, Camera, FrameLevels, Operator
+from labdata.camera.description import Camera as Description
 from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
 from labdata.plan import Judge, Plan, SaturationSearch, Step, Watcher, by_calibration, gain_table_of
-from labdata.sensor import Sensor
 from labdata.session import open_session
 from labdata.session_writer import SessionWriter
 from labdata.storage_thread import Storage, StoredStack
@@ -48,7 +48,7 @@ class Run:
     """
 
     plan: Plan
-    sensor: Sensor | None
+    sensor: Description | None
     folder: Path
     writer: SessionWriter
     storage: Storage

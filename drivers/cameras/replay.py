@@ -12,7 +12,8 @@ from drivers.cameras.frame_assembly import POLL_S, FrameCapture
 from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.errors import BadInput
-from labdata.lazy_stack import LazyStack, open_lazy_stack
+from labdata.frames import LazyStack
+from labdata.lazy_stack import open_lazy_stack
 from labdata.session import Session, StackEntry, open_session
 
 RATE_WITHOUT_STAMPS_HZ = 30.0

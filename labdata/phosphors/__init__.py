@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from labdata.camera.tube import Phosphor
 from labdata.file_io import names_of_shipped, path_of_shipped
-from labdata.sensor import Phosphor
 from labdata.serialiser import from_toml
 
 

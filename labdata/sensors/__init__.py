@@ -1,16 +1,12 @@
 """Sensor descriptions: the shipped ones by name, others by path."""
 
-import tomllib
 from pathlib import Path
 
+from labdata.camera.description import Camera
+from labdata.camera.files import camera_from_mapping
 from labdata.errors import BadInput
 from labdata.file_io import names_of_shipped, path_of_shipped, write_atomically
-from labdata.infrared_imager import KINDS, InfraredImager
-from labdata.sensor import Sensor
-from labdata.serialiser import from_toml, to_toml
-from labdata.solid_state import SolidStateCamera
-
-Camera = Sensor | SolidStateCamera | InfraredImager
+from labdata.serialiser import read_toml, to_toml
 
 
 def sensor_names() -> tuple[str, ...]:
@@ -18,12 +14,12 @@ def sensor_names() -> tuple[str, ...]:
     return names_of_shipped("sensors")
 
 
-def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None) -> Sensor:
+def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None) -> Camera:
     """Read the description of an intensified camera, as `load_camera`; one without a tube is
     BadInput.
     """
     camera = load_camera(name_or_path, relative_to)
-    if not isinstance(camera, Sensor):
+    if not camera.has_tube:
         raise BadInput(
             f"a sensor must be an intensified camera, got {camera.name!r}, which has no [tube]"
         )
@@ -35,18 +31,7 @@ def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None)
     is.
     """
     path = path_of_shipped("sensors", name_or_path, relative_to)
-    return from_toml(path, _type_of(path))
-
-
-def _type_of(path: Path) -> type[Camera]:
-    """Return the type that a file describes; the serialiser refuses what is not TOML."""
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return Sensor
-    if "tube" not in tables and not tables.keys().isdisjoint(KINDS):
-        return InfraredImager
-    return SolidStateCamera if "silicon" in tables and "tube" not in tables else Sensor
+    return camera_from_mapping(read_toml(path), path.name)
 
 
 def save_sensor(camera: Camera, path: str | Path) -> None:

@@ -12,7 +12,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping, read_toml
 from simulate.radiance.geometry.viewpoint import Viewpoint

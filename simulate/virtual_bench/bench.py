@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Self
 
 from labdata.calibration import LampCalibration
+from labdata.camera.description import Camera
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
-from labdata.sensor import Sensor
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.faults import Faults, inject_faults
@@ -59,7 +59,7 @@ class VirtualBench:
     def __init__(
         self,
         folder: str | Path,
-        sensor: Sensor,
+        sensor: Camera,
         seed: int,
         *,
         wires: InstrumentConfig | None = None,

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from labdata.calibration import LampCalibration
-from labdata.camera_description import Parameter
+from labdata.camera.description import Camera
+from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput
-from labdata.sensor import Sensor
+from labdata.sensors import load_sensor
 from labdata.serialiser import from_toml, to_toml
 from simulate.virtual_bench.outputs import METER_RELATIVE_SD, Outputs, TargetPlacement, replace_file
 
@@ -40,7 +41,7 @@ VARIED = (
 )
 
 
-def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
+def draw_true_sensor(sensor: Camera, seed: int) -> Camera:
     """Draw a device within the ranges of a description: the parameters of `VARIED`, exact; `seed`
     names the device.
 
@@ -82,7 +83,7 @@ _LAMP = "lamp.toml"
 class BenchTruth:
     """True state of the virtual bench."""
 
-    sensor: Sensor  #: The device, every parameter exact
+    sensor: Camera  #: The device, every parameter exact
     seed: int  #: Seed of the device and of every frame
     light_per_reading: float  #: True illuminance over the meter's reading, dimensionless
     #: What the lamp of the bench truly makes of its currents; None: there is none
@@ -109,7 +110,7 @@ class BenchTruth:
 
 
 def load_or_draw_truth(
-    folder: Path, sensor: Sensor, seed: int, lamp: LampCalibration | None = None
+    folder: Path, sensor: Camera, seed: int, lamp: LampCalibration | None = None
 ) -> BenchTruth:
     """Draw a device, its meter and its lamp into a folder, or load them; another seed or sensor is
     BadInput.
@@ -140,7 +141,7 @@ def read_truth(folder: Path) -> BenchTruth:
     """Read the truth kept in a folder."""
     values = json.loads((folder / "truth.json").read_text())
     return BenchTruth(
-        sensor=from_toml(folder / "sensor.toml", Sensor),
+        sensor=load_sensor(folder / "sensor.toml"),
         seed=values["seed"],
         light_per_reading=values["light_per_reading"],
         lamp=from_toml(folder / _LAMP, LampCalibration) if (folder / _LAMP).exists() else None,

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.gating import IN_STEP, fields_open_ns, whole_field_s
-from labdata.sensor import Sensor
 from labdata.target import Kind, Target
-from simulate.iiccd.fast_sampler.frame_generator import SEGMENT_FRAMES
+from simulate.camera.fast_sampler.frame_generator import SEGMENT_FRAMES
 from simulate.lab import LabBench
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement
 from simulate.virtual_bench.true_sensor import TRUTH, read_truth
@@ -108,7 +108,7 @@ class VirtualTube:
         self._lights: dict[float, Iterator[NDArray]] = {}
 
     @property
-    def sensor(self) -> Sensor:
+    def sensor(self) -> Camera:
         """The device."""
         return self._truth.sensor
 

@@ -9,7 +9,7 @@ import pytest
 from charact.estimators import noise
 from charact.session_measurement import method_context
 from labdata import open_session
-from labdata.solid_state import excess_noise_factor
+from labdata.camera.chip import excess_noise_factor
 from tests.charact.estimators.noise.scenes import one
 
 ROOT = Path(__file__).parents[2]

@@ -17,13 +17,13 @@ from tests.truth.sessions import InMemoryStack
 
 @pytest.fixture
 def context() -> Context:
-    return Context(sensor=load_sensor("pulnix-ag5745ef3"))
+    return Context(camera=load_sensor("pulnix-ag5745ef3"))
 
 
 def test_a_halo_of_four_gaps_sets_the_gap(context: Context) -> None:
     halo = measurement_from_sd("halo_diameter", "px", 48.0, 0.1, method="series-forward")
-    gap = _with_measured_gap(context, Result(measurements=(halo,))).sensor.photocathode.gap_mm
-    mm_per_px = 11.0e-3 * float(context.sensor.taper.demagnification)
+    gap = _with_measured_gap(context, Result(measurements=(halo,))).camera.photocathode.gap_mm
+    mm_per_px = 11.0e-3 * float(context.camera.taper.demagnification)
     assert gap.value == pytest.approx(48.0 * mm_per_px / 4.0, rel=1e-12)
     assert gap.high - gap.low == pytest.approx(2 * 1.959964 * 0.1 * mm_per_px / 4.0, rel=1e-5)
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdata import BadInput, Conditions, FrameStack, Measurement, Posterior, Result, Target
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 from labdata.flags import FLAGS, Finding, order_flags
 from labdata.limits import Limits
 from labdata.measurement import (

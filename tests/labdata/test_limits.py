@@ -6,12 +6,13 @@ from dataclasses import fields
 
 import pytest
 
-from labdata import BadInput, Sensor, load_sensor
-from labdata.limits import LIMITS, Limits, Override, TubeLimits, limits_in_force
+from labdata import BadInput, load_sensor
+from labdata.camera.tube import TubeLimits
+from labdata.limits import LIMITS, Limits, Override, limits_in_force
 from labdata.sensors import load_camera, sensor_names
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
-TUBES = [name for name in sensor_names() if isinstance(load_camera(name), Sensor)]
+TUBES = [name for name in sensor_names() if load_camera(name).has_tube]
 
 
 def test_the_tighter_of_plan_and_tube_holds():

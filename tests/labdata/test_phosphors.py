@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from labdata import BadInput, Sensor, load_sensor
+from labdata import BadInput, Camera, load_sensor
+from labdata.camera.parameters import Draws
+from labdata.camera.tube import Phosphor
 from labdata.phosphors import load_phosphor, phosphor_names
-from labdata.sensor import Draws, Phosphor
 from labdata.serialiser import to_toml
 
 # 90 to 10 % and 10 to 1 % of the light, ms.
@@ -18,7 +19,7 @@ TABLE = {"p20": (4.0, 55.0), "p43": (1.0, 1.6), "p46": (3e-4, 0.09), "p47": (1e-
 
 
 @pytest.fixture(scope="module")
-def sensor() -> Sensor:
+def sensor() -> Camera:
     return load_sensor("pulnix-ag5745ef3")
 
 
@@ -29,7 +30,7 @@ def left(phosphor: Phosphor, time_ms: float) -> float:
     )
 
 
-def photons_per_photoelectron(sensor: Sensor) -> float:
+def photons_per_photoelectron(sensor: Camera) -> float:
     screen = sensor.phosphor
     lumens = float(screen.luminous_efficacy_lm_per_w) * float(screen.photon_energy_ev)
     return (

@@ -9,6 +9,7 @@ import pytest
 import tifffile
 
 from labdata import BadInput, Conditions, Session, Target, open_session
+from labdata.camera.description import has_tube
 
 
 def session_of(folder: Path, manifest: str, **files: np.ndarray) -> Path:
@@ -46,7 +47,7 @@ target = { bars = 4, frequency_cy_per_px = 0.12, angle_deg = 90.0 }
     for path in (folder, str(folder), folder / "session.toml"):
         session = open_session(path)
         assert session.name == "flat series, 21 March"
-        assert session.sensor is not None
+        assert has_tube(session.camera)
         assert session.is_interlaced
         (stack,) = session.of_kind("flat")
         assert stack.conditions == Conditions(
@@ -105,7 +106,7 @@ def test_a_sensor_beside_the_session_is_found(tmp_path):
     )
     save_sensor(ours, tmp_path / "ours.toml")
     session = open_session(tmp_path)
-    assert session.sensor == ours
+    assert session.camera == ours
     assert not session.is_interlaced
 
 

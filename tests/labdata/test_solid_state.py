@@ -7,22 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Sensor, load_sensor, open_session
-from labdata.camera_description import Parameter
+from labdata import BadInput, Camera, load_sensor, open_session
+from labdata.camera.description import has_tube
+from labdata.camera.parameters import Parameter
 from labdata.sensors import load_camera
 from labdata.serialiser import to_toml
-from labdata.solid_state import SolidStateCamera
 
 
 @pytest.fixture
-def camera() -> SolidStateCamera:
-    found = load_camera("emccd-512")
-    assert isinstance(found, SolidStateCamera)
-    return found
+def camera() -> Camera:
+    return load_camera("emccd-512")
 
 
 def test_a_camera_with_a_tube_is_a_sensor_and_one_without_is_not(camera):
-    assert isinstance(load_camera("pulnix-ag5745ef3"), Sensor)
+    assert load_camera("pulnix-ag5745ef3").has_tube and not camera.has_tube
     with pytest.raises(
         BadInput, match=r"must be an intensified camera, got 'EMCCD 512', which has no \[tube\]"
     ):
@@ -69,6 +67,6 @@ def test_a_session_of_such_a_camera_is_that_of_any_camera(camera, tmp_path):
         '"f.npy"\nem_gain = 300.0\n'
     )
     session = open_session(tmp_path)
-    assert session.sensor is None
+    assert not has_tube(session.camera)
     assert not session.is_interlaced
     assert session.stacks[0].conditions.em_gain == 300.0

@@ -12,9 +12,9 @@ from scipy import ndimage
 from charact.estimators import bloom
 from charact.method import Context
 from labdata import Conditions, Session, Target, load_sensor
-from simulate.iiccd import true_quantities
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
+from simulate.camera import true_quantities
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 from tests.truth.sessions import InMemoryStack
@@ -62,7 +62,7 @@ def test_the_halo_is_four_gaps_wide_over_two_decades_of_light(seed):
     sheet = load_sensor("pulnix-ag5745ef3")
     sensor = specimen(sheet, seed)
     session = series(sensor, LIGHTS_LUX, seed, frames=8)
-    context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
+    context = Context(seed=1, quick=True, camera=sheet, interlaced=True, full_scale_dn=255.0)
     result = bloom.measure(session, method="series-forward", context=context)
     (halo,) = result.find("halo_diameter")
     low, high = halo.interval68
@@ -90,7 +90,7 @@ def tiring(seed):
 
 def density_at_half_gain_dn(sensor):
     """Light per pixel at which the plate's gain has halved, DN."""
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     plate = camera.stage(Slot.MCP, SETTINGS)
     at_half_gain_pe = (
         plate.saturation_e_per_s_cm2 * plate.field_s * camera.field_pixel_area_cm2 / plate.gain
@@ -104,7 +104,7 @@ def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap
     """
     sensor, session = tiring
     sheet = load_sensor("pulnix-ag5745ef3")
-    context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
+    context = Context(seed=1, quick=True, camera=sheet, interlaced=True, full_scale_dn=255.0)
     result = bloom.measure(session, method="series-forward", context=context)
     density_dn = density_at_half_gain_dn(sensor)
     (found,) = result.find("mcp_saturation_density")
@@ -146,7 +146,7 @@ def test_a_bloom_is_as_wide_as_the_light_makes_it_and_steps_up_to_the_halo(lux, 
     sheet = load_sensor("pulnix-ag5745ef3")
     sensor = specimen(sheet, seed)
     session = series(sensor, (lux,), seed, frames=6, darks=True)
-    context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
+    context = Context(seed=1, quick=True, camera=sheet, interlaced=True, full_scale_dn=255.0)
     (found,) = bloom.measure(session, context=context).find("bloom_diameter")
     halo_px = true_quantities.true_quantities(sensor, SETTINGS)["halo_diameter"]
     if lux > 10.0:

@@ -8,8 +8,8 @@ from pathlib import Path
 from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
 from labdata import Conditions, load_sensor
-from labdata.camera_description import Parameter
-from simulate.iiccd.true_quantities import true_quantities
+from labdata.camera.parameters import Parameter
+from simulate.camera.true_quantities import true_quantities
 from simulate.lab import LabBench, Target
 from tests.truth.sessions import InMemoryStack
 
@@ -27,7 +27,7 @@ def darks(sensor, seed: int, frames: int = 64):
     context = Context(
         seed=1,
         quick=True,
-        sensor=SHEET,
+        camera=SHEET,
         interlaced=True,
         full_scale_dn=2.0**sensor.video.bit_depth - 1,
     )

@@ -7,8 +7,8 @@ import pytest
 
 from charact.fitting import predicted_quantities
 from charact.fitting.predicted_quantities import Values
-from labdata import Conditions, Sensor, load_sensor
-from simulate.iiccd import true_quantities
+from labdata import Camera, Conditions, load_sensor
+from simulate.camera import true_quantities
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 GATE_S = 0.0133
@@ -17,19 +17,19 @@ FREQUENCY = np.linspace(0.02, 0.6, 30)
 
 
 @pytest.fixture(scope="module", params=range(4))
-def specimen(request: pytest.FixtureRequest, seed: int) -> Sensor:
+def specimen(request: pytest.FixtureRequest, seed: int) -> Camera:
     return draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed + request.param)
 
 
 @pytest.fixture(scope="module")
-def values(specimen: Sensor) -> Values:
+def values(specimen: Camera) -> Values:
     known = {
         path: np.array([float(parameter)]) for path, parameter in specimen.parameters().items()
     }
     return {**known, "video.filter_order": np.array([float(specimen.video.filter_order)])}
 
 
-def test_the_mtf_is_the_same_in_both_directions(specimen: Sensor, values: Values) -> None:
+def test_the_mtf_is_the_same_in_both_directions(specimen: Camera, values: Values) -> None:
     pitch_ratio = float(specimen.ccd.pitch_y_um) / float(specimen.ccd.pitch_x_um)
     for direction, at in (
         ("horizontal", (FREQUENCY,)),
@@ -41,7 +41,7 @@ def test_the_mtf_is_the_same_in_both_directions(specimen: Sensor, values: Values
         )
 
 
-def test_every_quantity_of_the_camera_is_the_same(specimen: Sensor, values: Values) -> None:
+def test_every_quantity_of_the_camera_is_the_same(specimen: Camera, values: Values) -> None:
     told = true_quantities.true_quantities(specimen, Conditions(mcp_v=MCP_V, gate_ns=GATE_S * 1e9))
     reference_v = float(specimen.microchannel_plate.reference_v)
     gain = predicted_quantities.photoelectron_gain(values, MCP_V, reference_v)

@@ -17,9 +17,9 @@ from charact.estimators.noise.gain.pooled_noise import ImageLag, PooledNoise
 from charact.estimators.noise.gain.single_setting import blur_exponent
 from charact.estimators.noise.stack.spectrum import bins_of
 from charact.method import Context
-from simulate.iiccd import true_quantities
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
+from simulate.camera import true_quantities
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
 
 NO_LAG = ImageLag(
     lag=np.array([1]),
@@ -39,7 +39,7 @@ ORDERS = (-2, -1, 0, 1, 2)
 def bias_percent(number, interlaced):
     """What the fit of a camera's own spectrum, of unit power at frequency 0, is off by."""
     scene = replace(cell_of(number).scene, interlaced=interlaced)
-    camera = IntensifiedCamera(scene.camera)
+    camera = CameraModel(scene.camera)
     height = 2 if interlaced else 1
     pitch = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm * height
     bins = bins_of(scene.rows // height, scene.columns, pitch[1] / pitch[0])
@@ -59,7 +59,7 @@ def bias_percent(number, interlaced):
         height_sd=0.01,
         lag=NO_LAG,
     )
-    forms = blur_models(blur_exponent(Context(sensor=scene.description)), blurred=True, floor=False)
+    forms = blur_models(blur_exponent(Context(camera=scene.description)), blurred=True, floor=False)
     found = fit_spectrum(summary, seed=1, quick=True, forms=forms)
     return 100.0 * (float(np.mean(found.posterior["power"])) - 1.0)
 

@@ -12,8 +12,8 @@ from charact.session_measurement import measure, measure_noise, method_context
 from labdata import BadInput, FrameStack, Session, Target, result_io
 from labdata.measurement import make_measurement
 from labdata.sensors import load_camera, save_sensor
-from simulate.infrared.camera import InfraredCamera
-from simulate.infrared.targets import half_moon
+from simulate.camera.thermal_imager import ThermalImager
+from simulate.camera.thermal_targets import half_moon
 from tests.charact.cli.runner import done_well
 from tests.charact.estimators.infrared.cameras import entry
 
@@ -41,7 +41,7 @@ def stack(camera, frames):
 
 
 def session(about, *, edge=False, seed=0):
-    camera = InfraredCamera(about)
+    camera = ThermalImager(about)
     stacks = [
         entry(
             f"bb-{i}",
@@ -85,7 +85,7 @@ def test_netd_and_sitf_of_the_description_are_measured(name, seed):
     noise, 1.3 %.
     """
     about = imager(name)
-    camera, given = InfraredCamera(about), session(about, seed=seed % 1000)
+    camera, given = ThermalImager(about), session(about, seed=seed % 1000)
     result = measure_noise(given, context=method_context(given, quick=True, seed=1))
     (sitf,), (netd,) = result.find("sitf"), result.find("netd")
     assert (sitf.status, netd.status) == ("ok", "ok")
@@ -133,7 +133,7 @@ def test_mrtd_of_the_description_is_measured(name, seed):
     transfer and noise; of the scanner for lines of both directions, each by itself.
     """
     about = imager(name)
-    camera, given = InfraredCamera(about), session(about, edge=True, seed=seed % 1000)
+    camera, given = ThermalImager(about), session(about, edge=True, seed=seed % 1000)
     result = measure(given, quick=True, seed=1)
     netd_k = np.hypot(camera.netd_k(295.15), 1.0 / np.sqrt(12.0) / dn_per_k(camera))
     scanner, pitch = about.scanner is not None, about.pitch_mrad[1]
@@ -154,7 +154,7 @@ def test_frequencies_are_shown_in_cycles_per_milliradian_of_the_description(seed
     """
     given = session(imager("vox-lwir-640"), edge=True, seed=seed)
     lines = ['name = "imager"', 'sensor = "imager.toml"', "bit_depth = 14"]
-    save_sensor(given.imager, tmp_path / "imager.toml")
+    save_sensor(given.camera, tmp_path / "imager.toml")
     for one in given.stacks:
         np.save(tmp_path / f"{one.label}.npy", one.read().data)
         lines += [

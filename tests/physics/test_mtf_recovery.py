@@ -10,7 +10,7 @@ import pytest
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import Conditions, Session, Target, load_sensor
-from simulate.iiccd import true_quantities
+from simulate.camera import true_quantities
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 from tests.truth.sessions import InMemoryStack
@@ -31,7 +31,7 @@ def test_an_edge_recovers_the_mtf_of_the_specimen_from_the_sheet_alone(edge):
     specimen is told.
     """
     specimen, stack = edge
-    sheet = Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)
+    sheet = Context(quick=True, camera=load_sensor("pulnix-ag5745ef3"), interlaced=True)
     result = mtf.measure("edge", stack, method="edge-forward", context=sheet)
     assert result.find("mtf50")[0].status == "ok"
     for found in result.find("mtf"):
@@ -73,7 +73,7 @@ def test_flats_recover_the_transfer_after_the_gain_of_a_video_that_the_sheet_giv
     flats = flats_before(specimen, seed)
 
     def standard_errors_off(told):
-        context = Context(quick=True, sensor=told, interlaced=True, full_scale_dn=255.0)
+        context = Context(quick=True, camera=told, interlaced=True, full_scale_dn=255.0)
         found = mtf.measure_flats(flats, context=context).find("post_gain_mtf", orientation_deg=0.0)
         (at,) = (one for one in found if one.frequency_cy_per_px == 0.3)
         half = (at.interval68[1] - at.interval68[0]) / 2
@@ -92,7 +92,7 @@ def test_flats_of_a_coarse_digitiser_recover_the_transfer_after_the_gain(seed):
     """
     sheet = load_sensor("pulnix-ag5745ef3")
     specimen = small(draw_true_sensor(sheet, 745))
-    context = Context(quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
+    context = Context(quick=True, camera=sheet, interlaced=True, full_scale_dn=255.0)
     found = mtf.measure_flats(flats_before(specimen, seed), context=context).find("post_gain_mtf")
     pitch_ratio = float(sheet.ccd.pitch_y_um) / float(sheet.ccd.pitch_x_um)
     for at in found:
@@ -119,7 +119,7 @@ def test_methods_that_take_the_video_of_the_sheet_for_exact_say_where_that_matte
     )
 
     def found(told, method):
-        context = Context(quick=True, sensor=told, interlaced=True, full_scale_dn=255.0)
+        context = Context(quick=True, camera=told, interlaced=True, full_scale_dn=255.0)
         return mtf.measure("edge", stack, method=method, context=context)
 
     exact = sheet.with_values({"video.bandwidth_mhz": 6.5})

@@ -10,7 +10,7 @@ import numpy as np
 from charact.estimators import noise
 from charact.method import Context
 from labdata import Conditions, Session, Target, load_sensor
-from simulate.iiccd import true_quantities
+from simulate.camera import true_quantities
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 from tests.truth.sessions import InMemoryStack
@@ -51,7 +51,7 @@ def test_covariance_gain_and_blur_factor_of_a_specimen_are_found_again(seed):
     context = Context(
         seed=1,
         quick=True,
-        sensor=load_sensor("pulnix-ag5745ef3"),
+        camera=load_sensor("pulnix-ag5745ef3"),
         interlaced=True,
         full_scale_dn=255.0,
     )

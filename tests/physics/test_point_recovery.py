@@ -11,7 +11,7 @@ from charact.estimators.mtf.point.forward import point_forward
 from charact.estimators.mtf.point.parametric import point_parametric
 from charact.method import Context
 from labdata import Conditions, Target, load_sensor
-from simulate.iiccd import true_quantities
+from simulate.camera import true_quantities
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 
@@ -35,7 +35,7 @@ def measured(bench, seed, illuminance_lux, method=point_forward):
     frames = bench.expose("point", Target(pinhole_px=1.0), conditions, frames=8, seed=seed)
     # The description of the type, not of the specimen: only the sheet is known.
     context = Context(
-        quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0
+        quick=True, camera=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0
     )
     return method(frames, region=(20, 20, 160, 160), pinhole_px=1.0, context=context)
 

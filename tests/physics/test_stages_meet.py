@@ -7,15 +7,15 @@ import pytest
 
 from charact.estimators.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
 from charact.estimators.mtf.session.stage_transfers import STAGES, Direction, StageModel
-from labdata import Sensor, load_sensor
-from simulate.iiccd import true_quantities
+from labdata import Camera, load_sensor
+from simulate.camera import true_quantities
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 FREQUENCY = np.linspace(0.02, 0.48, 24)
 DIRECTIONS: tuple[Direction, ...] = ("horizontal", "vertical")
 
 
-def per_pitch(sensor: Sensor, direction: Direction) -> float:
+def per_pitch(sensor: Camera, direction: Direction) -> float:
     """Pitches of the direction's pixels in a column pitch."""
     return (
         float(sensor.ccd.pitch_y_um) / float(sensor.ccd.pitch_x_um)

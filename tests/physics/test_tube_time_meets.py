@@ -12,13 +12,13 @@ from charact.fitting import tube_dark_observations, tube_ions, tube_time_observa
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.stack_levels import levels_of
-from labdata import Conditions, Result, Sensor, Session, Target
+from labdata import Camera, Conditions, Result, Session, Target
 from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
 from labdata.session import Kind, LoadedStackEntry
-from simulate.iiccd.phosphor import PhosphorDecay
-from simulate.iiccd.true_quantities import true_quantities
-from simulate.iiccd.video import VideoFilter
+from simulate.camera.phosphor import PhosphorDecay
+from simulate.camera.true_quantities import true_quantities
+from simulate.camera.video import VideoFilter
 from simulate.lab import LabBench
 
 NAMES = ("pulnix-ag5745ef3", "gen3-digital-iccd")
@@ -41,10 +41,9 @@ DRAWN = (
 GATE_S = 0.0158
 
 
-def specimen_of(name: str, seed: int) -> Sensor:
+def specimen_of(name: str, seed: int) -> Camera:
     """Return a device drawn from the ranges of a description, on a small chip."""
     sheet = load_camera(name)
-    assert isinstance(sheet, Sensor)
     prior = prior_of(sheet, DRAWN)
     drawn = prior.parameters(prior.draw(np.random.default_rng([seed, 7]), 1))[0]
     specimen = sheet.with_values(dict(zip(prior.names, drawn.tolist(), strict=True)))
@@ -89,7 +88,6 @@ def test_pulses_cover_their_neighbours_alike(seed: int, name: str) -> None:
 
 def test_filtered_noise_has_the_covariances_of_the_impulse_response() -> None:
     specimen = load_camera("pulnix-ag5745ef3")
-    assert isinstance(specimen, Sensor)
     bandwidth, clock, order = specimen.video.low_pass or (0.0, 0.0, 0)
     response = VideoFilter(
         bandwidth_mhz=bandwidth, pixel_clock_mhz=clock, order=order
@@ -136,7 +134,6 @@ def observed_of(name: str, seed: int) -> tuple[list, Values]:
         )
     )
     levels, sheet = levels_of(session), load_camera(name)
-    assert isinstance(sheet, Sensor)
     found = tube_time_observations.time_observations(sheet, levels)
     return found + tube_dark_observations.dark_observations(
         tube_ions.ions_of(sheet, told, levels)

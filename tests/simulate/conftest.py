@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from labdata import Sensor, load_sensor
+from labdata import Camera, load_sensor
 
 # No fixed pattern, no rare event, no saturation, steps of the digitiser far below the noise.
 PLAIN = {
@@ -29,16 +29,16 @@ PLAIN = {
 
 
 @pytest.fixture(scope="session")
-def sheet() -> Sensor:
+def sheet() -> Camera:
     """The case-study camera as shipped."""
     return load_sensor("pulnix-ag5745ef3")
 
 
 @pytest.fixture(scope="session")
-def plain(sheet: Sensor) -> Callable[..., Sensor]:
+def plain(sheet: Camera) -> Callable[..., Camera]:
     """Make a small plain camera of so many rows and columns, with some values changed by path."""
 
-    def make(rows: int, columns: int, **changes: float) -> Sensor:
+    def make(rows: int, columns: int, **changes: float) -> Camera:
         small = replace(
             sheet,
             ccd=replace(sheet.ccd, rows=rows, columns=columns),

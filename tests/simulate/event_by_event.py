@@ -138,7 +138,7 @@ def of_sensor(sensor: Any, *, spread: Transfer | None = None, lag: bool = True) 
     Parameters
     ----------
     sensor
-        A `labdata.sensor.Sensor`.
+        A `Camera` with a tube.
     spread
         Replaces the tube's and the taper's blur.
     lag

@@ -13,10 +13,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import Conditions, Sensor, load_sensor
-from labdata.camera_description import Parameter
+from labdata import Camera, Conditions, load_sensor
+from labdata.camera.parameters import Parameter
 from labdata.phosphors import load_phosphor, phosphor_names
-from simulate.iiccd.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 
 Image = NDArray[np.floating]
 REFERENCE_V = 800.0
@@ -53,7 +53,7 @@ class Scene:
 
     number: int
     kind: str
-    camera: IntensifiedCamera
+    camera: CameraModel
     image_pe: Image
     conditions: Conditions
     tolerance: float
@@ -73,7 +73,7 @@ def random_scene(number: int, shape: tuple[int, int] | None = None) -> Scene:
     sensor = random_sensor(rng)
     if shape is not None:
         sensor = replace(sensor, ccd=replace(sensor.ccd, rows=shape[0], columns=shape[1]))
-    camera = IntensifiedCamera(
+    camera = CameraModel(
         sensor, geometry=bool(rng.integers(2)), local_depletion=bool(rng.integers(2))
     )
     kind, image = random_picture(rng, camera.shape)
@@ -94,7 +94,7 @@ def random_scene(number: int, shape: tuple[int, int] | None = None) -> Scene:
     )
 
 
-def random_sensor(rng: np.random.Generator) -> Sensor:
+def random_sensor(rng: np.random.Generator) -> Camera:
     """Return the case study, the case study with another screen, or the digital camera, half of
     them as described.
     """
@@ -106,7 +106,7 @@ def random_sensor(rng: np.random.Generator) -> Sensor:
     return sensor.with_values(_drawn(sensor, rng)) if rng.random() < 0.5 else sensor
 
 
-def _drawn(sensor: Sensor, rng: np.random.Generator) -> dict[str, float]:
+def _drawn(sensor: Camera, rng: np.random.Generator) -> dict[str, float]:
     """A value inside its range for every number that effects follow from."""
     values: dict[str, float] = {}
     for section in (

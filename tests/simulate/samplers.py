@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata import Conditions
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.camera import CameraModel
+from simulate.camera.stage_image import StageImage
 
 Sampler = Literal["chain", "fast", "normal"]
 SAMPLERS: tuple[Sampler, ...] = ("chain", "fast", "normal")
@@ -17,7 +17,7 @@ SAMPLERS: tuple[Sampler, ...] = ("chain", "fast", "normal")
 
 def drawn_by(
     sampler: Sampler,
-    camera: IntensifiedCamera,
+    camera: CameraModel,
     light: StageImage,
     conditions: Conditions,
     *,

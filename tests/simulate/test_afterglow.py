@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.iiccd.phosphor import PhosphorDecay
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.phosphor import PhosphorDecay
+from simulate.camera.stage_image import StageImage
 
 FIELD_S = 0.01668
 

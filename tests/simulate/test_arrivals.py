@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.iiccd.camera import IntensifiedCamera
+from simulate.camera.camera import CameraModel
 
 LIGHT_M_PER_S = 2.99792458e8
 
@@ -60,7 +60,7 @@ def variance_over_mean(photoelectrons: float, mode_count: float) -> float:
 
 
 def _pixel_modes(sheet, time_s: float, width_nm: float = 300.0) -> float:
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     area = camera.field_pixel_area_cm2
     return modes(wavelength_nm=700.0, width_nm=width_nm, time_s=time_s, area_cm2=area, f_number=1.4)
 
@@ -68,7 +68,7 @@ def _pixel_modes(sheet, time_s: float, width_nm: float = 300.0) -> float:
 @pytest.mark.parametrize("photoelectrons", [0.05, 0.5, 5.0, 50.0, 500.0])
 def test_a_pixel_of_the_default_camera_counts_as_poisson(sheet, photoelectrons):
     """To one part in a billion, where moments are asked for to a thousandth."""
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     many = _pixel_modes(sheet, camera.open_s(Conditions()))
     assert variance_over_mean(photoelectrons, many) - 1.0 < 1e-9
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, load_sensor
-from simulate.iiccd import tube_photometry
-from simulate.iiccd.automatic_controls import (
+from simulate.camera import tube_photometry
+from simulate.camera.automatic_controls import (
     SET_LEVEL,
     AutomaticControls,
     AutomaticGain,
     AutomaticState,
     BrightnessControl,
 )
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.camera import CameraModel
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
 GAIN = AutomaticGain(set_level_dn=100.0, range_db=16.0, time_constant_s=0.5, step_s=1 / 30)
 CONTROL = BrightnessControl(limit_e_per_s_cm2=1e8, attack_s=0.2, step_s=1 / 30)
@@ -71,16 +71,16 @@ def test_impossible_automatic_gain_is_refused(change):
 
 
 @pytest.fixture
-def camera(plain) -> IntensifiedCamera:
-    return IntensifiedCamera(plain(40, 56, photocathode__ebi_lm_per_cm2=0.0))
+def camera(plain) -> CameraModel:
+    return CameraModel(plain(40, 56, photocathode__ebi_lm_per_cm2=0.0))
 
 
-def _lit(camera: IntensifiedCamera, lux: float):
+def _lit(camera: CameraModel, lux: float):
     per_pixel = 2.0 * camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * 1e-2
     level = (
         lux
         * 1e-4
-        * tube_photometry.photoelectrons_per_lumen_s(camera.sensor)
+        * tube_photometry.photoelectrons_per_lumen_s(camera.description)
         * per_pixel
         * camera.field_s
     )
@@ -89,7 +89,7 @@ def _lit(camera: IntensifiedCamera, lux: float):
 
 def test_with_brightness_control_the_charge_stays_constant_above_the_threshold(camera):
     on = Conditions(brightness_control=True)
-    threshold = float(camera.sensor.tube.brightness_control_lux)
+    threshold = float(camera.description.tube.brightness_control_lux)
     levels = []
     for times in (0.1, 0.5, 2.0, 8.0, 32.0):
         light = _lit(camera, times * threshold)
@@ -102,12 +102,12 @@ def test_with_brightness_control_the_charge_stays_constant_above_the_threshold(c
 
 
 def _noise_over_signal(
-    camera: IntensifiedCamera, conditions: Conditions, light, seed: int
+    camera: CameraModel, conditions: Conditions, light, seed: int
 ) -> tuple[float, float]:
     """Settled mean above black, and temporal variance over mean."""
     stream = camera.frames(light, conditions, seed=seed)
     settled = np.stack(list(islice(stream, 32))[16:]).astype(float)
-    signal = float(settled.mean()) - float(camera.sensor.video.black_level_dn)
+    signal = float(settled.mean()) - float(camera.description.video.black_level_dn)
     return signal, float(settled.var(axis=0, ddof=1).mean()) / signal
 
 
@@ -115,10 +115,10 @@ def test_the_two_controls_bend_the_noise_law_at_their_own_places(plain, seed):
     """At one level of video: brightness control leaves the photoelectrons' noise, automatic gain
     multiplies it.
     """
-    camera = IntensifiedCamera(
+    camera = CameraModel(
         plain(40, 56, tube__brightness_control_s=0.05, video__automatic_gain_s=0.05)
     )
-    threshold = float(camera.sensor.tube.brightness_control_lux)
+    threshold = float(camera.description.tube.brightness_control_lux)
     steady = _noise_over_signal(camera, Conditions(), _lit(camera, threshold), seed)
     lowered = _noise_over_signal(
         camera, Conditions(brightness_control=True), _lit(camera, 8.0 * threshold), seed
@@ -154,6 +154,6 @@ def test_a_frame_of_a_controlled_run_follows_from_its_number(camera):
 
 
 def test_a_camera_without_automatic_gain_refuses_that_it_was_on():
-    camera = IntensifiedCamera(load_sensor("gen3-digital-iccd"))
+    camera = CameraModel(load_sensor("gen3-digital-iccd"))
     with pytest.raises(BadInput, match="has none"):
         AutomaticControls.of(camera, Conditions(automatic_gain=True))

@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import BadInput, Conditions, Sensor, Target
+from labdata import BadInput, Camera, Conditions, Target
 from labdata.sensors import load_camera
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
 )
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.stage_image import StageImage
 from simulate.lab import LabBench
 from simulate.radiance.cube import RadianceCube
 
@@ -52,8 +52,7 @@ def codes_of(
 def checked(codes: NDArray[Any], camera: Any) -> NDArray[np.floating]:
     """The codes, which are whole numbers of the digitiser."""
     assert codes.dtype in (np.uint8, np.uint16)
-    description = camera.sensor if isinstance(camera, IntensifiedCamera) else camera.description
-    assert codes.max() <= 2**description.video.bit_depth - 1
+    assert codes.max() <= 2**camera.description.video.bit_depth - 1
     return codes.astype(float)
 
 
@@ -92,7 +91,7 @@ def test_gain_from_one_to_a_million_is_proportional_until_full_scale(bit_depth, 
     top = 2**bit_depth - 1
     means = []
     for gain in 10.0 ** np.arange(0.0, 6.1):
-        camera = IntensifiedCamera(sensor.with_values({"tube.luminous_gain": gain}))
+        camera = CameraModel(sensor.with_values({"tube.luminous_gain": gain}))
         codes = codes_of(camera, 2.0, Conditions(), seed)
         mean, error = with_error(codes)
         photons = gain / 15000.0 * 10229.0
@@ -110,9 +109,7 @@ def test_gain_from_one_to_a_million_is_proportional_until_full_scale(bit_depth, 
 
 @pytest.mark.parametrize("change", [{"mcp_v": 0.0}, {"mcp_v": 1.0}, {"gain_control": 0.0}])
 def test_a_tube_without_gain_shows_darks(change, plain, seed):
-    camera = IntensifiedCamera(
-        plain(ROWS, COLUMNS, microchannel_plate__gain_control_reference=5000.0)
-    )
+    camera = CameraModel(plain(ROWS, COLUMNS, microchannel_plate__gain_control_reference=5000.0))
     lit = codes_of(camera, 50.0, Conditions(**change), seed)
     dark = codes_of(camera, 0.0, Conditions(**change), seed)
     assert abs(lit.mean() - dark.mean()) < 0.02
@@ -122,9 +119,7 @@ def test_a_tube_without_gain_shows_darks(change, plain, seed):
     "change", [{"mcp_v": 1e6}, {"gain_control": 2000.0}, {"gain_control": 1e5}]
 )
 def test_gain_beyond_sense_fills_the_scale_or_is_refused(change, plain, seed):
-    camera = IntensifiedCamera(
-        plain(ROWS, COLUMNS, microchannel_plate__strip_current_ua_per_cm2=0.6)
-    )
+    camera = CameraModel(plain(ROWS, COLUMNS, microchannel_plate__strip_current_ua_per_cm2=0.6))
     try:
         codes = codes_of(camera, 50.0, Conditions(**change), seed)
     except BadInput as refusal:
@@ -145,7 +140,7 @@ def test_light_from_a_nanolux_to_ten_thousand_lux_goes_from_dark_to_full_scale(b
     """The mean never falls with light; a nanolux is darkness, and the strip current limits what
     bright light gives.
     """
-    top = 2**bench.camera.sensor.video.bit_depth - 1
+    top = 2**bench.camera.description.video.bit_depth - 1
     means, errors = [], []
     for lux in 10.0 ** np.arange(-9.0, 4.1):
         stack = bench.expose(
@@ -178,7 +173,7 @@ def test_a_plate_at_its_strip_current_gives_that_and_no_more(plain, seed):
         ccd__full_well_e=1e12,
         video__conversion_gain_dn_per_e=1.0,
     )
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     plate = camera.stage(Slot.MCP, Conditions())
     area = 2.0 * camera.cells.cell_area_cm2 * camera.cells.per_column * camera.cells.per_row
     limit_e = plate.saturation_e_per_s_cm2 * camera.field_s * area * 205.0 * 0.225 * 0.32
@@ -201,14 +196,14 @@ def test_zero_light_gives_the_very_darks(bench, seed):
 
 
 def test_zero_light_and_no_dark_emission_leave_black_and_read_noise(plain, seed):
-    camera = IntensifiedCamera(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0))
+    camera = CameraModel(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0))
     codes = codes_of(camera, 0.0, Conditions(), seed)
     mean, error = with_error(codes)
     assert abs(mean - 400.0) < 4.5 * error
-    ccd = camera.sensor.ccd
+    ccd = camera.description.ccd
     dark_e = float(ccd.dark_current_e_per_s) * 2.0 / 59.94
     white = float(
-        np.sum(IntensifiedCamera(camera.sensor).stage(Slot.VIDEO).low_pass.impulse_response() ** 2)
+        np.sum(CameraModel(camera.description).stage(Slot.VIDEO).low_pass.impulse_response() ** 2)
     )
     expected = (float(ccd.read_noise_e) ** 2 + dark_e) * 0.2**2 * white + 1.0 / 12.0
     assert codes[:, :, 8:].var() == pytest.approx(expected, rel=4.5 * np.sqrt(4.0 / codes.size))
@@ -232,7 +227,7 @@ def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(
     shape, interlaced, plain, seed
 ):
     sensor = plain(*shape, photocathode__ebi_lm_per_cm2=0.0)
-    camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=interlaced)))
+    camera = CameraModel(replace(sensor, video=replace(sensor.video, interlaced=interlaced)))
     light = mcp_input_from_photoelectrons(camera, np.full(shape, 20.0), Conditions())
     expected = 400.0 + 20.0 * 10229.0 * 0.225 * 0.32 * 0.2
     assert camera.mean_frame(light, Conditions()) == pytest.approx(expected, rel=2e-3)
@@ -345,7 +340,7 @@ def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plai
     """What lingers comes in later fields: a steady scene shows all its light, however short the
     gate.
     """
-    camera = IntensifiedCamera(
+    camera = CameraModel(
         plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0, ccd__full_well_e=1e12)
     )
     conditions = Conditions(gate_ns=gate_ns)
@@ -358,7 +353,7 @@ def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plai
         ),
         conditions,
     )
-    closed = (camera.field_s - share) / float(camera.sensor.photocathode.gate_on_off_ratio)
+    closed = (camera.field_s - share) / float(camera.description.photocathode.gate_on_off_ratio)
     expected = per_s * cathode.quantum_efficiency * (share + closed) * 4.0
     assert light.values.mean(dtype=float) == pytest.approx(expected, rel=1e-3)
     assert camera.stage(Slot.DECAY, conditions).weights.sum() == pytest.approx(1.0, abs=1e-9)
@@ -370,7 +365,7 @@ def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plai
 @pytest.mark.parametrize("gate_ns", [0.0, -5.0, math.nan, math.inf, 1e9])
 def test_gates_that_are_none_are_refused(gate_ns, plain):
     with pytest.raises(BadInput) as refused:
-        camera = IntensifiedCamera(plain(ROWS, COLUMNS))
+        camera = CameraModel(plain(ROWS, COLUMNS))
         camera.chain(Conditions(gate_ns=gate_ns))
     sentence(refused.value)
 
@@ -475,10 +470,10 @@ def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes
 )
 def test_descriptions_that_contradict_themselves_are_refused(changes, sheet):
     with pytest.raises(BadInput) as refused:
-        description: Sensor = sheet
+        description: Camera = sheet
         for stage, fields in changes.items():
             description = replace(
                 description, **{stage: replace(getattr(description, stage), **fields)}
             )
-        IntensifiedCamera(description).chain(Conditions())
+        CameraModel(description).chain(Conditions())
     sentence(refused.value)

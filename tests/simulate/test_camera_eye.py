@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, load_sensor
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.camera import CameraModel
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.outdoor_rendering import render_sensor_of
 
 
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
 def test_blur_evens_the_noise_of_an_intensified_camera_as_its_eye_says(seed, name):
     described = load_sensor(name)
-    camera = IntensifiedCamera(replace(described, ccd=replace(described.ccd, rows=32, columns=48)))
+    camera = CameraModel(replace(described, ccd=replace(described.ccd, rows=32, columns=48)))
     conditions = Conditions(
         gate_ns=1e6, mcp_v=float(described.microchannel_plate.reference_v) - 100.0
     )

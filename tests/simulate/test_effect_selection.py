@@ -18,16 +18,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import BadInput, Conditions, Sensor
+from labdata import BadInput, Camera, Conditions
+from simulate.camera import pattern
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.effect_bounds import select_camera_effects
+from simulate.camera.scene_to_photoelectrons import photoelectrons_from_image
+from simulate.camera.stage_image import StageImage
+from simulate.camera.transfer import PixelAperture, product
+from simulate.camera.video import filter_lines
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
-from simulate.iiccd import pattern
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.effect_bounds import select_camera_effects
-from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import PixelAperture, product
-from simulate.iiccd.video import filter_lines
 from tests.simulate.random_scenes import random_scene
 from tests.simulate.samplers import drawn_by
 
@@ -122,8 +122,8 @@ def test_the_plan_says_what_is_kept_what_is_left_out_and_what_it_costs() -> None
 class Pair:
     """A scene before the camera with everything and before the one that a plan has thinned."""
 
-    whole: IntensifiedCamera
-    thin: IntensifiedCamera
+    whole: CameraModel
+    thin: CameraModel
     plan: EffectSelection
     conditions: Conditions
     at_mcp: tuple[StageImage, StageImage]
@@ -131,7 +131,7 @@ class Pair:
     @classmethod
     def of(
         cls,
-        camera: IntensifiedCamera,
+        camera: CameraModel,
         image: NDArray[np.floating],
         conditions: Conditions,
         tolerance: float,
@@ -145,7 +145,7 @@ class Pair:
     @cached_property
     def means(self) -> tuple[Map, Map]:
         """Mean frames of both, DN, as the digitiser ends them."""
-        top = 2**self.whole.sensor.video.bit_depth - 1
+        top = 2**self.whole.description.video.bit_depth - 1
         whole, thin = (
             c.mean_frame(light, self.conditions).astype(float) for c, light in self._both
         )
@@ -167,7 +167,7 @@ class Pair:
     @property
     def _both(
         self,
-    ) -> tuple[tuple[IntensifiedCamera, StageImage], tuple[IntensifiedCamera, StageImage]]:
+    ) -> tuple[tuple[CameraModel, StageImage], tuple[CameraModel, StageImage]]:
         return (self.whole, self.at_mcp[0]), (self.thin, self.at_mcp[1])
 
     def frames(self, count: int, seed: int) -> Iterator[Map]:
@@ -180,13 +180,13 @@ class Pair:
 
     def in_scale(self) -> NDArray[np.bool_]:
         """Pixels whose noise neither wells nor the digitiser cut off."""
-        video, ccd = self.whole.sensor.video, self.whole.sensor.ccd
+        video, ccd = self.whole.description.video, self.whole.description.ccd
         well = float(ccd.full_well_e) * float(video.conversion_gain_dn_per_e)
         top = min(2**video.bit_depth - 1, float(video.black_level_dn) + well)
         return self.means[0] + 6.0 * self.noise < top
 
 
-def temporal_variance(camera: IntensifiedCamera, at_mcp: StageImage, conditions: Conditions) -> Map:
+def temporal_variance(camera: CameraModel, at_mcp: StageImage, conditions: Conditions) -> Map:
     """Temporal variance of every pixel, DN^2, rounding included, wells and digitiser without end,
     shape (row, col).
 
@@ -241,7 +241,7 @@ def _read_of_a_pulse(owed: Any, grid: Any, height: int, taps: tuple[float, ...])
     return np.fft.irfft2(transfer, grid.shape) * 4.0 * height
 
 
-def small(sensor: Sensor, shape: tuple[int, int] = SHAPE) -> Sensor:
+def small(sensor: Camera, shape: tuple[int, int] = SHAPE) -> Camera:
     """The sensor with a smaller chip."""
     return replace(sensor, ccd=replace(sensor.ccd, rows=shape[0], columns=shape[1]))
 
@@ -285,12 +285,10 @@ def test_the_noise_that_tolerances_are_shares_of_is_that_of_drawn_frames() -> No
 
 
 def test_a_dim_scene_is_simulated_without_halo_overflow_and_smear_and_nothing_measured_shows_it(
-    sheet: Sensor,
+    sheet: Camera,
 ) -> None:
     tolerance = 0.1
-    pair = Pair.of(
-        IntensifiedCamera(small(sheet)), dim_picture(), Conditions(mcp_v=800.0), tolerance
-    )
+    pair = Pair.of(CameraModel(small(sheet)), dim_picture(), Conditions(mcp_v=800.0), tolerance)
     assert {"halo", "column blooming", "smear"} <= pair.plan.names
     said = {line.split("  ")[0]: line for line in pair.plan.text().splitlines()}
     assert all("left out" in said[name] for name in ("halo", "column blooming", "smear"))
@@ -315,16 +313,16 @@ def test_a_dim_scene_is_simulated_without_halo_overflow_and_smear_and_nothing_me
     assert measured((first - whole) / noise, groups)[3] > 3.2
 
 
-def test_with_one_bright_lamp_in_view_they_are_kept(sheet: Sensor) -> None:
+def test_with_one_bright_lamp_in_view_they_are_kept(sheet: Camera) -> None:
     lit = dim_picture()
     lit[60:63, 40:43] += 1e5
-    pair = Pair.of(IntensifiedCamera(small(sheet)), lit, Conditions(mcp_v=800.0), 0.1)
+    pair = Pair.of(CameraModel(small(sheet)), lit, Conditions(mcp_v=800.0), 0.1)
     assert not {"halo", "column blooming", "smear"} & pair.plan.names
 
 
-def test_a_control_that_will_lower_the_gain_keeps_the_noise_that_then_shows(sheet: Sensor) -> None:
+def test_a_control_that_will_lower_the_gain_keeps_the_noise_that_then_shows(sheet: Camera) -> None:
     # This supply holds the screen at what a fiftieth of the light would give.
-    camera = IntensifiedCamera(small(sheet).with_values({"tube.brightness_control_lux": 1e-6}))
+    camera = CameraModel(small(sheet).with_values({"tube.brightness_control_lux": 1e-6}))
     off = Conditions(mcp_v=840.0, brightness_control=False)
     freed = photoelectrons_from_image(camera, np.full(SHAPE, 5.0))
     constant, lowered = (
@@ -384,9 +382,9 @@ def test_each_effect_alone_changes_no_more_than_its_influence(number: int) -> No
     assert tried > 0
 
 
-def test_in_sparse_light_the_noise_tells_more_of_the_halo_than_the_mean(sheet: Sensor) -> None:
+def test_in_sparse_light_the_noise_tells_more_of_the_halo_than_the_mean(sheet: Camera) -> None:
     camera, conditions = (
-        IntensifiedCamera(small(sheet)),
+        CameraModel(small(sheet)),
         Conditions(mcp_v=950.0, temperature_c=-20.0),
     )
     edge = np.where(np.arange(SHAPE[1]) < SHAPE[1] // 2, 0.02, 0.001) * np.ones((SHAPE[0], 1))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from labdata import Conditions
-from simulate.iiccd import image_placement, pattern
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.grid import grid_with_margin
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.taper import FibreGeometry
+from simulate.camera import image_placement, pattern
+from simulate.camera.camera import CameraModel
+from simulate.camera.grid import grid_with_margin
+from simulate.camera.stage_image import StageImage
+from simulate.camera.taper import FibreGeometry
 
 GRID = grid_with_margin(300, 400, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
 
@@ -93,7 +93,7 @@ def test_geometry_without_numbers_is_no_geometry():
 
 
 def test_bench_camera_has_no_geometry_and_a_whole_one_has(sheet):
-    bench, whole = IntensifiedCamera(sheet), IntensifiedCamera(sheet, geometry=True)
+    bench, whole = CameraModel(sheet), CameraModel(sheet, geometry=True)
     assert "taper distortion and fibre shear" not in [
         stage.name for stage in bench.chain(Conditions()).stages
     ]

@@ -16,11 +16,11 @@ from itertools import islice
 import numpy as np
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.fast_sampler.phosphor_rows import glow_rows
+from simulate.camera.camera import CameraModel
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.fast_sampler.phosphor_rows import glow_rows
 sheet = load_sensor("gen3-digital-iccd")
-camera = IntensifiedCamera(replace(sheet, ccd=replace(sheet.ccd, rows=200, columns=256)))
+camera = CameraModel(replace(sheet, ccd=replace(sheet.ccd, rows=200, columns=256)))
 row, col = np.mgrid[:200, :256]
 conditions = Conditions(mcp_v=730.0)
 picture = 3.0 + 1.5 * np.sin(col / 9) * np.cos(row / 7)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, Target
-from simulate.iiccd import true_quantities
-from simulate.iiccd.transfer import HaloBlur
+from simulate.camera import true_quantities
+from simulate.camera.transfer import HaloBlur
 from simulate.lab import LabBench
 
 GAP_MM = 0.21

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import Conditions, Sensor, Target
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.column_blooming import apply_column_blooming, spread_excess_charge
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from labdata import Camera, Conditions, Target
+from simulate.camera.camera import CameraModel
+from simulate.camera.column_blooming import apply_column_blooming, spread_excess_charge
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.lab import LabBench
 from tests.simulate import event_by_event as slow
 
@@ -26,11 +26,11 @@ LEVEL_PE, FRAMES = 6.0, 240
 # Noise of a flat.
 
 
-def _deviations(sensor: Sensor, seed: int) -> NDArray[np.floating]:
+def _deviations(sensor: Camera, seed: int) -> NDArray[np.floating]:
     """A flat's frames less their own mean in time, so that fixed patterns are gone, DN, shape
     (frame, row, col).
     """
-    camera = IntensifiedCamera(replace(sensor, ccd=replace(sensor.ccd, rows=180, columns=260)))
+    camera = CameraModel(replace(sensor, ccd=replace(sensor.ccd, rows=180, columns=260)))
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, LEVEL_PE), Conditions())
     stream = camera.frames(light, Conditions(), seed=seed)
     codes = np.stack([frame.astype(float) for frame in islice(stream, FRAMES)])[
@@ -210,7 +210,7 @@ def _point(plain, halo_fraction: float) -> tuple[NDArray[np.floating], NDArray[n
         ccd__full_well_e=1e12,
         video__bandwidth_mhz=1e3,
     )
-    camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
+    camera = CameraModel(replace(sensor, video=replace(sensor.video, interlaced=False)))
     picture = np.zeros(camera.shape)
     picture[60, 60] = 1e6
     light = mcp_input_from_photoelectrons(camera, picture, Conditions())

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.iiccd import image_placement, tube_photometry
-from simulate.iiccd.grid import Grid, grid_with_margin, rfft_image
-from simulate.iiccd.lens import RadiometricLens, few_transfers
-from simulate.iiccd.transfer import Defocus
+from simulate.camera import image_placement, tube_photometry
+from simulate.camera.grid import Grid, grid_with_margin, rfft_image
+from simulate.camera.lens import RadiometricLens, few_transfers
+from simulate.camera.transfer import Defocus
 from simulate.radiance.cube import RadianceCube, band_widths
 from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import Conditions, Sensor
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.stage_image import StageImage
+from labdata import Camera, Conditions
+from simulate.camera.camera import CameraModel
+from simulate.camera.stage_image import StageImage
 from tests.simulate import event_by_event as slow
 from tests.simulate.samplers import Sampler, drawn_by
 
@@ -53,12 +53,12 @@ CASES = [
 
 
 def drawn(
-    sensor: Sensor, at_mcp: StageImage, frames: int, seed: int, tier: Sampler
+    sensor: Camera, at_mcp: StageImage, frames: int, seed: int, tier: Sampler
 ) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape
     (frame, row, col).
     """
-    stream = drawn_by(tier, IntensifiedCamera(sensor), at_mcp, Conditions(), seed=seed)
+    stream = drawn_by(tier, CameraModel(sensor), at_mcp, Conditions(), seed=seed)
     while True:
         codes = np.stack([frame.copy() for frame in islice(stream, frames)])
         assert codes.min() > 0 and codes.max() < 2**sensor.video.bit_depth - 1
@@ -66,18 +66,18 @@ def drawn(
 
 
 def flat_frames(
-    sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: Sampler
+    sensor: Camera, photoelectrons_per_pixel: float, frames: int, seed: int, tier: Sampler
 ) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame,
     row, col).
     """
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     cells = camera.cells.per_column * camera.cells.per_row * (2 if camera.is_interlaced else 1)
     flat = np.full(camera.cells.shape, photoelectrons_per_pixel / cells, np.float32)
     return drawn(sensor, StageImage(values=flat, grid=camera.cells), frames, seed, tier)
 
 
-def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
+def in_fine_steps(sensor: Camera, photoelectrons: float) -> Camera:
     """The sensor with sixteen bits that span its flat, wells without end."""
     camera = slow.of_sensor(sensor)
     factor = camera.height_moment(2) / camera.height_moment(1) / camera.charge_e
@@ -92,7 +92,7 @@ def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
 
 
 def measured_flat(
-    sensor: Sensor, level: float, frames: int, seed: int, tier: Sampler
+    sensor: Camera, level: float, frames: int, seed: int, tier: Sampler
 ) -> tuple[slow.Moments, slow.Moments, float]:
     """Moments of a flat in `BLOCKS` of so many frames, their errors, e- above black, and the
     digitiser's step, e-.
@@ -200,7 +200,7 @@ def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, stripe
     its own way.
     """
     sensor = in_fine_steps(plain(240, 320), 2.0 * STRIPES_PE)
-    cells = IntensifiedCamera(sensor).cells
+    cells = CameraModel(sensor).cells
     x_px = (np.arange(cells.shape[1]) + 0.5) / cells.per_column - cells.margin_columns
     per_cell = stripes(x_px) / (2 * cells.per_row * cells.per_column)
     light = np.repeat(per_cell[None].astype(np.float32), cells.shape[0], axis=0)

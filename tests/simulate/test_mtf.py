@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, Target
-from simulate.iiccd import true_quantities
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import product
+from simulate.camera import true_quantities
+from simulate.camera.chain import Slot
+from simulate.camera.stage_image import StageImage
+from simulate.camera.transfer import product
 from simulate.lab import LabBench
 
 ROWS, COLUMNS, RATIO = 160, 200, 13.0 / 11.0
@@ -24,7 +24,7 @@ def bench(plain) -> LabBench:
 @pytest.fixture(scope="module")
 def full(bench) -> tuple[float, float]:
     """Dark level and full signal, DN, from the truths."""
-    q = true_quantities.true_quantities(bench.camera.sensor)
+    q = true_quantities.true_quantities(bench.camera.description)
     dark = 400.0 + q["photoelectron_gain"] * q["ebi_per_field"]
     return dark, 1e-4 * q["photoelectrons_per_lux"] * q["photoelectron_gain"]
 
@@ -125,7 +125,7 @@ def test_blur_keeps_the_light(plain, full, bench):
     dark, signal = full
     image = (bench.mean("point", Target(pinhole_px=6.0), LUX) - dark) / signal
     plate = bench.mcp_input("point", Target(pinhole_px=6.0), LUX)
-    q = true_quantities.true_quantities(bench.camera.sensor)
+    q = true_quantities.true_quantities(bench.camera.description)
     # A pixel as read is two rows high and holds eight cells.
     lit = plate.values.sum(dtype=float) - plate.values.size * q["ebi_per_field"] / 8.0
     area = lit / (1e-4 * q["photoelectrons_per_lux"]) * 2.0 * RATIO

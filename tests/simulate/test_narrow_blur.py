@@ -14,11 +14,11 @@ import pytest
 from scipy.integrate import quad
 
 from labdata import Conditions
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.fast_sampler.kernel import noise_kernel
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import GapSpread, PixelAperture, fold_transfer
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.fast_sampler.kernel import noise_kernel
+from simulate.camera.stage_image import StageImage
+from simulate.camera.transfer import GapSpread, PixelAperture, fold_transfer
 from tests.simulate.samplers import drawn_by
 
 PITCH_MM = 0.02
@@ -72,7 +72,7 @@ def test_events_on_cells_have_the_covariance_of_events_anywhere(sigma_px, across
     ("sigma_px", "height"), [(0.0, 1), (0.02, 2), (0.1, 1), (0.35, 2), (1.0, 1), (1.0, 2)]
 )
 def test_the_kernel_of_the_fast_tier_keeps_the_variance(sigma_px, height, plain):
-    grid = replace(IntensifiedCamera(plain(48, 64)).cells, pitch_x_mm=PITCH_MM, pitch_y_mm=PITCH_MM)
+    grid = replace(CameraModel(plain(48, 64)).cells, pitch_x_mm=PITCH_MM, pitch_y_mm=PITCH_MM)
     kernel = noise_kernel(blur(sigma_px), grid, height, (1.0,), 1.0)
     variance = autocovariance(sigma_px, 0) * autocovariance(sigma_px, 0, height)
     assert kernel.blur_factor == pytest.approx(variance, rel=5e-3)
@@ -101,7 +101,7 @@ def test_flats_of_a_camera_that_does_not_blur_are_white(level, tier, plain, seed
         phosphor__slow_decay_ms=1e-3,
         phosphor__fast_decay_ms=1e-3,
     )
-    camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
+    camera = CameraModel(replace(sensor, video=replace(sensor.video, interlaced=False)))
     cells = camera.cells
     flat = StageImage(
         values=np.full(cells.shape, level / cells.per_column / cells.per_row, np.float32),
@@ -110,8 +110,8 @@ def test_flats_of_a_camera_that_does_not_blur_are_white(level, tier, plain, seed
     stream = drawn_by(tier, camera, flat, Conditions(), seed=seed)
     frames = np.stack([frame.copy() for frame in islice(stream, 32)]).astype(float)
     assert frames.min() > 0
-    black = float(camera.sensor.video.black_level_dn)
-    step, mean = float(camera.sensor.video.conversion_gain_dn_per_e), frames.mean() - black
+    black = float(camera.description.video.black_level_dn)
+    step, mean = float(camera.description.video.conversion_gain_dn_per_e), frames.mean() - black
     p, shape = (
         camera.stage(Slot.MCP, Conditions()).detection_probability,
         camera.stage(Slot.MCP, Conditions()).pulse_height_shape,

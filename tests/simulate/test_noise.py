@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, Target
-from simulate.iiccd import true_quantities
-from simulate.iiccd.chain import Chain, Slot
-from simulate.iiccd.grid import grid_with_margin
-from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.phosphor import Phosphor
-from simulate.iiccd.pixels import Collection
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.taper import Taper
-from simulate.iiccd.transfer import PixelAperture, TubeShare
+from simulate.camera import true_quantities
+from simulate.camera.chain import Chain, Slot
+from simulate.camera.grid import grid_with_margin
+from simulate.camera.microchannel import MicrochannelPlate
+from simulate.camera.phosphor import Phosphor
+from simulate.camera.pixels import Collection
+from simulate.camera.stage_image import StageImage
+from simulate.camera.taper import Taper
+from simulate.camera.transfer import PixelAperture, TubeShare
 from simulate.lab import LabBench
 
 LUX = 1e-4
@@ -156,10 +156,10 @@ def _captured(sensor, rows: int, columns: int) -> float:
     """Share of the covariance sum that sums over blocks hold, by the same theory in the plane of
     frequencies.
     """
-    from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.transfer import product
+    from simulate.camera.camera import CameraModel
+    from simulate.camera.transfer import product
 
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     # As many points as three times this on either axis tell the same to a millionth.
     x, y = ((np.arange(n) + 0.5) / n - 0.5 for n in (400, 200))
     pitch_x, pitch_y = camera.cells.pitch_x_mm, 2 * camera.cells.pitch_y_mm
@@ -226,7 +226,7 @@ def test_charge_alone_has_the_system_gain_as_its_noise(plain, seed):
     """Without a tube's pulses, K mu is all: a plate of a very large pulse-height shape and no
     losses, many pulses.
     """
-    from simulate.iiccd.ccd import Ccd
+    from simulate.camera.ccd import Ccd
 
     ccd = Ccd(quantum_efficiency=0.3, full_well_e=1e6)
     light = StageImage(values=np.full((200, 300), 9000.0, np.float32))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from labdata.phosphors import load_phosphor
-from simulate.iiccd.grid import ACCURACY
-from simulate.iiccd.phosphor import PhosphorDecay, decay_components
+from simulate.camera.grid import ACCURACY
+from simulate.camera.phosphor import PhosphorDecay, decay_components
 
 
 def _glow(name: str, field_s: float, gate_s: float | None = None) -> PhosphorDecay:

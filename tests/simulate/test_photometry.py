@@ -5,13 +5,13 @@ reference, section 8).
 import numpy as np
 import pytest
 
-from simulate.iiccd import true_quantities, tube_photometry
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.grid import grid_with_margin
-from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.random_numbers import key_of, poisson_numbers
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.tube_photometry import ELEMENTARY_CHARGE_C, JOULE_METRE
+from simulate.camera import true_quantities, tube_photometry
+from simulate.camera.camera import CameraModel
+from simulate.camera.grid import grid_with_margin
+from simulate.camera.microchannel import MicrochannelPlate
+from simulate.camera.random_numbers import key_of, poisson_numbers
+from simulate.camera.stage_image import StageImage
+from simulate.camera.tube_photometry import ELEMENTARY_CHARGE_C, JOULE_METRE
 
 
 def test_gallium_arsenide_of_table_1_2_has_1996_microamperes_per_lumen(sheet):
@@ -156,7 +156,7 @@ def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
 def test_plate_saturates_to_half_at_its_saturation_current(sheet):
     from labdata import Conditions
 
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     plate = camera.chain(Conditions()).stages[3]
     per_s_cm2 = plate.saturation_e_per_s_cm2 / plate.gain
     cell = per_s_cm2 * camera.field_s * camera.cells.cell_area_cm2

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.iiccd import pattern, tube_photometry
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.grid import grid_with_margin
-from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera import pattern, tube_photometry
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.grid import grid_with_margin
+from simulate.camera.microchannel import MicrochannelPlate
+from simulate.camera.stage_image import StageImage
 
 GRID = grid_with_margin(60, 80, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
 # Luminous gain of a published intensified camera at six control words (physics reference, 1.4;
@@ -43,7 +43,7 @@ def test_control_word_follows_the_published_table(sheet, word, luminous_gain):
 
 
 def test_control_word_sets_the_gain_of_the_plate(sheet):
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     nominal = camera.stage(Slot.MCP, Conditions()).gain
     assert camera.stage(Slot.MCP, Conditions(gain_control=187.5)).gain == pytest.approx(
         1.95 * nominal, rel=1e-3

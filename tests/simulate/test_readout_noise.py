@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, Target
+from labdata.camera.chip import Readout, gain_at_no_signal
+from labdata.camera.description import Camera
 from labdata.sensors import load_camera
-from labdata.solid_state import Readout, SolidStateCamera, gain_at_no_signal
-from simulate.iiccd import readout_noise
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.video import Video
+from simulate.camera import readout_noise
+from simulate.camera.stage_image import StageImage
+from simulate.camera.video import Video
 from simulate.lab import LabBench
 
 
-def small(**values: float) -> SolidStateCamera:
+def small(**values: float) -> Camera:
     """Return the machine-vision camera, 64 x 80, with a plain pattern and other values of its
     read-out.
     """
     camera = load_camera("machine-vision")
-    assert isinstance(camera, SolidStateCamera)
     plain = {
         "ccd.prnu": 0.0,
         "ccd.dsnu_e": 0.0,

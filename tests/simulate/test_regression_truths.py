@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from simulate.iiccd import true_quantities, tube_photometry
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.phosphor import PhosphorDecay, apply_phosphor_decay
-from simulate.iiccd.transfer import HaloBlur, PixelAperture, TubeShare, product
+from simulate.camera import true_quantities, tube_photometry
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.microchannel import MicrochannelPlate
+from simulate.camera.phosphor import PhosphorDecay, apply_phosphor_decay
+from simulate.camera.transfer import HaloBlur, PixelAperture, TubeShare, product
 from tests.simulate.test_photometry import drawn_pulses
 
 FIELD_S = 1.0 / 59.94
@@ -136,7 +136,7 @@ def test_truth_07_stage_resolutions_add_in_quadrature_to_62_15(sheet):
 
 
 def test_truth_08_570_television_lines_are_the_nyquist_frequency_of_the_columns(sheet):
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     rows, columns = camera.shape
     assert columns * 3 / 4 == 576
     height_mm = rows * camera.cells.pitch_y_mm
@@ -257,7 +257,7 @@ def test_truth_11_halo_ends_at_two_gaps_with_the_tabulated_density(elastic_share
 
 
 def test_truth_11_halo_of_the_camera_is_four_gaps_wide(sheet):
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     diameter_mm = true_quantities.true_quantities(sheet)["halo_diameter"] * camera.cells.pitch_x_mm
     assert diameter_mm == pytest.approx(0.84)
     assert true_quantities.true_quantities(sheet)["halo_diameter"] == pytest.approx(47.0, abs=0.5)
@@ -315,7 +315,7 @@ def test_truth_18_control_word_gives_the_published_gain(word, sheet):
 def test_truth_18_control_word_reaches_the_plate(sheet):
     from labdata import Conditions
 
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
 
     def gain(word: float) -> float:
         (plate,) = (
@@ -332,7 +332,7 @@ def test_truth_18_control_word_reaches_the_plate(sheet):
 def test_truth_19_p20_leaves_48_28_17_11_7_hundredths_to_the_fields_after(sheet):
     from labdata import Conditions
 
-    found = IntensifiedCamera(sheet).stage(Slot.DECAY, Conditions()).residuals(5)
+    found = CameraModel(sheet).stage(Slot.DECAY, Conditions()).residuals(5)
     assert found == pytest.approx([0.48, 0.28, 0.17, 0.11, 0.07], abs=0.006)
 
 
@@ -352,7 +352,7 @@ def _row_pairs(sheet, video) -> tuple[float, float]:
     """Correlation of row pairs with the next in the line, and with those that share one of their
     two rows.
     """
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     x, y = ((np.arange(n) + 0.5) / n * 4.0 for n in (400, 300))
     pitch_x, pitch_y = camera.cells.pitch_x_mm, 2.0 * camera.cells.pitch_y_mm
     power = (
@@ -385,7 +385,7 @@ def test_truth_20_the_staircase_of_the_pixel_clock_adds_to_the_correlation_along
     """Pixels are held for a clock before the filter: along lines the chain's noise is smoother than
     the reference's.
     """
-    camera = IntensifiedCamera(sheet)
+    camera = CameraModel(sheet)
     beside, overlap = _row_pairs(sheet, camera.stage(Slot.VIDEO).low_pass)
     assert beside == pytest.approx(
         true_quantities.true_quantities(sheet)["correlation_horizontal"], abs=2e-3

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.iiccd import tube_photometry
-from simulate.iiccd.automatic_controls import SET_LEVEL
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera import tube_photometry
+from simulate.camera.automatic_controls import SET_LEVEL
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
 NONE = Conditions()
 LEVELS = {"dense": 20.0, "sparse": 0.2}
 
 
 @pytest.fixture
-def camera(plain) -> IntensifiedCamera:
-    return IntensifiedCamera(plain(30, 44, photocathode__ebi_lm_per_cm2=0.0))
+def camera(plain) -> CameraModel:
+    return CameraModel(plain(30, 44, photocathode__ebi_lm_per_cm2=0.0))
 
 
-def _scene(camera: IntensifiedCamera, level: float):
+def _scene(camera: CameraModel, level: float):
     image = np.full(camera.shape, level)
     image[:, : camera.shape[1] // 2] *= 0.5
     return mcp_input_from_photoelectrons(camera, image, NONE)
@@ -36,7 +36,7 @@ def test_a_steady_sequence_is_the_steady_run(plain, light, local):
     """The same draws, as scenes are drawn one by one; sums in another order may round a few pixels
     otherwise.
     """
-    camera = IntensifiedCamera(
+    camera = CameraModel(
         plain(30, 44, microchannel_plate__strip_current_ua_per_cm2=0.6), local_depletion=local
     )
     scene = _scene(camera, LEVELS[light])
@@ -57,7 +57,7 @@ def test_light_switched_off_leaves_the_screens_residuals(plain, light, seed):
     """Truth 19 in frames: the field residuals 0.48, 0.28, 0.17, 0.11, ... are the shares of later
     fields.
     """
-    camera = IntensifiedCamera(plain(120, 160, photocathode__ebi_lm_per_cm2=0.0))
+    camera = CameraModel(plain(120, 160, photocathode__ebi_lm_per_cm2=0.0))
     scenes = [_scene(camera, 20.0 * LEVELS[light])] * 2 + [_scene(camera, 0.0)] * 8
     if light == "sparse":
         # So few pulses that they are drawn one by one: the light of a dim field among dark ones.
@@ -77,7 +77,7 @@ def test_light_switched_off_leaves_the_screens_residuals(plain, light, seed):
 
 
 def test_interlaced_fields_see_their_own_moment_and_a_rested_camera_is_dark(plain):
-    camera = IntensifiedCamera(
+    camera = CameraModel(
         plain(
             30,
             44,
@@ -103,7 +103,7 @@ def test_channels_recover_after_a_flash(plain, seed):
         microchannel_plate__strip_current_ua_per_cm2=0.6,
         microchannel_plate__channel_recovery_ms=50.0,
     )
-    camera = IntensifiedCamera(
+    camera = CameraModel(
         replace(sensor, video=replace(sensor.video, interlaced=False)), local_depletion=True
     )
     flash, probe = (
@@ -128,7 +128,7 @@ def test_a_lamp_that_enters_the_picture_pumps_the_tubes_brightness(plain, seed):
         "ccd__full_well_e": 1e12,
     }
     sensor = plain(30, 44, **changes)
-    camera, on = IntensifiedCamera(sensor), Conditions(brightness_control=True)
+    camera, on = CameraModel(sensor), Conditions(brightness_control=True)
     per_lux = (
         tube_photometry.photoelectrons_per_lumen_s(sensor)
         * 1e-4
@@ -149,7 +149,7 @@ def test_a_lamp_that_enters_the_picture_pumps_the_tubes_brightness(plain, seed):
 
 
 def test_automatic_gain_follows_the_frames_it_has_seen(plain, seed):
-    camera, on = IntensifiedCamera(plain(30, 44)), Conditions(automatic_gain=True)
+    camera, on = CameraModel(plain(30, 44)), Conditions(automatic_gain=True)
     set_dn = SET_LEVEL * (2**16 - 1 - 400.0)
     per_pe = (camera.mean_frame(_scene(camera, 10.0), NONE).mean() - 400.0) / 10.0
     scene = _scene(camera, 0.5 * set_dn / per_pe)

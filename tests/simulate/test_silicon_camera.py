@@ -9,11 +9,11 @@ import pytest
 
 from labdata import BadInput, Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd import pattern
-from simulate.iiccd.camera import SiliconCamera
-from simulate.iiccd.ccd import Ccd, Register
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera import pattern
+from simulate.camera.camera import CameraModel
+from simulate.camera.ccd import Ccd, Register
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.stage_image import StageImage
 
 COLD = Conditions(temperature_c=-70.0)
 
@@ -27,7 +27,7 @@ def description():
 
 
 def _frames(
-    camera: SiliconCamera, level: float, conditions: Conditions, seed: int, count: int = 20
+    camera: CameraModel, level: float, conditions: Conditions, seed: int, count: int = 20
 ) -> np.ndarray:
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, level), conditions)
     stream = camera.frames(light, conditions, seed=seed)
@@ -104,7 +104,7 @@ def test_photon_transfer_of_an_emccd(description, em_gain, level, seed):
     """Variance K^2 (G^2 F^2 (n + dark + clocked) + r^2) + 1/12, with F^2 = 1 where nothing
     multiplies.
     """
-    camera = SiliconCamera(description)
+    camera = CameraModel(description)
     conditions = replace(COLD, em_gain=em_gain)
     frames = _frames(camera, level, conditions, seed)
     dn_per_e = float(description.video.conversion_gain_dn_per_e)
@@ -129,7 +129,7 @@ def test_photon_transfer_of_an_emccd(description, em_gain, level, seed):
 
 
 def test_frames_follow_from_their_number_alone(description):
-    camera = SiliconCamera(description)
+    camera = CameraModel(description)
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 2.0), COLD)
     run = camera.frames(light, COLD, seed=3)
     third = [next(run) for _ in range(4)][3]
@@ -158,7 +158,7 @@ def test_dark_pattern_stays_from_frame_to_frame_and_is_in_the_mean(seed):
 
 def test_dark_pattern_doubles_with_the_dark_current(description):
     doubling = float(description.ccd.dark_current_doubling_k)
-    camera = SiliconCamera(description)
+    camera = CameraModel(description)
     cold, warm = (camera.chain(Conditions(temperature_c=t)).stages[3] for t in (0.0, doubling))
     assert isinstance(cold, Ccd) and isinstance(warm, Ccd)
     assert warm.dsnu_e == pytest.approx(2.0 * cold.dsnu_e) and warm.dark_e == pytest.approx(
@@ -167,7 +167,7 @@ def test_dark_pattern_doubles_with_the_dark_current(description):
 
 
 def test_exposure_and_gain_out_of_reach_are_refused(description):
-    camera = SiliconCamera(description)
+    camera = CameraModel(description)
     for conditions in (
         Conditions(em_gain=2000.0),
         Conditions(exposure_s=0.0),

@@ -9,14 +9,14 @@ import pytest
 
 from labdata import Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd import true_quantities
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera import true_quantities
+from simulate.camera.camera import CameraModel
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
 )
-from simulate.iiccd.stage_images import stage_images
+from simulate.camera.stage_images import stage_images
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.spectrum import planck
 
@@ -60,7 +60,7 @@ def test_light_at_the_plate_is_that_of_the_exposure():
 
 def test_levels_grow_by_the_gains_of_the_stages(plain):
     sensor = plain(60, 88, phosphor__fast_decay_ms=1e-9, phosphor__slow_decay_ms=1e-9)
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 200.0), Conditions())
     shown = {
         stage: image.mean(dtype=float)

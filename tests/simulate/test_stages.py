@@ -8,13 +8,13 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, Sensor
+from labdata import BadInput, Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.chain import Chain, Slot, Stage
-from simulate.iiccd.scene_to_photoelectrons import Camera, camera_from_description
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.camera import CameraModel
+from simulate.camera.ccd import Ccd
+from simulate.camera.chain import Chain, Slot, Stage
+from simulate.camera.scene_to_photoelectrons import camera_from_description
+from simulate.camera.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
 DRAWS = 60
@@ -45,7 +45,7 @@ STAGES = (
 NOISY = ("microchannel plate", "ccd", "register")
 
 
-def _light_for(camera: Camera, stage: Stage) -> StageImage | RadianceCube:
+def _light_for(camera: CameraModel, stage: Stage) -> StageImage | RadianceCube:
     """An uneven image of the kind that reaches a stage, far from any limit."""
     rng = np.random.default_rng(5)
     if stage.takes == "radiance":
@@ -73,12 +73,12 @@ def _light_for(camera: Camera, stage: Stage) -> StageImage | RadianceCube:
 
 
 @pytest.fixture(scope="module")
-def camera(plain) -> IntensifiedCamera:
-    return IntensifiedCamera(plain(24, 40, microchannel_plate__ion_event_rate_per_s_cm2=1e6))
+def camera(plain) -> CameraModel:
+    return CameraModel(plain(24, 40, microchannel_plate__ion_event_rate_per_s_cm2=1e6))
 
 
 @pytest.fixture(scope="module")
-def cameras(plain, camera) -> dict[str, Camera]:
+def cameras(plain, camera) -> dict[str, CameraModel]:
     """Small cameras of every kind, with the fixed patterns and line noises that the plain one
     lacks.
     """
@@ -96,13 +96,12 @@ def cameras(plain, camera) -> dict[str, Camera]:
         replace(found, ccd=replace(found.ccd, rows=24, columns=40))
         for found in (load_camera("gen3-digital-iccd"), load_camera("emccd-512"))
     )
-    assert isinstance(digital, Sensor)
     return {
-        "tube": IntensifiedCamera(patterned, geometry=True),
-        "depleted tube": IntensifiedCamera(
+        "tube": CameraModel(patterned, geometry=True),
+        "depleted tube": CameraModel(
             plain(24, 40, microchannel_plate__strip_current_ua_per_cm2=0.6), local_depletion=True
         ),
-        "digital tube": IntensifiedCamera(digital),
+        "digital tube": CameraModel(digital),
         "silicon": camera_from_description(
             emccd.with_values({"register.em_gain": 20.0, "video.conversion_gain_dn_per_e": 0.5})
         ),

@@ -9,16 +9,21 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, load_sensor
-from simulate.iiccd import true_quantities
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import PulseMoments, Slot
-from simulate.iiccd.fast_sampler import charge_distribution, event_samplers, frame_generator, kernel
-from simulate.iiccd.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
-from simulate.iiccd.grid import ACCURACY
-from simulate.iiccd.phosphor import PhosphorDecay
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import PixelAperture, product
+from simulate.camera import true_quantities
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import PulseMoments, Slot
+from simulate.camera.fast_sampler import (
+    charge_distribution,
+    event_samplers,
+    frame_generator,
+    kernel,
+)
+from simulate.camera.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
+from simulate.camera.grid import ACCURACY
+from simulate.camera.phosphor import PhosphorDecay
+from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera.stage_image import StageImage
+from simulate.camera.transfer import PixelAperture, product
 from tests.simulate.samplers import SAMPLERS, drawn_by
 from tests.simulate.test_noise import _block_variance, _captured
 
@@ -68,7 +73,7 @@ def test_a_row_has_the_skewness_and_kurtosis_of_the_compound_law(shape, mean):
 
 
 def _kernels(sensor, divisions):
-    camera = IntensifiedCamera(sensor)
+    camera = CameraModel(sensor)
     blurs = PulseMoments(camera.chain(Conditions())).blurs
     known = kernel.DIVISIONS
     try:
@@ -140,7 +145,7 @@ def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
     """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over
     the plane.
     """
-    camera = IntensifiedCamera(load_sensor(name))
+    camera = CameraModel(load_sensor(name))
     blurs = PulseMoments(camera.chain(Conditions())).blurs
     made = kernel.pulse_kernel(blurs, camera.cells, camera.fields_per_frame)
     places = made.shares.shape[0] * made.shares.shape[1]
@@ -172,7 +177,7 @@ def sparse(plain):
     sensor = plain(
         48, 64, photocathode__ebi_lm_per_cm2=0.0, microchannel_plate__ion_event_rate_per_s_cm2=300.0
     )
-    camera = IntensifiedCamera(sensor, geometry=True)
+    camera = CameraModel(sensor, geometry=True)
     image = np.where(np.arange(64) < 32, 0.02, 0.4) * np.ones((48, 1))
     return camera, mcp_input_from_photoelectrons(camera, image, Conditions())
 
@@ -211,7 +216,7 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     places alike.
     """
     sensor = plain(32, 32, phosphor__fast_decay_ms=1e-6, phosphor__slow_decay_ms=1e-6)
-    camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
+    camera = CameraModel(replace(sensor, video=replace(sensor.video, interlaced=False)))
     light = _made(
         camera, StageImage(values=np.full(camera.cells.shape, 1e-3, np.float32), grid=camera.cells)
     ).light
@@ -237,7 +242,7 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
 
 def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
     """Their light in their own field has the mean and the mean square of the screen's decay."""
-    camera = IntensifiedCamera(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
+    camera = CameraModel(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
     light = _made(
         camera, StageImage(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)
     ).light
@@ -282,7 +287,7 @@ def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
 def scene(sheet):
     """A small camera and an uneven picture through it, patterns, ions and a lamp included."""
     small = replace(sheet, ccd=replace(sheet.ccd, rows=60, columns=84))
-    camera = IntensifiedCamera(small, geometry=True, local_depletion=True)
+    camera = CameraModel(small, geometry=True, local_depletion=True)
     image = 2.0 + 2.0 * np.sin(np.arange(84) / 9.0)[None, :] * np.ones((60, 1))
     image[30, 40] = 5e4
     return camera, mcp_input_from_photoelectrons(camera, image, Conditions())
@@ -346,7 +351,7 @@ def test_brightness_control_dims_streamed_frames_as_by_cell(sheet):
     small = replace(sheet, ccd=replace(sheet.ccd, rows=40, columns=64)).with_values(
         {"ccd.full_well_e": 1e7, "video.conversion_gain_dn_per_e": 4e-4}
     )
-    camera, on = IntensifiedCamera(small), Conditions(brightness_control=True)
+    camera, on = CameraModel(small), Conditions(brightness_control=True)
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 800.0), on)
     levels = [
         [float(frame.mean()) for frame in islice(drawn_by(tier, camera, light, on, seed=1), 12)]
@@ -368,7 +373,7 @@ def test_six_decibels_of_camera_gain_double_signal_and_noise(sheet, tier, seed):
     small = replace(
         sheet, ccd=replace(sheet.ccd, rows=60, columns=84), video=replace(sheet.video, bit_depth=16)
     )
-    camera = IntensifiedCamera(small)
+    camera = CameraModel(small)
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
     black, found = float(sheet.video.black_level_dn), []
     for gain_db in (0.0, 20.0 * np.log10(2.0)):
@@ -406,7 +411,7 @@ def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
     sums.
     """
     sensor = plain(120, 320)
-    camera, level, blocks = IntensifiedCamera(sensor), 10.0, ((2, 4), (5, 10), (10, 20))
+    camera, level, blocks = CameraModel(sensor), 10.0, ((2, 4), (5, 10), (10, 20))
     light = StageImage(
         values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells
     )

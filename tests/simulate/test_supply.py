@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.chain import Slot
-from simulate.iiccd.photocathode import BrightSourceProtection, Photocathode
-from simulate.iiccd.stage_image import StageImage
+from simulate.camera.camera import CameraModel
+from simulate.camera.chain import Slot
+from simulate.camera.photocathode import BrightSourceProtection, Photocathode
+from simulate.camera.stage_image import StageImage
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def _transfer(blur, frequency: float) -> float:
     ("voltage_v", "radius_um", "at_64"), [(800.0, 4.7, 0.41), (400.0, 6.6, 0.17)]
 )
 def test_flight_across_the_gap_is_that_of_table_1_5(supply, voltage_v, radius_um, at_64):
-    from simulate.iiccd.transfer import GapSpread
+    from simulate.camera.transfer import GapSpread
 
     radius = supply.flight_um(voltage_v)
     assert radius == pytest.approx(radius_um, abs=0.05)
@@ -51,7 +51,7 @@ def test_only_what_the_full_voltage_does_not_explain_is_a_further_blur(supply):
 
 
 def test_gap_keeps_all_electrons_under_protection(plain):
-    camera = IntensifiedCamera(plain(24, 40))
+    camera = CameraModel(plain(24, 40))
     rng = np.random.default_rng(1)
     light = StageImage(
         values=rng.random(camera.scene_cells.shape, np.float32), grid=camera.scene_cells
@@ -73,14 +73,14 @@ def test_shut_gate_passes_light_and_dark_by_its_ratio(ratio):
 
 
 def test_gate_open_all_the_field_has_nothing_to_leak(sheet):
-    cathode = IntensifiedCamera(sheet).stage(Slot.PHOTOCATHODE, Conditions())
+    cathode = CameraModel(sheet).stage(Slot.PHOTOCATHODE, Conditions())
     assert cathode.open_s == cathode.gate_s
 
 
 @pytest.mark.parametrize("gate_ns", [0.0, float("nan"), 1.8e7])
 def test_gates_that_do_not_open_or_outlast_a_field_are_refused(sheet, gate_ns):
     with pytest.raises(BadInput):
-        IntensifiedCamera(sheet).chain(Conditions(gate_ns=gate_ns))
+        CameraModel(sheet).chain(Conditions(gate_ns=gate_ns))
 
 
 @pytest.mark.parametrize(

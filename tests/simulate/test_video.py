@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.video import (
+from simulate.camera.stage_image import StageImage
+from simulate.camera.video import (
     CORRECTED_MHZ,
     NoFilter,
     Video,

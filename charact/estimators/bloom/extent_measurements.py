@@ -15,6 +15,7 @@ from charact.estimators.bloom.series_consistency import check_consistency
 from charact.estimators.bloom.smear import smear_measurement
 from charact.estimators.bloom.source_view import SECTORS
 from charact.method import Context
+from labdata.camera.description import Camera, has_tube
 from labdata.flags import Finding
 from labdata.measurement import (
     Interval,
@@ -26,7 +27,6 @@ from labdata.measurement import (
     make_refusal,
     measurement_from_draws,
 )
-from labdata.sensor import Sensor
 from labdata.session import Session
 
 
@@ -70,7 +70,7 @@ LEVELS = {
 
 
 def bloom_measurements(
-    spots: tuple[PointStack, ...], *, square: bool, sensor: Sensor | None = None, **fields: Any
+    spots: tuple[PointStack, ...], *, square: bool, sensor: Camera | None = None, **fields: Any
 ) -> list[Measurement]:
     """Return the extents of every stack, refused where the source stays below the threshold.
 
@@ -92,7 +92,7 @@ def bloom_measurements(
         }
         out += [_diameter(name, spot, extent, **common) for name, extent in extents.items()]
         out += [_ellipticity(spot, **common), *_areas_at_full_scale(spot, sensor, **common)]
-        out += streak_measurements(spot, Context(sensor=sensor), **common)
+        out += streak_measurements(spot, Context(camera=sensor), **common)
     return out
 
 
@@ -201,11 +201,11 @@ def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
 
 
 def _areas_at_full_scale(
-    spot: PointStack, sensor: Sensor | None, **common: Any
+    spot: PointStack, sensor: Camera | None, **common: Any
 ) -> list[Measurement]:
     """Area at full scale in pixels and, if known, at the photocathode and in the field of view."""
     units = {"px": 1.0}
-    if sensor is not None:
+    if has_tube(sensor):
         side_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
         pixel_mm2 = side_mm**2 * spot.row_pitch
         units |= {
@@ -320,7 +320,7 @@ def add_common_measurements(
     steady = check_consistency(session, spots, context, **fields)
     smear, of_smear = smear_measurement(spots, context, **fields)
     extents = bloom_measurements(
-        spots, square=context.sensor is None, sensor=context.sensor, **fields
+        spots, square=not has_tube(context.camera), sensor=context.camera, **fields
     )
     flagged = [
         measurement

@@ -19,6 +19,7 @@ from charact.estimators.bloom.series.halo_models import (
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
+from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
 from labdata.session import Session, StackEntry
@@ -323,7 +324,7 @@ def _measure(
     # Maximum halo radius over the distance to the border.
     flags += ("window-too-small",) if float(np.median(diameter)) > 2 * 0.85 * line.dark_px else ()
     notes = (
-        ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
+        () if has_tube(context.camera) else ("the row pitch is unknown: pixels are assumed square",)
     )
     notes += (
         () if session.of_kind("dark") else ("the black level is estimated from the darkest pixels",)

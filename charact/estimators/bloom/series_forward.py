@@ -40,6 +40,7 @@ from charact.estimators.bloom.series.series_measurements import (
 from charact.estimators.bloom.thresholds import CUT_SD, Unmeasurable
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
+from labdata.camera.description import has_tube
 from labdata.measurement import Measurement, Posterior, Result, make_refusal
 from labdata.session import Session
 
@@ -211,7 +212,7 @@ def series_forward(session: Session, *, context: Context) -> Result:
 
 
 def _has_tube(group: tuple[PointStack, ...], context: Context) -> bool:
-    return context.sensor is not None or any(spot.conditions.mcp_v is not None for spot in group)
+    return has_tube(context.camera) or any(spot.conditions.mcp_v is not None for spot in group)
 
 
 def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
@@ -233,7 +234,7 @@ def _fit_series(
     forms = candidates(
         series,
         pitch_ratio=context.pitch_ratio,
-        sensor=context.sensor,
+        sensor=context.camera,
         has_tube=_has_tube(group, context),
         first_diameter_px=2 * radius if significance > STEP_SEEN else float("nan"),
     )
@@ -310,7 +311,7 @@ def _notes(
     context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]
 ) -> tuple[str, ...]:
     notes = (
-        ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
+        () if has_tube(context.camera) else ("the row pitch is unknown: pixels are assumed square",)
     )
     if np.isfinite(nearest_px(group)):
         notes += (

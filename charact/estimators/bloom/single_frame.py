@@ -28,6 +28,7 @@ from charact.estimators.bloom.source_view import SECTORS, Background, SourceView
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import (
@@ -187,7 +188,7 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     (entry,) = session.of_kind("point")
     stack, of_spot = entry.read(), {"stack": spot.label, **fields}
     extents = partial(
-        bloom_measurements, square=context.sensor is None, sensor=context.sensor, **fields
+        bloom_measurements, square=not has_tube(context.camera), sensor=context.camera, **fields
     )
     out = [
         *extents((spot,)),

@@ -33,6 +33,7 @@ from charact.estimators.noise.thresholds import CUBE
 from charact.method import Context
 from charact.method.registry import single_blas_thread
 from charact.method.stopwatch import with_timing
+from labdata.camera.description import is_thermal
 from labdata.measurement import (
     Measurement,
     Posterior,
@@ -200,7 +201,7 @@ class BlackbodySeries:
         beyond = WORST.radiance(transfer.background_k) / WORST.radiance(at) - 1.0
         between = between * (1.0 + beyond * rng.uniform(0.0, 1.0, len(at)))
         draws = 1e3 * np.sqrt(np.maximum(between, 0.0)) / np.abs(transfer.sitf)
-        scanner = context.imager is not None and context.imager.scanner is not None
+        scanner = is_thermal(context.camera) and context.camera.scanner is not None
         standard = (
             f"as by {E1543}, but of frames as recorded, without that filter"
             if scanner
@@ -326,8 +327,8 @@ def _series(flats: list[StackStatistics], single: list[str], context: Context) -
     sd = np.array([_mean_sd(level) for level in chosen])
     _require_order(kelvin, mean, sd)
     background_k, background = _background(chosen)
-    imager = context.imager
-    band = None if imager is None else (float(imager.band.short_um), float(imager.band.long_um))
+    imager = context.camera
+    band = (float(imager.band.short_um), float(imager.band.long_um)) if is_thermal(imager) else None
     transfer = fit_signal_transfer(
         kelvin,
         mean,

@@ -9,6 +9,7 @@ from charact.estimators.infrared.scan_directions import DIRECTIONS
 from charact.estimators.infrared.thresholds import INFRARED
 from charact.estimators.noise.findings import fields_of
 from charact.method import Context
+from labdata.camera.description import is_thermal
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Curve, Measurement, Result, make_refusal, measurement_from_draws
 from labdata.session import Session, StackEntry
@@ -130,7 +131,7 @@ def _frame_rate_hz(flats: tuple[StackEntry, ...], context: Context) -> float | N
         time_s = open_lazy_stack(entry).time_s
         if len(time_s) > 1 and (step := float(np.median(np.diff(time_s)))) > 0:
             return 1.0 / step
-    return None if context.imager is None else context.imager.frame_rate_hz
+    return context.camera.frame_rate_hz if is_thermal(context.camera) else None
 
 
 def _curve_of(m: Measurement, session: Session, result: Result) -> Iterator[Curve]:
@@ -200,11 +201,11 @@ def _footprint_px(edge: Measurement, context: Context) -> tuple[float, str]:
     """Return the footprint of the detector in pixels along the edge's normal, and the words of the
     note.
     """
-    if context.imager is None:
+    if not is_thermal(context.camera):
         return 1.0, ", footprint of one pixel (no sensor described)"
     upright = abs(((edge.orientation_deg or 0.0) % 180.0) - 90.0) < 45.0
-    side, pitch = context.imager.footprint_mrad, context.imager.pitch_mrad[0 if upright else 1]
-    if upright and context.imager.scanner is not None:
+    side, pitch = context.camera.footprint_mrad, context.camera.pitch_mrad[0 if upright else 1]
+    if upright and context.camera.scanner is not None:
         pitch *= 2.0  # edges of a scan direction are of every second line
     return (
         side / pitch,

@@ -31,13 +31,13 @@ def scan_directions(
     context
         Settings, with the description of the imager.
     """
-    imager = context.imager
+    imager = context.camera
     if imager is None or imager.scanner is None:
         yield "", stack, region, context
         return
     fields = 2 if context.interlaced else 1
     scanner = replace(imager.scanner, lines_per_field=max(imager.scanner.lines_per_field // 2, 1))
-    own = replace(context, imager=replace(imager, scanner=scanner))
+    own = replace(context, camera=replace(imager, scanner=scanner))
     rows = 2 * fields * (stack.shape[1] // (2 * fields))
     cut = None if region is None else (region[0] // 2, region[1], region[2] // 2, region[3])
     for number, direction in enumerate(DIRECTIONS):

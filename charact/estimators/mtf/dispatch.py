@@ -12,6 +12,7 @@ from charact.estimators.mtf.target_detection import find_bar_groups, find_edges,
 from charact.estimators.mtf.thresholds import ACCURACY
 from charact.method import Context, choose
 from charact.method.registry import beyond_note
+from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
@@ -106,7 +107,7 @@ def measure(
     if kind == "bars":
         _require_valid_bars(**target)
     described = (
-        FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and context.sensor is not None else None
+        FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and has_tube(context.camera) else None
     )
     chosen = choose(kind, described or method, within_percent=within_percent)
     counted = drop_duplicate_frames(stack)

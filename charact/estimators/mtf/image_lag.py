@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.thresholds import ACCURACY
 from charact.method import Context
+from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 
@@ -76,10 +77,10 @@ def _light_fractions(context: Context) -> Array:
     """Return the fraction of a pulse's light in each field from its arrival on, shape (pulse,
     field).
     """
-    if context.sensor is None:
+    if not has_tube(context.camera):
         return np.ones((1, 1))
-    phosphor = context.sensor.phosphor
-    exposures = 1.0 / float(context.sensor.video.field_rate_hz) * 1e3
+    phosphor = context.camera.phosphor
+    exposures = 1.0 / float(context.camera.video.field_rate_hz) * 1e3
     tau = np.maximum([float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)], 1e-6)
     fast = float(phosphor.fast_fraction)
     light = np.array([fast, 1.0 - fast]) * tau

@@ -14,6 +14,7 @@ from charact.estimators.mtf.blur_models.one_dimensional import (
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.method import Context
 from charact.video_filter import VideoFilter
+from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 
@@ -69,13 +70,13 @@ class KnownTransfer:
 
 def known_transfer(picture: OrientedFrame, angle_rad: float, context: Context) -> KnownTransfer:
     """Return the known transfer across an edge of an oriented frame."""
-    rows_summed = 2.0 if context.sensor is not None and context.interlaced else 1.0
+    rows_summed = 2.0 if has_tube(context.camera) and context.interlaced else 1.0
     along, across = (
         (rows_summed, picture.pitch_ratio)
         if picture.transposed
         else (1.0, rows_summed * picture.pitch_ratio)
     )
-    video = None if picture.transposed else VideoFilter.of(context.sensor)
+    video = None if picture.transposed else VideoFilter.of(context.camera)
     return KnownTransfer(
         angle_rad=angle_rad,
         along_px=along / picture.sample_pitch_px,
@@ -94,7 +95,7 @@ def halo_of(
     The halo is four proximity gaps wide. For a camera without a description only scattered light
     that ends inside the window can be separated from an illumination gradient.
     """
-    if context.sensor is None:
+    if not has_tube(context.camera):
         longest = 0.25 * half_width_px
         return (ScatterComponent(size_px=(2.0, longest)), False) if longest > 4.0 else (None, False)
     low, high = halo_diameters_px(context, transposed=picture.transposed)
@@ -107,7 +108,7 @@ def halo_diameters_px(context: Context, *, transposed: bool) -> tuple[float, flo
     """Return the range of the halo diameter, four proximity gaps, in pitches of the direction,
     px.
     """
-    sensor = context.sensor
+    sensor = context.camera
     assert sensor is not None
     gap, pitch = (
         sensor.photocathode.gap_mm,

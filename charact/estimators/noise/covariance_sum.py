@@ -60,6 +60,7 @@ from charact.estimators.noise.sweep.sweep import gain_sweep
 from charact.estimators.noise.three_dimensional import three_dimensional
 from charact.estimators.noise.thresholds import GAIN
 from charact.method import Context, register
+from labdata.camera.description import has_tube
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
 from labdata.session import Session
 
@@ -270,7 +271,7 @@ def _measure_series(
             f"{float(np.median(posterior['blur_factor'])):.3g}): variance over signal is no gain "
             "per electron; see covariance_gain"
         )
-        kind = "failed" if context.sensor is None else "not-applicable"
+        kind = "not-applicable" if has_tube(context.camera) else "failed"
         out.append(make_refusal("system_gain", "DN/e-", reason, refusal=kind, **fields))
         out += separate_gains(
             series, posterior, context=context, flags=plain, covariance_flags=flags, **fields

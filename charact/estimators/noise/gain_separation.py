@@ -29,6 +29,7 @@ from charact.estimators.noise.illumination import (
 )
 from charact.estimators.noise.thresholds import GAIN, SNR
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
 from labdata.session import Session
 
@@ -107,7 +108,7 @@ def separate_gains(
     if floor.is_detected:
         out = [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **noisy)]
     else:
-        kind = "failed" if context.sensor is None else "not-applicable"
+        kind = "not-applicable" if has_tube(context.camera) else "failed"
         out = [
             make_refusal("conversion_gain", "DN/e-", floor.refusal_reason, refusal=kind, **fields)
         ]
@@ -183,14 +184,14 @@ def response_of(series: FlatSeries, count: int, context: Context) -> Responsivit
                 refusal_reason="the exposure time is unknown (gate_ns, exposure_s)"
             )
         per_lux_s = true / light.seconds
-        if context.sensor is None:
+        if not has_tube(context.camera):
             reason = "the photocathode is unknown (name the sensor)"
             return ResponsivityEstimate(per_lux_s=per_lux_s, note=light.note, refusal_reason=reason)
         gain = per_lux_s / photoelectrons_per_lux_s(context, rng, count)
         return ResponsivityEstimate(gain=gain, per_lux_s=per_lux_s, note=light.note)
     wavelengths = {flat.conditions.wavelength_nm for flat in series.flats}
     known = next(iter(wavelengths)) if len(wavelengths) == 1 else None
-    if context.sensor is None or known is None:
+    if not has_tube(context.camera) or known is None:
         reason = "photons need a single wavelength_nm and the photocathode of a sensor"
         return ResponsivityEstimate(refusal_reason=reason)
     efficiency = photoelectrons_per_photon(context, known, rng, count)
@@ -212,7 +213,7 @@ def _tube(
     reason = None
     if response.per_lux_s is None:
         reason = f"it needs the signal per lux and second: {response.refusal_reason}"
-    elif context.sensor is None:
+    elif not has_tube(context.camera):
         reason = "it needs the pixel size at the photocathode: name the sensor"
     elif pulses is None:
         reason = "k F2 is not known; see pulse_gain"
@@ -295,8 +296,8 @@ def _event_gains(
     )
     factor = pulses / gain
     out.append(measurement_from_draws("excess_noise_factor", "1", factor, notes=notes, **own))
-    if context.sensor is not None:
-        sensitivity = context.sensor.photocathode.luminous_sensitivity_ua_per_lm
+    if has_tube(context.camera):
+        sensitivity = context.camera.photocathode.luminous_sensitivity_ua_per_lm
         draws = snr_from_specification(
             lognormal_draws(sensitivity, rng, SNR.separation_draws), factor
         )

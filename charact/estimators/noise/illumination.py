@@ -16,9 +16,10 @@ from charact.estimators.noise.rounding import rounding_sd
 from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import SNR
 from charact.method import Context
-from labdata.camera_description import Parameter
+from labdata.camera.description import has_tube
+from labdata.camera.parameters import Parameter
+from labdata.camera.tube import Photocathode
 from labdata.conditions import Conditions
-from labdata.sensor import Photocathode
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,7 @@ LAMP_K = 2856.0
 
 def photoelectrons_per_lux_s(context: Context, rng: np.random.Generator, count: int) -> Array:
     """Return draws of the photoelectrons per pixel, lux and second of gate, shape (count,)."""
-    sensor = context.sensor
+    sensor = context.camera
     assert sensor is not None
     sensitivity = lognormal_draws(sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, count)
     return sensitivity * 1e-6 / ELECTRON_C * pixel_area_m2(context, rng, count)
@@ -42,7 +43,7 @@ def pixel_area_m2(context: Context, rng: np.random.Generator, count: int) -> Arr
     """Return draws of the pixel area at the photocathode, shape (count,), m2; two rows for a
     field.
     """
-    sensor = context.sensor
+    sensor = context.camera
     assert sensor is not None
     demagnification = lognormal_draws(sensor.taper.demagnification, rng, count) / float(
         sensor.tube.magnification
@@ -61,8 +62,8 @@ def photoelectrons_per_photon(
     context: Context, wavelength_nm: float, rng: np.random.Generator, count: int
 ) -> Array:
     """Return draws of the photocathode's quantum efficiency at a wavelength, shape (count,)."""
-    assert context.sensor is not None
-    cathode = context.sensor.photocathode
+    assert has_tube(context.camera)
+    cathode = context.camera.photocathode
     table = np.interp(
         wavelength_nm,
         cathode.wavelength_nm,

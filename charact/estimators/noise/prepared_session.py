@@ -16,8 +16,7 @@ from charact.estimators.noise.pixel_survey import PixelSurvey, common_step, surv
 from charact.estimators.noise.stack.stack_statistics import WHOLE_BYTES
 from charact.estimators.noise.thresholds import SURVEY
 from charact.method import Context
-from labdata.frames import FrameStack
-from labdata.lazy_stack import LazyStack
+from labdata.frames import FrameStack, LazyStack
 from labdata.measurement import Measurement, Result, make_measurement, make_refusal
 from labdata.session import Session, StackEntry
 

@@ -28,6 +28,7 @@ from charact.estimators.noise.illumination import (
 )
 from charact.estimators.tube.thresholds import DETECTION
 from charact.method import Context
+from labdata.camera.description import Camera, has_tube
 from labdata.conditions import Conditions
 from labdata.measurement import (
     Curve,
@@ -36,7 +37,6 @@ from labdata.measurement import (
     make_refusal,
     measurement_from_draws,
 )
-from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 METHOD = "bar-detection"
@@ -145,11 +145,11 @@ def add_resolution(
     `figure_of_merit`, the limiting resolution in bright light times `tube_snr`. They are those of
     the camera with its lens, fibre optics and detector, so that those of the tube alone are higher.
     """
-    if context.sensor is None:
+    if not has_tube(context.camera):
         return result
     fields = fields_of(METHOD, context)
     rng = np.random.default_rng([context.seed, 61])
-    curves = _curves(result, context.sensor, rng)
+    curves = _curves(result, context.camera, rng)
     levels, missing = _levels(result, conditions, context, rng)
     if not curves:
         missing = "it needs the MTF: an edge, bars or a point source in the session"
@@ -219,7 +219,7 @@ def _flags(measurements: tuple[Measurement, ...]) -> tuple[str, ...]:
     )
 
 
-def _curves(result: Result, sensor: Sensor, rng: np.random.Generator) -> list[MtfDraws]:
+def _curves(result: Result, sensor: Camera, rng: np.random.Generator) -> list[MtfDraws]:
     """Return the MTF along rows and columns, as far as it was measured."""
     found = []
     for orientation, names in CURVES.items():

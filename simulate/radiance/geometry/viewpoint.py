@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera_description import must_be_positive
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 
 Array = NDArray[np.floating]
 # Largest radius, in corner radii, and nodes of the table that inverts a distortion.
@@ -34,7 +33,7 @@ class RasterGeometry:
     turn_deg_per_s: float = 0.0
 
     def __post_init__(self) -> None:
-        must_be_positive(self, "line_time_s")
+        check(self, positive="line_time_s")
 
     def at(self, row: Array) -> tuple[Array, Array]:
         """Return displacement (row, 3), m, and rotation (row,), rad, of the scanner in the middle

@@ -6,13 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera_description import (
-    Parameter,
-    must_be_a_share,
-    must_be_positive,
-    must_not_be_negative,
-)
-from labdata.errors import BadInput
+from labdata.camera.parameters import Parameter
+from labdata.errors import BadInput, check
 from simulate.radiance.materials import Finish, Material, clearest, material
 
 Array = NDArray[np.floating]
@@ -169,7 +164,7 @@ class Layer:
     specific_heat_j_kg_k: Parameter
 
     def __post_init__(self) -> None:
-        must_be_positive(self, *(item.name for item in fields(self)))
+        check(self, positive=(item.name for item in fields(self)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,9 +229,12 @@ class Slab:
                 f"above_mean_air_k, got {len(self.layer)} layers and "
                 f"{sum(rule is not None for rule in rules)} of these"
             )
-        must_be_a_share(self, *(name for name in SHARES if getattr(self, name) is not None))
-        must_not_be_negative(self, "wind_coefficient", "back_w_m2_k")
-        must_be_positive(self, "emissivity")
+        check(
+            self,
+            fraction=SHARES,
+            not_negative="wind_coefficient back_w_m2_k",
+            positive="emissivity",
+        )
 
     def parameters(self) -> dict[str, Parameter]:
         """Return every number by its name, such as "layer 1 thickness_mm", with its source and

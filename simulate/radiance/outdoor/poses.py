@@ -14,8 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera_description import must_be_positive
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from simulate.radiance.geometry.viewpoint import RasterGeometry, Viewpoint
 
 Posed = TypeVar("Posed")
@@ -228,7 +227,7 @@ class Pose:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        must_be_positive(self, "scale")
+        check(self, positive="scale")
 
 
 def rotation_of(pose: Pose) -> NDArray[np.floating]:

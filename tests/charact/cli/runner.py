@@ -6,7 +6,6 @@ from pathlib import Path
 from typer.testing import CliRunner, Result
 
 from charact.cli.application import app
-from labdata.infrared_imager import InfraredImager
 from labdata.sensors import load_camera, save_sensor
 
 
@@ -70,7 +69,6 @@ def small_imager(folder: Path, name: str, table: str, **size: int) -> Path:
     its path.
     """
     imager = load_camera(name)
-    assert isinstance(imager, InfraredImager)
     few = replace(getattr(imager, table), **size)
     save_sensor(replace(imager, **{table: few}), folder / "thermal.toml")
     return folder / "thermal.toml"

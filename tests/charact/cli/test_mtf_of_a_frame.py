@@ -16,7 +16,6 @@ from labdata import BadInput, FrameStack
 from labdata import Result as Measured
 from labdata.measurement import make_measurement, make_refusal
 from labdata.sensors import load_camera
-from labdata.solid_state import SolidStateCamera
 from tests.charact.cli.runner import charact
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
@@ -151,7 +150,6 @@ def test_an_edge_along_rows_counts_their_pitch() -> None:
 def test_samples_of_a_plane_lie_two_pixels_apart(pitch_um: float | None) -> None:
     """0.5 cycles per sample of a plane are 0.25 per pixel of the camera, stated or described."""
     camera = load_camera("machine-vision")
-    assert isinstance(camera, SolidStateCamera)
     own_um = float(camera.ccd.pitch_x_um) if pitch_um is None else pitch_um
     plane = FrequencyUnit.of(camera, unit="lp/mm", sample_pitch_px=2, pitch_um=pitch_um)
     assert plane(0.5)[0] == pytest.approx(1e3 * 0.25 / own_um)

@@ -9,6 +9,7 @@ import pytest
 import tifffile
 
 from labdata import open_session
+from labdata.camera.description import has_tube
 from labdata.phosphors import load_phosphor
 from labdata.sensors import load_camera, save_sensor
 from tests.charact.cli.runner import assert_one_sentence, charact, done_well, small_camera
@@ -125,8 +126,8 @@ def test_the_session_records_camera_settings_and_how_the_light_came_about(
         *options,
     )
     session = open_session(tmp_path / "out")
-    assert session.sensor is not None
-    assert session.sensor.phosphor == load_phosphor("p43")
+    assert has_tube(session.camera)
+    assert session.camera.phosphor == load_phosphor("p43")
     (stack,) = session.stacks
     assert (stack.kind, stack.finished, session.is_interlaced, stack.bit_depth) == (
         "scene",
@@ -135,7 +136,7 @@ def test_the_session_records_camera_settings_and_how_the_light_came_about(
         8,
     )
     asked = stack.conditions
-    gain = float(session.sensor.tube.luminous_gain) * (asked.mcp_v / 800.0) ** 10.0
+    gain = float(session.camera.tube.luminous_gain) * (asked.mcp_v / 800.0) ** 10.0
     assert gain == pytest.approx(7500.0, rel=1e-9)
     assert (asked.gate_ns, asked.temperature_c) == (5e6, 10.0)
     said = " | ".join(stack.notes)

@@ -15,7 +15,7 @@ from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.sensor import Model, model_of
 from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_observations import LEVEL, SHAPE, tube_observations
-from labdata import Curve, Measurement, Result, Sensor, Session, StackEntry, Target, load_sensor
+from labdata import Camera, Curve, Measurement, Result, Session, StackEntry, Target, load_sensor
 from labdata.measurement import measurement_from_sd
 
 GATE_S = 0.016
@@ -36,12 +36,12 @@ class Told:
 
 
 @pytest.fixture(scope="session")
-def sheet() -> Sensor:
+def sheet() -> Camera:
     return load_sensor("pulnix-ag5745ef3")
 
 
 @pytest.fixture(scope="session")
-def told_of(sheet: Sensor) -> Callable[[int], Told]:
+def told_of(sheet: Camera) -> Callable[[int], Told]:
     """Return what was told of the specimen of a seed."""
 
     def told(seed: int) -> Told:

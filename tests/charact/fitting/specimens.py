@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from charact.fitting.prior import VisibleCamera, prior_of
+from charact.fitting.prior import prior_of
 from charact.fitting.tube_observations import LAG, LEVEL, SHAPE
-from labdata import Conditions, Sensor, Session, Target
+from labdata import Camera, Conditions, Session, Target
 from labdata.sensors import load_camera
 from labdata.session import Kind, LoadedStackEntry
 from simulate.lab import LabBench
@@ -44,19 +44,18 @@ TIED = "ccd.pitch_y_um"
 FLAT = Target()
 
 
-def draw_specimen(name: str, seed: int) -> tuple[VisibleCamera, dict[str, float]]:
+def draw_specimen(name: str, seed: int) -> tuple[Camera, dict[str, float]]:
     """Return a small specimen of a shipped description, and its drawn parameters by path."""
     sheet = load_camera(name)
-    assert isinstance(sheet, VisibleCamera)
     prior = prior_of(
-        sheet, tuple(dict.fromkeys(DRAWN_OF_TUBE if isinstance(sheet, Sensor) else DRAWN_OF_CHIP))
+        sheet, tuple(dict.fromkeys(DRAWN_OF_TUBE if sheet.has_tube else DRAWN_OF_CHIP))
     )
     rng = np.random.default_rng([seed, 51])
     while True:
         truth = dict(
             zip(prior.names, prior.parameters(prior.draw(rng, 1))[0].tolist(), strict=True)
         )
-        if isinstance(sheet, Sensor) or _is_usable(sheet, truth):
+        if sheet.has_tube or _is_usable(sheet, truth):
             break
     if "ccd.pitch_x_um" in truth:
         truth[TIED] = truth["ccd.pitch_x_um"]
@@ -67,7 +66,7 @@ def draw_specimen(name: str, seed: int) -> tuple[VisibleCamera, dict[str, float]
     ), truth
 
 
-def _is_usable(sheet: VisibleCamera, truth: dict[str, float]) -> bool:
+def _is_usable(sheet: Camera, truth: dict[str, float]) -> bool:
     """Whether the wells suit the digitiser, and the noise its step, as in a camera that somebody
     would sell.
     """
@@ -109,9 +108,9 @@ def _longest_s(truth: dict[str, float]) -> float:
     return float(np.clip(charge_e / truth["ccd.dark_current_e_per_s"], 0.04, 0.99))
 
 
-def name_of_class(camera: VisibleCamera) -> str:
+def name_of_class(camera: Camera) -> str:
     """Return "tube", "register" or "chip": what multiplies electrons."""
-    if isinstance(camera, Sensor):
+    if camera.has_tube:
         return "tube"
     return "register" if camera.register.multiplies else "chip"
 

@@ -14,11 +14,11 @@ from charact.method import Context
 from charact.validation import Validation, validate
 from charact.validation.frames import MatchedFrames, simulate_frames
 from labdata import BadInput, Conditions, Curve, FrameStack, Result, Session, Target
-from labdata.camera_description import Draws
+from labdata.camera.description import Camera
+from labdata.camera.parameters import Draws
 from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
 from labdata.session import Kind, LoadedStackEntry
-from labdata.solid_state import SolidStateCamera
 from simulate.lab import LabBench
 
 # The pitch of the shipped description: light stated in photons leaves it, and lengths can be
@@ -41,10 +41,9 @@ GREEN = Conditions(exposure_s=0.02, wavelength_nm=530.0)
 EDGE = Target(angle_deg=5.0)
 
 
-def camera(rows: int, columns: int, **values: float) -> SolidStateCamera:
+def camera(rows: int, columns: int, **values: float) -> Camera:
     """Return the true camera."""
     sheet = load_camera("machine-vision")
-    assert isinstance(sheet, SolidStateCamera)
     one = sheet.with_values({**TRUTH, **values})
     return replace(one, name="true mosaic", ccd=replace(one.ccd, rows=rows, columns=columns))
 

@@ -14,10 +14,10 @@ from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
 from labdata import BadInput, Conditions, Result, Session, StackEntry, Target
+from labdata.camera.description import Camera
 from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
 from labdata.session import LoadedStackEntry
-from labdata.solid_state import SolidStateCamera
 from simulate.lab import LabBench
 from tests.charact.fitting.specimens import session_of
 
@@ -31,12 +31,11 @@ SPECIMENS = {
 LEAST_FITTED = 6
 
 
-def chip(name: str, **values: float) -> SolidStateCamera:
+def chip(name: str, **values: float) -> Camera:
     """Return a shipped camera without a tube, small, with other values by the last part of their
     path.
     """
     camera = load_camera(name)
-    assert isinstance(camera, SolidStateCamera)
     paths = {path.split(".")[1]: path for path in camera.parameters()}
     camera = camera.with_values({paths[key]: value for key, value in values.items()})
     return replace(camera, ccd=replace(camera.ccd, rows=64, columns=80))
@@ -50,9 +49,7 @@ def settings(name: str) -> Conditions:
     return Conditions(exposure_s=0.02, **own)
 
 
-def stack_of(
-    camera: SolidStateCamera, kind: str, conditions: Conditions, *, frames: int, seed: int
-):
+def stack_of(camera: Camera, kind: str, conditions: Conditions, *, frames: int, seed: int):
     """Return a stack of the bench in memory."""
     kept = LabBench(camera).expose(kind, Target(), conditions, frames=frames, seed=seed)
     return LoadedStackEntry(
@@ -66,7 +63,7 @@ def stack_of(
     )
 
 
-def session_with(camera: SolidStateCamera, *stacks: StackEntry) -> Session:
+def session_with(camera: Camera, *stacks: StackEntry) -> Session:
     return Session(
         folder=Path(), name="s", stacks=stacks, camera=camera, bit_depth=camera.video.bit_depth
     )

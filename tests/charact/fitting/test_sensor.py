@@ -18,7 +18,7 @@ from charact.fitting.sensor import (
     posterior_of,
 )
 from charact.fitting.tube_observations import tube_observations
-from labdata import BadInput, Result, Sensor, Session, load_sensor
+from labdata import BadInput, Camera, Result, Session, load_sensor
 from labdata.measurement import measurement_from_sd
 from labdata.sensors import save_sensor
 
@@ -97,7 +97,7 @@ def test_every_value_lies_inside_its_interval_without_an_effort(fits) -> None:
             assert 0.02 < place < 0.98, name
 
 
-def test_what_is_not_identified_keeps_the_range_of_its_prior(fits, sheet: Sensor) -> None:
+def test_what_is_not_identified_keeps_the_range_of_its_prior(fits, sheet: Camera) -> None:
     before = sheet.parameters()
     for _, _, sensor in fits:
         after = sensor.parameters()
@@ -160,7 +160,7 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
     told = told_of(seed)
     halo = Result(measurements=told.result.find("halo_diameter"))
     model = model_of(
-        told.session.sensor, tube_observations(told.session, told.session.sensor, halo, ())
+        told.session.camera, tube_observations(told.session, told.session.camera, halo, ())
     )
     posterior = posterior_of(model, seed=seed)
     assert posterior.sampler == "slice" and not posterior.flags
@@ -188,8 +188,8 @@ def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(
     others = tuple(m for m in told.result.measurements if m.quantity != "blur_factor")
     result = replace(told.result, measurements=(*others, wrong))
     model = model_of(
-        told.session.sensor,
-        tube_observations(told.session, told.session.sensor, result, told.levels),
+        told.session.camera,
+        tube_observations(told.session, told.session.camera, result, told.levels),
     )
     wider, said = inflate_errors(model)
     assert said is not None and said.flag == "model-misfit"
@@ -203,12 +203,12 @@ def test_a_bent_measurement_stays_outside(told_of: Callable, seed: int) -> None:
     result = replace(told.result, measurements=bent)
     names = [
         one.name
-        for one in tube_observations(told.session, told.session.sensor, result, told.levels)
+        for one in tube_observations(told.session, told.session.camera, result, told.levels)
     ]
     assert names == ["levels"]
 
 
-def test_prior_draws_fill_the_ranges_of_the_description(sheet: Sensor, seed: int) -> None:
+def test_prior_draws_fill_the_ranges_of_the_description(sheet: Camera, seed: int) -> None:
     prior = prior_of(
         sheet, ("tube.luminous_gain", "photocathode.halo_fraction", "ccd.quantum_efficiency")
     )
@@ -221,7 +221,7 @@ def test_prior_draws_fill_the_ranges_of_the_description(sheet: Sensor, seed: int
         assert share == pytest.approx(0.95, abs=0.017)
 
 
-def test_a_session_without_a_sensor_or_without_numbers_is_refused(sheet: Sensor) -> None:
+def test_a_session_without_a_sensor_or_without_numbers_is_refused(sheet: Camera) -> None:
     bare = Session(folder=Path(), name="bare", stacks=())
     with pytest.raises(BadInput, match="needs a sensor"):
         fit_sensor(bare, Result())

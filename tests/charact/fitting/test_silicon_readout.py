@@ -14,10 +14,10 @@ from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
 from charact.validation import validate
 from labdata import Conditions, Session, Target
+from labdata.camera.description import Camera
 from labdata.sensors import load_camera
 from labdata.session import LoadedStackEntry
 from labdata.session_import import import_emva1288
-from labdata.solid_state import SolidStateCamera
 from simulate.lab import LabBench
 
 FRAMES = 16
@@ -34,15 +34,14 @@ READOUT = {
 EXPOSURE_S = 0.02
 
 
-def camera_of(**others: float) -> SolidStateCamera:
+def camera_of(**others: float) -> Camera:
     """Return a machine-vision camera of 96 x 120 px with a noisy read-out."""
     sheet = load_camera("machine-vision")
-    assert isinstance(sheet, SolidStateCamera)
     sheet = replace(sheet, ccd=replace(sheet.ccd, rows=96, columns=120))
     return sheet.with_values(READOUT | {"video.black_level_dn": 60.0, "ccd.dsnu_e": 4.0} | others)
 
 
-def session_of(camera: SolidStateCamera, seed: int, *, lit: bool = True) -> Session:
+def session_of(camera: Camera, seed: int, *, lit: bool = True) -> Session:
     """Return darks and flats of a camera; without `lit` the flats do not state their light."""
     bench, dark, stacks = LabBench(camera), Conditions(exposure_s=EXPOSURE_S), []
     for index, photons in enumerate((0.0, 700.0, 2000.0, 5000.0, 9000.0, 13000.0)):
@@ -70,7 +69,7 @@ def session_of(camera: SolidStateCamera, seed: int, *, lit: bool = True) -> Sess
     )
 
 
-def dark_of(camera: SolidStateCamera, seed: int, frames: int = FRAMES) -> np.ndarray:
+def dark_of(camera: Camera, seed: int, frames: int = FRAMES) -> np.ndarray:
     return (
         LabBench(camera)
         .expose("dark", Target(), Conditions(exposure_s=EXPOSURE_S), frames=frames, seed=seed)

@@ -9,14 +9,14 @@ from charact.fitting import predicted_quantities
 from charact.fitting.prior import values_of_description
 from charact.fitting.sensor import model_of
 from charact.fitting.tube_observations import SENSITIVITY, noise_observations
-from labdata import Posterior, Result, Sensor
+from labdata import Camera, Posterior, Result
 from labdata.measurement import measurement_from_draws
 
 SIGNAL_DN = np.array([5.0, 30.0, 120.0])
 POWER_SD, VARIANCE_SD = 0.01, 0.002
 
 
-def flats_of(sheet: Sensor, told, *, tested: bool = True, seed: int = 1) -> Result:
+def flats_of(sheet: Camera, told, *, tested: bool = True, seed: int = 1) -> Result:
     """Return measurements of the flats of a tube at the values of its description, with drawn
     errors.
     """
@@ -54,7 +54,7 @@ def flats_of(sheet: Sensor, told, *, tested: bool = True, seed: int = 1) -> Resu
     )
 
 
-def test_the_loss_of_gain_is_that_of_the_load_at_the_light_of_the_signal(sheet: Sensor) -> None:
+def test_the_loss_of_gain_is_that_of_the_load_at_the_light_of_the_signal(sheet: Camera) -> None:
     values, lux, gate_s = values_of_description(sheet), 3e-4, 0.016
     load = predicted_quantities.mcp_load(values, lux, gate_s, 800.0, 800.0)
     gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
@@ -66,7 +66,7 @@ def test_the_loss_of_gain_is_that_of_the_load_at_the_light_of_the_signal(sheet: 
 
 
 def test_variance_over_signal_is_known_better_than_gain_and_blur(
-    sheet: Sensor, told_of, seed: int
+    sheet: Camera, told_of, seed: int
 ) -> None:
     told = told_of(seed)
     (observed,) = noise_observations(told.session, sheet, flats_of(sheet, told), told.levels)
@@ -80,7 +80,7 @@ def test_variance_over_signal_is_known_better_than_gain_and_blur(
     assert observed.chi_squared(values_of_description(sheet))[0] < 5.0
 
 
-def test_the_ridge_is_a_plane(sheet: Sensor, told_of, seed: int) -> None:
+def test_the_ridge_is_a_plane(sheet: Camera, told_of, seed: int) -> None:
     """Points of equal straightened sensitivity have equal variance over signal, whatever the other
     parameters.
     """
@@ -99,7 +99,7 @@ def test_the_ridge_is_a_plane(sheet: Sensor, told_of, seed: int) -> None:
 
 
 def test_without_a_test_of_image_lag_gain_and_blur_stand_alone(
-    sheet: Sensor, told_of, seed: int
+    sheet: Camera, told_of, seed: int
 ) -> None:
     told = told_of(seed)
     result = flats_of(sheet, told, tested=False)

@@ -21,7 +21,7 @@ from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_darks import quiet_noise
 from charact.fitting.tube_pattern_observations import white_pattern
 from charact.fitting.tube_time_observations import Fields
-from labdata import Conditions, FrameStack, Result, Sensor
+from labdata import Camera, Conditions, FrameStack, Result
 from labdata.sensors import load_camera
 from labdata.session import LoadedStackEntry
 
@@ -31,9 +31,8 @@ GATE_S = 0.016
 WITHIN = 4.5
 
 
-def tube(name: str = "pulnix-ag5745ef3") -> Sensor:
+def tube(name: str = "pulnix-ag5745ef3") -> Camera:
     camera = load_camera(name)
-    assert isinstance(camera, Sensor)
     return camera
 
 
@@ -251,7 +250,7 @@ def frames_with_ions(
     return frames + gaussian_filter(charges, (0.0, 0.6, 0.6))
 
 
-def values_of_ions(camera: Sensor, rate: float, pulses: float) -> Values:
+def values_of_ions(camera: Camera, rate: float, pulses: float) -> Values:
     """Return parameters of pulses of exponential heights and a mean charge of 400 DN, so many a
     pixel and frame.
     """

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.validation.controls import PARAMETERS, ParameterControl, change_parameter
 from charact.validation.frame_features import Numbers, features_of
-from charact.validation.frames import MatchedFrames, MatchedStacks, VisibleCamera, simulate_frames
+from charact.validation.frames import MatchedFrames, MatchedStacks, simulate_frames
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_test import ParameterChange
-from labdata import Conditions, Sensor, Target
-from labdata.camera_description import Draws
+from labdata import Camera, Conditions, Target
+from labdata.camera.parameters import Draws
 from labdata.sensors import load_camera
 from labdata.session import Kind
-from labdata.solid_state import SolidStateCamera
 from tests.charact.validation.defects import Defect, Digitiser
 
 Frames = Mapping[str, NDArray]
@@ -57,7 +56,6 @@ class BenchSets:
     def __init__(self, name: str, *, seed: int, shape: tuple[int, int] = (192, 256)) -> None:
         lights, conditions = LIGHT[name]
         camera = load_camera(name)
-        assert isinstance(camera, Sensor | SolidStateCamera)
         self.camera = camera
         self.seed = seed
         rng = np.random.default_rng(seed)
@@ -67,9 +65,7 @@ class BenchSets:
             tuple(float(known[k]) * (1.0 + POSTERIOR[k] * rng.standard_normal()) for k in names)
             for _ in range(64)
         ]
-        self.sensor: VisibleCamera = replace(
-            self.camera, draws=Draws(names=names, values=tuple(rows))
-        )
+        self.sensor: Camera = replace(self.camera, draws=Draws(names=names, values=tuple(rows)))
 
         def stack(
             kind: Kind,
@@ -107,12 +103,12 @@ class BenchSets:
         self.context = Context(
             seed=0,
             quick=True,
-            sensor=self.camera if isinstance(self.camera, Sensor) else None,
+            camera=self.camera if self.camera.has_tube else None,
             interlaced=self.camera.video.interlaced,
             full_scale_dn=self.top,
         )
 
-    def draw(self, number: int) -> tuple[VisibleCamera, int]:
+    def draw(self, number: int) -> tuple[Camera, int]:
         """Return the posterior draw and the seed of the frames of a set."""
         rng = np.random.default_rng([self.seed, number])
         drawn = replace(self.sensor.draw(rng), name=f"{self.camera.name}, set {number}")
@@ -178,7 +174,7 @@ class BenchSets:
 
     def has(self, defect: Defect) -> bool:
         """Whether the camera can have a defect."""
-        if defect.has_tube is not None and defect.has_tube != isinstance(self.camera, Sensor):
+        if defect.has_tube is not None and defect.has_tube != self.camera.has_tube:
             return False
         return not defect.factors or any(
             path in self.camera.parameters() for path in defect.factors

@@ -15,8 +15,9 @@ from charact.validation.controls import FAULTS, PARAMETERS
 from charact.validation.frame_features import GROUPS
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_test import SCORES
-from labdata import BadInput, Conditions, Sensor, Session, Target, load_sensor, open_session
-from labdata.sensor import Draws
+from labdata import BadInput, Camera, Conditions, Session, Target, load_sensor, open_session
+from labdata.camera.description import has_tube
+from labdata.camera.parameters import Draws
 from labdata.session import Kind
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
@@ -31,7 +32,7 @@ STACKS: tuple[tuple[str, Kind, float | None, Target], ...] = (
 
 
 @pytest.fixture(scope="module")
-def specimen(seed: int) -> Sensor:
+def specimen(seed: int) -> Camera:
     """A specimen whose draws say that it is known exactly."""
     truth = draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
     small = replace(truth, ccd=replace(truth.ccd, rows=SHAPE[0], columns=SHAPE[1]))
@@ -40,7 +41,7 @@ def specimen(seed: int) -> Sensor:
 
 
 @pytest.fixture(scope="module")
-def session(specimen: Sensor, seed: int, tmp_path_factory: pytest.TempPathFactory) -> Session:
+def session(specimen: Camera, seed: int, tmp_path_factory: pytest.TempPathFactory) -> Session:
     folder = tmp_path_factory.mktemp("session")
     bench, lines = (
         LabBench(specimen),
@@ -72,7 +73,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_right_sensor_passes_and_its_controls_do_as_they_should(
-    session: Session, specimen: Sensor, seed: int
+    session: Session, specimen: Camera, seed: int
 ) -> None:
     found = validate(session, specimen, seed=seed)
     assert {one.name for one in found.statistics} == (set(GROUPS) - {"point"}) | {SCORES}
@@ -90,7 +91,7 @@ def test_the_right_sensor_passes_and_its_controls_do_as_they_should(
 
 
 def test_a_sensor_that_spreads_its_noise_otherwise_fails_and_the_same_seed_gives_the_same(
-    session: Session, specimen: Sensor, seed: int
+    session: Session, specimen: Camera, seed: int
 ) -> None:
     share = 0.4 if float(specimen.tube.post_gain_share) > 0.7 else 1.0
     wrong = replace(specimen, draws=Draws(names=("tube.post_gain_share",), values=((share,),)))
@@ -100,8 +101,8 @@ def test_a_sensor_that_spreads_its_noise_otherwise_fails_and_the_same_seed_gives
     assert one.statistics == two.statistics
     # The session's own description is the sheet; the specimen is known to the validation as the
     # sensor given alone.
-    assert session.sensor is not None
-    assert session.sensor.name == load_sensor("pulnix-ag5745ef3").name
+    assert has_tube(session.camera)
+    assert session.camera.name == load_sensor("pulnix-ag5745ef3").name
 
 
 def test_parts_of_the_crop_s_size_cover_the_frame(
@@ -123,7 +124,7 @@ def test_parts_of_the_crop_s_size_cover_the_frame(
     assert len(parts) == 9
 
 
-def test_a_session_without_darks_is_refused(session: Session, specimen: Sensor) -> None:
+def test_a_session_without_darks_is_refused(session: Session, specimen: Camera) -> None:
     lit = replace(session, stacks=tuple(entry for entry in session.stacks if entry.kind != "dark"))
     with pytest.raises(BadInput, match="needs a dark"):
         validate(lit, specimen)

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 
 from charact.reporting.truth import TruthComparison, compare_with_truth
-from labdata import Conditions, Result, Sensor, Session
-from simulate.iiccd import true_quantities
+from labdata import Camera, Conditions, Result, Session
+from simulate.camera import true_quantities
 from tests.faults.rehearsal.night import GATE_NS
 
 AT_EACH_GAIN = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor")
@@ -18,7 +18,7 @@ CHANCE = 1e-3
 HOLDS = 1.96
 
 
-def beside(result: Result, session: Session, specimen: Sensor) -> tuple[TruthComparison, ...]:
+def beside(result: Result, session: Session, specimen: Camera) -> tuple[TruthComparison, ...]:
     """Every number with a truth beside it; those of a setting beside the truth at that setting."""
     main = _main_voltage(result, session)
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from labdata.sensors import load_camera
-from simulate.infrared.camera import InfraredCamera
-from simulate.infrared.targets import half_moon
+from simulate.camera.thermal_imager import ThermalImager
+from simulate.camera.thermal_targets import half_moon
 
 RANDOM = ("white noise", "1/f noise", "line clamp", "quantisation")
 # Resonant scan of 20 degrees in three quarters of a half period at 7867 Hz: amplitude 10.82
@@ -28,7 +28,7 @@ def imager(name, **values):
             described = replace(described, **{part: replace(section, **{key: value})})
         else:
             described = described.with_values({f"{part}.{key}": value})
-    return InfraredCamera(described)
+    return ThermalImager(described)
 
 
 def still(camera):
@@ -112,7 +112,7 @@ def measured_netd_k(camera, seed, centre_k=295.0):
 def lines_by_direction(camera):
     """Rows of both fields and directions of a scanner, or all rows."""
     rows = np.arange(camera.shape[0])
-    return [rows[rows % 4 == k] for k in range(4)] if camera.is_interlaced else [rows]
+    return [rows[rows % 4 == k] for k in range(4)] if camera.description.interlaced else [rows]
 
 
 def row_streaks(camera, seed, count):

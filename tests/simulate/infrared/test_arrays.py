@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.infrared.camera import InfraredCamera
+from simulate.camera.thermal_imager import ThermalImager
 from tests.simulate.infrared.measures import (
     contrast,
     imager,
@@ -19,11 +19,11 @@ from tests.simulate.infrared.measures import (
 )
 
 
-def vox(rows=96, columns=128, **values) -> InfraredCamera:
+def vox(rows=96, columns=128, **values) -> ThermalImager:
     return imager("vox-lwir-640", bolometer__rows=rows, bolometer__columns=columns, **values)
 
 
-def insb(rows=96, columns=128, **values) -> InfraredCamera:
+def insb(rows=96, columns=128, **values) -> ThermalImager:
     return imager("insb-mwir-640", cooled_array__rows=rows, cooled_array__columns=columns, **values)
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, load_sensor
+from labdata.camera.files import ThermalImagerFile
 from labdata.sensors import load_camera, save_sensor
 from labdata.serialiser import from_mapping
 from simulate import api
-from simulate.infrared.camera import InfraredCamera
-from simulate.infrared.targets import four_bars, half_moon
+from simulate.camera.thermal_imager import ThermalImager
+from simulate.camera.thermal_targets import four_bars, half_moon
 from simulate.radiance.spectrum import band_radiance
 from tests.simulate.infrared.measures import imager
 
@@ -24,7 +25,7 @@ SMALL = {"scanner__lines_per_field": 16}, {"bolometer__rows": 32}, {"cooled_arra
 
 
 @pytest.fixture(params=range(3), ids=NAMES)
-def camera(request) -> InfraredCamera:
+def camera(request) -> ThermalImager:
     """Each imager with few rows."""
     return imager(NAMES[request.param], **SMALL[request.param])
 
@@ -49,19 +50,24 @@ def test_a_description_has_the_tables_of_one_kind(tmp_path):
         tomllib.loads((Path(api.__file__).parents[1] / f"labdata/sensors/{name}.toml").read_text())
         for name in NAMES
     ]
-    described = type(load_camera(NAMES[0]))
+    described = ThermalImagerFile
     with pytest.raises(
         BadInput, match="must have one of scanner, bolometer, cooled_array, got scanner, bolometer"
     ):
         from_mapping(tables[0] | {"bolometer": tables[1]["bolometer"]}, described)
     with pytest.raises(BadInput, match="got none"):
         from_mapping(
-            {key: value for key, value in tables[1].items() if key != "bolometer"}, described
+            {key: value for key, value in tables[1].items() if key != "bolometer"},
+            ThermalImagerFile,
         )
     with pytest.raises(BadInput, match="unknown key 'netd' in bolometer; did you mean"):
-        from_mapping(tables[1] | {"bolometer": tables[1]["bolometer"] | {"netd": 40}}, described)
+        from_mapping(
+            tables[1] | {"bolometer": tables[1]["bolometer"] | {"netd": 40}}, ThermalImagerFile
+        )
     with pytest.raises(BadInput, match="a scanner must be interlaced and an array progressive"):
-        from_mapping(tables[1] | {"video": tables[1]["video"] | {"interlaced": True}}, described)
+        from_mapping(
+            tables[1] | {"video": tables[1]["video"] | {"interlaced": True}}, ThermalImagerFile
+        )
     for name in NAMES:
         save_sensor(load_camera(name), tmp_path / "again.toml")
         assert load_camera(tmp_path / "again.toml") == load_camera(name)
@@ -139,13 +145,13 @@ def test_the_signal_of_a_black_body_is_its_radiance_in_the_band(camera):
         signal = camera.signal(np.broadcast_to(body, (2, 3, body.size)), edges)
         assert signal == pytest.approx(np.full((2, 3), float(camera.signal_of(300.0))), rel=1e-9)
     for name, radiance in expected.items():
-        assert float(InfraredCamera(load_camera(name)).signal_of(300.0)) == pytest.approx(
+        assert float(ThermalImager(load_camera(name)).signal_of(300.0)) == pytest.approx(
             radiance, rel=2e-6
         )
 
 
 def test_codes_are_linear_in_radiance_and_what_saturates_is_counted(camera):
-    quiet = InfraredCamera(camera.description, frozenset(camera.effects) - {"quantisation"})
+    quiet = ThermalImager(camera.description, frozenset(camera.effects) - {"quantisation"})
     low, high = (float(camera.signal_of(kelvin)) for kelvin in (288.0, 300.0))
     levels = [
         next(quiet.frames_of_signal(np.full(camera.shape, s), seed=0))
@@ -195,7 +201,7 @@ def test_radiance_and_effects_that_do_not_fit_are_refused(camera):
 
 def test_plates_show_the_share_that_is_drawn():
     """Half of a half moon, and four bars of seven times their width."""
-    camera = InfraredCamera(load_camera("vox-lwir-640"))
+    camera = ThermalImager(load_camera("vox-lwir-640"))
     for tilt_deg in (0.0, 5.0, 90.0):
         share = half_moon(camera, tilt_deg=tilt_deg, oversample=2)
         assert share.mean() == pytest.approx(0.5, abs=1e-9)

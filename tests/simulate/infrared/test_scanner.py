@@ -5,8 +5,8 @@ import pytest
 
 from labdata import BadInput
 from labdata.sensors import load_camera
-from simulate.infrared.camera import InfraredCamera
-from simulate.infrared.scanner import noise_equivalent_radiance
+from simulate.camera.scanner import noise_equivalent_radiance
+from simulate.camera.thermal_imager import ThermalImager
 from tests.simulate.infrared.measures import (
     AMPLITUDE_MRAD,
     FIELD_MRAD,
@@ -25,11 +25,11 @@ from tests.simulate.infrared.measures import (
 NAME = "scanning-lwir"
 
 
-def scanner(**values) -> InfraredCamera:
+def scanner(**values) -> ThermalImager:
     return imager(NAME, **{f"scanner__{key}": value for key, value in values.items()})
 
 
-def narrow(**values) -> InfraredCamera:
+def narrow(**values) -> ThermalImager:
     """The scanner with few lines, for what happens along a line."""
     return scanner(lines_per_field=8, **values)
 
@@ -276,7 +276,7 @@ def test_narcissus_makes_the_axis_colder_than_the_corners_along_a_parabola():
     """
     camera = still(scanner(lines_per_field=64, coupling_hz=0.0)).with_span(22.0, 20.0)
     with_it = still(
-        InfraredCamera(camera.description.with_values({"scanner.narcissus_k": 0.4}))
+        ThermalImager(camera.description.with_values({"scanner.narcissus_k": 0.4}))
     ).with_span(22.0, 20.0)
     plain, seen = (
         one.view_target(26.85, seed=0, count=1)[0].astype(float) for one in (camera, with_it)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.iiccd.tube_photometry import JOULE_METRE
+from simulate.camera.tube_photometry import JOULE_METRE
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
 from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from simulate.radiance.lamps.spectra import read_spectrum, spectrum

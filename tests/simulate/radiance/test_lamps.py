@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.iiccd.tube_photometry import JOULE_METRE, quantum_efficiency
+from simulate.camera.tube_photometry import JOULE_METRE, quantum_efficiency
 from simulate.radiance.brdf.protocol import read_measured
 from simulate.radiance.lamps.distribution import (
     Cosine,

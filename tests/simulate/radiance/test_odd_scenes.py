@@ -9,7 +9,7 @@ import pytest
 
 from labdata import Conditions
 from labdata.sensors import load_camera
-from simulate.iiccd.scene_to_photoelectrons import (
+from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     photoelectrons_from_radiance,
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.iiccd.tube_photometry import JOULE_METRE, detection_weights, quantum_efficiency
+from simulate.camera.tube_photometry import JOULE_METRE, detection_weights, quantum_efficiency
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import KINDS, spectrum
 from simulate.radiance.outdoor.render_settings import RENDER_LIMITS

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 from simulate.radiance.outdoor.materials import Layer, Slab
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.slab import Exchange, Forcing

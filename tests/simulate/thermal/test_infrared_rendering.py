@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from labdata.camera_description import Parameter
+from labdata.camera.parameters import Parameter
 from labdata.serialiser import from_mapping
 from simulate.radiance.brdf.glossy import Glossy
 from simulate.radiance.brdf.microfacet import dielectric

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom import transfer
 from charact.estimators.bloom.transfer import frequencies
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
 Core = Literal["gaussian", "tube", "moffat", "matern"]
@@ -79,7 +79,7 @@ class HaloModel:
     halo: Halo
     reach_px: float
     pitch_ratio: float = 1.0
-    sensor: Sensor | None = None
+    sensor: Camera | None = None
 
     @cached_property
     def parameters(self) -> tuple[ModelParameter, ...]:
@@ -197,13 +197,13 @@ def pixel_of(pitch_ratio: float) -> Array:
     return transfer.pixel(frequencies(), pitch_ratio)
 
 
-def tube_priors(sensor: Sensor | None) -> tuple[ModelParameter, ...]:
+def tube_priors(sensor: Camera | None) -> tuple[ModelParameter, ...]:
     """Parameters of an image tube's core: as described, or of image tubes in general."""
     frequency = ModelParameter(
         name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3
     )
     exponent = ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
-    if sensor is None:
+    if not has_tube(sensor):
         return frequency, exponent
     scale = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
     cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * scale

@@ -11,7 +11,7 @@ from charact.estimators.bloom.series.halo_models import HaloModel, ModelParamete
 from charact.estimators.bloom.series.likelihood import ModelParts, SeriesLikelihood
 from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.transfer import frequencies
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class SaturatingHaloModel(HaloModel):
     def parameters(self) -> tuple[ModelParameter, ...]:
         """Parameters in the order of a point's coordinates."""
         post_gain_share = POST_GAIN_SHARE
-        if self.sensor is not None:
+        if has_tube(self.sensor):
             post_gain_share = replace(
                 post_gain_share, mean=float(self.sensor.tube.post_gain_share), sd=0.15
             )
@@ -57,9 +57,9 @@ class SaturatingHaloModel(HaloModel):
         return neighbourhood_px(self.sensor)
 
 
-def neighbourhood_px(sensor: Sensor | None) -> float:
+def neighbourhood_px(sensor: Camera | None) -> float:
     """Range over which the MCP load is averaged, column pitches; 0 without a sensor description."""
-    if sensor is None:
+    if not has_tube(sensor):
         return 0.0
     pitch_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
     return float(sensor.microchannel_plate.saturation_blur_um) / pitch_um

@@ -18,7 +18,7 @@ from charact.estimators.bloom.series.likelihood import RingSeries, SeriesLikelih
 from charact.estimators.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
 from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.series.rings import SECTORS
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def candidates(
     series: RingSeries,
     *,
     pitch_ratio: float,
-    sensor: Sensor | None,
+    sensor: Camera | None,
     has_tube: bool,
     first_diameter_px: float,
 ) -> list[FittedHaloModel]:
@@ -113,7 +113,9 @@ def candidates(
     # tube's core is known.
     plausible = [model for model in reversed(out) if model.bic < least_bic + WORTHWHILE]
     cores = {
-        model.form.core: model for model in plausible if sensor is None or model.form.core == "tube"
+        model.form.core: model
+        for model in plausible
+        if not has_tube(sensor) or model.form.core == "tube"
     }
     tiring = [
         saturating

@@ -43,6 +43,7 @@ from charact.estimators.mtf.bars.target import (
 from charact.estimators.mtf.bars.thresholds import LIMITS
 from charact.estimators.mtf.image_lag import image_lag_model
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.flags import Finding
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior
@@ -208,7 +209,7 @@ def _sample_measurement(
     notes.append(
         "Bar width assumed to be half a period; a width error of 1 % biases the MTF by −1 %."
     )
-    if context.sensor is None:
+    if not has_tube(context.camera):
         notes.append("Pixels taken as square.")
     lit = np.zeros(problem.window.shape, bool)
     lit[problem.window] = _count_lit_pixels(fit)
@@ -275,7 +276,7 @@ def _measure_complete_target(
             "measurable); enlarge --roi"
         )
     background, crowded = target_background(mean, target, margin)
-    image_lag = None if context.sensor is None else image_lag_model(context, len(stack.data))
+    image_lag = None if not has_tube(context.camera) else image_lag_model(context, len(stack.data))
     amplitudes = amplitudes_of(stack.data, target, window, background, image_lag)
     reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
@@ -288,7 +289,7 @@ def _measure_complete_target(
         )
         reported = reported if is_as_stated else target.frequency
         amplitudes = amplitudes_of(stack.data, target, window, background, image_lag)
-    if context.sensor is not None:
+    if has_tube(context.camera):
         box = target.box(mean.shape, core_margin_px(wanted.frequency))
         core = amplitudes_of(stack.data, target, box, background, image_lag)
         if core.signal_to_noise < LIMITS.min_signal_sd:
@@ -307,7 +308,7 @@ def _measure_complete_target(
     target_findings += window_findings(
         margin, LIMITS.min_margin_px if cut else 0.0, crowded=crowded
     )
-    if context.sensor is not None:
+    if has_tube(context.camera):
         box = target.box(stack.shape[1:], 1.0)
         posterior = sample_sums(amplitudes, lost_fraction(context, margin), context)
         notes = [f"Normalised to the light within {margin:.0f} px of the bars."] if cut else []

@@ -17,6 +17,7 @@ from charact.estimators.mtf.session.stage_transfers import prior_sd_of
 from charact.inference import find_maximum, importance_sample, sample_posterior
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.measurement import (
     Curve,
@@ -188,7 +189,7 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
     along = float(np.cos(angle_rad)), float(np.sin(angle_rad))
     halo = (
         HaloComponent(size_px=halo_diameters_px(context, transposed=False))
-        if context.sensor is not None
+        if has_tube(context.camera)
         else None
     )
     known = KnownCameraTransfer.of(context)
@@ -268,8 +269,8 @@ def _posterior(
         density = model.log_prior(theta) - 0.5 * squares(
             np.clip(theta, model.bounds[:, 0], model.bounds[:, 1])
         )
-        if context.sensor is not None:
-            fraction = context.sensor.photocathode.halo_fraction
+        if has_tube(context.camera):
+            fraction = context.camera.photocathode.halo_fraction
             density -= 0.5 * ((theta[:, 2] - float(fraction)) / prior_sd_of(fraction)) ** 2
         return density
 

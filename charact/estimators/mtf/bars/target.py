@@ -9,7 +9,8 @@ from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.blur_models import transfer as forms
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.method import Context
-from labdata.camera_description import Parameter
+from labdata.camera.description import has_tube
+from labdata.camera.parameters import Parameter
 
 Array = NDArray[np.float64]
 
@@ -253,7 +254,7 @@ def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> floa
 def margin_px(context: Context, frequency: float) -> float:
     """Return the margin around the bars: it includes the halo of a described camera."""
     default_px = max(12.0, 1.5 / frequency)
-    if context.sensor is None:
+    if not has_tube(context.camera):
         return default_px
     return max(default_px, 0.5 * halo_diameters_px(context, transposed=False)[1] + 12.0)
 
@@ -287,9 +288,9 @@ def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
     window loses it on both pairs of sides. Averaged over the described ranges of the tube and its
     halo.
     """
-    if context.sensor is None:
+    if not has_tube(context.camera):
         return 0.0, 0.0
-    sensor = context.sensor
+    sensor = context.camera
     rng = np.random.default_rng(0)
     pitch_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
     corner = _draw_parameter(sensor.tube.mtf_frequency_lp_per_mm, rng) * pitch_mm

@@ -11,6 +11,7 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.estimators.mtf.nonlinearity import curvatures
 from charact.method import Context
+from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ def nonlinearity_notes(
     photons' does, is taken to be linear.
     """
     linear = ln_bayes_factor_nonlinear(edge.noise_growth) < THRESHOLDS.linear_ln_bayes_factor
-    if context.sensor is not None or context.linear or linear or not np.isfinite(relative_sd):
+    if has_tube(context.camera) or context.linear or linear or not np.isfinite(relative_sd):
         return ()
     own = edge.profile.contrast
     bias = own * min(2.0 * STEEPENING * response[1], THRESHOLDS.max_nonlinearity_bias * own)
@@ -106,5 +107,5 @@ def ln_bayes_factor_of(edge: PreparedEdge, context: Context) -> float:
     """Return the ln Bayes factor of the noise for a nonlinear response; -inf if it is linear by
     description or test.
     """
-    unknown = context.sensor is None and not context.linear
+    unknown = not has_tube(context.camera) and not context.linear
     return ln_bayes_factor_nonlinear(edge.noise_growth) if unknown else -np.inf

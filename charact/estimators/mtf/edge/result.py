@@ -25,6 +25,7 @@ from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.inference import has_several_peaks
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
 from labdata.measurement import (
     Curve,
@@ -134,7 +135,7 @@ def edge_result_of_fit(
             # Modes count where a quantity has them; a described camera's priors are meant to bound.
             *(
                 set(posterior.flags)
-                - {"several-modes", *(() if context.sensor is None else ("prior-bound",))}
+                - {"several-modes", *(("prior-bound",) if has_tube(context.camera) else ())}
             ),
             *flags,
         ]
@@ -280,7 +281,7 @@ def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
             f"Noise is correlated between pixels (sum of correlations {grain:.1f}) and treated "
             f"as such."
         )
-    if context.sensor is None and context.pitch_ratio == 1.0:
+    if not has_tube(context.camera) and context.pitch_ratio == 1.0:
         yield "Pixels taken as square."
     if profile.shading_sd > 0:
         yield f"The plateaus undulate by {profile.shading_sd:.2g} DN, which widens the intervals."

@@ -46,6 +46,7 @@ from charact.inference import laplace, predictive_check, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
 from charact.inference.least_squares import weigh_by_evidence
 from charact.method import Context, register
+from labdata.camera.description import has_tube
 from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
 
@@ -59,9 +60,9 @@ def findings_of(
     lit = any(level.signal_dn for level in spectrum.levels)
     lowest_power_dn2 = min(float(np.mean(level.power_dn2)) for level in spectrum.levels)
     linear = (
-        THRESHOLDS.max_nonlinearity if context.sensor is None else THRESHOLDS.max_mcp_saturation
+        THRESHOLDS.max_mcp_saturation if has_tube(context.camera) else THRESHOLDS.max_nonlinearity
     )
-    gamma = context.sensor is not None and float(context.sensor.video.gamma) != 1.0
+    gamma = has_tube(context.camera) and float(context.camera.video.gamma) != 1.0
     checks = (
         (
             bool(chosen.left_out),

@@ -27,6 +27,7 @@ from charact.inference import find_maximum
 from charact.inference.least_squares import ln_evidence
 from charact.method import Context
 from charact.video_filter import VideoFilter, powers
+from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 
@@ -252,13 +253,13 @@ QUANTISATION, QUANTISATION_PRIOR = (0.0, 1.0), (0.5, 0.5)
 
 def readout_of(context: Context) -> KnownReadout:
     """Return what the camera's description says of the transfer after the gain."""
-    if context.sensor is None:
+    if not has_tube(context.camera):
         return KnownReadout(height_px=1.0, video=None, anisotropy_sd=THRESHOLDS.anisotropy_sd)
     rows = 2.0 if context.interlaced else 1.0
-    pitch_um, taper = float(context.sensor.ccd.pitch_x_um), context.sensor.taper
+    pitch_um, taper = float(context.camera.ccd.pitch_x_um), context.camera.taper
     return KnownReadout(
         height_px=rows * context.pitch_ratio,
-        video=VideoFilter.of(context.sensor),
+        video=VideoFilter.of(context.camera),
         anisotropy_sd=THRESHOLDS.round_sd,
         fibres=(
             float(taper.fibre_pitch_um) / pitch_um,

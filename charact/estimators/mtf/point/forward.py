@@ -16,6 +16,7 @@ from charact.estimators.mtf.point.thresholds import PRIORS
 from charact.estimators.mtf.session.stage_transfers import prior_sd_of
 from charact.method import Context, register
 from charact.video_filter import VideoFilter
+from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 
@@ -52,7 +53,7 @@ def point_forward(
     """
 
     def forms(pinhole: float | tuple[float, float], holds_halo: bool, _reach_px: float):
-        if context.sensor is not None:
+        if has_tube(context.camera):
             return [tube_of_description(context, pinhole, halo=holds_halo)], None
         tube = BlurModel2D(core="exponential", pinhole_px=pinhole)
         return [replace(tube, core="gaussian"), tube, replace(tube, lens=True)], None
@@ -67,7 +68,7 @@ def tube_of_description(
     """Return the blur model of the described intensifier: exponential tube, Gaussian lens and
     fibres, halo, video.
     """
-    sensor = context.sensor
+    sensor = context.camera
     assert sensor is not None
     pitch_um, demagnification = float(sensor.ccd.pitch_x_um), float(sensor.taper.demagnification)
     cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * pitch_um * demagnification * 1e-3

@@ -53,6 +53,7 @@ from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.inference import has_several_peaks, importance_sample, sample_posterior
 from charact.method import Context, register
 from charact.video_filter import VideoFilter, powers
+from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Posterior, Provenance, Result, measurement_from_draws
@@ -106,7 +107,7 @@ def point_parametric(
     pixels at full scale enter by the probability of at least that value. The draws are those of
     every blur model in proportion to its evidence.
     """
-    cores = partial(candidate_cores, described=context.sensor is not None)
+    cores = partial(candidate_cores, described=has_tube(context.camera))
 
     def forms(pinhole: float | tuple[float, float], holds_halo: bool, reach_px: float):
         return cores(pinhole), _widen_components(context, holds_halo, reach_px)
@@ -119,7 +120,7 @@ def _widen_components(
     context: Context, holds_halo: bool, reach_px: float
 ) -> tuple[ExtendedComponent, ...]:
     """Return the extended components that regions can show."""
-    if context.sensor is not None:
+    if has_tube(context.camera):
         return (
             (HaloComponent(size_px=halo_diameters_px(context, transposed=False)),)
             if holds_halo
@@ -258,7 +259,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRe
     return SourcePixels(
         window=window,
         aperture=Aperture(
-            height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor)
+            height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.camera)
         ),
         dark=measure_surroundings_noise(
             part.data,
@@ -268,7 +269,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRe
         ),
         memory=image_lag_model(context, window.frames),
         full_scale_dn=full,
-        screen=context.sensor is not None,
+        screen=has_tube(context.camera),
     )
 
 
@@ -290,7 +291,7 @@ def _result(
     known = bool(models[0].fit.form.known)
     if response.is_nonlinear and (response.power < -LIMITS.max_negative_power or not known):
         findings.append(finding("gamma", response.effect))
-    if context.sensor and any(site.cut.any() for site in sites):
+    if has_tube(context.camera) and any(site.cut.any() for site in sites):
         findings.append(
             finding(
                 "saturated",
@@ -454,7 +455,7 @@ def _notes(
     cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)
     if cut:
         out.append(f"{cut} pixels at full scale are treated as lower limits.")
-        if context.sensor is not None:
+        if has_tube(context.camera):
             out.append("Wells may fill before the digitiser clips; use less light.")
             lost = sum(int(np.count_nonzero(~site.window.keep)) for site in sites) - cut
             out.append(
@@ -479,6 +480,6 @@ def _notes(
             f"Quantisation may shift faint light and its level by up to {shift_dn:.2f} DN; the fit "
             "includes this, and the plotted model the estimated shift."
         )
-    if context.sensor is None:
+    if not has_tube(context.camera):
         out.append("Pixels taken as square.")
     return tuple(out)

@@ -15,6 +15,7 @@ from charact.estimators.mtf.point.parametric_noise import (
 from charact.estimators.mtf.point.source import DetectedSource
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -97,7 +98,7 @@ def source_window(stack: FrameStack, source: DetectedSource, context: Context) -
         source.neighbours,
         context.pitch_ratio,
     )
-    described = context.sensor is not None
+    described = has_tube(context.camera)
     halo_radius_px = halo_diameters_px(context, transposed=False)[1] / 2.0 if described else np.inf
     frames, rows, cols = data.shape
     top, bottom = max(0, row - ACCURACY.half_rows), min(rows, row + ACCURACY.half_rows + 1)

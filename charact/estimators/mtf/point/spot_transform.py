@@ -21,6 +21,7 @@ from charact.estimators.mtf.point.source import (
 )
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.method import Context, register
+from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
 from labdata.measurement import (
     Curve,
@@ -145,7 +146,7 @@ def _spots(
     is_wide = float((mean * radius**2).sum()) > LIMITS.max_rms_radius_px**2 * float(mean.sum())
     # The halo of an intensifier extends beyond the disc: its light is missing from the
     # normalisation.
-    has_lost_light = bool(cut) or is_wide or context.sensor is not None
+    has_lost_light = bool(cut) or is_wide or has_tube(context.camera)
     tail, tail_sd = _tail(spots, radius)
     has_lost_light |= tail > max(LIMITS.max_border_light, 3.0 * tail_sd) or _has_halo(
         stack.data, radius, ring

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.session.thresholds import HALF68_SD, THRESHOLDS
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.measurement import Curve, Interval, Measurement, Result
 
 Array = NDArray[np.float64]
@@ -226,7 +227,7 @@ def _excludes_halo(source: ConstraintSource, context: Context) -> bool:
     """Whether an edge's window is narrower than the camera's halo, whose light is then not
     counted.
     """
-    if context.sensor is None or source.kind != "edge" or source.of.region is None:
+    if not has_tube(context.camera) or source.kind != "edge" or source.of.region is None:
         return False
     from charact.estimators.mtf.known_transfer import halo_diameters_px
 

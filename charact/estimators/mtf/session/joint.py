@@ -22,6 +22,7 @@ from charact.inference import find_maximum, importance_sample, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from labdata.camera.description import has_tube
 from labdata.measurement import (
     Measurement,
     Posterior,
@@ -339,7 +340,7 @@ def _fit_and_draw(
     elliptical, known = len(_directions(sound)) == 2, KnownCameraTransfer.of(context)
     # The halo of a described intensifier counts where a target's window contains all of it.
     halo = None
-    if context.sensor is not None and not all(constraint.excludes_halo for constraint in sound):
+    if has_tube(context.camera) and not all(constraint.excludes_halo for constraint in sound):
         halo = HaloComponent(size_px=halo_diameters_px(context, transposed=False))
     forms = [
         JointBlurModel(core=core, blurred=blurred, wide=halo, elliptical=elliptical, known=known)

@@ -29,7 +29,7 @@ class KnownCameraTransfer:
     def of(cls, context: Context) -> "KnownCameraTransfer":
         """Return the described transfer of a context's camera."""
         rows = 2.0 if context.interlaced else 1.0
-        return cls(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor))
+        return cls(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.camera))
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:

@@ -32,8 +32,8 @@ from charact.estimators.mtf.session.stage_transfers import (
 from charact.estimators.mtf.session.thresholds import THRESHOLDS
 from charact.inference import find_maximum, laplace, sample_posterior
 from charact.method import Context
+from labdata.camera.description import Camera, has_tube
 from labdata.measurement import Curve, Measurement, Posterior, Result
-from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ class MtfBudget:
 
 def fit_mtf_budget(
     measured: Sequence[MeasuredCurves],
-    sensor: Sensor,
+    sensor: Camera,
     *,
     interlaced: bool,
     seed: int,
@@ -253,8 +253,8 @@ def add_mtf_budget(result: Result, kinds: Mapping[str, str], *, context: Context
     count once. The difference of a joint MTF of two or three parameters from a product of stages
     adds the covariance s^2 exp(-|f - f'|/0.08) along each direction.
     """
-    system = None if context.sensor is None else _system_curves(result, kinds)
-    if context.sensor is None or system is None:
+    system = None if not has_tube(context.camera) else _system_curves(result, kinds)
+    if not has_tube(context.camera) or system is None:
         return result
     curves, explained, halo = system
     after = _post_gain_curves(result)
@@ -262,7 +262,7 @@ def add_mtf_budget(result: Result, kinds: Mapping[str, str], *, context: Context
     measured += [] if after is None else [_with_covariance(after, context, after_gain=True)]
     budget = fit_mtf_budget(
         measured,
-        context.sensor,
+        context.camera,
         interlaced=context.interlaced,
         seed=context.seed,
         quick=context.quick,
@@ -413,9 +413,9 @@ def _panel(
     budget: MtfBudget, direction: Direction, curve: Curve, after: Curve | None, context: Context
 ) -> dict[str, Any]:
     """Return one direction: stages, their product and the measured curves, with 95 % intervals."""
-    assert context.sensor is not None
+    assert has_tube(context.camera)
     pitch_frequency, stages = SHOWN * _per_pitch(direction, context), budget.camera.stages
-    mm = float(context.sensor.ccd.pitch_x_um) * 1e-3 * float(context.sensor.taper.demagnification)
+    mm = float(context.camera.ccd.pitch_x_um) * 1e-3 * float(context.camera.taper.demagnification)
     panel = {
         "frequency_cy_per_column": SHOWN.tolist(),
         "cathode_lp_per_mm": (SHOWN / mm).tolist(),

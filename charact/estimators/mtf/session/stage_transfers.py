@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from charact import video_filter
 from charact.estimators.mtf.blur_models import transfer as forms
 from charact.estimators.mtf.session.thresholds import THRESHOLDS
-from labdata.camera_description import Parameter
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
+from labdata.camera.parameters import Parameter
 
 Array = NDArray[np.float64]
 Direction = Literal["horizontal", "vertical"]
@@ -51,14 +51,14 @@ class StageModel:
     of the register's stairs, read once a clock.
     """
 
-    sensor: Sensor
+    sensor: Camera
     rows_summed: float
     names: tuple[str, ...]
     mean: Array
     sd: Array
 
     @classmethod
-    def of(cls, sensor: Sensor, *, interlaced: bool, halo: bool) -> "StageModel":
+    def of(cls, sensor: Camera, *, interlaced: bool, halo: bool) -> "StageModel":
         """Return the model of a description; `halo`: whether the curves are normalised to all
         light.
         """

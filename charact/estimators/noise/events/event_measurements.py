@@ -18,6 +18,7 @@ from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import EVENT_ACCURACY, EVENTS
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.lazy_stack import open_lazy_stack
@@ -111,7 +112,7 @@ def pulses_of_darks(session: Session, darks: list[StackStatistics], *, context: 
     Returns measurements of the dark stack at the gain of most flats, or else of most frames; empty
     if neither a sensor nor an MCP voltage indicates an intensifier.
     """
-    if context.sensor is None and not any(dark.conditions.mcp_v for dark in darks):
+    if not has_tube(context.camera) and not any(dark.conditions.mcp_v for dark in darks):
         return Result()
     gains = Counter(gain_of(entry.conditions) for entry in session.of_kind("flat"))
     common = max(gains, key=lambda gain: gains[gain], default=None)
@@ -309,7 +310,7 @@ def _measurements(
         return [*out, make_refusal("ebi", "pe/s/px", reason, **own)]
     rate = density / open_s
     out.append(measurement_from_draws("ebi", "pe/s/px", rate, **own))
-    if context.sensor is not None:
+    if has_tube(context.camera):
         lux = rate / photoelectrons_per_lux_s(context, rng, len(rate))
         out.append(measurement_from_draws("ebi", "lm/cm2", 1e-4 * lux, **own))
     return out
@@ -317,12 +318,12 @@ def _measurements(
 
 def detection(context: Context, rng: np.random.Generator, count: int) -> tuple[Array, str]:
     """Return draws of the detection probability, and a note on its source."""
-    if context.sensor is None:
+    if not has_tube(context.camera):
         low, high = EVENTS.detection_range
         return rng.uniform(
             low, high, count
         ), f"without a sensor description, p is assumed between {low:g} and {high:g}"
-    stated = context.sensor.microchannel_plate.detection_probability
+    stated = context.camera.microchannel_plate.detection_probability
     note = f"p from the sensor description, {float(stated):.2g}, within its range"
     return np.minimum(lognormal_draws(stated, rng, count), 1.0), note
 

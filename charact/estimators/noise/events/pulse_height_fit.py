@@ -29,6 +29,7 @@ from charact.estimators.noise.findings import Unmeasurable
 from charact.estimators.noise.thresholds import EVENT_ACCURACY, EVENTS
 from charact.inference import laplace
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -380,7 +381,7 @@ def fit_pulses(
     start, in which photoelectrons arrive.
     """
     seen, fast = image_lag_correlation(frames), fast_prior(context, period_s, frames.stride)
-    known = context.sensor is not None and period_s is not None
+    known = has_tube(context.camera) and period_s is not None
     if seen.across and not seen.later and not known:
         raise Unmeasurable(
             "image lag reaches the next field, whose amount is not measurable from one field "
@@ -509,11 +510,11 @@ def spot_priors(context: Context) -> Priors:
     The tube's transfer is exp(-(f/fc)^n) at the photocathode; its post-gain fraction spreads
     pulses.
     """
-    if context.sensor is None:
+    if not has_tube(context.camera):
         return PRIORS
-    tube, pitch_um = context.sensor.tube, float(context.sensor.ccd.pitch_x_um)
+    tube, pitch_um = context.camera.tube, float(context.camera.ccd.pitch_x_um)
     at_cathode = REFERENCE_CY_PER_PX / (
-        pitch_um * 1e-3 * float(context.sensor.taper.demagnification)
+        pitch_um * 1e-3 * float(context.camera.taper.demagnification)
     )
     exponent = float(tube.mtf_exponent)
     wings = (
@@ -530,9 +531,9 @@ def fast_prior(context: Context, period_s: float | None, stride: int) -> Priors:
 
     Frames measure it, fields of one parity do not.
     """
-    if context.sensor is None or period_s is None:
+    if not has_tube(context.camera) or period_s is None:
         return {"fast_exposures": EVENTS.fast_of_fields if stride > 1 else EVENTS.fast_of_frames}
-    fast = 1e-3 * float(context.sensor.phosphor.fast_decay_ms) / period_s
+    fast = 1e-3 * float(context.camera.phosphor.fast_decay_ms) / period_s
     return {"fast_exposures": (fast, EVENTS.fast_relative_sd * fast)}
 
 

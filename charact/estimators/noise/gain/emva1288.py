@@ -16,9 +16,10 @@ from charact.estimators.noise.rounding import QUANTISATION_DN2, rounding_sd
 from charact.estimators.noise.thresholds import GAIN
 from charact.inference import laplace, sample_posterior
 from charact.method import Context
+from labdata.camera.chip import excess_noise_factor
+from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
 from labdata.measurement import Posterior
-from labdata.solid_state import excess_noise_factor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +42,9 @@ def excess_of(conditions: Conditions, context: Context) -> Excess:
     """Return the excess noise factor of the register, from the stated gain or else the described
     one.
     """
-    gain, register = conditions.em_gain, context.register
-    if context.sensor is not None or (gain is None and register is None):
+    gain, camera = conditions.em_gain, context.camera
+    register = camera.register if camera is not None and camera.multiplies else None
+    if has_tube(camera) or (gain is None and register is None):
         return Excess()
     source = f"em_gain {gain:g} of the session" if gain is not None else ""
     if gain is None and register is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.thresholds import GAIN, GAIN_PRIORS
 from charact.video_filter import VideoFilter
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
 
@@ -30,9 +30,9 @@ class PixelReadoutModel:
     video: VideoFilter | None = None  # video filter; None for none
 
     @classmethod
-    def of(cls, row_pitch: float, sensor: Sensor | None) -> "PixelReadoutModel":
+    def of(cls, row_pitch: float, sensor: Camera | None) -> "PixelReadoutModel":
         """Return the readout model of a camera with a row pitch."""
-        return cls(row_pitch=row_pitch, described=sensor is not None, video=VideoFilter.of(sensor))
+        return cls(row_pitch=row_pitch, described=has_tube(sensor), video=VideoFilter.of(sensor))
 
     @cached_property
     def falls(self) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from charact.estimators.noise.stack.temporal import (
     truncation_bias,
 )
 from charact.estimators.noise.thresholds import GAIN
-from labdata.sensor import Sensor
+from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
 # Fraction of the light left one exposure later, uniform prior.
@@ -153,7 +153,7 @@ class PooledNoise:
     beyond: Beyond | None = None  # integrals beyond the band; None if no white floor is possible
 
 
-def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False) -> PooledNoise:
+def pool_noise(series: FlatSeries, sensor: Camera | None, *, floor: bool = False) -> PooledNoise:
     """Pool the fitted flats of a series, weighted by their information.
 
     `series`: the flats of one setting with their darks; `sensor`: sensor description for the

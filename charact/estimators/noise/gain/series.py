@@ -10,6 +10,7 @@ from charact.estimators.noise.stack.frame_block import Spectra
 from charact.estimators.noise.stack.stack_statistics import StackStatistics, read_levels_of
 from charact.estimators.noise.thresholds import GAIN
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import Session
@@ -221,7 +222,7 @@ OF_TUBES = ("mcp_v", "gain_control", "luminous_gain", "brightness_control")
 
 def has_intensifier(conditions: Iterable[Conditions], context: Context) -> bool:
     """Return whether an intensifier is described, or one of its settings stated."""
-    return context.sensor is not None or any(
+    return has_tube(context.camera) or any(
         getattr(one, name) is not None for one in conditions for name in OF_TUBES
     )
 
@@ -231,6 +232,6 @@ def has_multiplication(session: Session, context: Context) -> bool:
     known = [entry.conditions for entry in session.of_kind("dark", "flat")]
     return (
         has_intensifier(known, context)
-        or context.register is not None
+        or (context.camera is not None and context.camera.multiplies)
         or any((c.em_gain or 1.0) > 1.0 for c in known)
     )

@@ -23,6 +23,7 @@ from charact.estimators.noise.linear_fit import linear_fit
 from charact.estimators.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.estimators.noise.thresholds import GAIN
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -186,7 +187,7 @@ def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> 
     """Fit blur and covariance gain to the flats of one setting."""
     neighbours = spatially_correlated_fraction(series)
     summary = pool_noise(
-        series, context.sensor, floor=neighbours.is_detected and not has_analogue_chain(context)
+        series, context.camera, floor=neighbours.is_detected and not has_analogue_chain(context)
     )
     forms = blur_models(
         blur_exponent(context), blurred=neighbours.is_detected, floor=summary.beyond is not None
@@ -246,9 +247,9 @@ def blur_exponent(context: Context) -> tuple[float, float] | None:
     """Return the exponent of the described tube's blur and its standard deviation; None without a
     description.
     """
-    if context.sensor is None:
+    if not has_tube(context.camera):
         return None
-    known = context.sensor.tube.mtf_exponent
+    known = context.camera.tube.mtf_exponent
     spread = 0.0 if known.low is None or known.high is None else (known.high - known.low) / 3.92
     return float(known), max(spread, 0.05)
 

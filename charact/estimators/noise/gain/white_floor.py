@@ -17,6 +17,7 @@ from charact.estimators.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
 from charact.estimators.noise.stack.stack_statistics import StackStatistics, shares_of
 from charact.estimators.noise.thresholds import GAIN, STACK
 from charact.method import Context
+from labdata.camera.description import has_tube
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -178,8 +179,8 @@ def floor_of(series: FlatSeries, posterior: Posterior, *, context: Context) -> F
                 source="the white floor of the noise",
             )
     why = HIDDEN if white else FILTERED
-    if context.sensor is not None:
-        draws = lognormal_draws(context.sensor.video.conversion_gain_dn_per_e, rng, len(draws))
+    if has_tube(context.camera):
+        draws = lognormal_draws(context.camera.video.conversion_gain_dn_per_e, rng, len(draws))
         return Floor(
             draws=draws,
             is_detected=False,
@@ -203,14 +204,14 @@ def _transfer_beyond(series: FlatSeries, posterior: Posterior, context: Context)
     step = max(1, len(posterior.draws) // GAIN.floor_draws)
     some = np.column_stack([posterior[name][::step] for name in NAMES])
     passed = np.minimum(
-        transfer(some, column, row, PixelReadoutModel.of(row_pitch, context.sensor)), 1.0
+        transfer(some, column, row, PixelReadoutModel.of(row_pitch, context.camera)), 1.0
     )
     return float(np.median(passed @ share)) / float(share.sum())
 
 
 def has_analogue_chain(context: Context) -> bool:
     """Return whether analog electronics behind the CCD may filter along the rows."""
-    return context.interlaced or (context.sensor is not None and not context.sensor.video.digital)
+    return context.interlaced or (has_tube(context.camera) and not context.camera.video.digital)
 
 
 def has_electronic_smoothing(series: FlatSeries, context: Context) -> bool:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.stack.pixels import dot
 from charact.estimators.noise.thresholds import CUBE
-from labdata.frames import FrameStack
-from labdata.lazy_stack import LazyStack
+from labdata.frames import FrameStack, LazyStack
 
 Array = NDArray[np.float64]
 

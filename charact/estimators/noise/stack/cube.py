@@ -20,7 +20,8 @@ from charact.estimators.noise.stack.components import (
 from charact.estimators.noise.thresholds import CUBE, STACK
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
-from labdata.lazy_stack import LazyStack
+from labdata.camera.description import is_thermal
+from labdata.frames import LazyStack
 
 
 def shading_findings(found: Contrasts) -> list[Finding]:
@@ -159,7 +160,7 @@ class Cube:
 def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
     """Return the 3-D noise of a stack; None if it is too short or too small."""
     frames, rows, cols = stack.shape
-    two_way = context.imager is not None and context.imager.scanner is not None
+    two_way = is_thermal(context.camera) and context.camera.scanner is not None
     sets = row_sets(interlaced=context.interlaced, two_way=two_way)
     if frames < CUBE.min_frames or min(rows // sets, cols) < CUBE.min_pixels:
         return None

@@ -24,8 +24,8 @@ from charact.estimators.noise.thresholds import STACK
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.lazy_stack import LazyStack, open_lazy_stack
+from labdata.frames import FrameStack, LazyStack
+from labdata.lazy_stack import open_lazy_stack
 from labdata.session import StackEntry
 
 Array = NDArray[np.float64]

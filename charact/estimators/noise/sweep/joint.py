@@ -19,6 +19,7 @@ from charact.estimators.noise.sweep.gain_law import (
 from charact.estimators.noise.sweep.settings import Sweep, SweepSetting
 from charact.estimators.noise.thresholds import GAIN, SWEEP
 from charact.method import Context
+from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 # Smallest slope of the gain law of a working control, by its unit: exponent, none, exponent, dB per
@@ -107,9 +108,9 @@ def _share(sweep: Sweep, least: float, context: Context) -> tuple[float, float] 
     """
     if not sweep.knob.tube:
         return None
-    if context.sensor is None:
+    if not has_tube(context.camera):
         return 0.0, SWEEP.electron_fraction
-    known = context.sensor.video.conversion_gain_dn_per_e
+    known = context.camera.video.conversion_gain_dn_per_e
     share = float(known) / float(np.exp(least))
     spread = (
         0.0

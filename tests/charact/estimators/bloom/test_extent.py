@@ -158,7 +158,7 @@ def test_extents_of_few_codes_are_flagged(in_memory, seed):
 def test_saturated_area_is_told_in_pixels_and_at_the_cathode(seed):
     scene = BloomScene(row_pitch=13.0 / 11.0)
     sensor = load_sensor("pulnix-ag5745ef3")
-    context = Context(seed=1, quick=True, sensor=sensor, full_scale_dn=255.0)
+    context = Context(seed=1, quick=True, camera=sensor, full_scale_dn=255.0)
     result = bloom.measure(
         bloom_session(scene, [3e3], np.random.default_rng(seed)), context=context
     )

@@ -107,14 +107,14 @@ def test_scan_directions_are_rows_of_one_sweep():
     row pitch.
     """
     rows = np.broadcast_to(np.arange(482.0)[:, None], (2, 482, 20))
-    context = Context(imager=load_camera("scanning-lwir"), interlaced=True)
+    context = Context(camera=load_camera("scanning-lwir"), interlaced=True)
     parts = list(scan_directions(FrameStack(data=rows), (8, 2, 40, 10), context=context))
     (right, to_right, cut, own), (left, to_left, _, _) = parts
     assert (right, left, cut) == ("to the right", "to the left", (4, 2, 20, 10))
     assert to_right.data[0, :4, 0].tolist() == [0, 1, 4, 5]
     assert to_left.data[0, :4, 0].tolist() == [2, 3, 6, 7]
     assert own.pitch_ratio == pytest.approx(2.0 * context.pitch_ratio)
-    array = replace(context, imager=load_camera("vox-lwir-640"))
+    array = replace(context, camera=load_camera("vox-lwir-640"))
     assert [name for name, *_ in scan_directions(FrameStack(data=rows), None, context=array)] == [
         ""
     ]

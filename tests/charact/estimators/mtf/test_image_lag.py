@@ -46,7 +46,7 @@ def worth(series):
 
 def test_sums_of_both_fields_and_pixels_of_one_are_widened_as_the_screen_says(fields):
     """Within four standard errors of the ratio of two variances, root of 2/4000 and little more."""
-    memory = image_lag_model(Context(seed=0, quick=True, sensor=SHEET, interlaced=True), FRAMES)
+    memory = image_lag_model(Context(seed=0, quick=True, camera=SHEET, interlaced=True), FRAMES)
     assert worth(fields[:, :, 0]) == pytest.approx(memory.widening, rel=4.0 * 0.025)
     assert worth(fields.sum(axis=2)) == pytest.approx(memory.widening_of_sums, rel=4.0 * 0.025)
     assert memory.widening_of_sums > 1.2 * memory.widening
@@ -63,6 +63,6 @@ def test_rows_of_one_exposure_share_their_pulses_whatever_their_parity():
     """
     for sensor in (None, SHEET):
         memory = image_lag_model(
-            Context(seed=0, quick=True, sensor=sensor, interlaced=False), FRAMES
+            Context(seed=0, quick=True, camera=sensor, interlaced=False), FRAMES
         )
         assert (memory.mean_other, memory.frame_other) == (memory.mean_same, memory.frame_same)

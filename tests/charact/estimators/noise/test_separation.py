@@ -100,7 +100,7 @@ def test_the_luminous_sensitivity_of_a_table_of_efficiencies():
     scale = max(cathode.relative_quantum_efficiency) / 0.40
     assert luminous_sensitivity_ua_per_lm(cathode) == pytest.approx(1996.0 * scale, rel=0.01)
     # Efficiency at 830 nm of a cathode of 1350 uA/lm: 154 mA/W.
-    context = Context(sensor=known_sensor(0.05))
+    context = Context(camera=known_sensor(0.05))
     efficiency = photoelectrons_per_photon(context, 830.0, np.random.default_rng(1), 4)[0]
     assert efficiency * 830e-9 / 1.23984e-6 == pytest.approx(0.154, rel=0.02)
 
@@ -116,7 +116,7 @@ def test_a_light_of_known_size_parts_k_from_f2(pulses, in_memory, seed, meter):
         return Conditions(illuminance_lux=level / per_lux / meter, illuminance_relative_sd=0.03)
 
     session = flats(camera, np.random.default_rng(seed), in_memory, light)
-    result = parted(session, sensor=sensor)
+    result = parted(session, camera=sensor)
     tube = np.sqrt(1350e-6 * 108e-6 * np.pi * 1e-8 / (2.0 * ELECTRON_C * 10.0) / 2.0)
     for quantity, truth in (
         ("photoelectron_gain", 20.0),
@@ -143,7 +143,7 @@ def test_photons_of_one_wavelength_part_k_from_f2(pulses, in_memory, seed):
             photons_per_px=level / efficiency, wavelength_nm=700.0, illuminance_relative_sd=0.03
         ),
     )
-    result = parted(session, sensor=known_sensor(0.05))
+    result = parted(session, camera=known_sensor(0.05))
     assert abs(errors(one(result, "photoelectron_gain"), 20.0)) < 4.5
     assert "lux" in one(result, "tube_snr").reason
 
@@ -187,7 +187,7 @@ def test_where_no_floor_shows_k_f2_is_refused_unless_the_sensor_tells_k(pulses, 
         one(result, "pulse_gain").status == "refused"
         and "conversion gain" in one(result, "pulse_gain").reason
     )
-    told = one(parted(session, sensor=known_sensor(0.05)), "pulse_gain")
+    told = one(parted(session, camera=known_sensor(0.05)), "pulse_gain")
     assert abs(errors(told, 40.0)) < 4.5
 
 
@@ -271,7 +271,7 @@ def test_single_photoelectrons_part_k_from_f2_with_the_share_that_they_start(
 def test_the_tubes_share_narrows_a_poor_light_and_the_other_way_round(seed, dark_and_flat):
     """p is known to some 8 % from the sheet and k to 20 % from the light."""
     sensor = load_sensor("pulnix-ag5745ef3")
-    context = Context(seed=2, sensor=sensor)
+    context = Context(seed=2, camera=sensor)
     result = add_event_gains(
         found(np.random.default_rng(seed), True, flux_sd=0.2), dark_and_flat, context=context
     )

@@ -115,12 +115,12 @@ def session_result(
 
 @pytest.fixture(scope="module")
 def context() -> Context:
-    return Context(sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, seed=1)
+    return Context(camera=load_sensor("pulnix-ag5745ef3"), interlaced=True, seed=1)
 
 
 def test_limits_and_contrasts_of_a_known_camera_lie_in_their_intervals(context):
     found = add_resolution(*session_result(), context=context)
-    sensor = context.sensor
+    sensor = context.camera
     pitch_mm = 1e-3 * float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
     area_mm2 = (
         2.0 * pitch_mm * 1e-3 * float(sensor.ccd.pitch_y_um) * float(sensor.taper.demagnification)
@@ -163,7 +163,7 @@ def test_the_rate_of_counted_photoelectrons_is_that_of_the_tubes_signal_to_noise
     """Spot of 0.2 mm at 108 microlux in 1/20 s has that ratio, by its definition."""
     result, conditions = session_result()
     one = add_resolution(result, conditions, context=context).find("mrc", stack="flat-1")[0]
-    sensor = context.sensor
+    sensor = context.camera
     pitch_mm = (
         1e-3
         * float(sensor.taper.demagnification)

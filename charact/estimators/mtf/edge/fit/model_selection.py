@@ -36,6 +36,7 @@ from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.inference.least_squares import weigh_by_evidence
 from charact.method import Context
+from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 _evidence = attrgetter("log_evidence")
@@ -251,7 +252,7 @@ def candidate_components(
     context: Context, half_width_px: float, *, transposed: bool
 ) -> tuple[ExtendedComponent, ...]:
     """Return the extended components that a window can show."""
-    if context.sensor is not None:
+    if has_tube(context.camera):
         low, high = halo_diameters_px(context, transposed=transposed)
         return (HaloComponent(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
     found: list[ExtendedComponent] = [

@@ -100,7 +100,7 @@ def test_of_a_described_camera_the_halo_the_row_pair_and_the_video_are_in_the_cu
             )
             for f in FREQUENCIES
         ]
-        context = Context(seed=1, quick=True, sensor=CAMERA, interlaced=True)
+        context = Context(seed=1, quick=True, camera=CAMERA, interlaced=True)
         found = session_curves(
             Result(measurements=tuple(m.with_(stack="b") for m in own)),
             {"b": "bars"},

@@ -11,7 +11,7 @@ from labdata import load_sensor
 from tests.truth.blur import TrueBlur
 from tests.truth.point import PointScene
 
-CONTEXT = Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)
+CONTEXT = Context(quick=True, camera=load_sensor("pulnix-ag5745ef3"), interlaced=True)
 
 
 @pytest.mark.parametrize("method", ["point-parametric", "point-forward"])

@@ -110,7 +110,7 @@ def test_a_second_source_makes_the_fit_suspect_or_is_masked(seed, separation_px)
 
 def test_the_described_tube_has_the_described_ranges_as_priors():
     sensor = load_sensor("pulnix-ag5745ef3")
-    context = Context(sensor=sensor, interlaced=True)
+    context = Context(camera=sensor, interlaced=True)
     form = tube_of_description(context, 0.0, halo=True)
     names, bounds = list(form.parameters), form.bounds
     mean, precision = form.prior
@@ -159,7 +159,7 @@ def test_frames_of_noise_hold_no_point(seed, frames, grain, method):
     }[grain]
     for context in (
         QUICK,
-        Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True),
+        Context(quick=True, camera=load_sensor("pulnix-ag5745ef3"), interlaced=True),
     ):
         result = method(FrameStack(data=data), context=context)
         assert result.measurements

@@ -17,7 +17,7 @@ from charact.estimators.mtf.session.constraints import constraints_from
 from charact.estimators.mtf.session.joint import fit_joint_mtf
 from charact.fitting.mtf_observations import mtf_observations
 from charact.method import Context
-from labdata import Conditions, Curve, Result, Sensor, Session, StackEntry, load_sensor
+from labdata import Camera, Conditions, Curve, Result, Session, StackEntry, load_sensor
 from labdata.measurement import measurement_from_draws, measurement_from_sd
 
 QUICK = Context(seed=1, quick=True)
@@ -170,8 +170,8 @@ def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(seed: int) -
         0
     ]
 
-    def standard_errors_off(of: Sensor) -> float:
-        context = Context(seed=1, quick=True, sensor=of)
+    def standard_errors_off(of: Camera) -> float:
+        context = Context(seed=1, quick=True, camera=of)
         found = fit_joint_mtf(told_of, {"e1": "edge", "e2": "edge"}, context=context).find("mtf10")[
             0
         ]
@@ -184,7 +184,7 @@ def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(seed: int) -
 
 def test_an_edge_along_rows_counts_row_pitches_and_a_point_column_pitches(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    context = Context(seed=1, quick=True, sensor=load_sensor("pulnix-ag5745ef3"))
+    context = Context(seed=1, quick=True, camera=load_sensor("pulnix-ag5745ef3"))
     edge = target(rng, "e", half=0.22 * context.pitch_ratio, angle=90.0)
     point = target(rng, "p", name="mtf_vertical")
     sound, _ = constraints_from(edge + point, KINDS, context)

@@ -15,7 +15,7 @@ from labdata import Curve, Result, load_sensor
 from labdata.measurement import measurement_from_sd
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
-CONTEXT = Context(seed=1, quick=True, sensor=SENSOR, interlaced=True)
+CONTEXT = Context(seed=1, quick=True, camera=SENSOR, interlaced=True)
 # 13 um rows beside 11 um columns: as many row pitches make a column pitch.
 ROW_OVER_COLUMN = 13.0 / 11.0
 TRUTH = {"cut_off": 28.0, "exponent": 1.15, "halo_share": 0.18}
@@ -161,7 +161,7 @@ def test_sound_flats_part_the_tube_and_doubted_ones_take_no_part(seed: int) -> N
 @pytest.mark.parametrize("lacking", ["sensor", "columns", "draws", "sound mtf50"])
 def test_a_session_without_what_it_takes_is_as_it_was(lacking: str, seed: int) -> None:
     result = session(np.random.default_rng(seed))
-    context = replace(CONTEXT, sensor=None) if lacking == "sensor" else CONTEXT
+    context = replace(CONTEXT, camera=None) if lacking == "sensor" else CONTEXT
     curves = dict(result.curves)
     if lacking == "columns":
         del curves["mtf_joint_vertical"]

@@ -1,0 +1,1 @@
+"""Camera description: sections of parameters, and the capabilities that follow from them."""

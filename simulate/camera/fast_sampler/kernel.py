@@ -1,0 +1,363 @@
+"""Kernel that spreads the light of cells over pixels with the covariance of the continuous blur.
+
+Pulses fall anywhere; cells gather them on a lattice. Sampled on the lattice, the blur's transfer H
+would lose or gain variance (an eighth at a blur of half a pixel). The kernel is therefore the
+transform of sqrt(sum_m |H(f + m)|^2), whose squared modulus is exactly that of the samples of the
+continuous noise: the covariance of pixels is exact at every distance. What is left is the third
+moment, and `skewness_ratio` says by how much it is off. Where pulses are so rare that single ones
+are seen, their shape tells on: these fall on places of their own (`PulseKernel`).
+"""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.camera.grid import ACCURACY, Grid
+from simulate.camera.transfer import PixelAperture, StageBlur, fold_transfer
+
+# Half-width of the compact part, pixels; the wing beyond is spread on the coarse lattice.
+REACH = 5
+# Half-width of the compact part of single pulses, pixels.
+NEAR = 3
+# Pixels on one side of a coarse cell.
+COARSE = 8
+# Side of the lattice on which kernels are computed, pixels, and its finest division.
+SIDE, FINEST = 128, 8
+# Cells per row and per column of the chip, coarsest first.
+DIVISIONS = ((1, 1), (1, 2), (2, 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kernel:
+    """Spread of the noise from planes of cells, one cell a pixel pitch in each plane, to pixels."""
+
+    divisions: tuple[
+        int, int
+    ]  # cells per row and per column of the chip; their product is the number of planes
+    height: int  # rows of the chip in a pixel as read
+    # Separable parts, shape (plane, rank, tap).
+    down: NDArray[np.float32]
+    along: NDArray[np.float32]
+    # Weights of coarse cells for what reaches farther than `REACH`, shape (coarse row, coarse col),
+    # centre in the middle.
+    wing: NDArray[np.float32]
+    # variance of the pulses' noise over its covariance sum, as read, dimensionless
+    blur_factor: float
+    # its third moment over that of pulses that each fall into one pixel, as read, dimensionless
+    third_factor: float
+    # Third moment of the lattice's pulses, as read, over that of pulses that fall anywhere,
+    # dimensionless.
+    skewness_ratio: float
+    # Filter on the lattice, shape (SIDE down, SIDE along), origin first. Light through it has, by
+    # this kernel, the variance at every pixel that the light itself has by the continuous blur.
+    sharpening: NDArray[np.float64] = field(repr=False)
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared fractions that pixels collect of a pulse, over the mean sum,
+        dimensionless.
+        """
+        squared = float(
+            np.einsum("prj,prk,psj,psk->", self.down, self.along, self.down, self.along)
+        )
+        return squared / (self.height * len(self.down))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PulseKernel:
+    """Spread of single pulses, from places `FINEST` to a pixel pitch both ways, to pixels."""
+
+    height: int  # rows of the chip in a pixel as read
+    # Fraction of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A
+    # place in row R and column C of the chip, counted from `reach` before the first, lights the
+    # pixels that end with row R, column C.
+    shares: NDArray[np.float32]
+    # half-width of the fractions, pixels: `NEAR` where what lies beyond is little, else `REACH`
+    reach: int
+    wing: NDArray[np.float32]  # what reaches farther than `REACH`, as in `Kernel`
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared fractions that pixels collect of a pulse, over the mean sum,
+        dimensionless.
+        """
+        return float(np.sum(self.shares**2)) / (FINEST**2 * self.height)
+
+
+@lru_cache(maxsize=8)
+def pulse_kernel(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> PulseKernel:
+    """Return the kernel of blurs behind the gain for single pulses; arguments as for
+    `noise_kernel`.
+    """
+    divisions = FINEST, FINEST
+    transfer = _fine_transfer(blurs, grid, height)
+    whole = np.fft.ifft2(_matching_transfer(transfer, height, divisions)).real * FINEST**2 * height
+    planes, outer = np.array(_compact(whole, height, divisions)), REACH - NEAR
+    near = planes.copy()
+    near[:, outer:-outer, outer:-outer] = 0.0
+    if np.abs(near).sum() < ACCURACY.max_near_wing_fraction * np.abs(planes).sum():
+        planes -= near
+        shares, reach = planes[:, outer:-outer, outer:-outer], NEAR
+    else:
+        shares, reach = planes, REACH
+    return PulseKernel(
+        height=height,
+        shares=np.ascontiguousarray(shares[:, ::-1, ::-1], np.float32).reshape(
+            FINEST, FINEST, *shares.shape[1:]
+        ),
+        reach=reach,
+        wing=_wing_of(whole, list(planes), height, divisions),
+    )
+
+
+@lru_cache(maxsize=8)
+def noise_kernel(
+    blurs: tuple[StageBlur, ...],
+    grid: Grid,
+    height: int,
+    impulse: tuple[float, ...],
+    tolerance: float,
+) -> Kernel:
+    """Return the kernel of blurs behind the gain, on the coarsest lattice that keeps the third
+    moment.
+
+    Parameters
+    ----------
+    blurs
+        Blurs behind the gain, the pixel's aperture left out.
+    grid
+        Any grid of the camera; its pitches count.
+    height
+        Rows of the chip in a pixel as read, 1 or 2.
+    impulse
+        Impulse response along a line of what follows; it takes part in the third moment.
+    tolerance
+        Error that the third moment may have, dimensionless; the finest lattice has what it has.
+    """
+    transfer = _fine_transfer(blurs, grid, height)
+    exact = _third_moment(_read(transfer, impulse, FINEST))
+    kernel = None
+    for divisions in DIVISIONS:
+        kernel = _on_lattice(transfer, height, divisions, impulse, exact)
+        if abs(kernel.skewness_ratio - 1.0) <= tolerance:
+            break
+    assert kernel is not None
+    return kernel
+
+
+def _on_lattice(
+    transfer: NDArray[np.float64],
+    height: int,
+    divisions: tuple[int, int],
+    impulse: tuple[float, ...],
+    exact: float,
+) -> Kernel:
+    matched = _matching_transfer(transfer, height, divisions)
+    cells = divisions[0] * divisions[1]
+    whole = np.fft.ifft2(matched).real * cells * height
+    parts = [_separable_parts(plane) for plane in _compact(whole, height, divisions)]
+    read = np.fft.ifft2(_read(matched, impulse, divisions[1])).real * cells
+    return Kernel(
+        divisions=divisions,
+        height=height,
+        down=_stack_ranks([down for down, _ in parts]),
+        along=_stack_ranks([along for _, along in parts]),
+        wing=_wing_of(whole, [down.T @ along for down, along in parts], height, divisions),
+        blur_factor=float(np.sum(read**2) / cells) * height,
+        third_factor=float(np.sum(read**3) / cells) * height**2,
+        skewness_ratio=float(np.sum(read**3) / cells / exact),
+        sharpening=_sharpening(transfer, matched, height, divisions),
+    )
+
+
+@lru_cache(maxsize=2)
+def _fine_transfer(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> NDArray[np.float64]:
+    """Transfer of blurs and pixels from the finest lattice, shape (SIDE * FINEST, SIDE *
+    FINEST).
+    """
+    aperture = PixelAperture.of(grid, height)
+    fine = np.fft.fftfreq(SIDE * FINEST, 1.0 / FINEST)
+    cells = {"cell_x_mm": grid.pitch_x_mm / FINEST, "cell_y_mm": grid.pitch_y_mm / FINEST}
+    return fold_transfer(blurs, aperture, fine / grid.pitch_x_mm, fine / grid.pitch_y_mm, **cells)
+
+
+def _read(transfer: NDArray, impulse: tuple[float, ...], per_column: int) -> NDArray[np.complex128]:
+    """The transfer with that of a filter along lines."""
+    frequency = np.fft.fftfreq(SIDE * per_column, 1.0 / per_column)
+    phase = np.exp(-2j * np.pi * np.multiply.outer(frequency, np.arange(len(impulse))))
+    filtered: NDArray[np.complex128] = transfer * (phase @ np.array(impulse))
+    return filtered
+
+
+def _third_moment(transfer: NDArray[np.complex128]) -> float:
+    density = np.fft.ifft2(transfer).real * FINEST**2
+    return float(np.sum(density**3) / FINEST**2)
+
+
+def _matching_transfer(
+    transfer: NDArray[np.float64], height: int, divisions: tuple[int, int]
+) -> NDArray[np.complex128]:
+    """Transfer on the lattice of cells whose squared modulus is that of all that falls on it,
+    centred on the pixel.
+    """
+    down, along = divisions
+    power = (
+        (transfer**2)
+        .reshape(FINEST // down, SIDE * down, FINEST // along, SIDE * along)
+        .sum(axis=(0, 2))
+    )
+    fy, fx = np.fft.fftfreq(SIDE * down, 1.0 / down), np.fft.fftfreq(SIDE * along, 1.0 / along)
+    turned = np.exp(2j * np.pi * _shift(height, divisions, fy, fx))
+    return np.copysign(np.sqrt(power), transfer[_same(fy, fx)]) * turned
+
+
+def _sharpening(
+    transfer: NDArray[np.float64],
+    matched: NDArray[np.complex128],
+    height: int,
+    divisions: tuple[int, int],
+) -> NDArray[np.float64]:
+    """Ratio of the transforms of the squared blur and of the squared kernel, cells of even light
+    between them.
+    """
+    down, along = divisions
+    squared = np.fft.fft2(np.fft.ifft2(transfer).real ** 2).real * FINEST**2
+    fy, fx = np.fft.fftfreq(SIDE * down, 1.0 / down), np.fft.fftfreq(SIDE * along, 1.0 / along)
+    wanted = squared[_same(fy, fx)]
+    back = np.exp(-2j * np.pi * _shift(height, divisions, fy, fx))
+    there = (np.fft.fft2(np.fft.ifft2(matched).real ** 2) * back).real * (down * along)
+    even = np.sinc(fy / down)[:, None] * np.sinc(fx / along)[None, :]
+    reached = there * even
+    # Where the kernel passes next to nothing the ratio means nothing, and light is left as it is.
+    floor = (ACCURACY.min_sharpened_transfer * there[0, 0]) ** 2
+    ratio = (wanted * reached + floor) / (reached**2 + floor)
+    near = [
+        np.maximum(1.0 - np.abs(np.fft.fftfreq(n, 1.0 / n)) / (REACH * d), 0.0)
+        for n, d in zip(ratio.shape, divisions, strict=True)
+    ]
+    kernel = np.fft.ifft2(ratio).real * np.sqrt(near[0])[:, None] * np.sqrt(near[1])[None, :]
+    return kernel / kernel.sum()
+
+
+def _same(fy: NDArray[np.floating], fx: NDArray[np.floating]) -> tuple[NDArray[np.int64], ...]:
+    """Places of a lattice's frequencies in the finest transform."""
+    return np.ix_(*(np.rint(f * SIDE).astype(int) % (SIDE * FINEST) for f in (fy, fx)))
+
+
+def _shift(
+    height: int, divisions: tuple[int, int], fy: NDArray[np.floating], fx: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Cycles by which the pixel's centre lies beyond that of its first cell."""
+    down, along = divisions
+    return (0.5 * height - 0.5 / down) * fy[:, None] + (0.5 - 0.5 / along) * fx[None, :]
+
+
+def _places(height: int, divisions: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the kernel's lattice on which cells within `REACH` pixels have their
+    fractions.
+    """
+    down, along = divisions
+    rows = np.arange(-REACH * down, (REACH + height) * down)
+    columns = np.arange(-REACH * along, (REACH + 1) * along)
+    return -rows % (SIDE * down), -columns % (SIDE * along)
+
+
+def _compact(
+    whole: NDArray[np.float64], height: int, divisions: tuple[int, int]
+) -> list[NDArray[np.float64]]:
+    """What a wing leaves to do within `REACH` pixels, for each plane of cells, shape (row, col) of
+    its own cells.
+    """
+    down, along = divisions
+    inside = tuple(slice(SIDE // 2 + 1 - n - REACH, SIDE // 2 + REACH + 1) for n in (height, 1))
+    wing = _fit_wing(_per_pixel(whole, divisions), height, inside)
+    spread = [_spread_of_wing(n) for n in (height, 1)]
+    far = (
+        np.fft.ifftshift(spread[0] @ wing @ spread[1].T).repeat(down, axis=0).repeat(along, axis=1)
+    )
+    rest = whole - np.roll(far, (1 - down, 1 - along), axis=(0, 1))
+    part = rest[np.ix_(*_places(height, divisions))]
+    return [part[i::down, j::along] for i in range(down) for j in range(along)]
+
+
+def _separable_parts(plane: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Separable parts, (rank, row) and (rank, col), whose outer products add up to the plane."""
+    u, s, v = np.linalg.svd(plane)
+    beyond = np.append(np.cumsum(s[::-1] ** 2)[::-1][1:], 0.0)
+    rank = 1 + int(np.argmax(beyond < ACCURACY.separable_residual * np.sum(s**2)))
+    root = np.sqrt(s[:rank])[:, None]
+    return u[:, :rank].T * root, v[:rank] * root
+
+
+def _stack_ranks(parts: list[NDArray[np.float64]]) -> NDArray[np.float32]:
+    """Planes may need different ranks; the shorter are filled with nothing."""
+    rank = max(len(part) for part in parts)
+    return np.stack([np.pad(part, ((0, rank - len(part)), (0, 0))) for part in parts]).astype(
+        np.float32
+    )
+
+
+def _wing_of(
+    whole: NDArray[np.float64],
+    planes: list[NDArray[np.float64]],
+    height: int,
+    divisions: tuple[int, int],
+) -> NDArray[np.float32]:
+    """Return the weights of coarse cells for what compact planes leave of the kernel."""
+    (down, along), rest = divisions, whole.copy()
+    rows, columns = _places(height, divisions)
+    for n, plane in enumerate(planes):
+        i, j = divmod(n, along)
+        rest[np.ix_(rows[i::down], columns[j::along])] -= plane
+    return _fit_wing(_per_pixel(rest, divisions), height).astype(np.float32)
+
+
+def _fit_wing(
+    rest: NDArray[np.float64], height: int, unseen: tuple[slice, ...] = ()
+) -> NDArray[np.float64]:
+    """Return the weights of coarse cells that bring to pixels what comes closest to a rest of the
+    kernel.
+
+    Cells gather in coarse ones, and pixels lie anywhere between the centres of these: of weights
+    that are the rest's means over coarse cells, a tenth is lost at a hundredth of a cycle per
+    pixel. The rest is by distance from the pixel, -SIDE/2 first; distances that are together in
+    `unseen` do not count.
+    """
+    down, along = (_spread_of_wing(n) for n in (height, 1))
+    information, seen = np.kron(down.T @ down, along.T @ along), rest.copy()
+    if unseen:
+        rows, columns = down[unseen[0]], along[unseen[1]]
+        information -= np.kron(rows.T @ rows, columns.T @ columns)
+        seen[unseen] = 0.0
+    wing = np.asarray(np.linalg.solve(information, (down.T @ seen @ along).ravel()), np.float64)
+    return wing.reshape(down.shape[1], along.shape[1])
+
+
+def _per_pixel(whole: NDArray[np.float64], divisions: tuple[int, int]) -> NDArray[np.float64]:
+    """Average over the cells of a pixel pitch both ways, distances from -SIDE/2 pixels on, shape
+    (SIDE, SIDE).
+    """
+    down, along = divisions
+    aligned = np.roll(whole, (down - 1, along - 1), axis=(0, 1))
+    return np.fft.fftshift(aligned.reshape(SIDE, down, SIDE, along).mean(axis=(1, 3)))
+
+
+@lru_cache(maxsize=2)
+def _spread_of_wing(height: int) -> NDArray[np.float64]:
+    """How weights come to pixels so many rows high: mean over their places, shape (distance, coarse
+    cell).
+
+    It goes round, as the kernel's lattice does, so that the best weights keep all light.
+    """
+    coarse, distance = SIDE // COARSE, np.arange(-SIDE // 2, SIDE // 2)
+    spread = np.zeros((SIDE, coarse))
+    for first in range(COARSE):
+        # The pixel's centre, between those of two coarse cells.
+        place = (first + 0.5 * height) / COARSE - 0.5
+        before = int(np.floor(place))
+        for cell, share in ((before, before + 1.0 - place), (before + 1, place - before)):
+            weight = cell - (first - distance) // COARSE + coarse // 2
+            spread[np.arange(SIDE), weight % coarse] += share / COARSE
+    return spread
