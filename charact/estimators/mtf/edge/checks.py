@@ -59,7 +59,7 @@ def edge_flags(
         is.
     """
     picture, profile = edge.picture, edge.profile
-    yield from clipping_flags(edge.used.data, context.full_scale_dn or edge.used.full_scale_dn)
+    yield from clipping_flags(edge.frames.data, context.full_scale_dn or edge.frames.full_scale_dn)
     if abs(edge.rows.line.slope) * picture.value.shape[0] < THRESHOLDS.min_travel_px:
         yield "tilt-too-small"
     if _has_bow(edge.rows.offset):
@@ -77,8 +77,8 @@ def edge_flags(
     if gain > 1.0 or overshoot > 0.0:
         yield "processed"
     moves, rough = (
-        one.moves and np.isfinite(least_loss) and not one.mtf_loss(half) < least_loss
-        for one in (edge.target_motion, edge.roughness)
+        motion.moves and np.isfinite(least_loss) and not motion.mtf_loss(half) < least_loss
+        for motion in (edge.target_motion, edge.roughness)
     )
     if moves:
         yield "drift"
@@ -92,10 +92,10 @@ def edge_flags(
 def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
     """Return the displacement of the two fields, px, with its standard uncertainty."""
     profile, gathered = edge.profile, edge.profile.gathered
-    near = gathered.used & (np.abs(gathered.distance) < ACCURACY.field_distance_px)
+    valid = gathered.valid & (np.abs(gathered.distance) < ACCURACY.field_distance_px)
     means = profile.distance, profile.value
     return field_displacement(
-        edge.picture, edge.rows, near, gathered.distance, means, profile.grain.max_sd
+        edge.picture, edge.rows, valid, gathered.distance, means, profile.grain.max_sd
     )
 
 
@@ -106,10 +106,10 @@ def _has_bow(offset: Array) -> bool:
     (Geyer's initial positive sequence, Stat. Sci. 7, 473, 1992), and from differences of
     neighbouring blocks; the largest counts.
     """
-    good = np.isfinite(offset)
-    if np.count_nonzero(good) < 24:
+    finite = np.isfinite(offset)
+    if np.count_nonzero(finite) < 24:
         return False
-    rows, value = np.flatnonzero(good), offset[good]
+    rows, value = np.flatnonzero(finite), offset[finite]
     # The polynomials span exactly the valid rows: beyond them they would grow.
     design = np.polynomial.legendre.legvander(
         2.0 * (rows - rows[0]) / (rows[-1] - rows[0]) - 1.0, 3
@@ -117,18 +117,22 @@ def _has_bow(offset: Array) -> bool:
     begin = np.arange(ACCURACY.bow_blocks) * value.size // ACCURACY.bow_blocks
     size = np.diff(begin, append=value.size)
     means = np.add.reduceat(value, begin) / size
-    within = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
+    row_variance = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
     differences = 0.5 * median(np.diff(means) ** 2) / 0.455
     coefficients = np.linalg.lstsq(design, value, rcond=None)[0]
-    left = value - design @ coefficients
+    residual = value - design @ coefficients
     shared = np.array(
-        [float(np.mean(left[:-lag] * left[lag:])) for lag in range(1, ACCURACY.bow_lags + 1)]
+        [
+            float(np.mean(residual[:-lag] * residual[lag:]))
+            for lag in range(1, ACCURACY.bow_lags + 1)
+        ]
     )
-    tied = float(np.mean(left**2)) + 2.0 * float(
+    correlated = float(np.mean(residual**2)) + 2.0 * float(
         np.sum(shared[np.cumprod(shared > 0.0).astype(bool)])
     )
     error = np.sqrt(
-        max(within, differences, tied / value.size * ACCURACY.bow_blocks) * ACCURACY.bow_blocks
+        max(row_variance, differences, correlated / value.size * ACCURACY.bow_blocks)
+        * ACCURACY.bow_blocks
     )
     # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
     shape, sd = coefficients[2:], error / ACCURACY.bow_blocks * np.sqrt([5.0, 7.0])
@@ -155,11 +159,11 @@ def fit_flags(
     if profile.gathered.half_width_px < 1.6 / half_frequency:
         yield "window-too-small"
     # Another step on the plateaus: a tenth of the edge's over several pixels.
-    left, weight = profile.value - fitted.model, profile.count
+    residual, weight = profile.value - fitted.model, profile.count
     cell = np.floor(profile.distance / 3.0).astype(int)
     cell -= cell.min()
     pixels = np.bincount(cell, weights=weight)
-    means = np.abs(np.bincount(cell, weights=weight * left)) / np.maximum(pixels, 1e-9)
+    means = np.abs(np.bincount(cell, weights=weight * residual)) / np.maximum(pixels, 1e-9)
     error = np.sqrt(
         profile.grain.covariance_over_variance
         * profile.grain.bright_variance
@@ -200,29 +204,31 @@ def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
     """
     total, variance, sd = 0.0, 0.0, np.sqrt(np.diag(profile.covariance))
     for sign in (1.0, -1.0):
-        away = sign * profile.distance * half_frequency
-        far = (away > ACCURACY.plateau_range[0]) & (away < ACCURACY.plateau_range[1])
-        near = np.flatnonzero(
-            (away > ACCURACY.overshoot_range[0]) & (away < ACCURACY.overshoot_range[1])
+        periods = sign * profile.distance * half_frequency
+        plateau = (periods > ACCURACY.plateau_range[0]) & (periods < ACCURACY.plateau_range[1])
+        rim = np.flatnonzero(
+            (periods > ACCURACY.overshoot_range[0]) & (periods < ACCURACY.overshoot_range[1])
         )
-        if np.count_nonzero(far) < ACCURACY.overshoot_bins or not near.size:
+        if np.count_nonzero(plateau) < ACCURACY.overshoot_bins or not rim.size:
             return 0.0
-        line = np.stack([np.ones(np.count_nonzero(far)), profile.distance[far]]) / sd[far]
-        through = np.linalg.solve(line @ line.T, line) / sd[far]
-        weights = np.zeros((near.size, profile.distance.size))
-        for row, middle in enumerate(profile.distance[near]):
-            inside = near[np.abs(profile.distance[near] - middle) < ACCURACY.overshoot_window_px]
-            weights[row, inside] = 1.0 / inside.size
-            weights[row, far] -= np.array([1.0, np.mean(profile.distance[inside])]) @ through
-        beyond = sign * (weights @ profile.value)
-        most = weights[int(np.argmax(beyond))]
-        total, variance = (
-            total + float(beyond.max()),
-            variance + float(most @ profile.covariance @ most),
+        line = (
+            np.stack([np.ones(np.count_nonzero(plateau)), profile.distance[plateau]]) / sd[plateau]
         )
-    share = total / max(abs(profile.step), 1e-300)
+        through = np.linalg.solve(line @ line.T, line) / sd[plateau]
+        weights = np.zeros((rim.size, profile.distance.size))
+        for row, middle in enumerate(profile.distance[rim]):
+            window = rim[np.abs(profile.distance[rim] - middle) < ACCURACY.overshoot_window_px]
+            weights[row, window] = 1.0 / window.size
+            weights[row, plateau] -= np.array([1.0, np.mean(profile.distance[window])]) @ through
+        rises = sign * (weights @ profile.value)
+        largest = weights[int(np.argmax(rises))]
+        total, variance = (
+            total + float(rises.max()),
+            variance + float(largest @ profile.covariance @ largest),
+        )
+    fraction = total / max(abs(profile.step), 1e-300)
     significant = total > THRESHOLDS.overshoot_sd * np.sqrt(variance)
-    return share if significant and share > THRESHOLDS.min_overshoot else 0.0
+    return fraction if significant and fraction > THRESHOLDS.min_overshoot else 0.0
 
 
 def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
@@ -235,25 +241,25 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
     rises by C^(-1/2). Each of the n pixels of a bin contributes 1/n of its mean, which is corrected
     for.
     """
-    gathered, most = profile.gathered, ACCURACY.sharpening_clip_sd
+    gathered, clip_sd = profile.gathered, ACCURACY.sharpening_clip_sd
     at_pixel = np.interp(gathered.distance, profile.distance, profile.value)
     level = (at_pixel - profile.dark) / (profile.step or 1.0)
-    used = gathered.used & (
+    on_plateau = gathered.valid & (
         np.minimum(np.abs(level), np.abs(level - 1.0)) < ACCURACY.sharpening_plateau
     )
-    pixels = int(np.count_nonzero(used))
+    pixels = int(np.count_nonzero(on_plateau))
     if pixels < ACCURACY.sharpening_pixels:
         return 1.0
     sd = np.sqrt(np.maximum(profile.grain.variance(level), profile.variance_floor))
-    noise = np.where(used, np.clip((picture.value - at_pixel) / sd, -most, most), 0.0)
+    noise = np.where(on_plateau, np.clip((picture.value - at_pixel) / sd, -clip_sd, clip_sd), 0.0)
     # A variance below 1 is the residual of the bins, not noise.
     variance, total = max(float(np.sum(noise**2)) / pixels, 1.0), 0.0
     rows, cols = noise.shape
     for down, right in NEIGHBOURS:
-        one = slice(0, rows - down), slice(max(-right, 0), cols - max(right, 0))
-        other = slice(down, rows), slice(max(right, 0), cols - max(-right, 0))
-        pairs = max(int(np.count_nonzero(used[one] & used[other])), 1)
-        total += 2.0 * float(np.sum(noise[one] * noise[other])) / pairs / variance
+        first = slice(0, rows - down), slice(max(-right, 0), cols - max(right, 0))
+        second = slice(down, rows), slice(max(right, 0), cols - max(-right, 0))
+        pairs = max(int(np.count_nonzero(on_plateau[first] & on_plateau[second])), 1)
+        total += 2.0 * float(np.sum(noise[first] * noise[second])) / pairs / variance
     opposed = -(total + 2.0 * REACH_PX * float(np.mean(1.0 / profile.count)))
     error = 2.0 * np.sqrt(len(NEIGHBOURS) / pixels)
     if opposed > max(THRESHOLDS.min_anticorrelation, THRESHOLDS.anticorrelation_sd * error):
@@ -296,38 +302,38 @@ def _effect(
     step = max(abs(profile.step), 1e-300)
     match flag:
         case "clipped":
-            data = edge.used.data
+            data = edge.frames.data
             shares = {
                 float(end): 100.0 * float(np.mean(data == end)) for end in (data.max(), data.min())
             }
             # The other end of the scale has a few pixels of noise.
             ends = [
-                f"{share:.0f} % of the pixels sit at {end:g} DN"
-                for end, share in shares.items()
-                if share >= 0.5
+                f"{percent:.0f} % of the pixels sit at {end:g} DN"
+                for end, percent in shares.items()
+                if percent >= 0.5
             ]
-            said = ", ".join(ends) or "less than 1 % of the pixels sit at an end of the scale"
-            return f"{said}: the plateaus are lost, and MTF50 may be high by tens of percent"
+            piles = ", ".join(ends) or "less than 1 % of the pixels sit at an end of the scale"
+            return f"{piles}: the plateaus are lost, and MTF50 may be high by tens of percent"
         case "gamma":
-            most = 100.0 * max_bias_of(response, profile.contrast)
-            return f"a nonlinear camera response may bias MTF50 by up to {most:.1f} %"
+            bias = 100.0 * max_bias_of(response, profile.contrast)
+            return f"a nonlinear camera response may bias MTF50 by up to {bias:.1f} %"
         case "model-misfit":
             return (
                 f"the blur model deviates from the profile by up to {100.0 * misfit:.1f} % of "
                 f"the step"
             )
         case "defects":
-            used = int(np.count_nonzero(profile.gathered.used))
+            pixels = int(np.count_nonzero(profile.gathered.valid))
             return (
-                f"{profile.defects} of {used} pixels were excluded; as many undetected ones may "
-                f"move MTF50 by {100.0 * profile.defects / max(used, 1):.2g} %"
+                f"{profile.defects} of {pixels} pixels were excluded; as many undetected ones may "
+                f"move MTF50 by {100.0 * profile.defects / max(pixels, 1):.2g} %"
             )
         case "gradient":
             sides = [profile.value[side] for side in (profile.distance < 0, profile.distance > 0)]
             changes = max(
-                float(np.ptp(one[np.abs(one - np.median(one)) < 0.3 * step]))
-                for one in sides
-                if one.size
+                float(np.ptp(levels[np.abs(levels - np.median(levels)) < 0.3 * step]))
+                for levels in sides
+                if levels.size
             )
             return (
                 f"the illumination changes by {100.0 * changes / step:.0f} % of the step over "
@@ -345,16 +351,16 @@ def _effect(
                 f"MTF50 by about as much"
             )
         case "window-too-small":
-            reach = profile.gathered.half_width_px
+            half_width_px = profile.gathered.half_width_px
             return (
-                f"light beyond {reach:.0f} px from the edge is not included: MTF50 is high by "
-                f"its fraction"
+                f"light beyond {half_width_px:.0f} px from the edge is not included: MTF50 is "
+                f"high by its fraction"
             )
         case "drift":
-            moved = edge.target_motion
+            motion = edge.target_motion
             return (
-                f"the edge moves by {moved.rms_px:.2g} px rms: MTF50 is "
-                f"{100.0 * moved.mtf_loss(half):.2g} % low"
+                f"the edge moves by {motion.rms_px:.2g} px rms: MTF50 is "
+                f"{100.0 * motion.mtf_loss(half):.2g} % low"
             )
         case "curved-edge":
             rough = edge.roughness

@@ -97,22 +97,22 @@ def measure_conventionally(
     elif step < 3.0 * noise / np.sqrt(len(profile.distance)) or edge.rows.line.strength < 60.0:
         reason, flag = "no target: no edge stands clear of the noise", "no-target"
     elif step < least_step * noise:
-        least = f"{least_step:g} times the pixel noise"
-        reason = f"a conventional edge method needs a step of {least}, got {step / noise:.1f}"
+        required = f"{least_step:g} times the pixel noise"
+        reason = f"a conventional edge method needs a step of {required}, got {step / noise:.1f}"
     if reason:
         return refuse_edge(
             method, EdgeRefusal(reason=reason, where=edge.where, flag=flag), None, settings
         )
-    found = estimate(edge.picture, edge.rows.line)
-    half = float(crossing_frequency(found.frequency, found.values[:1], 0.5)[0])
-    notes = (*found.notes, "Normalised to the light inside the region.")
+    estimated = estimate(edge.picture, edge.rows.line)
+    half = float(crossing_frequency(estimated.frequency, estimated.values[:1], 0.5)[0])
+    notes = (*estimated.notes, "Normalised to the light inside the region.")
     provenance = Provenance(version=charact.__version__, settings=settings)
     shared = shared_fields(method, edge, _flags(edge, half, context), notes, provenance)
     numbers = [
-        _crossing(found, quantity, level, bias_sd, shared) for quantity, level in LEVELS.items()
+        _crossing(estimated, quantity, level, bias_sd, shared) for quantity, level in LEVELS.items()
     ]
     at = np.concatenate([PINNED, REPORTED])
-    every = np.array([np.interp(at, found.frequency, one) for one in found.values])
+    every = np.array([np.interp(at, estimated.frequency, modulus) for modulus in estimated.values])
     value, sd = every[0], jackknife_sd(every[1:])
     numbers += [
         measurement_from_sd(
@@ -121,8 +121,8 @@ def measure_conventionally(
         for k, f in enumerate(PINNED)
     ]
     value, sd = value[len(PINNED) :], sd[len(PINNED) :]
-    low, wide = (np.stack([value - k * sd, value + k * sd]) for k in (0.994458, 1.959964))
-    curve = Curve(frequency_cy_per_px=REPORTED, value=value, interval68=low, interval95=wide)
+    low, interval95 = (np.stack([value - k * sd, value + k * sd]) for k in (0.994458, 1.959964))
+    curve = Curve(frequency_cy_per_px=REPORTED, value=value, interval68=low, interval95=interval95)
     return edge_result(edge, numbers, curve, shared, half)
 
 
@@ -146,7 +146,7 @@ def _flags(edge: PreparedEdge, half: float, context: Context) -> Iterator[str]:
 
 
 def _crossing(
-    found: MtfEstimate, quantity: str, level: float, bias_sd: float, common: dict
+    estimated: MtfEstimate, quantity: str, level: float, bias_sd: float, common: dict
 ) -> Measurement:
     """Return MTF50 or MTF10.
 
@@ -154,18 +154,18 @@ def _crossing(
     makes an MTF without a model uneven, and where it falls steeply by chance its own crossings
     hardly scatter. They serve where too few frequencies are near.
     """
-    frequency = found.frequency
-    value, *each = crossing_frequency(frequency, found.values, level)
-    if not np.isfinite([value, *each]).all() or value > FINE[-1]:
+    frequency = estimated.frequency
+    value, *jackknifed = crossing_frequency(frequency, estimated.values, level)
+    if not np.isfinite([value, *jackknifed]).all() or value > FINE[-1]:
         return make_refusal(
             quantity, "cy/px", f"the response does not fall to {level:g} within 1 cy/px", **common
         )
-    near = np.abs(frequency / value - 1.0) < ACCURACY.crossing_range
-    if np.count_nonzero(near) < 3:
-        scatter = float(jackknife_sd(np.array(each)))
+    in_range = np.abs(frequency / value - 1.0) < ACCURACY.crossing_range
+    if np.count_nonzero(in_range) < 3:
+        scatter = float(jackknife_sd(np.array(jackknifed)))
     else:
-        slope = np.polyfit(frequency[near], found.values[0, near], 1)[0]
-        scatter = float(np.sqrt(np.mean(jackknife_sd(found.values[1:, near]) ** 2)))
+        slope = np.polyfit(frequency[in_range], estimated.values[0, in_range], 1)[0]
+        scatter = float(np.sqrt(np.mean(jackknife_sd(estimated.values[1:, in_range]) ** 2)))
         scatter /= max(-slope, ACCURACY.min_crossing_slope / value)
     # Besides, a fraction of a frequency step and the estimator's own bias.
     sd = np.sqrt(scatter**2 + (0.1 * frequency[1]) ** 2 + (bias_sd * float(value)) ** 2)
@@ -197,21 +197,23 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
         of four are empty, and straight lines would blur the edge.
     """
     blocks = ACCURACY.jackknife_blocks
-    inside = (cell >= 0) & (cell < size)
+    in_band = (cell >= 0) & (cell < size)
     block = np.broadcast_to((np.arange(len(value)) * blocks // len(value))[:, None], value.shape)
-    index = (block * size + cell)[inside]
-    total = np.bincount(index, weights=value[inside], minlength=blocks * size).reshape(blocks, size)
+    index = (block * size + cell)[in_band]
+    total = np.bincount(index, weights=value[in_band], minlength=blocks * size).reshape(
+        blocks, size
+    )
     count = np.bincount(index, minlength=blocks * size).reshape(blocks, size)
     totals = np.concatenate([total.sum(0)[None], total.sum(0) - total])
     counts = np.concatenate([count.sum(0)[None], count.sum(0) - count])
-    place = np.arange(size)
+    cells = np.arange(size)
     means = totals / np.maximum(counts, 1)
     for mean, filled in zip(means, counts > 0, strict=True):
         if not filled.all() and filled.any():
             from scipy.interpolate import CubicSpline
 
-            held = np.clip(place[~filled], place[filled][0], place[filled][-1])
-            mean[~filled] = CubicSpline(place[filled], mean[filled])(held)
+            between_filled = np.clip(cells[~filled], cells[filled][0], cells[filled][-1])
+            mean[~filled] = CubicSpline(cells[filled], mean[filled])(between_filled)
     return means
 
 
@@ -251,17 +253,17 @@ def _estimate_slanted(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
         (picture.value, line.slope) if line.slope >= 0 else (picture.value[::-1], -line.slope)
     )
     rows, cols = value.shape
-    reach = 0.5 * slope * (rows - 1) + WIDEST_PX
+    half_width_px = 0.5 * slope * (rows - 1) + WIDEST_PX
     low, high = (
-        int(max(np.floor(line.position - reach), 0)),
-        int(min(np.ceil(line.position + reach) + 1, cols)),
+        int(max(np.floor(line.position - half_width_px), 0)),
+        int(min(np.ceil(line.position + half_width_px) + 1, cols)),
     )
-    value, place = value[:, low:high], line.position - low - 0.5 * slope * (rows - 1)
+    value, first_px = value[:, low:high], line.position - low - 0.5 * slope * (rows - 1)
     along, first = _centroid_line(value)
     notes = ()
     if abs(along - slope) * rows > 1.0 / QUARTERS:
         # Off by more than one bin: lost in noise, or in uneven light.
-        along, first = slope, place
+        along, first = slope, first_px
         notes = (
             (
                 "The rows' centroids stray from the edge: the line fitted to all pixels was taken "
@@ -300,15 +302,15 @@ def _centroid_line(value: Array) -> tuple[float, float]:
     rows, cols = value.shape
     difference = np.diff(value, axis=1)
     difference = np.concatenate([difference, difference[:, -1:]], axis=1)
-    row, place = np.arange(rows), np.arange(cols)
+    row, cols_px = np.arange(rows), np.arange(cols)
     slope, first = 0.0, 0.5 * (cols - 1)
     for _ in range(2):
         centre = (first + slope * row)[:, None]
-        weighted = difference * _hamming(place - centre, np.maximum(centre, cols - 1 - centre))
+        weighted = difference * _hamming(cols_px - centre, np.maximum(centre, cols - 1 - centre))
         light = weighted.sum(axis=1)
         if not np.all(light > 0):
             return np.inf, 0.0
-        slope, first = np.polyfit(row, weighted @ place / light + 0.5, 1)
+        slope, first = np.polyfit(row, weighted @ cols_px / light + 0.5, 1)
     return float(slope), float(first)
 
 
@@ -355,8 +357,8 @@ def _gradient_estimate(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
     # Cells lie between the pixels: the mean distance of the four.
     across = line.across(value.shape) * cosine
     distance = 0.25 * (across[1:, 1:] + across[1:, :-1] + across[:-1, 1:] + across[:-1, :-1])
-    seen = min(line.position, value.shape[1] - 1 - line.position) * cosine - 1.0
-    widest = float(np.clip(seen, 3.0, WIDEST_PX))
+    plateau_px = min(line.position, value.shape[1] - 1 - line.position) * cosine - 1.0
+    widest = float(np.clip(plateau_px, 3.0, WIDEST_PX))
     size, samples = round(widest * EIGHTHS), 128 * EIGHTHS
     spread = mean_by_cell(np.floor(distance * EIGHTHS).astype(np.int64) + size, slope, 2 * size)
     frequency = np.arange(samples // EIGHTHS) / samples * EIGHTHS
@@ -375,13 +377,13 @@ def _gradient_estimate(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
         """Return the modulus of the transforms in a window whose outer three quarters are
         tapered.
         """
-        away = np.abs((np.arange(2 * size) - 0.5 * (2 * size - 1)) / EIGHTHS) / half_px
-        taper = 0.5 * (1.0 + np.cos(np.pi * np.clip((away - 0.25) / 0.75, 0.0, 1.0)))
+        relative = np.abs((np.arange(2 * size) - 0.5 * (2 * size - 1)) / EIGHTHS) / half_px
+        taper = 0.5 * (1.0 + np.cos(np.pi * np.clip((relative - 0.25) / 0.75, 0.0, 1.0)))
         return np.abs(np.fft.rfft(spread * taper, samples, axis=1))[:, : frequency.size] / passed
 
-    wide = transform(widest)
-    light = wide[:, :1]
-    half = crossing_frequency(frequency, wide[:1] / light[:1], 0.5)[0]
+    widest_modulus = transform(widest)
+    light = widest_modulus[:, :1]
+    half = crossing_frequency(frequency, widest_modulus[:1] / light[:1], 0.5)[0]
     narrow = (
         float(np.clip(PERIODS / half, min(NARROWEST_PX, widest), widest))
         if np.isfinite(half)

@@ -126,8 +126,8 @@ def edge_result_of_fit(
         half = float(np.median(known)) if known.size else np.nan
         relative_sd = float(np.std(np.log(known))) if known.size else np.inf
         black = {} if profile.black is None else {"black_dn": profile.black}
-        own = {"quick": context.quick, **black, **settings}
-        found = [
+        own_settings = {"quick": context.quick, **black, **settings}
+        all_flags = [
             *edge_flags(edge, half, context, LIMITS.max_motion_sd * relative_sd),
             *fit_flags(edge.picture, profile, fitted, half if half > 0 else 0.01),
             *(() if context.linear else response_flags(response, profile.contrast, relative_sd)),
@@ -138,13 +138,15 @@ def edge_result_of_fit(
             ),
             *flags,
         ]
-        said = (
+        all_notes = (
             *_notes(edge, context),
             *nonlinearity_notes(edge, response, relative_sd, context),
             *notes,
         )
-        provenance = Provenance(version=charact.__version__, seed=context.seed, settings=own)
-        return shared_fields(method, edge, found, said, provenance)
+        provenance = Provenance(
+            version=charact.__version__, seed=context.seed, settings=own_settings
+        )
+        return shared_fields(method, edge, all_flags, all_notes, provenance)
 
     numbers, curve, _, shared = mtf_measurements(
         mtf, common, posterior=posterior, doubt=doubt, finish=_finish
@@ -152,8 +154,10 @@ def edge_result_of_fit(
     assert curve.interval68 is not None and curve.interval95 is not None, (
         "curves of draws have intervals"
     )
-    wide = _with_margin(curve.value, curve.interval68, curve.interval95, ACCURACY.modulus_margin)
-    curve = replace(curve, interval95=wide)
+    interval95 = _with_margin(
+        curve.value, curve.interval68, curve.interval95, ACCURACY.modulus_margin
+    )
+    curve = replace(curve, interval95=interval95)
     return edge_result(edge, numbers, curve, shared, half, fitted=fitted, response=response)
 
 
@@ -227,15 +231,15 @@ def edge_result(
         }
     return Result(
         measurements=tuple(
-            one.with_(findings=findings_of(one.flags, edge, half, response, misfit))
-            for one in (*numbers, angle)
+            measurement.with_(findings=findings_of(measurement.flags, edge, half, response, misfit))
+            for measurement in (*numbers, angle)
         ),
         curves={"mtf": curve},
         evidence={"edge-spread": shown},
     )
 
 
-def _finish(found: Measurement, draws: Array) -> Measurement:
+def _finish(measurement: Measurement, draws: Array) -> Measurement:
     """Return a measurement with the margin of its 95 % interval, and flags of several modes or
     unreliable tails.
 
@@ -243,20 +247,22 @@ def _finish(found: Measurement, draws: Array) -> Measurement:
     exp(-s^2), within the 68 % interval: errors of a frequency reach further up than down.
     """
     several = has_several_peaks(draws[:, None])
-    flags = (*found.flags, "several-modes") if several else found.flags
-    if found.value is None or found.interval68 is None:
-        return found
-    is_frequency = found.quantity != "mtf"
+    flags = (*measurement.flags, "several-modes") if several else measurement.flags
+    if measurement.value is None or measurement.interval68 is None:
+        return measurement
+    is_frequency = measurement.quantity != "mtf"
     margin = ACCURACY.frequency_margin if is_frequency else ACCURACY.modulus_margin
-    intervals = np.asarray(found.interval68), np.asarray(found.interval95)
-    low95, high95 = _with_margin(np.asarray(found.value), *intervals, margin)
-    value, (low, high) = found.value, found.interval68
+    intervals = np.asarray(measurement.interval68), np.asarray(measurement.interval95)
+    low95, high95 = _with_margin(np.asarray(measurement.value), *intervals, margin)
+    value, (low, high) = measurement.value, measurement.interval68
     if is_frequency:
         deviation = 0.5 * np.log(high / max(low, 1e-6)) / 0.994458
         if not high - low < 2.0 * THRESHOLDS.max_relative_sd * value:
             flags = (*flags, "low-signal")
         value = float(max(value * np.exp(-(deviation**2)), low))
-    return replace(found, value=value, interval95=(float(low95), float(high95))).with_(flags=flags)
+    return replace(measurement, value=value, interval95=(float(low95), float(high95))).with_(
+        flags=flags
+    )
 
 
 def _with_margin(
@@ -266,14 +272,14 @@ def _with_margin(
     unsure = np.minimum(
         0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), THRESHOLDS.max_relative_sd
     )
-    margin = np.stack([ACCURACY.interval_margin + one * unsure for one in more])
+    margin = np.stack([ACCURACY.interval_margin + factor * unsure for factor in more])
     return np.maximum(value + margin * (interval95 - value), 0.0)
 
 
 def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
     """Yield notes that are no reason for distrust."""
     profile = edge.profile
-    yield from edge.used.notes
+    yield from edge.frames.notes
     grain = profile.grain.covariance_over_variance
     if grain > 1.3 or grain < 0.8:
         yield (
