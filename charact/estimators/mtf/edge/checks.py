@@ -1,6 +1,6 @@
 """Checks of edges: flags, the size of their effect on MTF50, and their remedies."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.estimators.mtf.quantisation_checks import clipping_flags
+from charact.estimators.mtf.target_motion import TargetMotion
+from charact.estimators.mtf.thresholds import LIMITS
 from charact.method import Context
 from charact.robust import median
 from labdata.flags import FLAGS, Finding
@@ -68,24 +70,30 @@ def edge_flags(
         yield "interlace-motion"
     if profile.defects:
         yield "defects"
-    yield from noise_flags(edge.noise_growth)
+    noise = profile.noise
+    # Neither noise that grows with the light nor an unknown black level contradicts a line.
+    if (
+        picture.frames > 1
+        or profile.black is not None
+        or noise.bright_variance < noise.dark_variance
+    ):
+        yield from noise_flags(edge.noise_growth)
     yield from edge.flags
-    gain, overshoot = (
-        noise_gain_of(picture, profile),
-        overshoot_of(profile, half) if half > 0 else 0.0,
-    )
-    if gain > 1.0 or overshoot > 0.0:
+    processed = noise_gain_of(picture, profile) > 1.0 or overshoot_of(profile, half) > 0.0
+    if processed:
         yield "processed"
+    still = picture.frames < 2
     moves, rough = (
         motion.moves and np.isfinite(least_loss) and not motion.mtf_loss(half) < least_loss
-        for motion in (edge.target_motion, edge.roughness)
+        for motion in (TargetMotion() if still else edge.target_motion, edge.roughness)
     )
     if moves:
         yield "drift"
     if rough:
         yield "curved-edge"
     # An edge that moves far leaves more on its slopes than rows that move in one piece.
-    if edge.temporal_noise[1].is_smoothed and not moves:
+    several = picture.frames >= LIMITS.min_smoothing_frames
+    if several and not (moves or processed) and edge.slope_noise.is_smoothed:
         yield "processed"
 
 
@@ -95,7 +103,7 @@ def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
     valid = gathered.valid & (np.abs(gathered.distance) < ACCURACY.field_distance_px)
     means = profile.distance, profile.value
     return field_displacement(
-        edge.picture, edge.rows, valid, gathered.distance, means, profile.grain.max_sd
+        edge.picture, edge.rows, valid, gathered.distance, means, profile.noise.max_sd
     )
 
 
@@ -152,7 +160,7 @@ def fit_flags(
         yield "model-misfit"
     if np.abs(slopes).max() * 2.0 * profile.gathered.half_width_px > THRESHOLDS.max_gradient * step:
         yield "gradient"
-    if step < THRESHOLDS.min_step_sd * profile.grain.mean_sd:
+    if step < THRESHOLDS.min_step_sd * profile.noise.mean_sd:
         yield "low-signal"
     if noise_below_quantisation(picture, profile):
         yield "quantised"
@@ -165,8 +173,8 @@ def fit_flags(
     pixels = np.bincount(cell, weights=weight)
     means = np.abs(np.bincount(cell, weights=weight * residual)) / np.maximum(pixels, 1e-9)
     error = np.sqrt(
-        profile.grain.covariance_over_variance
-        * profile.grain.bright_variance
+        profile.noise.covariance_over_variance
+        * profile.noise.bright_variance
         / np.maximum(pixels, 1.0)
     )
     if np.any((means > 0.1 * step) & (means > THRESHOLDS.misfit_sd * error)):
@@ -177,7 +185,7 @@ def noise_below_quantisation(picture: OrientedFrame, profile: EdgeProfile) -> bo
     """Return whether the noise of one frame is too small to dither the quantisation."""
     return (
         picture.whole_codes
-        and profile.grain.mean_sd * np.sqrt(picture.frames) < THRESHOLDS.quantisation_noise_dn
+        and profile.noise.mean_sd * np.sqrt(picture.frames) < THRESHOLDS.quantisation_noise_dn
     )
 
 
@@ -193,7 +201,8 @@ NEIGHBOURS = [
 
 
 def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
-    """Return the overshoot of both plateaus together, fraction of the step; 0: none.
+    """Return the overshoot of both plateaus together, fraction of the step; 0: none, or MTF50
+    is unknown.
 
     Notes
     -----
@@ -202,6 +211,8 @@ def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
     beyond. The sum of both sides counts, as an illumination gradient raises one and lowers the
     other.
     """
+    if not half_frequency > 0:
+        return 0.0
     total, variance, sd = 0.0, 0.0, np.sqrt(np.diag(profile.covariance))
     for sign in (1.0, -1.0):
         periods = sign * profile.distance * half_frequency
@@ -250,7 +261,7 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
     pixels = int(np.count_nonzero(on_plateau))
     if pixels < ACCURACY.sharpening_pixels:
         return 1.0
-    sd = np.sqrt(np.maximum(profile.grain.variance(level), profile.variance_floor))
+    sd = np.sqrt(np.maximum(profile.noise.variance(level), profile.variance_floor))
     noise = np.where(on_plateau, np.clip((picture.value - at_pixel) / sd, -clip_sd, clip_sd), 0.0)
     # A variance below 1 is the residual of the bins, not noise.
     variance, total = max(float(np.sum(noise**2)) / pixels, 1.0), 0.0
@@ -268,7 +279,7 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
 
 
 def findings_of(
-    flags: tuple[str, ...],
+    flags: Iterable[str],
     edge: PreparedEdge,
     half: float,
     response: CurvatureEstimate = NO_CURVATURE_ESTIMATE,
@@ -340,7 +351,7 @@ def _effect(
                 f"a side, as with glare"
             )
         case "low-signal":
-            ratio = step / max(profile.grain.mean_sd, 1e-300)
+            ratio = step / max(profile.noise.mean_sd, 1e-300)
             return (
                 f"the step is {ratio:.1f} times the noise of a pixel: the limits of the "
                 f"interval are uncertain"
@@ -367,7 +378,7 @@ def _effect(
             loss = 100.0 * rough.mtf_loss(half)
             return f"an edge roughness of {rough.rms_px:.2g} px rms lowers MTF50 by {loss:.2g} %"
         case "processed":
-            over = overshoot_of(profile, half) if half > 0 else 0.0
+            over = overshoot_of(profile, half)
             gain = noise_gain_of(edge.picture, profile)
             if over > 0.0 or gain > 1.0:
                 return (
@@ -376,7 +387,7 @@ def _effect(
                     "and may exceed the camera's by as many percent"
                 )
             return (
-                f"noise on the edge is {edge.temporal_noise[1].ratio:.1f} times that of its "
+                f"noise on the edge is {edge.slope_noise.ratio:.1f} times that of its "
                 "plateaus: noise reduction sparing edges may have sharpened or blurred this one"
             )
         case "tilt-too-small":

@@ -116,7 +116,8 @@ def _result(
     **method_fields: Any,
 ) -> Result:
     """Return what both methods make of draws, a nonlinear response marginalised."""
-    edge = replace(edge, profile=fitter.profile)
+    if fitter.profile is not edge.profile:
+        edge = replace(edge, profile=fitter.profile)
     response, odds = fitter.response_curvature(best), ln_bayes_factor_of(edge, context)
     parts = []
     for draws_of_form in drawn:
@@ -309,7 +310,7 @@ def _fit_departures(edge: PreparedEdge, known: KnownTransfer, context: Context) 
         fitter = EdgeFitter(profile, known, fine=best.family.wide is not None)
         best = fitter.fit_departures(best.form, best.point, best.slope_sd_per_px)
     without, half = fitter.chi2_without_edge(best.slope_sd_per_px), float(np.exp(best.point[1]))
-    refused = fit_refusal(replace(edge, profile=profile), best.chi2, without, best.free, half)
+    refused = fit_refusal(edge, best.chi2, without, best.free, half)
     if refused:
         return refuse_edge(FORWARD, refused, context.seed)
     quick = {"enough": ACCURACY.forward_ess, "first_draws": ACCURACY.forward_first_draws}

@@ -169,7 +169,10 @@ def shared_fields(
     provenance: Provenance,
 ) -> dict:
     """Return what all measurements of an edge share."""
-    rough = edge.roughness
+    rough, tilt = edge.roughness, float(np.rad2deg(edge.profile.angle_rad))
+    # Upright, the normal stands at -tilt to the columns; mirrored it is turned over, transposed
+    # exchanged.
+    tilt = tilt if edge.picture.mirrored else -tilt
     course = (
         [f"Edge roughness {rough.rms_px:.2g} px rms along the edge, beyond the noise."]
         if rough.moves
@@ -180,7 +183,8 @@ def shared_fields(
         "flags": tuple(dict.fromkeys(flags)),
         "notes": (*edge.notes, *course, *notes),
         "region": edge.where,
-        "orientation_deg": edge.orientation_deg,
+        # Direction of the edge's normal from the row direction, in [0, 180).
+        "orientation_deg": (90.0 - tilt if edge.picture.transposed else tilt) % 180.0,
         "provenance": provenance,
     }
 
@@ -201,7 +205,7 @@ def edge_result(
     profile, misfit = edge.profile, 0.0
     rows, spread = np.flatnonzero(np.isfinite(edge.rows.offset)), edge.rows.offset_sd
     if fitted is not None:
-        spread *= np.sqrt(max(profile.grain.covariance_over_variance, 1.0))
+        spread *= np.sqrt(max(profile.noise.covariance_over_variance, 1.0))
     error = (
         spread / np.sqrt(max(float(np.sum((rows - rows.mean()) ** 2)), 1.0))
         if rows.size > 2
@@ -227,11 +231,19 @@ def edge_result(
             "residual_dn": residual.tolist(),
             "chi_squared": fitted.chi2,
             "degrees_of_freedom": fitted.free,
-            "orientation_deg": edge.orientation_deg,
+            "orientation_deg": shared["orientation_deg"],
         }
+    flags = dict.fromkeys(flag for measurement in numbers for flag in measurement.flags)
+    findings = {
+        finding.flag: finding for finding in findings_of(flags, edge, half, response, misfit)
+    }
     return Result(
         measurements=tuple(
-            measurement.with_(findings=findings_of(measurement.flags, edge, half, response, misfit))
+            measurement.with_(
+                findings=[findings[flag] for flag in measurement.flags if flag in findings]
+            )
+            if measurement.flags
+            else measurement
             for measurement in (*numbers, angle)
         ),
         curves={"mtf": curve},
@@ -280,11 +292,11 @@ def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
     """Yield notes that are no reason for distrust."""
     profile = edge.profile
     yield from edge.frames.notes
-    grain = profile.grain.covariance_over_variance
-    if grain > 1.3 or grain < 0.8:
+    correlation_sum = profile.noise.covariance_over_variance
+    if not 0.8 <= correlation_sum <= 1.3:
         yield (
-            f"Noise is correlated between pixels (sum of correlations {grain:.1f}) and treated "
-            f"as such."
+            f"Noise is correlated between pixels (sum of correlations {correlation_sum:.1f}) and "
+            "treated as such."
         )
     if context.sensor is None and context.pitch_ratio == 1.0:
         yield "Pixels taken as square."

@@ -6,6 +6,7 @@ pattern that frames share, and the correlation by blur.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -28,21 +29,42 @@ MAX_LAG_PX = 14
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeNoiseModel:
-    """Noise of a frame along an edge.
+    """Noise of a frame along an edge; its correlation is estimated where it is first asked for.
 
     Parameters
     ----------
     dark_variance, bright_variance
         Variance of a pixel on both plateaus, DN^2; in between it is linear in the profile.
-    correlation
-        Correlation at lags of rows and columns, shape (2 REACH + 1, 2 REACH + 1), 1 in the middle.
+    residual, level, valid
+        Frame less its profile, DN, the profile from 0 to 1, and the pixels that count, shape (row,
+        col).
+    slopes
+        Change of the distance from the edge with one column and with one row, px.
+    is_quantisation
+        Whether the residual is quantisation, in the data or in the bins, which does not correlate
+        neighbours.
+    field_axis
+        Axis of the frame along which two fields alternate; None: there are none.
     """
 
     dark_variance: float
     bright_variance: float
-    correlation: Array
+    residual: Array
+    level: Array
+    valid: NDArray[np.bool_]
+    slopes: tuple[float, float]
+    is_quantisation: bool
+    field_axis: int | None = None
 
-    @property
+    @cached_property
+    def correlation(self) -> Array:
+        """Correlation at lags of rows and columns, shape (2 R + 1, 2 C + 1), 1 in the middle."""
+        if self.is_quantisation:
+            return np.ones((1, 1))
+        standard = np.where(self.valid, self.residual / np.sqrt(self.variance(self.level)), 0.0)
+        return correlation_of(standard, self.valid, self.slopes, self.field_axis)
+
+    @cached_property
     def covariance_over_variance(self) -> float:
         """Sum of the correlation: by how much averages are noisier than those of independent
         pixels.
@@ -76,7 +98,8 @@ def estimate_edge_noise(
     floor: float,
     field_axis: int | None = None,
 ) -> EdgeNoiseModel:
-    """Estimate the noise from residuals.
+    """Estimate the noise from residuals r: r^2 = (1 - u) dark_variance + u bright_variance, u the
+    level.
 
     Parameters
     ----------
@@ -100,15 +123,16 @@ def estimate_edge_noise(
     variances = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), sides @ square)
     min_variance = max(0.02 * max(float(square.mean()) if square.size else 0.0, floor), floor)
     dark, bright = (max(float(variance), min_variance) for variance in variances)
-    grain = EdgeNoiseModel(dark_variance=dark, bright_variance=bright, correlation=np.ones((1, 1)))
-    if max(dark, bright) <= 1.01 * floor:
-        # The residual is quantisation, in the data or in the bins, which does not correlate
-        # neighbours.
-        return grain
-    standard = np.where(valid, residual / np.sqrt(grain.variance(level)), 0.0)
-    slopes = float(np.diff(distance[0, :2])[0]), float(np.diff(distance[:2, 0])[0])
-    correlation = correlation_of(standard, valid, slopes, field_axis)
-    return EdgeNoiseModel(dark_variance=dark, bright_variance=bright, correlation=correlation)
+    return EdgeNoiseModel(
+        dark_variance=dark,
+        bright_variance=bright,
+        residual=residual,
+        level=level,
+        valid=valid,
+        slopes=(float(np.diff(distance[0, :2])[0]), float(np.diff(distance[:2, 0])[0])),
+        is_quantisation=max(dark, bright) <= 1.01 * floor,
+        field_axis=field_axis,
+    )
 
 
 def fit_correlation_model(
@@ -303,7 +327,7 @@ def correlation_of(
 
 
 def bin_covariance(
-    grain: EdgeNoiseModel,
+    noise: EdgeNoiseModel,
     borders: Array,
     level: Array,
     count: Array,
@@ -330,10 +354,10 @@ def bin_covariance(
     delta: for an even filling the overlap of two boxes, a second difference of the ramp sum_lag rho
     max(0, x - delta).
     """
-    rows, cols = (np.arange(size) - size // 2 for size in grain.correlation.shape)
+    rows, cols = (np.arange(size) - size // 2 for size in noise.correlation.shape)
     delta = np.add.outer(rows * slopes[1], cols * slopes[0]).ravel()
     order = np.argsort(delta)
-    delta, mass = delta[order], grain.correlation.ravel()[order]
+    delta, mass = delta[order], noise.correlation.ravel()[order]
     total, moment = (
         np.concatenate([[0.0], np.cumsum(mass)]),
         np.concatenate([[0.0], np.cumsum(mass * delta)]),
@@ -343,7 +367,7 @@ def bin_covariance(
     lag_px = np.arange(-max_cells, max_cells + 1) * NARROWEST_PX
     index = np.searchsorted(delta, lag_px)
     ramp = np.asarray(total[index] * lag_px - moment[index], np.float64)
-    sd = np.sqrt(grain.variance(level))
+    sd = np.sqrt(noise.variance(level))
     scale = sd / np.sqrt(np.diff(borders)[keep] * count)
     ramp = ramp[max_cells + cell - cell[:, None]]
     overlap = (ramp[:-1, 1:] - ramp[1:, 1:] + ramp[1:, :-1] - ramp[:-1, :-1])[np.ix_(keep, keep)]

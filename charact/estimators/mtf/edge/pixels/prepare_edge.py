@@ -21,7 +21,6 @@ from charact.estimators.mtf.edge.pixels.line import (
 )
 from charact.estimators.mtf.edge.pixels.plateau_noise import (
     PlateauNoiseRatio,
-    Sides,
     SlopeNoise,
     noise_growth,
     noise_on_slopes,
@@ -87,25 +86,20 @@ class PreparedEdge:
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    @property
-    def orientation_deg(self) -> float:
-        """Direction of the edge's normal from the row direction, degrees in [0, 180)."""
-        tilt = float(np.rad2deg(self.profile.angle_rad))
-        # Upright, the normal stands at -tilt to the columns; mirrored it is turned over, transposed
-        # exchanged.
-        tilt = tilt if self.picture.mirrored else -tilt
-        return (90.0 - tilt if self.picture.transposed else tilt) % 180.0
+    @cached_property
+    def upright_frames(self) -> Array:
+        """Frames in the orientation of the picture, shape (frame, row, col), DN."""
+        if self.picture.frames == 1:
+            return self.picture.value[None]
+        return self.picture.upright(self.frames.data)
 
     @cached_property
     def target_motion(self) -> TargetMotion:
         """Displacement across the edge from frame to frame."""
-        frames = self.picture.upright(self.frames.data)
-        if len(frames) < 2:
-            return TargetMotion()
-        across = self.rows.line.across(frames.shape[1:])
+        across = self.rows.line.across(self.picture.value.shape)
         row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
         normal = across * np.cos(self.profile.angle_rad)
-        return measure_line_motion(frames, normal, row, np.abs(across) < ROW_REACH_PX)
+        return measure_line_motion(self.upright_frames, normal, row, np.abs(across) < ROW_REACH_PX)
 
     @cached_property
     def roughness(self) -> TargetMotion:
@@ -113,51 +107,51 @@ class PreparedEdge:
         return roughness_of(self.picture, self.profile)
 
     @cached_property
-    def temporal_noise(self) -> tuple[Sides | None, SlopeNoise]:
-        """Noise of both plateaus, None: one has few pixels; and of the slopes over that of the
-        plateaus.
-        """
-        profile, frames = self.profile, self.picture.upright(self.frames.data)
+    def expected(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Profile at every pixel, DN and from 0 to 1, and its plateau: 1 dark, 2 bright, else 0."""
+        profile, plateau = self.profile, ACCURACY.plateau_fraction
         value = np.zeros(profile.keep.size)
         value[profile.keep] = profile.value
         value = value[profile.gathered.bin_index]
-        level, plateau = (value - profile.dark) / (profile.step or 1.0), ACCURACY.plateau_fraction
-        sides = np.select([level < plateau, level > 1.0 - plateau], [1, 2]) * profile.gathered.valid
-        correlation_sum = profile.grain.covariance_over_variance
-        plateaus = plateau_noise(
-            frames,
-            value,
-            sides,
-            along=0 if self.picture.transposed else 1,
-            correlation_sum=correlation_sum,
-        )
-        steep = (
-            steepness(profile.distance, profile.value, profile.gathered.distance)
-            * profile.gathered.valid
-        )
-        return plateaus, noise_on_slopes(frames, level, steep, sides)
+        level = (value - profile.dark) / (profile.step or 1.0)
+        sides = np.select([level < plateau, level > 1.0 - plateau], [1, 2])
+        return value, level, sides * profile.gathered.valid
+
+    @cached_property
+    def slope_noise(self) -> SlopeNoise:
+        """Temporal noise of the slopes over that of the plateaus."""
+        profile, (_, level, sides) = self.profile, self.expected
+        steep = steepness(profile.distance, profile.value, profile.gathered.distance)
+        return noise_on_slopes(self.upright_frames, level, steep * profile.gathered.valid, sides)
 
     @cached_property
     def noise_growth(self) -> PlateauNoiseRatio:
-        """How its noise grows with the light, from frame to frame where there are several that
-        differ.
+        """How the noise grows with the light: from frame to frame where there are several that
+        differ, or by covariances above a known black level; else by the noise of the mean frame.
         """
-        profile, grain, sides = self.profile, self.profile.grain, self.temporal_noise[0]
-        temporal = sides and noise_growth(sides, profile.black, several=len(self.frames.data) > 1)
-        if temporal:
-            return temporal
-        pixels = (
-            0.5
-            * np.count_nonzero(profile.gathered.valid)
-            / max(grain.covariance_over_variance, 1.0)
-        )
+        profile, noise = self.profile, self.profile.noise
+        if self.picture.frames > 1 or profile.black is not None:
+            value, _, sides = self.expected
+            plateaus = plateau_noise(
+                self.upright_frames,
+                value,
+                sides,
+                along=0 if self.picture.transposed else 1,
+                correlation_sum=noise.covariance_over_variance,
+            )
+            several = self.picture.frames > 1
+            growth = plateaus and noise_growth(plateaus, profile.black, several=several)
+            if growth:
+                return growth
+        pixels = 0.5 * np.count_nonzero(profile.gathered.valid)
+        pixels /= max(noise.covariance_over_variance, 1.0)
         photons = None
         if profile.black is not None and profile.dark > profile.black:
             bright_dn = profile.bright - profile.black
-            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(grain.bright_variance):
+            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(noise.bright_variance):
                 photons = bright_dn / (profile.dark - profile.black)
         return PlateauNoiseRatio(
-            ratio=grain.bright_variance / grain.dark_variance,
+            ratio=noise.bright_variance / noise.dark_variance,
             # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
             scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
             photon_ratio=photons,
@@ -422,8 +416,8 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
         # All pixels of a plateau have the same quantisation error; those near an edge differ: the
         # mean square of the sawtooth of `charact.estimators.mtf.quantisation_checks` at any level,
         # DN^2.
-        grain = np.array([profile.grain.dark_variance, profile.grain.bright_variance])
-        variance = np.maximum(grain * picture.frames - QUANTISATION_DN2, 0.0)
+        sides = np.array([profile.noise.dark_variance, profile.noise.bright_variance])
+        variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
         turn = np.pi * np.arange(1, 7)[:, None]
         quantisation = np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0))
         noise += float(quantisation * np.mean(squares[valid]))

@@ -202,18 +202,16 @@ class EdgeProfile:
         Which bins of the band those are.
     dark, bright, black
         Levels of both sides at the edge, and black level, DN; None: unknown.
-    grain
+    noise
         Noise of the frame.
-    covariance
-        Of the bin means, shape (bin, bin), DN^2.
-    shading_sd
-        Standard deviation of slow undulations of the plateaus beyond the noise, DN.
     defects
         Number of pixels left out for values that the noise cannot explain.
     angle_rad, slopes
         Angle of the edge; change of distance with one column and one row, px.
     variance_floor
         Least variance of a pixel, DN^2: quantisation, and a ten-millionth of the squared step.
+    shading_sd
+        Standard deviation of slow undulations of the plateaus beyond the noise, DN.
     """
 
     gathered: BinnedPixels
@@ -225,18 +223,28 @@ class EdgeProfile:
     dark: float
     bright: float
     black: float | None
-    grain: EdgeNoiseModel
-    covariance: Array
-    shading_sd: float
+    noise: EdgeNoiseModel
     defects: int
     angle_rad: float
     slopes: tuple[float, float]
     variance_floor: float
+    shading_sd: float = 0.0
 
     @property
     def step(self) -> float:
         """Height of the edge, DN."""
         return self.bright - self.dark
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the bin means by noise and shading, shape (bin, bin), DN^2."""
+        level = (self.value - self.dark) / (self.step or 1.0)
+        covariance = bin_covariance(
+            self.noise, self.gathered.borders, level, self.count, self.keep, self.slopes
+        )
+        if not self.shading_sd:
+            return covariance
+        return covariance + self.shading_sd**2 * undulation(self.distance)
 
     @property
     def contrast(self) -> float:
@@ -335,10 +343,6 @@ def profile_of(
     slopes = float(np.cos(angle)), float(-line.slope * np.cos(angle))
     quantisation = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
     floor = max(quantisation, (3e-4 * (bright - dark)) ** 2, 1e-30)
-    grain = estimate_edge_noise(
-        residual, level, gathered.valid, gathered.distance, floor, picture.field_axis
-    )
-    of_bins = (mean[keep] - dark) / (bright - dark if bright != dark else 1.0)
     return EdgeProfile(
         gathered=gathered,
         distance=distance[keep],
@@ -349,9 +353,9 @@ def profile_of(
         dark=dark,
         bright=bright,
         black=usable_black_level(picture.black_dn, dark, bright),
-        grain=grain,
-        covariance=bin_covariance(grain, gathered.borders, of_bins, count[keep], keep, slopes),
-        shading_sd=0.0,
+        noise=estimate_edge_noise(
+            residual, level, gathered.valid, gathered.distance, floor, picture.field_axis
+        ),
         defects=defects,
         angle_rad=angle,
         slopes=slopes,
@@ -388,21 +392,21 @@ def refine_noise(profile: EdgeProfile, picture: OrientedFrame, model_value: Arra
     value = np.where(gathered.valid, picture.value - at_pixel, 0.0)
     residual = np.where(gathered.valid, value - _slope_along(value, gathered, level), value)
     floor = profile.variance_floor
-    grain = estimate_edge_noise(
+    noise = estimate_edge_noise(
         residual, level, gathered.valid, gathered.distance, floor, picture.field_axis
     )
-    of_bins = (profile.value - profile.dark) / profile.step
-    covariance = bin_covariance(
-        grain, gathered.borders, of_bins, profile.count, profile.keep, profile.slopes
-    )
-    return with_shading(
-        replace(profile, grain=grain, covariance=covariance, shading_sd=0.0), profile.value
-    )
+    return with_shading(replace(profile, noise=noise, shading_sd=0.0), profile.value)
+
+
+def undulation(distance: Array) -> Array:
+    """Return the correlation of shading, exp(-(d - d')^2 / (2 l^2)), shape (bin, bin)."""
+    apart_px = distance[:, None] - distance
+    return np.exp(-0.5 * (apart_px / ACCURACY.shading_length_px) ** 2)
 
 
 def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:
-    """Return the profile with slow undulations of its plateaus allowed for, as large as residuals
-    show them.
+    """Return a profile without shading with the slow undulations of its plateaus allowed for, as
+    large as residuals show them.
 
     A plateau not much longer than the correlation length is fitted by a parabola within a
     thousandth: no estimate.
@@ -413,14 +417,12 @@ def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:
         The bins' values, or their residuals of a model, shape (bin,), DN.
     """
     distance, excess, weight, scatter = profile.distance, 0.0, 0.0, 0.0
-    kernel = np.exp(-0.5 * ((distance[:, None] - distance) / ACCURACY.shading_length_px) ** 2)
-    bare = profile.covariance - profile.shading_sd**2 * kernel
     for side in (distance < -ACCURACY.plateau_from_px, distance > ACCURACY.plateau_from_px):
         plateau = distance[side]
         if plateau.size < 12 or np.ptp(plateau) < 1.4 * ACCURACY.shading_length_px:
             continue
         basis = np.linalg.qr(np.stack([np.ones_like(plateau), plateau, plateau**2], axis=1))[0]
-        noise, undulation = bare[np.ix_(side, side)], kernel[np.ix_(side, side)]
+        noise, shading = profile.covariance[np.ix_(side, side)], undulation(plateau)
         # Of the residuals of values, noise and undulations after the bend I - B B^T: squares and
         # traces.
         across = noise @ basis
@@ -435,8 +437,8 @@ def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:
         scatter += 2.0 * float(
             np.sum(noise**2) - 2.0 * np.sum(across**2) + np.sum(noise_in_basis**2)
         )
-        weight += float(np.trace(undulation) - np.sum(basis * (undulation @ basis)))
+        weight += float(np.trace(shading) - np.sum(basis * (shading @ basis)))
     # The excess of plateaus without shading scatters by this much; only what stands out of it
     # counts.
-    shading = float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0
-    return replace(profile, covariance=bare + shading**2 * kernel, shading_sd=shading)
+    shading_sd = float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0
+    return replace(profile, shading_sd=shading_sd) if shading_sd else profile
