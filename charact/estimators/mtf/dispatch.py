@@ -109,7 +109,7 @@ def measure(
         FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and context.sensor is not None else None
     )
     chosen = choose(kind, described or method, within_percent=within_percent)
-    counted = drop_duplicate_frames(stack)
+    counted = drop_duplicate_frames(stack) if stack.shape[0] > 1 else stack
     result = chosen.function(counted, region=region, context=context, **target)
     leading, notes = result.find(chosen.quantities[0]), counted.notes[len(stack.notes) :]
     if (
@@ -122,29 +122,19 @@ def measure(
         if without.find(chosen.quantities[0]):
             result, notes = without, (NO_MODEL, *notes)
 
-    def finish(measurement: Measurement) -> Measurement:
-        """Add notes unless they are there, that on the tolerance to the charted quantity, and the
-        colour plane.
-        """
-        wide_note = None
-        if (
-            method == "auto"
-            and measurement.quantity == chosen.quantities[0]
-            and measurement.status != "refused"
-        ):
-            wide_note = beyond_note(measurement, within_percent)
-        added = [note for note in notes if note not in measurement.notes] + (
-            [wide_note] if wide_note else []
-        )
-        measurement = (
-            measurement.with_(notes=(*measurement.notes, *added)) if added else measurement
-        )
-        if stack.plane == "mono" or measurement.provenance is None:
-            return measurement
-        settings = {**measurement.provenance.settings, "plane": stack.plane}
-        return measurement.with_(provenance=replace(measurement.provenance, settings=settings))
-
-    return replace(result, measurements=tuple(map(finish, result.measurements)))
+    finished = []
+    for measurement in result.measurements:
+        added = [note for note in notes if note not in measurement.notes]
+        # The tolerance holds for the charted quantity.
+        charted = measurement.quantity == chosen.quantities[0] and measurement.status != "refused"
+        if method == "auto" and charted and (wide := beyond_note(measurement, within_percent)):
+            added.append(wide)
+        changes: dict[str, Any] = {"notes": (*measurement.notes, *added)} if added else {}
+        if stack.plane != "mono" and (provenance := measurement.provenance) is not None:
+            settings = {**provenance.settings, "plane": stack.plane}
+            changes["provenance"] = replace(provenance, settings=settings)
+        finished.append(measurement.with_(**changes) if changes else measurement)
+    return replace(result, measurements=tuple(finished))
 
 
 def measure_flats(

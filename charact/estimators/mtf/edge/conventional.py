@@ -5,7 +5,7 @@ They have no noise model, are normalised to the light inside their window, and t
 jackknifed over blocks of rows, which keeps the correlation of neighbouring rows.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import charact
 from charact.estimators.mtf.curve import FINE, LEVELS, PINNED, REPORTED, crossing_frequency
 from charact.estimators.mtf.edge.checks import edge_flags, noise_below_quantisation
 from charact.estimators.mtf.edge.pixels.line import EdgeLine
-from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
+from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
 from charact.estimators.mtf.edge.result import edge_result, refuse_edge, shared_fields
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, Region
@@ -82,7 +82,7 @@ def measure_conventionally(
     if isinstance(edge, EdgeRefusal):
         return refuse_edge(method, edge, None, settings)
     (rows, cols), profile = edge.picture.value.shape, edge.profile
-    noise, step = profile.grain.max_sd, profile.step
+    noise, step = profile.noise.max_sd, profile.step
     least_rows, least_cols, least_step = (
         THRESHOLDS.conventional_rows,
         THRESHOLDS.conventional_cols,
@@ -105,9 +105,25 @@ def measure_conventionally(
         )
     estimated = estimate(edge.picture, edge.rows.line)
     half = float(crossing_frequency(estimated.frequency, estimated.values[:1], 0.5)[0])
+    flags = list(edge_flags(edge, half, context, THRESHOLDS.conventional_motion))
+    if step < THRESHOLDS.conventional_min_snr * noise:
+        flags.append("low-signal")
+    if step < THRESHOLDS.coarse_step_dn and noise_below_quantisation(edge.picture, profile):
+        flags.append("quantised")
+    # What an estimator, unlike a fit, cannot allow for.
+    if not np.isfinite(half) or profile.gathered.half_width_px < 2.5 / half:
+        flags.append("window-too-small")
+    for side in (profile.distance < -8, profile.distance > 8):
+        distance, value, count = (
+            part[side] for part in (profile.distance, profile.value, profile.count)
+        )
+        if distance.size >= 8:
+            slope, _ = np.polyfit(distance, value, 1, w=np.sqrt(count))
+            if abs(slope) * np.ptp(distance) > 0.025 * step:
+                flags.append("gradient")
     notes = (*estimated.notes, "Normalised to the light inside the region.")
     provenance = Provenance(version=charact.__version__, settings=settings)
-    shared = shared_fields(method, edge, _flags(edge, half, context), notes, provenance)
+    shared = shared_fields(method, edge, flags, notes, provenance)
     numbers = [
         _crossing(estimated, quantity, level, bias_sd, shared) for quantity, level in LEVELS.items()
     ]
@@ -124,25 +140,6 @@ def measure_conventionally(
     low, interval95 = (np.stack([value - k * sd, value + k * sd]) for k in (0.994458, 1.959964))
     curve = Curve(frequency_cy_per_px=REPORTED, value=value, interval68=low, interval95=interval95)
     return edge_result(edge, numbers, curve, shared, half)
-
-
-def _flags(edge: PreparedEdge, half: float, context: Context) -> Iterator[str]:
-    profile, step = edge.profile, edge.profile.step
-    yield from edge_flags(edge, half, context, THRESHOLDS.conventional_motion)
-    if step < THRESHOLDS.conventional_min_snr * profile.grain.max_sd:
-        yield "low-signal"
-    if step < THRESHOLDS.coarse_step_dn and noise_below_quantisation(edge.picture, profile):
-        yield "quantised"
-    # What an estimator, unlike a fit, cannot allow for.
-    if not np.isfinite(half) or profile.gathered.half_width_px < 2.5 / half:
-        yield "window-too-small"
-    for side in (profile.distance < -8, profile.distance > 8):
-        if np.count_nonzero(side) >= 8:
-            slope, _ = np.polyfit(
-                profile.distance[side], profile.value[side], 1, w=np.sqrt(profile.count[side])
-            )
-            if abs(slope) * np.ptp(profile.distance[side]) > 0.025 * step:
-                yield "gradient"
 
 
 def _crossing(
@@ -232,10 +229,12 @@ def edge_slanted(stack: FrameStack, *, region: Region | None = None, context: Co
 
     Notes
     -----
-    A straight line through the rows' centroids, all pixels binned to quarter pixels by their
-    distance from it, derivative, window, Fourier transform. A frame that is rotated or mirrored
-    gives the same numbers. Source: ISO 12233 annex on e-SFR; P. D. Burns, PICS 2000, 135;
-    conventions as his sfrmat3 and its published table have them.
+    SFR(f) = |sum_x L(x) w(x) exp(-2 pi i f x)| / |sum_x L(x) w(x)| / sinc(f / 2): E(x) is the mean
+    of the pixels that lie in the quarter pixel x from the straight line through the rows'
+    centroids, L(x) = (E(x + 1/4) - E(x - 1/4)) / 2, whose own transfer is the sinc, and w a Hamming
+    window. A frame that is rotated or mirrored gives the same numbers. Source: ISO 12233 annex on
+    e-SFR; P. D. Burns, PICS 2000, 135; conventions as his sfrmat3 and its published table have
+    them.
     """
     settings = {"oversampling": QUARTERS, "widest_px": WIDEST_PX}
     return measure_conventionally(
@@ -258,8 +257,22 @@ def _estimate_slanted(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
         int(max(np.floor(line.position - half_width_px), 0)),
         int(min(np.ceil(line.position + half_width_px) + 1, cols)),
     )
-    value, first_px = value[:, low:high], line.position - low - 0.5 * slope * (rows - 1)
-    along, first = _centroid_line(value)
+    value, cols = value[:, low:high], high - low
+    first_px = line.position - low - 0.5 * slope * (rows - 1)
+    # The line through the centroids of the rows' differences to the next pixel, in a Hamming window
+    # as wide as the frame: at first about its middle, then about the line found so.
+    difference = np.diff(value, axis=1)
+    difference = np.concatenate([difference, difference[:, -1:]], axis=1)
+    row, col = np.arange(rows), np.arange(cols)
+    along, first = 0.0, 0.5 * (cols - 1)
+    for _ in range(2):
+        centre = (first + along * row)[:, None]
+        weighted = difference * _hamming(col - centre, np.maximum(centre, cols - 1 - centre))
+        light = weighted.sum(axis=1)
+        if not np.all(light > 0):
+            along, first = np.inf, 0.0
+            break
+        along, first = np.polyfit(row, weighted @ col / light + 0.5, 1).tolist()
     notes = ()
     if abs(along - slope) * rows > 1.0 / QUARTERS:
         # Off by more than one bin: lost in noise, or in uneven light.
@@ -290,28 +303,6 @@ def _estimate_slanted(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
     values = modulus / modulus[:, :1] / np.sinc(2.0 * np.arange(modulus.shape[1]) / size)
     frequency = np.arange(modulus.shape[1]) / cols / np.cos(np.arctan(along / picture.pitch_ratio))
     return MtfEstimate(frequency=frequency, values=values, notes=notes)
-
-
-def _centroid_line(value: Array) -> tuple[float, float]:
-    """Return slope and place in the first row of the line through the centroids of the rows'
-    differences.
-
-    Differences are to the next pixel, in a Hamming window as wide as the frame: at first about its
-    middle, then about the line found so.
-    """
-    rows, cols = value.shape
-    difference = np.diff(value, axis=1)
-    difference = np.concatenate([difference, difference[:, -1:]], axis=1)
-    row, cols_px = np.arange(rows), np.arange(cols)
-    slope, first = 0.0, 0.5 * (cols - 1)
-    for _ in range(2):
-        centre = (first + slope * row)[:, None]
-        weighted = difference * _hamming(cols_px - centre, np.maximum(centre, cols - 1 - centre))
-        light = weighted.sum(axis=1)
-        if not np.all(light > 0):
-            return np.inf, 0.0
-        slope, first = np.polyfit(row, weighted @ cols_px / light + 0.5, 1)
-    return float(slope), float(first)
 
 
 def _hamming(distance: NDArray, half_width: NDArray | float) -> Array:
