@@ -65,8 +65,8 @@ def measure_line_motion(
 
     Notes
     -----
-    The displacement of a line is the least-squares coefficient of -m'(d), m the mean profile of all
-    lines, with the line's level and contrast free (lamp flicker).
+    d_line = -[(X'X)^-1 X'(v - m)]_1, X = [m', m, 1]: the least-squares coefficient of -m'(d), m the
+    mean profile of all lines, with the line's level and contrast free (lamp flicker).
     """
     from scipy.ndimage import gaussian_filter1d
 

@@ -206,10 +206,11 @@ def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
 
     Notes
     -----
-    A PSF is not negative, so the ESF is monotonic: overshoot comes from processing. On each side
-    the highest windowed mean near the edge is compared with a straight line through the plateau
-    beyond. The sum of both sides counts, as an illumination gradient raises one and lowers the
-    other.
+    Overshoot = sum over both sides of max(w'y), with the variance w'V w: y bin means, V their
+    covariance, w a window near the edge less the line through the plateau, extrapolated to it. A
+    PSF is not negative, so the ESF is monotonic: overshoot comes from processing. On each side the
+    highest windowed mean near the edge is compared with a straight line through the plateau beyond.
+    The sum of both sides counts, as an illumination gradient raises one and lowers the other.
     """
     if not half_frequency > 0:
         return 0.0
@@ -247,10 +248,10 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
 
     Notes
     -----
-    Blur correlates neighbours; only differences between pixels make them anticorrelated. Means over
-    many pixels are unchanged, so the sum C of the noise's correlation falls below 1 and the noise
-    rises by C^(-1/2). Each of the n pixels of a bin contributes 1/n of its mean, which is corrected
-    for.
+    Gain = C^(-1/2), C = 1 + 2 sum rho over half the lags up to 2 px. Blur correlates neighbours;
+    only differences between pixels make them anticorrelated. Means over many pixels are unchanged,
+    so C, the sum of the noise's correlation, falls below 1 and the noise rises. Each of the n
+    pixels of a bin contributes 1/n of its mean, which is corrected for.
     """
     gathered, clip_sd = profile.gathered, ACCURACY.sharpening_clip_sd
     at_pixel = np.interp(gathered.distance, profile.distance, profile.value)

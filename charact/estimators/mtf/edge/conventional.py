@@ -319,13 +319,13 @@ def edge_gradient(stack: FrameStack, *, region: Region | None = None, context: C
 
     Notes
     -----
-    The gradient of each cell of 2 x 2 pixels is projected on the normal of the fitted line, its
-    sign kept so that noise averages out, and gathered by the cell's distance from the line; the
-    modulus of its windowed transform is divided by what differences and bins pass. The blur is seen
-    through a window of a few periods, so that plateaus bring little noise, and normalised to the
-    light of the whole region; below the first frequencies that the window resolves the curve is too
-    low by the light outside. Source: F. van den Bergh, J. Opt. Soc. Am. A 36 (2019) 1126 for the
-    family of methods.
+    MTF(f) = |sum_x L(x) w(x) exp(-2 pi i f x)| / |sum_x L(x)| / (D(f) sinc(f / 8)): L(x) is the
+    mean over cells of 2 x 2 pixels, an eighth of a pixel x from the fitted line, of the gradient
+    along its normal, its sign kept so that noise averages out; D is what differences between pixels
+    pass, the sinc what eighths do, w a tapered window. The blur is seen through a window of a few
+    periods, so that plateaus bring little noise, and normalised to the light of the whole region;
+    below the first frequencies that the window resolves the curve is too low by the light outside.
+    Source: F. van den Bergh, J. Opt. Soc. Am. A 36 (2019) 1126 for the family of methods.
     """
     settings = {"oversampling": EIGHTHS, "widest_px": WIDEST_PX, "periods": PERIODS}
     return measure_conventionally(

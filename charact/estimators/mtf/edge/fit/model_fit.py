@@ -1,4 +1,11 @@
-"""Fits of blur models to an edge profile: optimum, covariance and evidence (Laplace)."""
+"""Fits of blur models to an edge profile: optimum, covariance and evidence (Laplace).
+
+-2 ln P(theta, a | y) = |W (y - A(theta) a)|^2 + sum p (m - (theta, a))^2 + constant: y bin means, W
+their whitening root, a step, level and slopes, A the edge spread, a constant and the slopes of the
+light at the bins, m and p mean and precision of the Gaussian part of the prior. With a marginalised
+ln Z = ln P(theta*) + 1/2 ln |2 pi C|, C the covariance of theta (MacKay, Neural Computation 4,
+1992, 415).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

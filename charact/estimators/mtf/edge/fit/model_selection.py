@@ -1,7 +1,10 @@
 """Selection of blur models for an edge profile, and their weights by evidence.
 
 Simple cores are fitted first. Extended components are scored to first order and fitted if the score
-is high enough.
+is high enough: a shape s added alone with amplitude q to a fit of residual r and design D has
+q = s'(r - D x) / s'(1 - P) s, x the step that the parameters still take and P the projection on D.
+The weight of model k is Z_k^t / sum Z^t, Z its evidence times prior probability and t the power of
+the evidence.
 """
 
 from collections.abc import Mapping

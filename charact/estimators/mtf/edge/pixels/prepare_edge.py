@@ -371,11 +371,12 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
 
     Notes
     -----
-    The displacement of a row is a weighted sum of its pixels: least squares on -m'(d), m the edge's
-    profile, its own level and contrast free. The same weights, applied to the plateaus, give the
-    displacements by noise: temporal and fixed-pattern noise, correlated between rows or not. Noise
-    half way up is taken as the mean of both sides', as that of light and of read-out are. The mean
-    squares of displacements at the edge and on the plateaus are compared as Fisher's F.
+    d_row = -sum w (v - m), w = (X'X)^-1 X' of m': the displacement of a row is a weighted sum of
+    its pixels v, least squares on -m'(d), m the edge's profile, its own level and contrast free (X
+    = [m', m, 1]). The same weights, applied to the plateaus, give the displacements by noise:
+    temporal and fixed-pattern noise, correlated between rows or not. Noise half way up is taken as
+    the mean of both sides', as that of light and of read-out are. The mean squares of displacements
+    at the edge and on the plateaus are compared as Fisher's F.
     """
     from scipy.special import fdtrc
 
