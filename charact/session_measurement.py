@@ -294,13 +294,14 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
     kinds = {entry.label: entry.kind for entry in targets}
     conditions = {entry.label: entry.conditions for entry in targets}
     joint: Quantities = (("mtf50", "cy/px"),)
-    whole = (
-        result
-        + attempt(partial(session_curves, result, kinds, context=context), joint)
-        + attempt(partial(fit_joint_mtf, result, kinds, context=context), joint)
-        + attempt(partial(mtf_consistency, result, kinds), joint)
-        + attempt(partial(mtf_uniformity, result, kinds, conditions, context=context), joint)
-    )
+    whole = result
+    if len(targets) > 1:
+        whole += (
+            attempt(partial(session_curves, result, kinds, context=context), joint)
+            + attempt(partial(fit_joint_mtf, result, kinds, context=context), joint)
+            + attempt(partial(mtf_consistency, result, kinds), joint)
+            + attempt(partial(mtf_uniformity, result, kinds, conditions, context=context), joint)
+        )
     whole = attempt(partial(add_mtf_budget, whole, kinds, context=context), joint, before=whole)
     flats = blackbody_flats(session)
     if flats:

@@ -44,8 +44,8 @@ def quantiles(draws: Array, shares: tuple[float, ...]) -> Array:
     ordered = np.sort(np.ascontiguousarray(draws.T)).T
     position = np.asarray(shares) * (len(draws) - 1)
     low = np.minimum(position.astype(int), max(len(draws) - 2, 0))
-    rest = (position - low).reshape(-1, *[1] * (draws.ndim - 1))
-    return ordered[low] + rest * (ordered[np.minimum(low + 1, len(draws) - 1)] - ordered[low])
+    fraction = (position - low).reshape(-1, *[1] * (draws.ndim - 1))
+    return ordered[low] + fraction * (ordered[np.minimum(low + 1, len(draws) - 1)] - ordered[low])
 
 
 def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
@@ -58,15 +58,15 @@ def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
     curves
         Shape (n, f).
     """
-    below = curves < level
-    first = np.argmax(below, axis=1)
-    found = below.any(axis=1) & (first > 0)
-    index = np.where(found, first, 1)
+    is_low = curves < level
+    first = np.argmax(is_low, axis=1)
+    crosses = is_low.any(axis=1) & (first > 0)
+    index = np.where(crosses, first, 1)
     rows = np.arange(len(curves))
     high, low = curves[rows, index - 1], curves[rows, index]
     fraction = (high - level) / np.where(high > low, high - low, 1.0)
     crossing = frequency[index - 1] + fraction * (frequency[index] - frequency[index - 1])
-    return np.where(found, crossing, np.nan)
+    return np.where(crosses, crossing, np.nan)
 
 
 def mtf_measurements(
@@ -108,33 +108,43 @@ def mtf_measurements(
         """Return where each draw falls to a level, NaN where it never does: finely where the coarse
         ones do.
         """
-        below = coarse < level
-        falls = below.any(axis=1)
-        first = np.argmax(below[falls], axis=1)
+        is_low = coarse < level
+        falls = is_low.any(axis=1)
+        first = np.argmax(is_low[falls], axis=1)
         if not first.size:
             return np.full(len(coarse), np.nan)
-        near = FINE[max(first.min() - 1, 0) * every : first.max() * every + 1]
-        return np.where(falls, crossing_frequency(near, mtf(near), level), np.nan)
+        bracket = FINE[max(first.min() - 1, 0) * every : first.max() * every + 1]
+        return np.where(falls, crossing_frequency(bracket, mtf(bracket), level), np.nan)
 
     halves = crossings(LEVELS["mtf50"])
     shared = common(halves) if callable(common) else common
 
-    found: list[Measurement] = []
+    measurements: list[Measurement] = []
     for name in names:
         if name in LEVELS:
-            own = halves if name == "mtf50" else crossings(LEVELS[name])
-            each = [(_crossing_measurement(name, own, posterior, shared), own[np.isfinite(own)])]
+            draws_of_level = halves if name == "mtf50" else crossings(LEVELS[name])
+            pairs = [
+                (
+                    _crossing_measurement(name, draws_of_level, posterior, shared),
+                    draws_of_level[np.isfinite(draws_of_level)],
+                )
+            ]
         else:
-            each = [
+            pairs = [
                 (measurement_from_draws(name, "1", at, frequency_cy_per_px=float(f), **shared), at)
                 for f, at in zip(PINNED, pinned.T, strict=True)
             ]
-        finished = [one if finish is None else finish(one, drawn) for one, drawn in each]
-        found += [
-            flag_filter_uncertainty(one, doubt, lambda level: float(np.nanmedian(crossings(level))))
-            for one in finished
+        finished = [
+            measurement if finish is None else finish(measurement, drawn)
+            for measurement, drawn in pairs
         ]
-    return found, curve_of(REPORTED, reported), halves, shared
+        measurements += [
+            flag_filter_uncertainty(
+                measurement, doubt, lambda level: float(np.nanmedian(crossings(level)))
+            )
+            for measurement in finished
+        ]
+    return measurements, curve_of(REPORTED, reported), halves, shared
 
 
 def crossing_measurement(
@@ -165,14 +175,16 @@ def _crossing_measurement(
 
 
 def flag_filter_uncertainty(
-    found: Measurement, doubt: Callable[[Array], Array] | None, crossing: Callable[[float], float]
+    measurement: Measurement,
+    doubt: Callable[[Array], Array] | None,
+    crossing: Callable[[float], float],
 ) -> Measurement:
     """Return a measurement whose intervals include the systematic uncertainty of the known
     transfer.
 
     Parameters
     ----------
-    found
+    measurement
         An MTF at a frequency, MTF50 or MTF10; other quantities are returned unchanged.
     doubt
         Relative standard uncertainty of the known transfer at frequencies, cy/px, shape (f,) ->
@@ -182,24 +194,28 @@ def flag_filter_uncertainty(
     """
     if (
         doubt is None
-        or found.value is None
-        or found.interval68 is None
-        or found.quantity not in (*LEVELS, "mtf")
+        or measurement.value is None
+        or measurement.interval68 is None
+        or measurement.quantity not in (*LEVELS, "mtf")
     ):
-        return found
-    frequency = found.value if found.frequency_cy_per_px is None else found.frequency_cy_per_px
+        return measurement
+    frequency = (
+        measurement.value
+        if measurement.frequency_cy_per_px is None
+        else measurement.frequency_cy_per_px
+    )
     fraction = float(doubt(np.array([frequency]))[0])
     if fraction == 0.0:
-        return found
-    level = LEVELS.get(found.quantity)
-    moved = (
-        fraction * found.value
+        return measurement
+    level = LEVELS.get(measurement.quantity)
+    shift = (
+        fraction * measurement.value
         if level is None
-        else crossing(level * np.exp(-fraction)) - found.value
+        else crossing(level * np.exp(-fraction)) - measurement.value
     )
-    return found.with_(
-        interval68=_widen(found.value, found.interval68, 0.994458 * moved),
-        interval95=_widen(found.value, found.interval95, 1.959964 * moved),
+    return measurement.with_(
+        interval68=_widen(measurement.value, measurement.interval68, 0.994458 * shift),
+        interval95=_widen(measurement.value, measurement.interval95, 1.959964 * shift),
     )
 
 

@@ -38,11 +38,11 @@ def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
     frame differences, too small.
     """
     step = max(1, stack.shape[1] // ACCURACY.compared_rows)
-    alike: dict[bytes, list[int]] = defaultdict(list)
+    alike_frames: dict[bytes, list[int]] = defaultdict(list)
     first = []
     for number, frame in enumerate(stack.data):
-        before = alike[frame[::step].tobytes()]
-        if not any(np.array_equal(frame, stack.data[one]) for one in before):
+        before = alike_frames[frame[::step].tobytes()]
+        if not any(np.array_equal(frame, stack.data[earlier]) for earlier in before):
             before.append(number)
             first.append(number)
     frames = len(stack)
@@ -110,34 +110,32 @@ def measure(
         FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and has_tube(context.camera) else None
     )
     chosen = choose(kind, described or method, within_percent=within_percent)
-    counted = drop_duplicate_frames(stack)
-    found = chosen.function(counted, region=region, context=context, **target)
-    own, notes = found.find(chosen.quantities[0]), counted.notes[len(stack.notes) :]
+    counted = drop_duplicate_frames(stack) if stack.shape[0] > 1 else stack
+    result = chosen.function(counted, region=region, context=context, **target)
+    leading, notes = result.find(chosen.quantities[0]), counted.notes[len(stack.notes) :]
     if (
         method == "auto"
         and chosen.name in WITHOUT_MODEL
-        and any("model-misfit" in one.flags for one in own)
+        and any("model-misfit" in measurement.flags for measurement in leading)
     ):
         chosen = choose(kind, WITHOUT_MODEL[chosen.name])
         without = chosen.function(counted, region=region, context=context, **target)
         if without.find(chosen.quantities[0]):
-            found, notes = without, (NO_MODEL, *notes)
+            result, notes = without, (NO_MODEL, *notes)
 
-    def finish(one: Measurement) -> Measurement:
-        """Add notes unless they are there, that on the tolerance to the charted quantity, and the
-        colour plane.
-        """
-        beyond = None
-        if method == "auto" and one.quantity == chosen.quantities[0] and one.status != "refused":
-            beyond = beyond_note(one, within_percent)
-        added = [note for note in notes if note not in one.notes] + ([beyond] if beyond else [])
-        one = one.with_(notes=(*one.notes, *added)) if added else one
-        if stack.plane == "mono" or one.provenance is None:
-            return one
-        settings = {**one.provenance.settings, "plane": stack.plane}
-        return one.with_(provenance=replace(one.provenance, settings=settings))
-
-    return replace(found, measurements=tuple(map(finish, found.measurements)))
+    finished = []
+    for measurement in result.measurements:
+        added = [note for note in notes if note not in measurement.notes]
+        # The tolerance holds for the charted quantity.
+        charted = measurement.quantity == chosen.quantities[0] and measurement.status != "refused"
+        if method == "auto" and charted and (wide := beyond_note(measurement, within_percent)):
+            added.append(wide)
+        changes: dict[str, Any] = {"notes": (*measurement.notes, *added)} if added else {}
+        if stack.plane != "mono" and (provenance := measurement.provenance) is not None:
+            settings = {**provenance.settings, "plane": stack.plane}
+            changes["provenance"] = replace(provenance, settings=settings)
+        finished.append(measurement.with_(**changes) if changes else measurement)
+    return replace(result, measurements=tuple(finished))
 
 
 def measure_flats(
@@ -224,18 +222,26 @@ def measure_all(
     arguments = {"method": method, "within_percent": within_percent, "context": context}
     if kind == "bars" and target.get("frequency_cy_per_px") is not None:
         return measure(kind, stack, **arguments, **target)
-    found = targets(kind, stack, context, **target)
-    if len(found) < (1 if kind == "bars" else 2):
+    located = targets(kind, stack, context, **target)
+    if len(located) < (1 if kind == "bars" else 2):
         return measure(kind, stack, **arguments, **target)
-    best_first = found if kind == "bars" else spread_over_frame(found, stack.shape[1:], max_targets)
-    chosen = sorted(best_first[:max_targets], key=lambda one: one.region[:2])
+    best_first = (
+        located if kind == "bars" else spread_over_frame(located, stack.shape[1:], max_targets)
+    )
+    chosen = sorted(best_first[:max_targets], key=lambda chosen_target: chosen_target.region[:2])
     results = []
-    for done, one in enumerate(chosen):
-        context.progress(f"{kind} in {one.region}", done / len(chosen))
+    for done, chosen_target in enumerate(chosen):
+        context.progress(f"{kind} in {chosen_target.region}", done / len(chosen))
         results.append(
-            measure(kind, stack, region=one.region, **arguments, **{**target, **one.requested})
+            measure(
+                kind,
+                stack,
+                region=chosen_target.region,
+                **arguments,
+                **{**target, **chosen_target.requested},
+            )
         )
-    together = _merge_results(results, chosen, len(found) - len(chosen), kind)
+    together = _merge_results(results, chosen, len(located) - len(chosen), kind)
     if kind != "bars":
         return together
     from charact.estimators.mtf.bars.group_curve import frame_curves
@@ -270,7 +276,7 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
 
 
 def spread_over_frame(
-    found: list[LocatedTarget], shape: tuple[int, ...], max_targets: int
+    located: list[LocatedTarget], shape: tuple[int, ...], max_targets: int
 ) -> list[LocatedTarget]:
     """Order targets, given best first, so that the first `max_targets` cover the frame.
 
@@ -278,15 +284,15 @@ def spread_over_frame(
     second of any.
     """
     parts = int(np.ceil(np.sqrt(max_targets)))
-    taken: Counter[tuple[int, ...]] = Counter()
+    counts: Counter[tuple[int, ...]] = Counter()
     turns = []
-    for one in found:
-        row, col, height, width = one.region
+    for target in located:
+        row, col, height, width = target.region
         centre = (row + 0.5 * height) / shape[0], (col + 0.5 * width) / shape[1]
         part = tuple(int(parts * fraction) for fraction in centre)
-        turns.append(taken[part])
-        taken[part] += 1
-    return [found[index] for index in np.argsort(turns, kind="stable")]
+        turns.append(counts[part])
+        counts[part] += 1
+    return [located[index] for index in np.argsort(turns, kind="stable")]
 
 
 def _merge_results(
@@ -297,14 +303,14 @@ def _merge_results(
     """
     best = min(range(len(results)), key=lambda number: _quality_rank(results[number]))
     merged = Result(curves=dict(results[best].curves))
-    for number, (result, one) in enumerate(zip(results, chosen, strict=True)):
+    for number, (result, target) in enumerate(zip(results, chosen, strict=True)):
         notes = tuple(
             _notes(number == best, len(results), left_out, number == 0, kind, bool(merged.curves))
         )
-        suffix = REGION_NAME.format(*one.region)
+        suffix = REGION_NAME.format(*target.region)
         merged += Result(
             measurements=tuple(
-                m.with_(region=m.region or one.region, notes=(*m.notes, *notes))
+                m.with_(region=m.region or target.region, notes=(*m.notes, *notes))
                 for m in result.measurements
             ),
             curves={name + suffix: curve for name, curve in result.curves.items()},

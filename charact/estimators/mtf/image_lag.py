@@ -54,11 +54,11 @@ def image_lag_model(context: Context, frames: int) -> ImageLagModel:
         # All rows belong to one exposure, whatever their parity.
         same = float(np.mean(np.sum(shares**2, axis=1)))
         return _memory(1.0, 1.0, same, same, frames)
-    even, odd = shares[:, ::2].sum(axis=1), shares[:, 1::2].sum(axis=1)
-    same, other = float(np.mean(even**2 + odd**2)), float(np.mean(2 * even * odd))
+    even_field, odd = shares[:, ::2].sum(axis=1), shares[:, 1::2].sum(axis=1)
+    same, other = float(np.mean(even_field**2 + odd**2)), float(np.mean(2 * even_field * odd))
     frame = float(np.mean(np.sum(shares**2, axis=1)))
-    between = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
-    return _memory(same, other, frame, between, frames)
+    next_frame = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
+    return _memory(same, other, frame, next_frame, frames)
 
 
 def _memory(
@@ -86,5 +86,7 @@ def _light_fractions(context: Context) -> Array:
     light = np.array([fast, 1.0 - fast]) * tau
     arrival = (np.arange(ACCURACY.arrival_times) + 0.5) / ACCURACY.arrival_times * exposures
     ends = np.arange(1, ACCURACY.lag_fields + 1) * exposures
-    left = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (light / light.sum())
-    return -np.diff(left, axis=1, prepend=1.0)
+    remaining = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (
+        light / light.sum()
+    )
+    return -np.diff(remaining, axis=1, prepend=1.0)

@@ -62,12 +62,14 @@ def curvatures(
     The Bayes factor against a linear response is a Savage-Dickey ratio; the prior of the curvature
     is normal with mean 0.
     """
-    found, error, prior_sd = response[0], max(response[1], 1e-9), CURVED_SD * contrast
-    apart = np.hypot(error, prior_sd)
-    ln_odds = np.log(curved / (1.0 - curved) * error / apart) + 0.5 * (
-        (found / error) ** 2 - (found / apart) ** 2
+    estimated, error, prior_sd = response[0], max(response[1], 1e-9), CURVED_SD * contrast
+    total_sd = np.hypot(error, prior_sd)
+    ln_odds = np.log(curved / (1.0 - curved) * error / total_sd) + 0.5 * (
+        (estimated / error) ** 2 - (estimated / total_sd) ** 2
     )
     ln_odds += noise_ln_odds
     bends = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
-    drawn = found * (prior_sd / apart) ** 2 + error * prior_sd / apart * rng.standard_normal(count)
+    drawn = estimated * (
+        prior_sd / total_sd
+    ) ** 2 + error * prior_sd / total_sd * rng.standard_normal(count)
     return np.where(bends, drawn, 0.0)

@@ -77,8 +77,8 @@ def _noise_below(frame: NDArray, level: float) -> float:
     """
     frame = np.asarray(frame, np.float64)
     dark = (frame[..., 1:] <= level) & (frame[..., :-1] <= level)
-    apart = np.abs(np.diff(frame, axis=-1))[dark]
-    return 1.05 * float(np.median(apart)) if apart.size else 0.0
+    differences = np.abs(np.diff(frame, axis=-1))[dark]
+    return 1.05 * float(np.median(differences)) if differences.size else 0.0
 
 
 def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) -> bool:
@@ -88,25 +88,25 @@ def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) ->
     between two neighbours that stay.
     """
     inwards = values[::-1] if end else values
-    own, adjacent = counts[[-1, -2]] if end else counts[:2]
-    least = max(
+    piled_up, adjacent = counts[[-1, -2]] if end else counts[:2]
+    min_count = max(
         LIMITS.min_pile_pixels,
         2 * LIMITS.pile_up_fraction * data.size,
         LIMITS.noisy_pile_up_ratio * adjacent,
     )
-    if own < least or values.size <= 12:
+    if piled_up < min_count or values.size <= 12:
         return False
     piled = data == inwards[0]
-    away = data <= inwards[LIMITS.clipped_steps] if end else data >= inwards[LIMITS.clipped_steps]
+    is_far = data <= inwards[LIMITS.clipped_steps] if end else data >= inwards[LIMITS.clipped_steps]
     if len(data) > 1:
-        crossing = np.count_nonzero(piled[:-1] & away[1:])
+        crossing = np.count_nonzero(piled[:-1] & is_far[1:])
         staying = np.count_nonzero(piled[:-1] & piled[1:])
     else:
-        crossing = np.count_nonzero(piled[..., :-2] & away[..., 1:-1] & piled[..., 2:])
+        crossing = np.count_nonzero(piled[..., :-2] & is_far[..., 1:-1] & piled[..., 2:])
         staying = np.count_nonzero(piled[..., :-1] & piled[..., 1:])
     return bool(
-        crossing > max(LIMITS.min_pile_pixels, LIMITS.min_crossing * own)
-        and staying > max(LIMITS.min_pile_pixels, LIMITS.min_staying * own)
+        crossing > max(LIMITS.min_pile_pixels, LIMITS.min_crossing * piled_up)
+        and staying > max(LIMITS.min_pile_pixels, LIMITS.min_staying * piled_up)
     )
 
 
@@ -131,8 +131,8 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
     """
     from charact.estimators.noise.rounding import EVEN_DN2
 
-    least = np.interp(variance_dn2, *_least_noise())
-    noise = np.where(variance_dn2 > EVEN_DN2, variance_dn2 - QUANTISATION_DN2, least)
+    min_noise = np.interp(variance_dn2, *_least_noise())
+    noise = np.where(variance_dn2 > EVEN_DN2, variance_dn2 - QUANTISATION_DN2, min_noise)
     if np.exp(-2.0 * np.pi**2 * float(noise.min())) / np.pi < LIMITS.min_rounding_shift_dn:
         return np.empty((0, level_dn.size))
     out = np.zeros((ACCURACY.rounding_offsets, level_dn.size))
@@ -151,4 +151,6 @@ def _least_noise() -> tuple[Array, Array]:
     from charact.estimators.noise.rounding import EVEN_DN2, variance_range_before_rounding
 
     rounded = np.linspace(0.0, EVEN_DN2, 91)
-    return rounded, np.array([variance_range_before_rounding(float(one))[0] for one in rounded])
+    return rounded, np.array(
+        [variance_range_before_rounding(float(variance))[0] for variance in rounded]
+    )

@@ -45,7 +45,10 @@ class TargetMotion:
 
 
 def measure_line_motion(
-    frames: Sequence[Array] | Array, across: Array, line: NDArray[np.int64], used: NDArray[np.bool_]
+    frames: Sequence[Array] | Array,
+    across: Array,
+    line: NDArray[np.int64],
+    valid: NDArray[np.bool_],
 ) -> TargetMotion:
     """Return the motion of a target whose lines have one common profile.
 
@@ -57,42 +60,43 @@ def measure_line_motion(
         Distance of every pixel across the lines, shape (row, col), px.
     line
         Index of each pixel's line, from 0, shape (row, col).
-    used
+    valid
         Pixels that count, shape (row, col).
 
     Notes
     -----
-    The displacement of a line is the least-squares coefficient of -m'(d), m the mean profile of all
-    lines, with the line's level and contrast free (lamp flicker).
+    d_line = -[(X'X)^-1 X'(v - m)]_1, X = [m', m, 1]: the least-squares coefficient of -m'(d), m the
+    mean profile of all lines, with the line's level and contrast free (lamp flicker).
     """
     from scipy.ndimage import gaussian_filter1d
 
-    if len(frames) < 2 or not used.any():
+    if len(frames) < 2 or not valid.any():
         return TargetMotion()
-    values = np.stack([frame[used] for frame in frames]).astype(np.float64)
-    mean, where, away, cells_per_px = (
+    values = np.stack([frame[valid] for frame in frames]).astype(np.float64)
+    mean, where, distance, cells_per_px = (
         values.mean(axis=0),
-        line[used],
-        across[used],
+        line[valid],
+        across[valid],
         ACCURACY.profile_cells_per_px,
     )
     # The smoothed mean profile of all lines and its slope, at every pixel.
-    cell = np.floor((away - away.min()) * cells_per_px).astype(np.intp)
+    cell = np.floor((distance - distance.min()) * cells_per_px).astype(np.intp)
     blur = ACCURACY.profile_smoothing_px * cells_per_px
     sums, counts = (
-        gaussian_filter1d(np.bincount(cell, one), blur) for one in (mean, np.ones_like(mean))
+        gaussian_filter1d(np.bincount(cell, values_of), blur)
+        for values_of in (mean, np.ones_like(mean))
     )
     profile = sums / np.maximum(counts, 1e-12)
-    place = away.min() + (np.arange(profile.size) + 0.5) / cells_per_px
+    cell_px = distance.min() + (np.arange(profile.size) + 0.5) / cells_per_px
     slope = np.gradient(profile) * cells_per_px if profile.size > 1 else np.zeros(1)
-    template, rise = np.interp(away, place, profile), np.interp(away, place, slope)
+    template, rise = np.interp(distance, cell_px, profile), np.interp(distance, cell_px, slope)
     # The weight of each pixel in its line's displacement, and the lines that are precise enough.
     shapes = np.stack([rise, template - template.mean(), np.ones_like(rise)])
     scale = np.sqrt(np.maximum(np.mean(shapes**2, axis=1), 1e-300))
     shapes = shapes / scale[:, None]
     pixels = np.bincount(where)
     normal = np.array(
-        [[np.bincount(where, one * other) for other in shapes] for one in shapes]
+        [[np.bincount(where, values_of * other) for other in shapes] for values_of in shapes]
     ).transpose(2, 0, 1)
     size = np.maximum(pixels, 1)[:, None, None]
     inverse = np.linalg.inv(normal / size + 1e-9 * np.eye(3)) / size
@@ -100,17 +104,20 @@ def measure_line_motion(
     holds = power > LIMITS.min_line_power * np.median(power[power > 0])
     weight = -np.einsum("pk,kp->p", inverse[where, 0], shapes) / scale[0]
     positions = np.stack(
-        [np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values]
+        [
+            np.bincount(where, weight * (values_of - mean), minlength=holds.size)
+            for values_of in values
+        ]
     )
     return measure_target_motion(np.asarray(positions[:, holds], np.float64))
 
 
-def measure_target_motion(places: Array) -> TargetMotion:
+def measure_target_motion(positions: Array) -> TargetMotion:
     """Return the motion from line positions.
 
     Parameters
     ----------
-    places
+    positions
         Position of each line in each frame, shape (frame, line), px; a constant offset of a line
         has no effect.
 
@@ -122,23 +129,25 @@ def measure_target_motion(places: Array) -> TargetMotion:
     """
     from scipy.special import fdtrc
 
-    frames, lines = places.shape
+    frames, lines = positions.shape
     size = min(
         max(lines // ACCURACY.line_groups, ACCURACY.min_group_lines), ACCURACY.max_group_lines
     )
     parts = lines // size
     if frames < 2 or parts < ACCURACY.min_line_groups:
         return TargetMotion()
-    kept = size - (2 if size >= ACCURACY.wide_gap_lines else 1)
-    means = places[:, : parts * size].reshape(frames, parts, size)[:, :, :kept].mean(axis=2)
+    group_lines = size - (2 if size >= ACCURACY.wide_gap_lines else 1)
+    means = (
+        positions[:, : parts * size].reshape(frames, parts, size)[:, :, :group_lines].mean(axis=2)
+    )
     means = means - means.mean(axis=0)
     of_frame = means.mean(axis=1)
-    between, within = frames - 1, (frames - 1) * (parts - 1)
-    noise = float(np.sum((means - of_frame[:, None]) ** 2)) / within
-    shared = parts * float(np.sum(of_frame**2)) / between
+    free_between, free_within = frames - 1, (frames - 1) * (parts - 1)
+    noise = float(np.sum((means - of_frame[:, None]) ** 2)) / free_within
+    shared = parts * float(np.sum(of_frame**2)) / free_between
     if not shared > noise:
         return TargetMotion()
-    rms_px = float(np.sqrt((shared - noise) / parts * between / frames))
+    rms_px = float(np.sqrt((shared - noise) / parts * free_between / frames))
     return TargetMotion(
-        rms_px=rms_px, chance=float(fdtrc(between, within, shared / max(noise, 1e-300)))
+        rms_px=rms_px, chance=float(fdtrc(free_between, free_within, shared / max(noise, 1e-300)))
     )

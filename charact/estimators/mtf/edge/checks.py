@@ -1,6 +1,6 @@
 """Checks of edges: flags, the size of their effect on MTF50, and their remedies."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.estimators.mtf.quantisation_checks import clipping_flags
+from charact.estimators.mtf.target_motion import TargetMotion
+from charact.estimators.mtf.thresholds import LIMITS
 from charact.method import Context
 from charact.robust import median
 from labdata.flags import FLAGS, Finding
@@ -59,7 +61,7 @@ def edge_flags(
         is.
     """
     picture, profile = edge.picture, edge.profile
-    yield from clipping_flags(edge.used.data, context.full_scale_dn or edge.used.full_scale_dn)
+    yield from clipping_flags(edge.frames.data, context.full_scale_dn or edge.frames.full_scale_dn)
     if abs(edge.rows.line.slope) * picture.value.shape[0] < THRESHOLDS.min_travel_px:
         yield "tilt-too-small"
     if _has_bow(edge.rows.offset):
@@ -68,34 +70,40 @@ def edge_flags(
         yield "interlace-motion"
     if profile.defects:
         yield "defects"
-    yield from noise_flags(edge.noise_growth)
+    noise = profile.noise
+    # Neither noise that grows with the light nor an unknown black level contradicts a line.
+    if (
+        picture.frames > 1
+        or profile.black is not None
+        or noise.bright_variance < noise.dark_variance
+    ):
+        yield from noise_flags(edge.noise_growth)
     yield from edge.flags
-    gain, overshoot = (
-        noise_gain_of(picture, profile),
-        overshoot_of(profile, half) if half > 0 else 0.0,
-    )
-    if gain > 1.0 or overshoot > 0.0:
+    processed = noise_gain_of(picture, profile) > 1.0 or overshoot_of(profile, half) > 0.0
+    if processed:
         yield "processed"
+    still = picture.frames < 2
     moves, rough = (
-        one.moves and np.isfinite(least_loss) and not one.mtf_loss(half) < least_loss
-        for one in (edge.target_motion, edge.roughness)
+        motion.moves and np.isfinite(least_loss) and not motion.mtf_loss(half) < least_loss
+        for motion in (TargetMotion() if still else edge.target_motion, edge.roughness)
     )
     if moves:
         yield "drift"
     if rough:
         yield "curved-edge"
     # An edge that moves far leaves more on its slopes than rows that move in one piece.
-    if edge.temporal_noise[1].is_smoothed and not moves:
+    several = picture.frames >= LIMITS.min_smoothing_frames
+    if several and not (moves or processed) and edge.slope_noise.is_smoothed:
         yield "processed"
 
 
 def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
     """Return the displacement of the two fields, px, with its standard uncertainty."""
     profile, gathered = edge.profile, edge.profile.gathered
-    near = gathered.used & (np.abs(gathered.distance) < ACCURACY.field_distance_px)
+    valid = gathered.valid & (np.abs(gathered.distance) < ACCURACY.field_distance_px)
     means = profile.distance, profile.value
     return field_displacement(
-        edge.picture, edge.rows, near, gathered.distance, means, profile.grain.max_sd
+        edge.picture, edge.rows, valid, gathered.distance, means, profile.noise.max_sd
     )
 
 
@@ -106,10 +114,10 @@ def _has_bow(offset: Array) -> bool:
     (Geyer's initial positive sequence, Stat. Sci. 7, 473, 1992), and from differences of
     neighbouring blocks; the largest counts.
     """
-    good = np.isfinite(offset)
-    if np.count_nonzero(good) < 24:
+    finite = np.isfinite(offset)
+    if np.count_nonzero(finite) < 24:
         return False
-    rows, value = np.flatnonzero(good), offset[good]
+    rows, value = np.flatnonzero(finite), offset[finite]
     # The polynomials span exactly the valid rows: beyond them they would grow.
     design = np.polynomial.legendre.legvander(
         2.0 * (rows - rows[0]) / (rows[-1] - rows[0]) - 1.0, 3
@@ -117,18 +125,22 @@ def _has_bow(offset: Array) -> bool:
     begin = np.arange(ACCURACY.bow_blocks) * value.size // ACCURACY.bow_blocks
     size = np.diff(begin, append=value.size)
     means = np.add.reduceat(value, begin) / size
-    within = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
+    row_variance = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
     differences = 0.5 * median(np.diff(means) ** 2) / 0.455
     coefficients = np.linalg.lstsq(design, value, rcond=None)[0]
-    left = value - design @ coefficients
+    residual = value - design @ coefficients
     shared = np.array(
-        [float(np.mean(left[:-lag] * left[lag:])) for lag in range(1, ACCURACY.bow_lags + 1)]
+        [
+            float(np.mean(residual[:-lag] * residual[lag:]))
+            for lag in range(1, ACCURACY.bow_lags + 1)
+        ]
     )
-    tied = float(np.mean(left**2)) + 2.0 * float(
+    correlated = float(np.mean(residual**2)) + 2.0 * float(
         np.sum(shared[np.cumprod(shared > 0.0).astype(bool)])
     )
     error = np.sqrt(
-        max(within, differences, tied / value.size * ACCURACY.bow_blocks) * ACCURACY.bow_blocks
+        max(row_variance, differences, correlated / value.size * ACCURACY.bow_blocks)
+        * ACCURACY.bow_blocks
     )
     # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
     shape, sd = coefficients[2:], error / ACCURACY.bow_blocks * np.sqrt([5.0, 7.0])
@@ -148,21 +160,21 @@ def fit_flags(
         yield "model-misfit"
     if np.abs(slopes).max() * 2.0 * profile.gathered.half_width_px > THRESHOLDS.max_gradient * step:
         yield "gradient"
-    if step < THRESHOLDS.min_step_sd * profile.grain.mean_sd:
+    if step < THRESHOLDS.min_step_sd * profile.noise.mean_sd:
         yield "low-signal"
     if noise_below_quantisation(picture, profile):
         yield "quantised"
     if profile.gathered.half_width_px < 1.6 / half_frequency:
         yield "window-too-small"
     # Another step on the plateaus: a tenth of the edge's over several pixels.
-    left, weight = profile.value - fitted.model, profile.count
+    residual, weight = profile.value - fitted.model, profile.count
     cell = np.floor(profile.distance / 3.0).astype(int)
     cell -= cell.min()
     pixels = np.bincount(cell, weights=weight)
-    means = np.abs(np.bincount(cell, weights=weight * left)) / np.maximum(pixels, 1e-9)
+    means = np.abs(np.bincount(cell, weights=weight * residual)) / np.maximum(pixels, 1e-9)
     error = np.sqrt(
-        profile.grain.covariance_over_variance
-        * profile.grain.bright_variance
+        profile.noise.covariance_over_variance
+        * profile.noise.bright_variance
         / np.maximum(pixels, 1.0)
     )
     if np.any((means > 0.1 * step) & (means > THRESHOLDS.misfit_sd * error)):
@@ -173,7 +185,7 @@ def noise_below_quantisation(picture: OrientedFrame, profile: EdgeProfile) -> bo
     """Return whether the noise of one frame is too small to dither the quantisation."""
     return (
         picture.whole_codes
-        and profile.grain.mean_sd * np.sqrt(picture.frames) < THRESHOLDS.quantisation_noise_dn
+        and profile.noise.mean_sd * np.sqrt(picture.frames) < THRESHOLDS.quantisation_noise_dn
     )
 
 
@@ -189,40 +201,46 @@ NEIGHBOURS = [
 
 
 def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
-    """Return the overshoot of both plateaus together, fraction of the step; 0: none.
+    """Return the overshoot of both plateaus together, fraction of the step; 0: none, or MTF50
+    is unknown.
 
     Notes
     -----
-    A PSF is not negative, so the ESF is monotonic: overshoot comes from processing. On each side
-    the highest windowed mean near the edge is compared with a straight line through the plateau
-    beyond. The sum of both sides counts, as an illumination gradient raises one and lowers the
-    other.
+    Overshoot = sum over both sides of max(w'y), with the variance w'V w: y bin means, V their
+    covariance, w a window near the edge less the line through the plateau, extrapolated to it. A
+    PSF is not negative, so the ESF is monotonic: overshoot comes from processing. On each side the
+    highest windowed mean near the edge is compared with a straight line through the plateau beyond.
+    The sum of both sides counts, as an illumination gradient raises one and lowers the other.
     """
+    if not half_frequency > 0:
+        return 0.0
     total, variance, sd = 0.0, 0.0, np.sqrt(np.diag(profile.covariance))
     for sign in (1.0, -1.0):
-        away = sign * profile.distance * half_frequency
-        far = (away > ACCURACY.plateau_range[0]) & (away < ACCURACY.plateau_range[1])
-        near = np.flatnonzero(
-            (away > ACCURACY.overshoot_range[0]) & (away < ACCURACY.overshoot_range[1])
+        periods = sign * profile.distance * half_frequency
+        plateau = (periods > ACCURACY.plateau_range[0]) & (periods < ACCURACY.plateau_range[1])
+        rim = np.flatnonzero(
+            (periods > ACCURACY.overshoot_range[0]) & (periods < ACCURACY.overshoot_range[1])
         )
-        if np.count_nonzero(far) < ACCURACY.overshoot_bins or not near.size:
+        if np.count_nonzero(plateau) < ACCURACY.overshoot_bins or not rim.size:
             return 0.0
-        line = np.stack([np.ones(np.count_nonzero(far)), profile.distance[far]]) / sd[far]
-        through = np.linalg.solve(line @ line.T, line) / sd[far]
-        weights = np.zeros((near.size, profile.distance.size))
-        for row, middle in enumerate(profile.distance[near]):
-            inside = near[np.abs(profile.distance[near] - middle) < ACCURACY.overshoot_window_px]
-            weights[row, inside] = 1.0 / inside.size
-            weights[row, far] -= np.array([1.0, np.mean(profile.distance[inside])]) @ through
-        beyond = sign * (weights @ profile.value)
-        most = weights[int(np.argmax(beyond))]
-        total, variance = (
-            total + float(beyond.max()),
-            variance + float(most @ profile.covariance @ most),
+        line = (
+            np.stack([np.ones(np.count_nonzero(plateau)), profile.distance[plateau]]) / sd[plateau]
         )
-    share = total / max(abs(profile.step), 1e-300)
+        through = np.linalg.solve(line @ line.T, line) / sd[plateau]
+        weights = np.zeros((rim.size, profile.distance.size))
+        for row, middle in enumerate(profile.distance[rim]):
+            window = rim[np.abs(profile.distance[rim] - middle) < ACCURACY.overshoot_window_px]
+            weights[row, window] = 1.0 / window.size
+            weights[row, plateau] -= np.array([1.0, np.mean(profile.distance[window])]) @ through
+        rises = sign * (weights @ profile.value)
+        largest = weights[int(np.argmax(rises))]
+        total, variance = (
+            total + float(rises.max()),
+            variance + float(largest @ profile.covariance @ largest),
+        )
+    fraction = total / max(abs(profile.step), 1e-300)
     significant = total > THRESHOLDS.overshoot_sd * np.sqrt(variance)
-    return share if significant and share > THRESHOLDS.min_overshoot else 0.0
+    return fraction if significant and fraction > THRESHOLDS.min_overshoot else 0.0
 
 
 def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
@@ -230,30 +248,30 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
 
     Notes
     -----
-    Blur correlates neighbours; only differences between pixels make them anticorrelated. Means over
-    many pixels are unchanged, so the sum C of the noise's correlation falls below 1 and the noise
-    rises by C^(-1/2). Each of the n pixels of a bin contributes 1/n of its mean, which is corrected
-    for.
+    Gain = C^(-1/2), C = 1 + 2 sum rho over half the lags up to 2 px. Blur correlates neighbours;
+    only differences between pixels make them anticorrelated. Means over many pixels are unchanged,
+    so C, the sum of the noise's correlation, falls below 1 and the noise rises. Each of the n
+    pixels of a bin contributes 1/n of its mean, which is corrected for.
     """
-    gathered, most = profile.gathered, ACCURACY.sharpening_clip_sd
+    gathered, clip_sd = profile.gathered, ACCURACY.sharpening_clip_sd
     at_pixel = np.interp(gathered.distance, profile.distance, profile.value)
     level = (at_pixel - profile.dark) / (profile.step or 1.0)
-    used = gathered.used & (
+    on_plateau = gathered.valid & (
         np.minimum(np.abs(level), np.abs(level - 1.0)) < ACCURACY.sharpening_plateau
     )
-    pixels = int(np.count_nonzero(used))
+    pixels = int(np.count_nonzero(on_plateau))
     if pixels < ACCURACY.sharpening_pixels:
         return 1.0
-    sd = np.sqrt(np.maximum(profile.grain.variance(level), profile.variance_floor))
-    noise = np.where(used, np.clip((picture.value - at_pixel) / sd, -most, most), 0.0)
+    sd = np.sqrt(np.maximum(profile.noise.variance(level), profile.variance_floor))
+    noise = np.where(on_plateau, np.clip((picture.value - at_pixel) / sd, -clip_sd, clip_sd), 0.0)
     # A variance below 1 is the residual of the bins, not noise.
     variance, total = max(float(np.sum(noise**2)) / pixels, 1.0), 0.0
     rows, cols = noise.shape
     for down, right in NEIGHBOURS:
-        one = slice(0, rows - down), slice(max(-right, 0), cols - max(right, 0))
-        other = slice(down, rows), slice(max(right, 0), cols - max(-right, 0))
-        pairs = max(int(np.count_nonzero(used[one] & used[other])), 1)
-        total += 2.0 * float(np.sum(noise[one] * noise[other])) / pairs / variance
+        first = slice(0, rows - down), slice(max(-right, 0), cols - max(right, 0))
+        second = slice(down, rows), slice(max(right, 0), cols - max(-right, 0))
+        pairs = max(int(np.count_nonzero(on_plateau[first] & on_plateau[second])), 1)
+        total += 2.0 * float(np.sum(noise[first] * noise[second])) / pairs / variance
     opposed = -(total + 2.0 * REACH_PX * float(np.mean(1.0 / profile.count)))
     error = 2.0 * np.sqrt(len(NEIGHBOURS) / pixels)
     if opposed > max(THRESHOLDS.min_anticorrelation, THRESHOLDS.anticorrelation_sd * error):
@@ -262,7 +280,7 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
 
 
 def findings_of(
-    flags: tuple[str, ...],
+    flags: Iterable[str],
     edge: PreparedEdge,
     half: float,
     response: CurvatureEstimate = NO_CURVATURE_ESTIMATE,
@@ -296,45 +314,45 @@ def _effect(
     step = max(abs(profile.step), 1e-300)
     match flag:
         case "clipped":
-            data = edge.used.data
+            data = edge.frames.data
             shares = {
                 float(end): 100.0 * float(np.mean(data == end)) for end in (data.max(), data.min())
             }
             # The other end of the scale has a few pixels of noise.
             ends = [
-                f"{share:.0f} % of the pixels sit at {end:g} DN"
-                for end, share in shares.items()
-                if share >= 0.5
+                f"{percent:.0f} % of the pixels sit at {end:g} DN"
+                for end, percent in shares.items()
+                if percent >= 0.5
             ]
-            said = ", ".join(ends) or "less than 1 % of the pixels sit at an end of the scale"
-            return f"{said}: the plateaus are lost, and MTF50 may be high by tens of percent"
+            piles = ", ".join(ends) or "less than 1 % of the pixels sit at an end of the scale"
+            return f"{piles}: the plateaus are lost, and MTF50 may be high by tens of percent"
         case "gamma":
-            most = 100.0 * max_bias_of(response, profile.contrast)
-            return f"a nonlinear camera response may bias MTF50 by up to {most:.1f} %"
+            bias = 100.0 * max_bias_of(response, profile.contrast)
+            return f"a nonlinear camera response may bias MTF50 by up to {bias:.1f} %"
         case "model-misfit":
             return (
                 f"the blur model deviates from the profile by up to {100.0 * misfit:.1f} % of "
                 f"the step"
             )
         case "defects":
-            used = int(np.count_nonzero(profile.gathered.used))
+            pixels = int(np.count_nonzero(profile.gathered.valid))
             return (
-                f"{profile.defects} of {used} pixels were excluded; as many undetected ones may "
-                f"move MTF50 by {100.0 * profile.defects / max(used, 1):.2g} %"
+                f"{profile.defects} of {pixels} pixels were excluded; as many undetected ones may "
+                f"move MTF50 by {100.0 * profile.defects / max(pixels, 1):.2g} %"
             )
         case "gradient":
             sides = [profile.value[side] for side in (profile.distance < 0, profile.distance > 0)]
             changes = max(
-                float(np.ptp(one[np.abs(one - np.median(one)) < 0.3 * step]))
-                for one in sides
-                if one.size
+                float(np.ptp(levels[np.abs(levels - np.median(levels)) < 0.3 * step]))
+                for levels in sides
+                if levels.size
             )
             return (
                 f"the illumination changes by {100.0 * changes / step:.0f} % of the step over "
                 f"a side, as with glare"
             )
         case "low-signal":
-            ratio = step / max(profile.grain.mean_sd, 1e-300)
+            ratio = step / max(profile.noise.mean_sd, 1e-300)
             return (
                 f"the step is {ratio:.1f} times the noise of a pixel: the limits of the "
                 f"interval are uncertain"
@@ -345,23 +363,23 @@ def _effect(
                 f"MTF50 by about as much"
             )
         case "window-too-small":
-            reach = profile.gathered.half_width_px
+            half_width_px = profile.gathered.half_width_px
             return (
-                f"light beyond {reach:.0f} px from the edge is not included: MTF50 is high by "
-                f"its fraction"
+                f"light beyond {half_width_px:.0f} px from the edge is not included: MTF50 is "
+                f"high by its fraction"
             )
         case "drift":
-            moved = edge.target_motion
+            motion = edge.target_motion
             return (
-                f"the edge moves by {moved.rms_px:.2g} px rms: MTF50 is "
-                f"{100.0 * moved.mtf_loss(half):.2g} % low"
+                f"the edge moves by {motion.rms_px:.2g} px rms: MTF50 is "
+                f"{100.0 * motion.mtf_loss(half):.2g} % low"
             )
         case "curved-edge":
             rough = edge.roughness
             loss = 100.0 * rough.mtf_loss(half)
             return f"an edge roughness of {rough.rms_px:.2g} px rms lowers MTF50 by {loss:.2g} %"
         case "processed":
-            over = overshoot_of(profile, half) if half > 0 else 0.0
+            over = overshoot_of(profile, half)
             gain = noise_gain_of(edge.picture, profile)
             if over > 0.0 or gain > 1.0:
                 return (
@@ -370,7 +388,7 @@ def _effect(
                     "and may exceed the camera's by as many percent"
                 )
             return (
-                f"noise on the edge is {edge.temporal_noise[1].ratio:.1f} times that of its "
+                f"noise on the edge is {edge.slope_noise.ratio:.1f} times that of its "
                 "plateaus: noise reduction sparing edges may have sharpened or blurred this one"
             )
         case "tilt-too-small":

@@ -5,7 +5,7 @@ They have no noise model, are normalised to the light inside their window, and t
 jackknifed over blocks of rows, which keeps the correlation of neighbouring rows.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import charact
 from charact.estimators.mtf.curve import FINE, LEVELS, PINNED, REPORTED, crossing_frequency
 from charact.estimators.mtf.edge.checks import edge_flags, noise_below_quantisation
 from charact.estimators.mtf.edge.pixels.line import EdgeLine
-from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
+from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
 from charact.estimators.mtf.edge.result import edge_result, refuse_edge, shared_fields
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, Region
@@ -82,7 +82,7 @@ def measure_conventionally(
     if isinstance(edge, EdgeRefusal):
         return refuse_edge(method, edge, None, settings)
     (rows, cols), profile = edge.picture.value.shape, edge.profile
-    noise, step = profile.grain.max_sd, profile.step
+    noise, step = profile.noise.max_sd, profile.step
     least_rows, least_cols, least_step = (
         THRESHOLDS.conventional_rows,
         THRESHOLDS.conventional_cols,
@@ -97,22 +97,38 @@ def measure_conventionally(
     elif step < 3.0 * noise / np.sqrt(len(profile.distance)) or edge.rows.line.strength < 60.0:
         reason, flag = "no target: no edge stands clear of the noise", "no-target"
     elif step < least_step * noise:
-        least = f"{least_step:g} times the pixel noise"
-        reason = f"a conventional edge method needs a step of {least}, got {step / noise:.1f}"
+        required = f"{least_step:g} times the pixel noise"
+        reason = f"a conventional edge method needs a step of {required}, got {step / noise:.1f}"
     if reason:
         return refuse_edge(
             method, EdgeRefusal(reason=reason, where=edge.where, flag=flag), None, settings
         )
-    found = estimate(edge.picture, edge.rows.line)
-    half = float(crossing_frequency(found.frequency, found.values[:1], 0.5)[0])
-    notes = (*found.notes, "Normalised to the light inside the region.")
+    estimated = estimate(edge.picture, edge.rows.line)
+    half = float(crossing_frequency(estimated.frequency, estimated.values[:1], 0.5)[0])
+    flags = list(edge_flags(edge, half, context, THRESHOLDS.conventional_motion))
+    if step < THRESHOLDS.conventional_min_snr * noise:
+        flags.append("low-signal")
+    if step < THRESHOLDS.coarse_step_dn and noise_below_quantisation(edge.picture, profile):
+        flags.append("quantised")
+    # What an estimator, unlike a fit, cannot allow for.
+    if not np.isfinite(half) or profile.gathered.half_width_px < 2.5 / half:
+        flags.append("window-too-small")
+    for side in (profile.distance < -8, profile.distance > 8):
+        distance, value, count = (
+            part[side] for part in (profile.distance, profile.value, profile.count)
+        )
+        if distance.size >= 8:
+            slope, _ = np.polyfit(distance, value, 1, w=np.sqrt(count))
+            if abs(slope) * np.ptp(distance) > 0.025 * step:
+                flags.append("gradient")
+    notes = (*estimated.notes, "Normalised to the light inside the region.")
     provenance = Provenance(version=charact.__version__, settings=settings)
-    shared = shared_fields(method, edge, _flags(edge, half, context), notes, provenance)
+    shared = shared_fields(method, edge, flags, notes, provenance)
     numbers = [
-        _crossing(found, quantity, level, bias_sd, shared) for quantity, level in LEVELS.items()
+        _crossing(estimated, quantity, level, bias_sd, shared) for quantity, level in LEVELS.items()
     ]
     at = np.concatenate([PINNED, REPORTED])
-    every = np.array([np.interp(at, found.frequency, one) for one in found.values])
+    every = np.array([np.interp(at, estimated.frequency, modulus) for modulus in estimated.values])
     value, sd = every[0], jackknife_sd(every[1:])
     numbers += [
         measurement_from_sd(
@@ -121,32 +137,13 @@ def measure_conventionally(
         for k, f in enumerate(PINNED)
     ]
     value, sd = value[len(PINNED) :], sd[len(PINNED) :]
-    low, wide = (np.stack([value - k * sd, value + k * sd]) for k in (0.994458, 1.959964))
-    curve = Curve(frequency_cy_per_px=REPORTED, value=value, interval68=low, interval95=wide)
+    low, interval95 = (np.stack([value - k * sd, value + k * sd]) for k in (0.994458, 1.959964))
+    curve = Curve(frequency_cy_per_px=REPORTED, value=value, interval68=low, interval95=interval95)
     return edge_result(edge, numbers, curve, shared, half)
 
 
-def _flags(edge: PreparedEdge, half: float, context: Context) -> Iterator[str]:
-    profile, step = edge.profile, edge.profile.step
-    yield from edge_flags(edge, half, context, THRESHOLDS.conventional_motion)
-    if step < THRESHOLDS.conventional_min_snr * profile.grain.max_sd:
-        yield "low-signal"
-    if step < THRESHOLDS.coarse_step_dn and noise_below_quantisation(edge.picture, profile):
-        yield "quantised"
-    # What an estimator, unlike a fit, cannot allow for.
-    if not np.isfinite(half) or profile.gathered.half_width_px < 2.5 / half:
-        yield "window-too-small"
-    for side in (profile.distance < -8, profile.distance > 8):
-        if np.count_nonzero(side) >= 8:
-            slope, _ = np.polyfit(
-                profile.distance[side], profile.value[side], 1, w=np.sqrt(profile.count[side])
-            )
-            if abs(slope) * np.ptp(profile.distance[side]) > 0.025 * step:
-                yield "gradient"
-
-
 def _crossing(
-    found: MtfEstimate, quantity: str, level: float, bias_sd: float, common: dict
+    estimated: MtfEstimate, quantity: str, level: float, bias_sd: float, common: dict
 ) -> Measurement:
     """Return MTF50 or MTF10.
 
@@ -154,18 +151,18 @@ def _crossing(
     makes an MTF without a model uneven, and where it falls steeply by chance its own crossings
     hardly scatter. They serve where too few frequencies are near.
     """
-    frequency = found.frequency
-    value, *each = crossing_frequency(frequency, found.values, level)
-    if not np.isfinite([value, *each]).all() or value > FINE[-1]:
+    frequency = estimated.frequency
+    value, *jackknifed = crossing_frequency(frequency, estimated.values, level)
+    if not np.isfinite([value, *jackknifed]).all() or value > FINE[-1]:
         return make_refusal(
             quantity, "cy/px", f"the response does not fall to {level:g} within 1 cy/px", **common
         )
-    near = np.abs(frequency / value - 1.0) < ACCURACY.crossing_range
-    if np.count_nonzero(near) < 3:
-        scatter = float(jackknife_sd(np.array(each)))
+    in_range = np.abs(frequency / value - 1.0) < ACCURACY.crossing_range
+    if np.count_nonzero(in_range) < 3:
+        scatter = float(jackknife_sd(np.array(jackknifed)))
     else:
-        slope = np.polyfit(frequency[near], found.values[0, near], 1)[0]
-        scatter = float(np.sqrt(np.mean(jackknife_sd(found.values[1:, near]) ** 2)))
+        slope = np.polyfit(frequency[in_range], estimated.values[0, in_range], 1)[0]
+        scatter = float(np.sqrt(np.mean(jackknife_sd(estimated.values[1:, in_range]) ** 2)))
         scatter /= max(-slope, ACCURACY.min_crossing_slope / value)
     # Besides, a fraction of a frequency step and the estimator's own bias.
     sd = np.sqrt(scatter**2 + (0.1 * frequency[1]) ** 2 + (bias_sd * float(value)) ** 2)
@@ -197,21 +194,23 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
         of four are empty, and straight lines would blur the edge.
     """
     blocks = ACCURACY.jackknife_blocks
-    inside = (cell >= 0) & (cell < size)
+    in_band = (cell >= 0) & (cell < size)
     block = np.broadcast_to((np.arange(len(value)) * blocks // len(value))[:, None], value.shape)
-    index = (block * size + cell)[inside]
-    total = np.bincount(index, weights=value[inside], minlength=blocks * size).reshape(blocks, size)
+    index = (block * size + cell)[in_band]
+    total = np.bincount(index, weights=value[in_band], minlength=blocks * size).reshape(
+        blocks, size
+    )
     count = np.bincount(index, minlength=blocks * size).reshape(blocks, size)
     totals = np.concatenate([total.sum(0)[None], total.sum(0) - total])
     counts = np.concatenate([count.sum(0)[None], count.sum(0) - count])
-    place = np.arange(size)
+    cells = np.arange(size)
     means = totals / np.maximum(counts, 1)
     for mean, filled in zip(means, counts > 0, strict=True):
         if not filled.all() and filled.any():
             from scipy.interpolate import CubicSpline
 
-            held = np.clip(place[~filled], place[filled][0], place[filled][-1])
-            mean[~filled] = CubicSpline(place[filled], mean[filled])(held)
+            between_filled = np.clip(cells[~filled], cells[filled][0], cells[filled][-1])
+            mean[~filled] = CubicSpline(cells[filled], mean[filled])(between_filled)
     return means
 
 
@@ -230,10 +229,12 @@ def edge_slanted(stack: FrameStack, *, region: Region | None = None, context: Co
 
     Notes
     -----
-    A straight line through the rows' centroids, all pixels binned to quarter pixels by their
-    distance from it, derivative, window, Fourier transform. A frame that is rotated or mirrored
-    gives the same numbers. Source: ISO 12233 annex on e-SFR; P. D. Burns, PICS 2000, 135;
-    conventions as his sfrmat3 and its published table have them.
+    SFR(f) = |sum_x L(x) w(x) exp(-2 pi i f x)| / |sum_x L(x) w(x)| / sinc(f / 2): E(x) is the mean
+    of the pixels that lie in the quarter pixel x from the straight line through the rows'
+    centroids, L(x) = (E(x + 1/4) - E(x - 1/4)) / 2, whose own transfer is the sinc, and w a Hamming
+    window. A frame that is rotated or mirrored gives the same numbers. Source: ISO 12233 annex on
+    e-SFR; P. D. Burns, PICS 2000, 135; conventions as his sfrmat3 and its published table have
+    them.
     """
     settings = {"oversampling": QUARTERS, "widest_px": WIDEST_PX}
     return measure_conventionally(
@@ -251,17 +252,31 @@ def _estimate_slanted(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
         (picture.value, line.slope) if line.slope >= 0 else (picture.value[::-1], -line.slope)
     )
     rows, cols = value.shape
-    reach = 0.5 * slope * (rows - 1) + WIDEST_PX
+    half_width_px = 0.5 * slope * (rows - 1) + WIDEST_PX
     low, high = (
-        int(max(np.floor(line.position - reach), 0)),
-        int(min(np.ceil(line.position + reach) + 1, cols)),
+        int(max(np.floor(line.position - half_width_px), 0)),
+        int(min(np.ceil(line.position + half_width_px) + 1, cols)),
     )
-    value, place = value[:, low:high], line.position - low - 0.5 * slope * (rows - 1)
-    along, first = _centroid_line(value)
+    value, cols = value[:, low:high], high - low
+    first_px = line.position - low - 0.5 * slope * (rows - 1)
+    # The line through the centroids of the rows' differences to the next pixel, in a Hamming window
+    # as wide as the frame: at first about its middle, then about the line found so.
+    difference = np.diff(value, axis=1)
+    difference = np.concatenate([difference, difference[:, -1:]], axis=1)
+    row, col = np.arange(rows), np.arange(cols)
+    along, first = 0.0, 0.5 * (cols - 1)
+    for _ in range(2):
+        centre = (first + along * row)[:, None]
+        weighted = difference * _hamming(col - centre, np.maximum(centre, cols - 1 - centre))
+        light = weighted.sum(axis=1)
+        if not np.all(light > 0):
+            along, first = np.inf, 0.0
+            break
+        along, first = np.polyfit(row, weighted @ col / light + 0.5, 1).tolist()
     notes = ()
     if abs(along - slope) * rows > 1.0 / QUARTERS:
         # Off by more than one bin: lost in noise, or in uneven light.
-        along, first = slope, place
+        along, first = slope, first_px
         notes = (
             (
                 "The rows' centroids stray from the edge: the line fitted to all pixels was taken "
@@ -290,28 +305,6 @@ def _estimate_slanted(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
     return MtfEstimate(frequency=frequency, values=values, notes=notes)
 
 
-def _centroid_line(value: Array) -> tuple[float, float]:
-    """Return slope and place in the first row of the line through the centroids of the rows'
-    differences.
-
-    Differences are to the next pixel, in a Hamming window as wide as the frame: at first about its
-    middle, then about the line found so.
-    """
-    rows, cols = value.shape
-    difference = np.diff(value, axis=1)
-    difference = np.concatenate([difference, difference[:, -1:]], axis=1)
-    row, place = np.arange(rows), np.arange(cols)
-    slope, first = 0.0, 0.5 * (cols - 1)
-    for _ in range(2):
-        centre = (first + slope * row)[:, None]
-        weighted = difference * _hamming(place - centre, np.maximum(centre, cols - 1 - centre))
-        light = weighted.sum(axis=1)
-        if not np.all(light > 0):
-            return np.inf, 0.0
-        slope, first = np.polyfit(row, weighted @ place / light + 0.5, 1)
-    return float(slope), float(first)
-
-
 def _hamming(distance: NDArray, half_width: NDArray | float) -> Array:
     return np.where(
         np.abs(distance) <= half_width, 0.54 + 0.46 * np.cos(np.pi * distance / half_width), 0.0
@@ -326,13 +319,13 @@ def edge_gradient(stack: FrameStack, *, region: Region | None = None, context: C
 
     Notes
     -----
-    The gradient of each cell of 2 x 2 pixels is projected on the normal of the fitted line, its
-    sign kept so that noise averages out, and gathered by the cell's distance from the line; the
-    modulus of its windowed transform is divided by what differences and bins pass. The blur is seen
-    through a window of a few periods, so that plateaus bring little noise, and normalised to the
-    light of the whole region; below the first frequencies that the window resolves the curve is too
-    low by the light outside. Source: F. van den Bergh, J. Opt. Soc. Am. A 36 (2019) 1126 for the
-    family of methods.
+    MTF(f) = |sum_x L(x) w(x) exp(-2 pi i f x)| / |sum_x L(x)| / (D(f) sinc(f / 8)): L(x) is the
+    mean over cells of 2 x 2 pixels, an eighth of a pixel x from the fitted line, of the gradient
+    along its normal, its sign kept so that noise averages out; D is what differences between pixels
+    pass, the sinc what eighths do, w a tapered window. The blur is seen through a window of a few
+    periods, so that plateaus bring little noise, and normalised to the light of the whole region;
+    below the first frequencies that the window resolves the curve is too low by the light outside.
+    Source: F. van den Bergh, J. Opt. Soc. Am. A 36 (2019) 1126 for the family of methods.
     """
     settings = {"oversampling": EIGHTHS, "widest_px": WIDEST_PX, "periods": PERIODS}
     return measure_conventionally(
@@ -355,8 +348,8 @@ def _gradient_estimate(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
     # Cells lie between the pixels: the mean distance of the four.
     across = line.across(value.shape) * cosine
     distance = 0.25 * (across[1:, 1:] + across[1:, :-1] + across[:-1, 1:] + across[:-1, :-1])
-    seen = min(line.position, value.shape[1] - 1 - line.position) * cosine - 1.0
-    widest = float(np.clip(seen, 3.0, WIDEST_PX))
+    plateau_px = min(line.position, value.shape[1] - 1 - line.position) * cosine - 1.0
+    widest = float(np.clip(plateau_px, 3.0, WIDEST_PX))
     size, samples = round(widest * EIGHTHS), 128 * EIGHTHS
     spread = mean_by_cell(np.floor(distance * EIGHTHS).astype(np.int64) + size, slope, 2 * size)
     frequency = np.arange(samples // EIGHTHS) / samples * EIGHTHS
@@ -375,13 +368,13 @@ def _gradient_estimate(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
         """Return the modulus of the transforms in a window whose outer three quarters are
         tapered.
         """
-        away = np.abs((np.arange(2 * size) - 0.5 * (2 * size - 1)) / EIGHTHS) / half_px
-        taper = 0.5 * (1.0 + np.cos(np.pi * np.clip((away - 0.25) / 0.75, 0.0, 1.0)))
+        relative = np.abs((np.arange(2 * size) - 0.5 * (2 * size - 1)) / EIGHTHS) / half_px
+        taper = 0.5 * (1.0 + np.cos(np.pi * np.clip((relative - 0.25) / 0.75, 0.0, 1.0)))
         return np.abs(np.fft.rfft(spread * taper, samples, axis=1))[:, : frequency.size] / passed
 
-    wide = transform(widest)
-    light = wide[:, :1]
-    half = crossing_frequency(frequency, wide[:1] / light[:1], 0.5)[0]
+    widest_modulus = transform(widest)
+    light = widest_modulus[:, :1]
+    half = crossing_frequency(frequency, widest_modulus[:1] / light[:1], 0.5)[0]
     narrow = (
         float(np.clip(PERIODS / half, min(NARROWEST_PX, widest), widest))
         if np.isfinite(half)

@@ -95,9 +95,7 @@ def _fit(edge: PreparedEdge, known: KnownTransfer, context: Context) -> Result:
         spreads.best_profile(),
     )
     posterior = spreads.posterior(context.seed)
-    mtf = partial(
-        _mtf, places=spreads.places, draws=posterior.draws, known=known, seed=context.seed
-    )
+    mtf = partial(_mtf, nodes=spreads.nodes, draws=posterior.draws, known=known, seed=context.seed)
     half = np.argmax(mtf(np.linspace(0.005, 1.5, 300)).mean(axis=0) < 0.5) * 0.005 + 0.005
     refused = fit_refusal(edge, chi2, spreads.power, spreads.free, float(half))
     if refused:
@@ -177,7 +175,7 @@ class LineSpreads:
 
     Attributes
     ----------
-    settings, shares
+    settings, weights
         Settings that count, the most probable first, and their weights.
     free, power
         Degrees of freedom, and chi squared of a level alone.
@@ -185,44 +183,44 @@ class LineSpreads:
 
     def __init__(self, profile: EdgeProfile, known: KnownTransfer, shift_px: float) -> None:
         self._profile = profile
-        self.places = _places(float(profile.gathered.half_width_px))
+        self.nodes = _places(float(profile.gathered.half_width_px))
         self._root = np.linalg.inv(np.linalg.cholesky(profile.covariance))
         self._weights = _edge_of_line(
-            self.places, profile.distance - shift_px, profile.spread_px, known
+            self.nodes, profile.distance - shift_px, profile.spread_px, known
         )
         self._data = data = self._root @ profile.value
         design = self._root @ np.concatenate([self._weights, profile.levels], axis=1)
-        lines, levels = np.split(design, [self.places.size], axis=1)
+        lines, levels = np.split(design, [self.nodes.size], axis=1)
         self.free = len(data) - 1
         flat = levels[:, 0] / np.linalg.norm(levels[:, 0])
         self.power = float(data @ data - (flat @ data) ** 2)
         # The width first, for either kind of tail; then all that goes with widths around the best.
         tops = []
         for slope_sd_per_px in SLOPES_PER_PX:
-            own = self._project_levels(lines, levels, slope_sd_per_px)
+            equations = self._project_levels(lines, levels, slope_sd_per_px)
             of_tails = [
-                [self._evaluate(own, w, tail, SMOOTHNESS[1], ASYMMETRY[0]) for w in WIDTHS_PX]
+                [self._evaluate(equations, w, tail, SMOOTHNESS[1], ASYMMETRY[0]) for w in WIDTHS_PX]
                 for tail in TAILS
             ]
             tops.append([max(of_widths, key=_evidence) for of_widths in of_tails])
-        least = (
-            max(one.log_evidence for of_slope in tops for one in of_slope)
+        min_evidence = (
+            max(setting.log_evidence for of_slope in tops for setting in of_slope)
             - THRESHOLDS.competitive_setting
         )
         tried = []
         for of_slope in tops:
-            near = int(np.argmin(np.abs(WIDTHS_PX - max(of_slope, key=_evidence).width_px)))
-            widths = WIDTHS_PX[max(near - 1, 0) : near + 2]
+            nearest = int(np.argmin(np.abs(WIDTHS_PX - max(of_slope, key=_evidence).width_px)))
+            widths = WIDTHS_PX[max(nearest - 1, 0) : nearest + 2]
             for top in of_slope:
-                if top.log_evidence > least:
+                if top.log_evidence > min_evidence:
                     tried += [
                         self._evaluate(top.equations, *point)
                         for point in product(widths, [top.tail], SMOOTHNESS, ASYMMETRY)
                     ]
         weights = weigh_by_evidence(
-            [one.log_evidence for one in tried], least=THRESHOLDS.min_setting_weight
+            [setting.log_evidence for setting in tried], least=THRESHOLDS.min_setting_weight
         )
-        self.shares = np.array([weight for _, weight in weights])
+        self.weights = np.array([weight for _, weight in weights])
         self.settings = [tried[index] for index, _ in weights]
 
     def _project_levels(
@@ -251,14 +249,14 @@ class LineSpreads:
         asymmetry: float,
     ) -> LineSpreadSetting:
         """Return the line spread of one width, tail, smoothness and symmetry with its evidence."""
-        left, right, power, onto, log_evidence = equations
-        even, odd = _prior_root(
-            self.places.tobytes(), float(width), tail, float(width) * smoothness
+        normal, right, power, onto, log_evidence = equations
+        even_root, odd = _prior_root(
+            self.nodes.tobytes(), float(width), tail, float(width) * smoothness
         )
-        prior = np.concatenate([even, asymmetry * odd], axis=1) * max(
+        prior = np.concatenate([even_root, asymmetry * odd], axis=1) * max(
             abs(self._profile.step), 1e-300
         )
-        values, vectors = np.linalg.eigh(prior.T @ left @ prior)
+        values, vectors = np.linalg.eigh(prior.T @ normal @ prior)
         values = np.maximum(values, 0.0)
         along, basis = vectors.T @ (prior.T @ right), prior @ vectors
         chi2 = power - float(np.sum(along**2 / (1.0 + values)))
@@ -282,20 +280,20 @@ class LineSpreads:
         best = self.settings[0]
         model = self._weights @ best.mean + self._profile.levels @ best.levels
         residual = self._data - self._root @ model
-        amplitude = np.concatenate([[float(np.sum(best.mean * _cells(self.places)))], best.levels])
+        amplitude = np.concatenate([[float(np.sum(best.mean * _cells(self.nodes)))], best.levels])
         return model, amplitude, float(residual @ residual)
 
     def posterior(self, seed: int) -> Posterior:
         """Return draws of the line spread, each setting in proportion to its evidence."""
         rng = np.random.default_rng(seed)
         counts = np.maximum(
-            np.round(ACCURACY.line_spread_draws * self.shares / self.shares.sum()).astype(int), 1
+            np.round(ACCURACY.line_spread_draws * self.weights / self.weights.sum()).astype(int), 1
         )
         drawn = [
-            one.mean + rng.standard_normal((count, one.root.shape[1])) @ one.root.T
-            for one, count in zip(self.settings, counts, strict=True)
+            setting.mean + rng.standard_normal((count, setting.root.shape[1])) @ setting.root.T
+            for setting, count in zip(self.settings, counts, strict=True)
         ]
-        names = tuple(f"line_spread_{place:+.2f}_px" for place in self.places)
+        names = tuple(f"line_spread_{node:+.2f}_px" for node in self.nodes)
         return Posterior(
             names=names,
             units=("DN/px",) * len(names),
@@ -313,35 +311,33 @@ class LineSpreads:
         Under a response u + c u (1 - u) of the edge spread u an even line spread l becomes l (1 + c
         (1 - 2 u)), and a shift d adds -d l': both are odd.
         """
-        cells, mean = _cells(self.places), draws.mean(axis=0)
-        even = 0.5 * (mean + mean[::-1])
-        even = even / float(even @ cells)
-        rise = np.cumsum(even * cells) - 0.5 * even * cells
-        design = np.stack([even * (1.0 - 2.0 * rise), np.gradient(even, self.places)]) * np.sqrt(
-            cells
-        )
+        cells, mean = _cells(self.nodes), draws.mean(axis=0)
+        even_part = 0.5 * (mean + mean[::-1])
+        even_part = even_part / float(even_part @ cells)
+        rise = np.cumsum(even_part * cells) - 0.5 * even_part * cells
+        design = np.stack(
+            [even_part * (1.0 - 2.0 * rise), np.gradient(even_part, self.nodes)]
+        ) * np.sqrt(cells)
         odd = 0.5 * (draws - draws[:, ::-1]) / (draws @ cells)[:, None] * np.sqrt(cells)
         curvature = np.linalg.lstsq(design.T, odd.T, rcond=None)[0][0]
         return float(curvature.mean()), float(max(curvature.std(), 1e-9))
 
 
-def _mtf(
-    frequency: Array, *, places: Array, draws: Array, known: KnownTransfer, seed: int
-) -> Array:
+def _mtf(frequency: Array, *, nodes: Array, draws: Array, known: KnownTransfer, seed: int) -> Array:
     """Return the MTF of line spreads (draw, place) behind the known transfer, normalised to all
     light, (draw, f).
     """
-    cells = _cells(places)
+    cells = _cells(nodes)
     weighted = draws * cells
     # Between places the line spread is linear, which is a factor sinc^2 where they are evenly
     # spaced.
-    phase = 2.0 * np.pi * np.outer(places, frequency)
+    phase = 2.0 * np.pi * np.outer(nodes, frequency)
     smooth = np.sinc(np.outer(cells, frequency)) ** 2
     real, imaginary = weighted @ (np.cos(phase) * smooth), weighted @ (np.sin(phase) * smooth)
     total = weighted.sum(axis=1)
-    outer = weighted[:, np.abs(places) > 0.5 * places[-1]].sum(axis=1) / total
-    most = np.random.default_rng(seed).uniform(0.0, ACCURACY.max_light_beyond, len(total))
-    light = np.abs(total) * (1.0 + most * np.maximum(outer, 0.0))
+    outer = weighted[:, np.abs(nodes) > 0.5 * nodes[-1]].sum(axis=1) / total
+    beyond_ratio = np.random.default_rng(seed).uniform(0.0, ACCURACY.max_light_beyond, len(total))
+    light = np.abs(total) * (1.0 + beyond_ratio * np.maximum(outer, 0.0))
     return np.hypot(real, imaginary) / light[:, None] * np.abs(known(frequency))
 
 
@@ -349,20 +345,20 @@ def _places(limit: float) -> Array:
     """Return places from -limit to limit, px: even near the edge, farther apart with the
     distance.
     """
-    place, side = ACCURACY.node_spacing_px, []
-    while place < limit:
-        side.append(place)
-        place += max(ACCURACY.node_spacing_px, ACCURACY.node_spacing * place)
+    position, side = ACCURACY.node_spacing_px, []
+    while position < limit:
+        side.append(position)
+        position += max(ACCURACY.node_spacing_px, ACCURACY.node_spacing * position)
     return np.concatenate([-np.array(side)[::-1], [0.0], side])
 
 
-def _cells(places: Array) -> Array:
+def _cells(nodes: Array) -> Array:
     """Return the length that each place stands for, px: half the way to both neighbours."""
-    gaps = np.diff(places)
+    gaps = np.diff(nodes)
     return 0.5 * (np.concatenate([gaps[:1], gaps]) + np.concatenate([gaps, gaps[-1:]]))
 
 
-def _edge_of_line(places: Array, distance: Array, spread_px: Array, known: KnownTransfer) -> Array:
+def _edge_of_line(nodes: Array, distance: Array, spread_px: Array, known: KnownTransfer) -> Array:
     """Return the map (bin, place) from a piecewise straight line spread to the edge spread behind
     the known transfer.
 
@@ -375,14 +371,14 @@ def _edge_of_line(places: Array, distance: Array, spread_px: Array, known: Known
         np.fft.irfft(np.conj(known(np.maximum(frequency, 1e-9))) * np.sinc(frequency * step), size)
     )
     at = np.asarray((np.arange(size) - size // 2) * step, float)
-    kept = np.abs(at) < (12.0 if known.video else 1.2)
-    kernel = line[kept] / line[kept].sum()
-    gone, gaps = np.add.outer(distance, -at[kept]), np.diff(places)
+    within_kernel = np.abs(at) < (12.0 if known.video else 1.2)
+    kernel = line[within_kernel] / line[within_kernel].sum()
+    gone, gaps = np.add.outer(distance, -at[within_kernel]), np.diff(nodes)
 
     def smeared(shift_px: float) -> Array:
         """Return the integral of the line spread up to each distance, behind the kernel."""
-        up_to = np.clip(((gone + shift_px)[..., None] - places[:-1]) / gaps, 0.0, 1.0)
-        integral = np.zeros((*gone.shape, places.size))
+        up_to = np.clip(((gone + shift_px)[..., None] - nodes[:-1]) / gaps, 0.0, 1.0)
+        integral = np.zeros((*gone.shape, nodes.size))
         integral[..., 1:] += gaps * 0.5 * up_to**2
         integral[..., :-1] += gaps * (up_to - 0.5 * up_to**2)
         return np.asarray(np.tensordot(kernel, integral, axes=(0, 1)), float)
@@ -402,19 +398,19 @@ def _prior_root(places_bytes: bytes, width: float, tail: str, smooth: float) -> 
 
     Shapes (place, direction).
     """
-    places = np.frombuffer(places_bytes)
-    ratio = np.abs(places) / width
+    nodes = np.frombuffer(places_bytes)
+    ratio = np.abs(nodes) / width
     envelope = 1.0 / (1.0 + ratio**2) if tail == "long" else np.exp(1.0 - np.sqrt(1.0 + ratio**2))
-    envelope = envelope / float(envelope @ _cells(places))
+    envelope = envelope / float(envelope @ _cells(nodes))
     # Farther out the line spread is smooth over lengths that grow with the distance.
-    length = smooth * np.sqrt(1.0 + (places / (3.0 * width)) ** 2)
+    length = smooth * np.sqrt(1.0 + (nodes / (3.0 * width)) ** 2)
     mean = 0.5 * (length[:, None] ** 2 + length**2)
     kernel = np.sqrt(length[:, None] * length / mean) * np.exp(
-        -0.5 * (places[:, None] - places) ** 2 / mean
+        -0.5 * (nodes[:, None] - nodes) ** 2 / mean
     )
     roots = []
     for sign in (1.0, -1.0):
         values, vectors = np.linalg.eigh(0.5 * (kernel + sign * kernel[:, ::-1]))
-        kept = values > 1e-7 * values[-1]
-        roots.append(envelope[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+        significant = values > 1e-7 * values[-1]
+        roots.append(envelope[:, None] * vectors[:, significant] * np.sqrt(values[significant]))
     return roots[0], roots[1]

@@ -50,8 +50,10 @@ def nonlinearity_notes(
     linear = ln_bayes_factor_nonlinear(edge.noise_growth) < THRESHOLDS.linear_ln_bayes_factor
     if has_tube(context.camera) or context.linear or linear or not np.isfinite(relative_sd):
         return ()
-    own = edge.profile.contrast
-    bias = own * min(2.0 * STEEPENING * response[1], THRESHOLDS.max_nonlinearity_bias * own)
+    contrast = edge.profile.contrast
+    bias = contrast * min(
+        2.0 * STEEPENING * response[1], THRESHOLDS.max_nonlinearity_bias * contrast
+    )
     if bias < THRESHOLDS.undetected_bias_sd * relative_sd:
         return ()
     return (
@@ -67,8 +69,8 @@ def max_bias_of(response: CurvatureEstimate, contrast: float) -> float:
     """
     if response == NO_CURVATURE_ESTIMATE:
         return THRESHOLDS.max_nonlinearity_bias * contrast**2
-    share = (STEEPENING if response[0] < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
-    return contrast * share * (abs(response[0]) + 2.0 * response[1])
+    rise = (STEEPENING if response[0] < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
+    return contrast * rise * (abs(response[0]) + 2.0 * response[1])
 
 
 def nonlinearity_bias(
@@ -81,22 +83,22 @@ def nonlinearity_bias(
     """
     rng = np.random.default_rng([seed, 61])
     curvature = curvatures(response, contrast, noise_ln_odds, rng, count)
-    share = np.where(curvature < 0.0, STEEPENING, FLATTENING) + EITHER_WAY * rng.standard_normal(
+    rise = np.where(curvature < 0.0, STEEPENING, FLATTENING) + EITHER_WAY * rng.standard_normal(
         count
     )
-    return -contrast * share * curvature
+    return -contrast * rise * curvature
 
 
 def remove_nonlinearity(mtf: Callable[[Array], Array], bias: Array) -> Callable[[Array], Array]:
     """Return drawn MTFs, shape (f,) -> (draw, f), less a bias of ln of their frequencies, shape
     (draw,).
     """
-    moved = np.flatnonzero(bias)
-    finely = mtf(FINE)[moved]
+    biased = np.flatnonzero(bias)
+    finely = mtf(FINE)[biased]
 
     def corrected(frequency: Array) -> Array:
         draws = mtf(frequency)
-        for index, curve in zip(moved, finely, strict=True):
+        for index, curve in zip(biased, finely, strict=True):
             draws[index] = np.interp(frequency * np.exp(bias[index]), FINE, curve)
         return draws
 

@@ -113,27 +113,30 @@ def _result(
     drawn: Sequence[_Draws],
     known: KnownTransfer,
     context: Context,
-    **own: Any,
+    **method_fields: Any,
 ) -> Result:
     """Return what both methods make of draws, a nonlinear response marginalised."""
-    edge = replace(edge, profile=fitter.profile)
+    if fitter.profile is not edge.profile:
+        edge = replace(edge, profile=fitter.profile)
     response, odds = fitter.response_curvature(best), ln_bayes_factor_of(edge, context)
     parts = []
-    for one in drawn:
-        draws = one.posterior.draws.copy()
+    for draws_of_form in drawn:
+        draws = draws_of_form.posterior.draws.copy()
         draws[:, 1] -= nonlinearity_bias(
             response, edge.profile.contrast, odds, context.seed, len(draws)
         )
-        parts.append((one.form, one.count, replace(one.posterior, draws=draws)))
+        parts.append(
+            (draws_of_form.form, draws_of_form.count, replace(draws_of_form.posterior, draws=draws))
+        )
 
     def mtf(frequency: Array) -> Array:
-        each = [
+        moduli = [
             form.modulus(posterior.draws[:count], frequency) for form, count, posterior in parts
         ]
-        return np.abs(known(frequency)) * np.abs(np.concatenate(each))
+        return np.abs(known(frequency)) * np.abs(np.concatenate(moduli))
 
     return edge_result_of_fit(
-        method, edge, fitter.fitted(best), response, parts[0][2], mtf, context, **own
+        method, edge, fitter.fitted(best), response, parts[0][2], mtf, context, **method_fields
     )
 
 
@@ -148,14 +151,14 @@ def _average_models(edge: PreparedEdge, known: KnownTransfer, context: Context) 
     drawn = _draw_models(fitter, fits, context, parabolic=context.quick)
     if context.quick and _is_uncertain(drawn[0], known):
         drawn = _draw_models(fitter, fits, context, parabolic=False)
-    names = dict.fromkeys(one.fit.family.name for one in fits)
+    names = dict.fromkeys(model.fit.family.name for model in fits)
     weights = {
-        name: round(sum(one.share for one in fits if one.fit.family.name == name), 4)
+        name: round(sum(model.weight for model in fits if model.fit.family.name == name), 4)
         for name in names
     }
     parts = ", ".join(f"{name} {100 * weight:.0f} %" for name, weight in weights.items())
-    beyond = (
-        sum(one.share for one in fits if _exceeds_window(one.fit))
+    exceeds = (
+        sum(model.weight for model in fits if _exceeds_window(model.fit))
         > THRESHOLDS.unresolved_glare_weight
     )
     misfit = ("model-misfit",) if exceeds_model(fitter, best) else ()
@@ -172,7 +175,7 @@ def _average_models(edge: PreparedEdge, known: KnownTransfer, context: Context) 
             f"Form of the point spread by evidence: {parts}.",
             window_normalisation_note(fitter.profile),
         ),
-        flags=(*misfit, *(("window-too-small",) if beyond else ())),
+        flags=(*misfit, *(("window-too-small",) if exceeds else ())),
         doubt=known.doubt,
     )
 
@@ -188,15 +191,15 @@ def fit_edge_models(
     fitter, fits
         The fitter of the profile, and the models that count, the most probable first.
     """
-    wide = candidate_components(
+    components = candidate_components(
         context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed
     )
     fitter = EdgeFitter(edge.profile, known)
-    fits = fit_blur_models(fitter, wide)
+    fits = fit_blur_models(fitter, components)
     shaded = with_shading(fitter.profile, fitter.profile.value - fitter.fitted(fits[0].fit).model)
     if shaded.shading_sd > 0:
         fitter = EdgeFitter(shaded, known)
-        fits = fit_blur_models(fitter, wide)
+        fits = fit_blur_models(fitter, components)
     return fitter, fits
 
 
@@ -204,11 +207,11 @@ def _draw_models(
     fitter: EdgeFitter, fits: list[EvidenceWeightedModels], context: Context, *, parabolic: bool
 ) -> list[_Draws]:
     """Return draws of every model, from the curvature where a parabola serves."""
-    total, scale = sum(one.share for one in fits), fits[0].fit.noise_scale
+    total, scale = sum(model.weight for model in fits), fits[0].fit.noise_scale
     wanted = ACCURACY.quick_draws if parabolic else DRAWS
     out = []
-    for number, one in enumerate(fits):
-        fit, count = one.fit, max(1, round(wanted * one.share / total))
+    for number, model in enumerate(fits):
+        fit, count = model.fit, max(1, round(wanted * model.weight / total))
         # Of all but the most probable model only the draws that count are needed.
         draws = count if context.quick and number else wanted
         asked = {"seed": context.seed + number, "draws": draws}
@@ -290,35 +293,35 @@ def _is_uncertain(drawn: _Draws, known: KnownTransfer) -> bool:
 
 def _exceeds_window(fit: EdgeFit) -> bool:
     """Tell whether a fit's extended component is unresolved glare, or as wide as it may be."""
-    wide = fit.family.wide
-    if wide is None or isinstance(wide, UnresolvedGlareComponent):
-        return wide is not None
-    low, high = fit.family.bounds[-wide.after_size]
-    return bool(fit.point[-wide.after_size] > high - THRESHOLDS.widest_sizes * (high - low))
+    component = fit.family.wide
+    if component is None or isinstance(component, UnresolvedGlareComponent):
+        return component is not None
+    low, high = fit.family.bounds[-component.after_size]
+    return bool(fit.point[-component.after_size] > high - THRESHOLDS.widest_sizes * (high - low))
 
 
 def _fit_departures(edge: PreparedEdge, known: KnownTransfer, context: Context) -> Result:
     """Fit one blur model with departures; its noise is estimated anew after a first fit."""
     profile = with_shading(edge.profile, edge.profile.value)
     halo, certain = halo_of(edge.picture, profile.gathered.half_width_px, context)
-    fitter, found = _best_departures(profile, known, halo, certain=certain)
-    if found.chi2 / found.free < THRESHOLDS.max_reduced_chi2:
-        profile = refine_noise(profile, edge.picture, fitter.fitted(found).model)
-        fitter = EdgeFitter(profile, known, fine=found.family.wide is not None)
-        found = fitter.fit_departures(found.form, found.point, found.slope_sd_per_px)
-    without, half = fitter.chi2_without_edge(found.slope_sd_per_px), float(np.exp(found.point[1]))
-    refused = fit_refusal(replace(edge, profile=profile), found.chi2, without, found.free, half)
+    fitter, best = _best_departures(profile, known, halo, certain=certain)
+    if best.chi2 / best.free < THRESHOLDS.max_reduced_chi2:
+        profile = refine_noise(profile, edge.picture, fitter.fitted(best).model)
+        fitter = EdgeFitter(profile, known, fine=best.family.wide is not None)
+        best = fitter.fit_departures(best.form, best.point, best.slope_sd_per_px)
+    without, half = fitter.chi2_without_edge(best.slope_sd_per_px), float(np.exp(best.point[1]))
+    refused = fit_refusal(edge, best.chi2, without, best.free, half)
     if refused:
         return refuse_edge(FORWARD, refused, context.seed)
     quick = {"enough": ACCURACY.forward_ess, "first_draws": ACCURACY.forward_first_draws}
     posterior = _sample(
-        fitter, found, 1.0, context, {"seed": context.seed}, quick, ACCURACY.forward_steps
+        fitter, best, 1.0, context, {"seed": context.seed}, quick, ACCURACY.forward_steps
     )
-    drawn = [_Draws(form=found.form, posterior=posterior, count=len(posterior.draws))]
-    notes = (window_normalisation_note(profile),) if found.family.wide is None else ()
+    drawn = [_Draws(form=best.form, posterior=posterior, count=len(posterior.draws))]
+    notes = (window_normalisation_note(profile),) if best.family.wide is None else ()
     settings = {"widest_px": WIDEST_PX}
     return _result(
-        FORWARD, fitter, edge, found, drawn, known, context, settings=settings, notes=notes
+        FORWARD, fitter, edge, best, drawn, known, context, settings=settings, notes=notes
     )
 
 
@@ -331,13 +334,13 @@ def _best_departures(
     kinds = (
         [halo] if halo is not None and certain else [None, *([halo] if halo is not None else [])]
     )
-    found: list[tuple[EdgeFitter, EdgeFit]] = []
+    fits: list[tuple[EdgeFitter, EdgeFit]] = []
     for kind in kinds:
         fitter = EdgeFitter(profile, known, fine=kind is not None)
         for slope in (EVEN_PER_PX, UNEVEN_PER_PX):
-            near = found[-1][1] if found else None
-            found.append((fitter, _fit_one_kind(fitter, known, kind, slope, near)))
-    return max(found, key=lambda one: one[1].log_evidence)
+            former = fits[-1][1] if fits else None
+            fits.append((fitter, _fit_one_kind(fitter, known, kind, slope, former)))
+    return max(fits, key=lambda pair: pair[1].log_evidence)
 
 
 def _fit_one_kind(
@@ -345,7 +348,7 @@ def _fit_one_kind(
     known: KnownTransfer,
     halo: ExtendedComponent | None,
     slope_sd: float,
-    near: EdgeFit | None,
+    former: EdgeFit | None,
 ) -> EdgeFit:
     """Fit one kind of model, at each size of departure unless another fit has chosen it, and return
     the best.
@@ -355,44 +358,44 @@ def _fit_one_kind(
     def form(scale: float, departure_sd: float) -> EdgeForm:
         return EdgeForm(family=family, departure_sd=departure_sd, scale=scale, known=known)
 
-    starts = _starts(fitter, form(0.2, DEPARTURES[0]), slope_sd, near)
-    scale = float(np.exp(starts[0][1])) if near is None else near.form.scale
-    first = DEPARTURES[1] if near is None else near.form.departure_sd
-    found = [fitter.fit_departures(form(scale, first), start, slope_sd) for start in starts]
-    best = max(found, key=lambda one: one.log_evidence)
-    others = [sd for sd in DEPARTURES if sd != first] if near is None else []
-    found += [fitter.fit_departures(form(scale, sd), best.point, slope_sd) for sd in others]
-    return max(found, key=lambda one: one.log_evidence)
+    starts = _starts(fitter, form(0.2, DEPARTURES[0]), slope_sd, former)
+    scale = float(np.exp(starts[0][1])) if former is None else former.form.scale
+    first = DEPARTURES[1] if former is None else former.form.departure_sd
+    fits = [fitter.fit_departures(form(scale, first), start, slope_sd) for start in starts]
+    best = max(fits, key=lambda fit: fit.log_evidence)
+    further_sds = [sd for sd in DEPARTURES if sd != first] if former is None else []
+    fits += [fitter.fit_departures(form(scale, sd), best.point, slope_sd) for sd in further_sds]
+    return max(fits, key=lambda fit: fit.log_evidence)
 
 
 def _starts(
-    fitter: EdgeFitter, form: EdgeForm, slope_sd: float, near: EdgeFit | None
+    fitter: EdgeFitter, form: EdgeForm, slope_sd: float, former: EdgeFit | None
 ) -> list[Array]:
     """Return starting points: the most probable of a grid, for a halo one of small and one of large
     diameter.
     """
-    if near is not None and near.family == form.family:
-        return [near.point]
+    if former is not None and former.family == form.family:
+        return [former.point]
     frequencies, exponents = np.exp(np.linspace(np.log(0.01), np.log(1.5), 40)), (1.2, 2.0)
-    if near is not None:
+    if former is not None:
         frequencies, exponents = (
-            np.exp(near.point[1]) * np.array([0.95, 1.05, 1.15]),
-            (near.point[2], 2.0),
+            np.exp(former.point[1]) * np.array([0.95, 1.05, 1.15]),
+            (former.point[2], 2.0),
         )
     cores = np.array([(np.log(f), n) for f in frequencies for n in exponents])
     grids = [cores]
     if form.family.wide is not None:
         low, high = form.family.bounds[2:].T
-        places = np.stack(
+        fractions = np.stack(
             np.meshgrid(*[np.linspace(0.1, 0.9, 4)] * low.size, indexing="ij"), axis=-1
         )
-        places = places.reshape(-1, low.size)
-        tails = low + places * (high - low) * np.array([0.6, *[1.0] * (low.size - 1)])
+        fractions = fractions.reshape(-1, low.size)
+        tails = low + fractions * (high - low) * np.array([0.6, *[1.0] * (low.size - 1)])
         grids = [
             np.concatenate(
                 [np.repeat(cores, len(part), axis=0), np.tile(part, (len(cores), 1))], axis=1
             )
-            for part in (tails[places[:, 1] < 0.5], tails[places[:, 1] > 0.5])
+            for part in (tails[fractions[:, 1] < 0.5], tails[fractions[:, 1] > 0.5])
         ]
     log_probability = fitter.log_probability(form, slope_sd)
     expanded = [form.expand(grid) for grid in grids]

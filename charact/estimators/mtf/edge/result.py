@@ -127,8 +127,8 @@ def edge_result_of_fit(
         half = float(np.median(known)) if known.size else np.nan
         relative_sd = float(np.std(np.log(known))) if known.size else np.inf
         black = {} if profile.black is None else {"black_dn": profile.black}
-        own = {"quick": context.quick, **black, **settings}
-        found = [
+        own_settings = {"quick": context.quick, **black, **settings}
+        all_flags = [
             *edge_flags(edge, half, context, LIMITS.max_motion_sd * relative_sd),
             *fit_flags(edge.picture, profile, fitted, half if half > 0 else 0.01),
             *(() if context.linear else response_flags(response, profile.contrast, relative_sd)),
@@ -139,13 +139,15 @@ def edge_result_of_fit(
             ),
             *flags,
         ]
-        said = (
+        all_notes = (
             *_notes(edge, context),
             *nonlinearity_notes(edge, response, relative_sd, context),
             *notes,
         )
-        provenance = Provenance(version=charact.__version__, seed=context.seed, settings=own)
-        return shared_fields(method, edge, found, said, provenance)
+        provenance = Provenance(
+            version=charact.__version__, seed=context.seed, settings=own_settings
+        )
+        return shared_fields(method, edge, all_flags, all_notes, provenance)
 
     numbers, curve, _, shared = mtf_measurements(
         mtf, common, posterior=posterior, doubt=doubt, finish=_finish
@@ -153,8 +155,10 @@ def edge_result_of_fit(
     assert curve.interval68 is not None and curve.interval95 is not None, (
         "curves of draws have intervals"
     )
-    wide = _with_margin(curve.value, curve.interval68, curve.interval95, ACCURACY.modulus_margin)
-    curve = replace(curve, interval95=wide)
+    interval95 = _with_margin(
+        curve.value, curve.interval68, curve.interval95, ACCURACY.modulus_margin
+    )
+    curve = replace(curve, interval95=interval95)
     return edge_result(edge, numbers, curve, shared, half, fitted=fitted, response=response)
 
 
@@ -166,7 +170,10 @@ def shared_fields(
     provenance: Provenance,
 ) -> dict:
     """Return what all measurements of an edge share."""
-    rough = edge.roughness
+    rough, tilt = edge.roughness, float(np.rad2deg(edge.profile.angle_rad))
+    # Upright, the normal stands at -tilt to the columns; mirrored it is turned over, transposed
+    # exchanged.
+    tilt = tilt if edge.picture.mirrored else -tilt
     course = (
         [f"Edge roughness {rough.rms_px:.2g} px rms along the edge, beyond the noise."]
         if rough.moves
@@ -177,7 +184,8 @@ def shared_fields(
         "flags": tuple(dict.fromkeys(flags)),
         "notes": (*edge.notes, *course, *notes),
         "region": edge.where,
-        "orientation_deg": edge.orientation_deg,
+        # Direction of the edge's normal from the row direction, in [0, 180).
+        "orientation_deg": (90.0 - tilt if edge.picture.transposed else tilt) % 180.0,
         "provenance": provenance,
     }
 
@@ -198,7 +206,7 @@ def edge_result(
     profile, misfit = edge.profile, 0.0
     rows, spread = np.flatnonzero(np.isfinite(edge.rows.offset)), edge.rows.offset_sd
     if fitted is not None:
-        spread *= np.sqrt(max(profile.grain.covariance_over_variance, 1.0))
+        spread *= np.sqrt(max(profile.noise.covariance_over_variance, 1.0))
     error = (
         spread / np.sqrt(max(float(np.sum((rows - rows.mean()) ** 2)), 1.0))
         if rows.size > 2
@@ -224,19 +232,27 @@ def edge_result(
             "residual_dn": residual.tolist(),
             "chi_squared": fitted.chi2,
             "degrees_of_freedom": fitted.free,
-            "orientation_deg": edge.orientation_deg,
+            "orientation_deg": shared["orientation_deg"],
         }
+    flags = dict.fromkeys(flag for measurement in numbers for flag in measurement.flags)
+    findings = {
+        finding.flag: finding for finding in findings_of(flags, edge, half, response, misfit)
+    }
     return Result(
         measurements=tuple(
-            one.with_(findings=findings_of(one.flags, edge, half, response, misfit))
-            for one in (*numbers, angle)
+            measurement.with_(
+                findings=[findings[flag] for flag in measurement.flags if flag in findings]
+            )
+            if measurement.flags
+            else measurement
+            for measurement in (*numbers, angle)
         ),
         curves={"mtf": curve},
         evidence={"edge-spread": shown},
     )
 
 
-def _finish(found: Measurement, draws: Array) -> Measurement:
+def _finish(measurement: Measurement, draws: Array) -> Measurement:
     """Return a measurement with the margin of its 95 % interval, and flags of several modes or
     unreliable tails.
 
@@ -244,20 +260,22 @@ def _finish(found: Measurement, draws: Array) -> Measurement:
     exp(-s^2), within the 68 % interval: errors of a frequency reach further up than down.
     """
     several = has_several_peaks(draws[:, None])
-    flags = (*found.flags, "several-modes") if several else found.flags
-    if found.value is None or found.interval68 is None:
-        return found
-    is_frequency = found.quantity != "mtf"
+    flags = (*measurement.flags, "several-modes") if several else measurement.flags
+    if measurement.value is None or measurement.interval68 is None:
+        return measurement
+    is_frequency = measurement.quantity != "mtf"
     margin = ACCURACY.frequency_margin if is_frequency else ACCURACY.modulus_margin
-    intervals = np.asarray(found.interval68), np.asarray(found.interval95)
-    low95, high95 = _with_margin(np.asarray(found.value), *intervals, margin)
-    value, (low, high) = found.value, found.interval68
+    intervals = np.asarray(measurement.interval68), np.asarray(measurement.interval95)
+    low95, high95 = _with_margin(np.asarray(measurement.value), *intervals, margin)
+    value, (low, high) = measurement.value, measurement.interval68
     if is_frequency:
         deviation = 0.5 * np.log(high / max(low, 1e-6)) / 0.994458
         if not high - low < 2.0 * THRESHOLDS.max_relative_sd * value:
             flags = (*flags, "low-signal")
         value = float(max(value * np.exp(-(deviation**2)), low))
-    return replace(found, value=value, interval95=(float(low95), float(high95))).with_(flags=flags)
+    return replace(measurement, value=value, interval95=(float(low95), float(high95))).with_(
+        flags=flags
+    )
 
 
 def _with_margin(
@@ -267,19 +285,19 @@ def _with_margin(
     unsure = np.minimum(
         0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), THRESHOLDS.max_relative_sd
     )
-    margin = np.stack([ACCURACY.interval_margin + one * unsure for one in more])
+    margin = np.stack([ACCURACY.interval_margin + factor * unsure for factor in more])
     return np.maximum(value + margin * (interval95 - value), 0.0)
 
 
 def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
     """Yield notes that are no reason for distrust."""
     profile = edge.profile
-    yield from edge.used.notes
-    grain = profile.grain.covariance_over_variance
-    if grain > 1.3 or grain < 0.8:
+    yield from edge.frames.notes
+    correlation_sum = profile.noise.covariance_over_variance
+    if not 0.8 <= correlation_sum <= 1.3:
         yield (
-            f"Noise is correlated between pixels (sum of correlations {grain:.1f}) and treated "
-            f"as such."
+            f"Noise is correlated between pixels (sum of correlations {correlation_sum:.1f}) and "
+            "treated as such."
         )
     if not has_tube(context.camera) and context.pitch_ratio == 1.0:
         yield "Pixels taken as square."

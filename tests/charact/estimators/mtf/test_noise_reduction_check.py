@@ -77,5 +77,5 @@ def test_noise_of_light_is_not(scene, seed):
         edge = prepare_edge(scene.frames_drawn(np.random.default_rng([seed, number])), None, QUICK)
         assert "processed" not in tuple(edge_flags(edge, np.nan, QUICK, np.inf))
         if scene is EDGE:
-            ratio = edge.temporal_noise[1]
+            ratio = edge.slope_noise
             assert ratio.ratio == pytest.approx(1.0, abs=4.5 * ratio.sd)

@@ -54,7 +54,7 @@ class EdgeForm:
         bandwidth.
         """
         core = list(self.family.parameters.items())
-        wide = core[self.family.core_parameters :]
+        component = core[self.family.core_parameters :]
         bends = [(f"departure_{k}", ("1", (-6.0, 6.0))) for k in range(self._knots)]
         phases = [
             (f"phase_{k}", ("rad", (-6.0 * sd, 6.0 * sd)))
@@ -63,7 +63,7 @@ class EdgeForm:
         shift = ("edge_shift_px", ("px", (-ACCURACY.max_shift_px, ACCURACY.max_shift_px)))
         video = self.video.parameters if self.video else {}
         return {
-            **dict([shift, *core[: self.family.core_parameters], *bends, *phases, *wide]),
+            **dict([shift, *core[: self.family.core_parameters], *bends, *phases, *component]),
             **video,
         }
 
@@ -142,7 +142,7 @@ class EdgeForm:
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds."""
         value = self.family.log_prior(self.family_part(theta))
-        inside = np.all((theta >= self.bounds[:, 0]) & (theta <= self.bounds[:, 1]), axis=1)
+        within_bounds = np.all((theta >= self.bounds[:, 0]) & (theta <= self.bounds[:, 1]), axis=1)
         if self.departure_sd:
             first = 1 + self.family.core_parameters
             standard = np.concatenate(
@@ -152,7 +152,7 @@ class EdgeForm:
             value = value - 0.5 * np.sum(standard**2, axis=1)
         if self.video:
             value = value + self.video.log_prior(theta[:, -1])
-        return np.where(inside, value, -np.inf)
+        return np.where(within_bounds, value, -np.inf)
 
 
 def cosine_shapes(ratio: Array, knots: Array) -> Array:
@@ -160,11 +160,11 @@ def cosine_shapes(ratio: Array, knots: Array) -> Array:
     shape (knot, ratio).
     """
     ln = np.log(np.maximum(ratio, 1e-300))
-    place = np.interp(ln, np.log(knots), np.arange(knots.size))
+    knot_position = np.interp(ln, np.log(knots), np.arange(knots.size))
     entry = (ln - np.log(knots[0])) / np.log(knots[1] / knots[0])
-    place = np.where(entry < 0, np.maximum(entry, -1.0), place)
-    away = np.clip(np.abs(place - np.arange(knots.size)[:, None]), 0.0, 1.0)
-    return 0.5 * (1.0 + np.cos(np.pi * away))
+    knot_position = np.where(entry < 0, np.maximum(entry, -1.0), knot_position)
+    knots_apart = np.clip(np.abs(knot_position - np.arange(knots.size)[:, None]), 0.0, 1.0)
+    return 0.5 * (1.0 + np.cos(np.pi * knots_apart))
 
 
 @lru_cache(maxsize=8)

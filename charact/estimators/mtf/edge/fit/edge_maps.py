@@ -130,10 +130,10 @@ class Marginal:
         span = np.linalg.qr(np.concatenate([levels, np.diag(np.sqrt(level_precision))], axis=1).T)[
             0
         ]
-        both = np.concatenate([white, data[None]])
-        both = np.concatenate([both, np.zeros((len(both), len(levels)))], axis=1)
-        both -= (both @ span) @ span.T
-        self._map, self._data = np.ascontiguousarray(both[:-1]), both[-1]
+        stacked = np.concatenate([white, data[None]])
+        stacked = np.concatenate([stacked, np.zeros((len(stacked), len(levels)))], axis=1)
+        stacked -= (stacked @ span) @ span.T
+        self._map, self._data = np.ascontiguousarray(stacked[:-1]), stacked[-1]
         self._step_dn = step_dn
         self.power = float(self._data @ self._data)
 
@@ -172,11 +172,11 @@ def apply_phases(modulus: Array, turns: Array, fixed: Array) -> Array:
     for i in range(count):
         for j in range(size):
             quarters = 4.0 * turns[i, j]
-            whole = math.floor(quarters + 0.5)
-            sine, cosine = _series((quarters - whole) * (0.5 * math.pi))
-            half = math.floor(0.5 * whole)
+            quarter = math.floor(quarters + 0.5)
+            sine, cosine = _series((quarters - quarter) * (0.5 * math.pi))
+            half = math.floor(0.5 * quarter)
             sign = 1.0 - 2.0 * (half - 2.0 * math.floor(0.5 * half))
-            crossed = whole != 2.0 * half
+            crossed = quarter != 2.0 * half
             real = sign * (-sine if crossed else cosine)
             imaginary = sign * (cosine if crossed else sine)
             out[i, j] = modulus[i, j] * (fixed[0, j] * real + fixed[1, j] * imaginary)

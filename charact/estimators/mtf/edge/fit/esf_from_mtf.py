@@ -65,9 +65,9 @@ def edge_weights(grid: Array, distance: Array, spread_px: Array) -> tuple[Array,
 
     Returns
     -------
-    even, odd
-        Shape (bin, node): edge spread - 1/2 = even @ Re H + odd @ Im H, for H of a line spread
-        along +d.
+    even_map, odd_map
+        Shape (bin, node): edge spread - 1/2 = even_map @ Re H + odd_map @ Im H, for H of a line
+        spread along +d.
 
     Notes
     -----
@@ -79,8 +79,8 @@ def edge_weights(grid: Array, distance: Array, spread_px: Array) -> tuple[Array,
     table = spread_table(grid.tobytes())
     first, weight = table.taps(distance)
     side, bend = np.where(distance < 0, -1.0, 1.0), 0.5 * spread_px**2
-    even = _look_up(table.even, table.even_bend, first, weight * side[:, None], bend)
-    return even, _look_up(table.odd, table.odd_bend, first, weight, bend)
+    even_map = _look_up(table.even_map, table.even_bend, first, weight * side[:, None], bend)
+    return even_map, _look_up(table.odd_map, table.odd_bend, first, weight, bend)
 
 
 @njit(cache=True)
@@ -107,15 +107,15 @@ class SpreadTable:
     ----------
     distance
         Distances, ascending from a little below 0, shape (place,), px.
-    even, odd
+    even_map, odd_map
         Maps of `edge_weights` at these distances, shape (place, node).
     even_bend, odd_bend
         Their second derivatives, per px^2.
     """
 
     distance: Array
-    even: Array
-    odd: Array
+    even_map: Array
+    odd_map: Array
     even_bend: Array
     odd_bend: Array
 
@@ -126,18 +126,18 @@ class SpreadTable:
         return cubic_taps(self.distance, np.abs(distance))
 
 
-def cubic_taps(places: Array, at: Array) -> tuple[NDArray[np.int64], Array]:
+def cubic_taps(nodes: Array, at: Array) -> tuple[NDArray[np.int64], Array]:
     """Return the first of the four places around each point, and the weights of cubic Lagrange
     interpolation.
     """
-    first = np.clip(np.searchsorted(places, at) - 2, 0, places.size - 4)
-    around = places[first[:, None] + np.arange(4)]
-    away = at[:, None] - around
+    first = np.clip(np.searchsorted(nodes, at) - 2, 0, nodes.size - 4)
+    around = nodes[first[:, None] + np.arange(4)]
+    offset = at[:, None] - around
     weight = np.ones((at.size, 4))
     for j in range(4):
         for k in range(4):
             if k != j:
-                weight[:, j] *= away[:, k] / (around[:, j] - around[:, k])
+                weight[:, j] *= offset[:, k] / (around[:, j] - around[:, k])
     return first, weight
 
 
@@ -145,14 +145,18 @@ def cubic_taps(places: Array, at: Array) -> tuple[NDArray[np.int64], Array]:
 def spread_table(grid_bytes: bytes) -> SpreadTable:
     """Return the table of nodes, kept: it is the same for every edge."""
     grid = np.frombuffer(grid_bytes)
-    near = np.arange(-2, 32 * NEAR_PX) / 32.0
-    far = np.concatenate([np.arange(NEAR_PX, 40.0, 0.125), np.arange(40.0, WIDEST_PX + 2.0, 0.25)])
-    parts = [_integrate(grid, near, 0.002, 4.0), _integrate(grid, far, 0.0005, 0.75)]
-    even, odd, even_bend, odd_bend = (np.concatenate(pair) for pair in zip(*parts, strict=True))
+    near_px = np.arange(-2, 32 * NEAR_PX) / 32.0
+    far_px = np.concatenate(
+        [np.arange(NEAR_PX, 40.0, 0.125), np.arange(40.0, WIDEST_PX + 2.0, 0.25)]
+    )
+    parts = [_integrate(grid, near_px, 0.002, 4.0), _integrate(grid, far_px, 0.0005, 0.75)]
+    even_map, odd_map, even_bend, odd_bend = (
+        np.concatenate(pair) for pair in zip(*parts, strict=True)
+    )
     return SpreadTable(
-        distance=np.concatenate([near, far]),
-        even=even,
-        odd=odd,
+        distance=np.concatenate([near_px, far_px]),
+        even_map=even_map,
+        odd_map=odd_map,
         even_bend=even_bend,
         odd_bend=odd_bend,
     )

@@ -1,4 +1,11 @@
-"""Fits of blur models to an edge profile: optimum, covariance and evidence (Laplace)."""
+"""Fits of blur models to an edge profile: optimum, covariance and evidence (Laplace).
+
+-2 ln P(theta, a | y) = |W (y - A(theta) a)|^2 + sum p (m - (theta, a))^2 + constant: y bin means, W
+their whitening root, a step, level and slopes, A the edge spread, a constant and the slopes of the
+light at the bins, m and p mean and precision of the Gaussian part of the prior. With a marginalised
+ln Z = ln P(theta*) + 1/2 ln |2 pi C|, C the covariance of theta (MacKay, Neural Computation 4,
+1992, 415).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -172,12 +179,12 @@ class EdgeFitter:
     ) -> Optimum:
         """Return where so many steps lead from a starting point, and the model there."""
         mean, precision = self.prior(family, slope_sd_per_px)
-        kind, maps, own = kind_of(family), self.maps, tables(pupils=family.core == "pupil")
+        kind, maps, pupil_tables = kind_of(family), self.maps, tables(pupils=family.core == "pupil")
 
         def linearise(point: Array) -> Linearisation:
             maps.rebuild_for(float(point[0]))
             transfers = _transfer_and_jacobian(
-                kind, point, maps.centre_px, maps.grid, maps.fixed, own
+                kind, point, maps.centre_px, maps.grid, maps.fixed, pupil_tables
             )
             cost, gradient, normal, *model = _linearise(
                 transfers, point, maps.white, maps.levels, maps.data, mean, precision
@@ -308,13 +315,15 @@ class EdgeFitter:
         sd = np.sqrt(np.diag(fit.covariance))[free]
         step = np.eye(centre.size)[free] * 0.1 * sd[:, None]
         points = np.clip(centre + np.concatenate([step, -step]), *form.bounds.T)
-        apart = np.abs(points[: free.size] - points[free.size :]).sum(axis=1)
+        step_sizes = np.abs(points[: free.size] - points[free.size :]).sum(axis=1)
         spreads = (
             self._transfers_near(fit, np.concatenate([centre[None], points])) @ self.maps.plain
         )
-        most = 5.0 * sd if fit.linear is None else np.append(ACCURACY.max_shift_px, 5.0 * sd[1:])
+        max_moves = (
+            5.0 * sd if fit.linear is None else np.append(ACCURACY.max_shift_px, 5.0 * sd[1:])
+        )
         tangents = (spreads[1 : 1 + free.size] - spreads[1 + free.size :]) * (
-            most / apart * abs(profile.step)
+            max_moves / step_sizes * abs(profile.step)
         )[:, None]
         level = np.clip(spreads[0] + 0.5, 0.0, 1.0)
         design = np.concatenate([spreads[:1], [level * (1.0 - level)], tangents, profile.levels.T])
@@ -325,8 +334,10 @@ class EdgeFitter:
         scale = np.sqrt(np.maximum(np.sum(white**2, axis=0) + prior, 1e-300))
         normal = (white.T @ white + np.diag(prior)) / np.outer(scale, scale)
         inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
-        found = inverse @ (white.T @ self.maps.data)
-        return float(found[1] / found[0]), float(np.sqrt(max(inverse[1, 1], 0.0)) / abs(found[0]))
+        amplitudes = inverse @ (white.T @ self.maps.data)
+        return float(amplitudes[1] / amplitudes[0]), float(
+            np.sqrt(max(inverse[1, 1], 0.0)) / abs(amplitudes[0])
+        )
 
     def log_probability(
         self, form: EdgeForm, slope_sd_per_px: float, power: float = 1.0
@@ -338,10 +349,10 @@ class EdgeFitter:
 
         def of_block(theta: Array) -> Array:
             value = form.log_prior(theta)
-            inside = np.isfinite(value)
-            if inside.any():
-                value[inside] += power * marginal.log_likelihood(
-                    self.transfers(form, theta[inside], centre_px)
+            possible = np.isfinite(value)
+            if possible.any():
+                value[possible] += power * marginal.log_likelihood(
+                    self.transfers(form, theta[possible], centre_px)
                 )
             return value
 
@@ -419,11 +430,19 @@ def _linearise(
     residual = data - np.dot(amplitude, linear)
     design[:size] = shapes[1:] * amplitude[0]
     off = mean - np.concatenate((point, amplitude))
-    whole = np.dot(design, design.T)
+    curvature = np.dot(design, design.T)
     for k in range(off.size):
-        whole[k, k] += precision[k]
+        curvature[k, k] += precision[k]
     cost = np.dot(residual, residual) + np.sum(off * off * precision)
-    return cost, np.dot(design, residual) + off * precision, whole, residual, design, amplitude, off
+    return (
+        cost,
+        np.dot(design, residual) + off * precision,
+        curvature,
+        residual,
+        design,
+        amplitude,
+        off,
+    )
 
 
 def scaled_normal(design: Array, precision: Array, ridge: float) -> tuple[Array, Array]:

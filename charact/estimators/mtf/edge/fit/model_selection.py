@@ -1,7 +1,10 @@
 """Selection of blur models for an edge profile, and their weights by evidence.
 
 Simple cores are fitted first. Extended components are scored to first order and fitted if the score
-is high enough.
+is high enough: a shape s added alone with amplitude q to a fit of residual r and design D has
+q = s'(r - D x) / s'(1 - P) s, x the step that the parameters still take and P the projection on D.
+The weight of model k is Z_k^t / sum Z^t, Z its evidence times prior probability and t the power of
+the evidence.
 """
 
 from collections.abc import Mapping
@@ -50,7 +53,7 @@ class TrialComponent:
     fraction parameter of one, shape (size,); its transfer less one, shape (size, node).
     """
 
-    wide: ExtendedComponent
+    component: ExtendedComponent
     shapes: Array
     unit: Array
     change: Array
@@ -68,25 +71,25 @@ class TrialComponent:
         -----
         The mean over fractions q of exp(a q p - q^2 p / 2).
         """
-        low, high = self.wide.fraction
-        share = self.unit[:, None] * (low + (high - low) * (np.arange(100) + 0.5) / 100)
-        gain = precision[:, None] * share * (amplitude[:, None] - 0.5 * share)
+        low, high = self.component.fraction
+        fractions = self.unit[:, None] * (low + (high - low) * (np.arange(100) + 0.5) / 100)
+        gain = precision[:, None] * fractions * (amplitude[:, None] - 0.5 * fractions)
         sizes = self.shapes[:, 0]
         return float(np.exp(np.minimum(gain, 50.0)).mean(axis=1) @ sizes / sizes.sum())
 
 
 @lru_cache(maxsize=64)
-def _trial_component(wide: ExtendedComponent, grid_bytes: bytes) -> TrialComponent:
+def _trial_component(component: ExtendedComponent, grid_bytes: bytes) -> TrialComponent:
     """Return an extended component of some sizes on the nodes of the transfer."""
-    bounds = np.array([bound for _, bound in wide.parameters.values()])
+    bounds = np.array([bound for _, bound in component.parameters.values()])
     sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(
         0.05, 0.95, ACCURACY.component_sizes
     )
-    others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
-    shapes = np.array([[size, *other] for other in others for size in sizes])
-    change = wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
+    tail_shapes = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
+    shapes = np.array([[size, *other] for other in tail_shapes for size in sizes])
+    change = component.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
     return TrialComponent(
-        wide=wide, shapes=shapes, unit=wide.share_unit(shapes)[:, 0], change=change
+        component=component, shapes=shapes, unit=component.share_unit(shapes)[:, 0], change=change
     )
 
 
@@ -96,7 +99,7 @@ class ExtendedComponentScore:
 
     Parameters
     ----------
-    core, wide
+    core, component
         The core as fitted, under the prior of the illumination's slopes in question, and the
         component.
     gains
@@ -113,7 +116,7 @@ class ExtendedComponentScore:
     """
 
     core: EdgeFit
-    wide: ExtendedComponent
+    component: ExtendedComponent
     gains: Array
     odds: float
     ln_weight: float
@@ -143,35 +146,37 @@ def score_extended_components(
     if not components:
         return []
     maps = fitter.maps
-    trials = [_trial_component(wide, maps.grid.tobytes()) for wide in components]
+    trials = [_trial_component(component, maps.grid.tobytes()) for component in components]
     core = fit.family.modulus(fit.point[None, 1:], maps.grid)
     shapes = maps.transfers(
-        core * np.concatenate([one.change for one in trials]), float(fit.point[0])
+        core * np.concatenate([trial.change for trial in trials]), float(fit.point[0])
     )
     white = shapes @ maps.white * abs(fitter.profile.step)
     scores = []
     for slope, least_gain in least_gains.items():
         own_fit = fitter.under(fit, slope)
         scale = abs(fitter.profile.step) / own_fit.at.amplitude[0]
-        amplitude, precision, moved = _amplitudes_to_add(own_fit.at, white)
+        amplitude, precision, shifts = _amplitudes_to_add(own_fit.at, white)
         amplitude, precision = amplitude * scale, precision / scale**2
         gains = np.where(amplitude > 0, amplitude * (amplitude * precision), 0.0)
         first = 0
-        for one in trials:
-            own = slice(first, first := first + len(one.shapes))
-            if gains[own].max() < least_gain:
+        for trial in trials:
+            of_trial = slice(first, first := first + len(trial.shapes))
+            if gains[of_trial].max() < least_gain:
                 continue
             # Half a step of the core: what the component changes is not small.
-            points = np.clip(own_fit.point + 0.5 * moved[own], *own_fit.form.bounds.T)
-            shares = np.minimum(np.clip(amplitude[own], 0.02, 0.3) / one.unit, one.wide.fraction[1])
+            points = np.clip(own_fit.point + 0.5 * shifts[of_trial], *own_fit.form.bounds.T)
+            shares = np.minimum(
+                np.clip(amplitude[of_trial], 0.02, 0.3) / trial.unit, trial.component.fraction[1]
+            )
             score = ExtendedComponentScore(
                 core=own_fit,
-                wide=one.wide,
-                gains=gains[own],
-                odds=one.bayes_factor(amplitude[own], precision[own]),
+                component=trial.component,
+                gains=gains[of_trial],
+                odds=trial.bayes_factor(amplitude[of_trial], precision[of_trial]),
                 ln_weight=-float(np.log(len(trials))),
-                starts=np.concatenate([points, shares[:, None], one.shapes], axis=1),
-                sizes=one.shapes[:, 0],
+                starts=np.concatenate([points, shares[:, None], trial.shapes], axis=1),
+                sizes=trial.shapes[:, 0],
             )
             scores.append(score)
     return scores
@@ -188,12 +193,12 @@ def _amplitudes_to_add(at: LinearisedProfile, shapes: Array) -> tuple[Array, Arr
     pull = (at.design @ at.residual + at.precision * at.off) / scale
     onto = shapes @ at.design.T / scale
     through = onto @ inverse
-    own = np.sum(shapes**2, axis=1)
+    powers = np.sum(shapes**2, axis=1)
     # What the fit can do itself all but for rounding has no amplitude of its own.
-    power = np.maximum(own - np.sum(through * onto, axis=1), 1e-12 * own + 1e-300)
+    power = np.maximum(powers - np.sum(through * onto, axis=1), 1e-12 * powers + 1e-300)
     amplitude = (shapes @ at.residual - through @ pull) / power
-    moved = (inverse @ pull - through * amplitude[:, None]) / scale
-    return amplitude, power, moved[:, :-LINEAR]
+    shifts = (inverse @ pull - through * amplitude[:, None]) / scale
+    return amplitude, power, shifts[:, :-LINEAR]
 
 
 def fit_extended_component(
@@ -204,16 +209,16 @@ def fit_extended_component(
     """
     order = np.argsort(-score.gains)
     family, slope = (
-        BlurModel(core=score.core.family.core, wide=score.wide),
+        BlurModel(core=score.core.family.core, wide=score.component),
         score.core.slope_sd_per_px,
     )
     sizes = np.log(score.sizes[order])
-    apart = order[np.abs(sizes - sizes[0]) > ACCURACY.size_separation]
+    distant = order[np.abs(sizes - sizes[0]) > ACCURACY.size_separation]
     begun = [
         fitter.optimise(family, score.starts[i], slope, ACCURACY.first_iterations)
-        for i in (order[0], *apart[:1])
+        for i in (order[0], *distant[:1])
     ]
-    best = min(begun, key=lambda one: one.at.cost)
+    best = min(begun, key=lambda optimum: optimum.at.cost)
     return (
         None
         if best.at.cost > hopeless_cost
@@ -245,7 +250,7 @@ class EvidenceWeightedModels:
     """A fitted form with its weight by evidence."""
 
     fit: EdgeFit
-    share: float
+    weight: float
 
 
 def candidate_components(
@@ -255,79 +260,80 @@ def candidate_components(
     if has_tube(context.camera):
         low, high = halo_diameters_px(context, transposed=transposed)
         return (HaloComponent(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
-    found: list[ExtendedComponent] = [
+    components: list[ExtendedComponent] = [
         UnresolvedGlareComponent(size_px=(0.5 * half_width_px, 4.0 * half_width_px))
     ]
     if half_width_px >= THRESHOLDS.min_window_disc_px:
-        found.append(DiscComponent(size_px=(6.0, 2.0 * half_width_px)))
+        components.append(DiscComponent(size_px=(6.0, 2.0 * half_width_px)))
     if half_width_px >= THRESHOLDS.min_window_halo_px:
-        found.append(HaloComponent(size_px=(6.0, 2.0 * half_width_px)))
-        found.append(ScatterComponent(size_px=(2.0, 0.25 * half_width_px)))
-    return tuple(found)
+        components.append(HaloComponent(size_px=(6.0, 2.0 * half_width_px)))
+        components.append(ScatterComponent(size_px=(2.0, 0.25 * half_width_px)))
+    return tuple(components)
 
 
 def fit_blur_models(
-    fitter: EdgeFitter, wide: tuple[ExtendedComponent, ...]
+    fitter: EdgeFitter, components: tuple[ExtendedComponent, ...]
 ) -> list[EvidenceWeightedModels]:
     """Fit the models that the data may require, simple ones first, and return them, the most
     probable first.
     """
-    found = _fit_cores_and_components(fitter, wide, EVEN_PER_PX)
-    found = _best_of_each([*found, *_fits_with_gradients(fitter, found)])
-    likeliest = max(found, key=_evidence)
+    fits = _fit_cores_and_components(fitter, components, EVEN_PER_PX)
+    fits = _best_of_each([*fits, *_fits_with_gradients(fitter, fits)])
+    likeliest = max(fits, key=_evidence)
     if likeliest.slope_sd_per_px > EVEN_PER_PX:
         # What was given up as hopeless in even light may be what the slopes stand for.
-        found = _best_of_each(
-            [*found, *_fit_cores_and_components(fitter, wide, likeliest.slope_sd_per_px)]
+        fits = _best_of_each(
+            [*fits, *_fit_cores_and_components(fitter, components, likeliest.slope_sd_per_px)]
         )
-    found = _best_of_each([*found, *_fits_with_unresolved_glare(fitter, found, wide)])
+    fits = _best_of_each([*fits, *_fits_with_unresolved_glare(fitter, fits, components)])
     weights = weigh_by_evidence(
-        [fit.log_evidence for fit in found],
+        [fit.log_evidence for fit in fits],
         power=THRESHOLDS.evidence_power,
         least=THRESHOLDS.min_model_weight,
     )
-    return [EvidenceWeightedModels(fit=found[index], share=weight) for index, weight in weights]
+    return [EvidenceWeightedModels(fit=fits[index], weight=weight) for index, weight in weights]
 
 
 def _fit_cores_and_components(
-    fitter: EdgeFitter, wide: tuple[ExtendedComponent, ...], slope_sd_per_px: float
+    fitter: EdgeFitter, components: tuple[ExtendedComponent, ...], slope_sd_per_px: float
 ) -> list[EdgeFit]:
     """Fit cores alone, then with the extended components that may gain, under one prior of the
     gradients.
     """
-    found = _fit_cores(fitter, slope_sd_per_px)
-    best = max(found[:2], key=_evidence)
-    near = best.log_evidence - THRESHOLDS.competitive_ln_evidence
-    least = max(map(_evidence, found)) - THRESHOLDS.competitive_ln_evidence
+    fits = _fit_cores(fitter, slope_sd_per_px)
+    best = max(fits[:2], key=_evidence)
+    competitive = best.log_evidence - THRESHOLDS.competitive_ln_evidence
+    min_evidence = max(map(_evidence, fits)) - THRESHOLDS.competitive_ln_evidence
     # A component next to a Moffat only where wings are likelier than none: it explains them a
     # second time.
-    wings = best.family.core != "gaussian" and found[2].log_evidence > near
+    wings = best.family.core != "gaussian" and fits[2].log_evidence > competitive
     pursued = [
-        *(found[:3] if wings else found[:2]),
-        *(fit for fit in found[3:] if fit.log_evidence > least),
+        *(fits[:3] if wings else fits[:2]),
+        *(fit for fit in fits[3:] if fit.log_evidence > min_evidence),
     ]
     least_gains = {UNEVEN_PER_PX: THRESHOLDS.component_in_gradient_chi2, slope_sd_per_px: 0.0}
     scores = [
-        one
+        scored
         for core in pursued
-        for one in score_extended_components(fitter, core, wide, least_gains)
+        for scored in score_extended_components(fitter, core, components, least_gains)
     ]
-    alike = [one.core.slope_sd_per_px == slope_sd_per_px for one in scores]
-    own = _components_worth_fitting(list(compress(scores, alike)))
-    already = {(one.core.family, one.wide) for one in own}
+    of_same_slope = [scored.core.slope_sd_per_px == slope_sd_per_px for scored in scores]
+    chosen = _components_worth_fitting(list(compress(scores, of_same_slope)))
+    already = {(scored.core.family, scored.component) for scored in chosen}
     # A halo and a gradient may hide each other.
-    others = compress(scores, np.logical_not(alike))
+    in_other_light = compress(scores, np.logical_not(of_same_slope))
     hidden = [
-        one
-        for one in others
-        if (one.core.family, one.wide) not in already and one.log_evidence > near
+        scored
+        for scored in in_other_light
+        if (scored.core.family, scored.component) not in already
+        and scored.log_evidence > competitive
     ]
-    for score in sorted([*own, *hidden], key=lambda one: wide.index(one.wide)):
+    for score in sorted([*chosen, *hidden], key=lambda scored: components.index(scored.component)):
         fit = fit_extended_component(
-            fitter, score, min(fit.cost for fit in found) + THRESHOLDS.max_start_chi2
+            fitter, score, min(fit.cost for fit in fits) + THRESHOLDS.max_start_chi2
         )
-        found = found if fit is None else [*found, fit]
-    return found
+        fits = fits if fit is None else [*fits, fit]
+    return fits
 
 
 def _fit_cores(fitter: EdgeFitter, slope_sd_per_px: float) -> list[EdgeFit]:
@@ -335,22 +341,22 @@ def _fit_cores(fitter: EdgeFitter, slope_sd_per_px: float) -> list[EdgeFit]:
     one before.
     """
     guess = fitter.guess()
-    found: list[EdgeFit] = []
+    fits: list[EdgeFit] = []
 
-    def fit_core(core: Core, near: EdgeFit | None) -> None:
+    def fit_core(core: Core, former: EdgeFit | None) -> None:
         family = BlurModel(core=core)
         start = np.concatenate([[0.0], family.start(guess)])
-        start[:2] = start[:2] if near is None else near.point[:2]
-        found.append(fitter.fit(family, start, slope_sd_per_px))
+        start[:2] = start[:2] if former is None else former.point[:2]
+        fits.append(fitter.fit(family, start, slope_sd_per_px))
 
     cores: tuple[Core, ...] = ("gaussian", "exponential", "moffat", "airy")
     for core in cores:
-        fit_core(core, found[-1] if found else None)
-    best = max(found, key=_evidence)
-    lens_like = found[-1].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
+        fit_core(core, fits[-1] if fits else None)
+    best = max(fits, key=_evidence)
+    lens_like = fits[-1].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
     if lens_like or exceeds_model(fitter, best, THRESHOLDS.pupil_departure_sd):
         fit_core("pupil", best)
-    return found
+    return fits
 
 
 def _components_worth_fitting(scores: list[ExtendedComponentScore]) -> list[ExtendedComponentScore]:
@@ -358,14 +364,16 @@ def _components_worth_fitting(scores: list[ExtendedComponentScore]) -> list[Exte
 
     An edge too weak to show a component leaves it as likely as it was: one stands for all of that.
     """
-    measurable = [one for one in scores if one.gains.max() >= THRESHOLDS.component_chi2]
-    rest = [one for one in scores if one.gains.max() < THRESHOLDS.component_chi2]
-    best = max((one.core.log_evidence for one in scores), default=0.0)
-    likely = np.array([one.odds * np.exp(one.core.log_evidence - best) for one in rest])
+    measurable = [score for score in scores if score.gains.max() >= THRESHOLDS.component_chi2]
+    unmeasurable = [score for score in scores if score.gains.max() < THRESHOLDS.component_chi2]
+    best = max((score.core.log_evidence for score in scores), default=0.0)
+    likely = np.array(
+        [score.odds * np.exp(score.core.log_evidence - best) for score in unmeasurable]
+    )
     if not likely.sum() > THRESHOLDS.component_bayes_factor:
         return measurable
     stands_for = float(np.log(likely.sum() / likely.max()))
-    likeliest = rest[int(np.argmax(likely))]
+    likeliest = unmeasurable[int(np.argmax(likely))]
     return [*measurable, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
 
 
@@ -379,50 +387,50 @@ def _best_of_each(fits: list[EdgeFit]) -> list[EdgeFit]:
     return list(best.values())
 
 
-def _fits_with_gradients(fitter: EdgeFitter, found: list[EdgeFit]) -> list[EdgeFit]:
+def _fits_with_gradients(fitter: EdgeFitter, fits: list[EdgeFit]) -> list[EdgeFit]:
     """Fit again the models that an illumination gradient would make probable; a gradient may hide
     behind wings.
     """
     asked = [
         fitter.under(fit, slope)
-        for fit in found
+        for fit in fits
         for slope in (SLIGHT_PER_PX, UNEVEN_PER_PX)
         if slope != fit.slope_sd_per_px
     ]
-    least = max(map(_evidence, [*found, *asked])) - THRESHOLDS.gradient_ln_evidence
+    min_evidence = max(map(_evidence, [*fits, *asked])) - THRESHOLDS.gradient_ln_evidence
     return [
-        fitter.fit(one.family, one.point, one.slope_sd_per_px, one.ln_weight)
-        for one in asked
-        if one.log_evidence > least
+        fitter.fit(refit.family, refit.point, refit.slope_sd_per_px, refit.ln_weight)
+        for refit in asked
+        if refit.log_evidence > min_evidence
     ]
 
 
 def _fits_with_unresolved_glare(
-    fitter: EdgeFitter, found: list[EdgeFit], wide: tuple[ExtendedComponent, ...]
+    fitter: EdgeFitter, fits: list[EdgeFit], components: tuple[ExtendedComponent, ...]
 ) -> list[EdgeFit]:
     """Fit glare wider than the window to what was taken for an illumination gradient, where both
     sides rise.
     """
-    veils = [prior for prior in wide if isinstance(prior, UnresolvedGlareComponent)]
-    sloped = [fit for fit in found if fit.slope_sd_per_px > EVEN_PER_PX and fit.family.wide is None]
+    veils = [prior for prior in components if isinstance(prior, UnresolvedGlareComponent)]
+    sloped = [fit for fit in fits if fit.slope_sd_per_px > EVEN_PER_PX and fit.family.wide is None]
     rising = [fit for fit in sloped if fitter.side_slopes(fit).min() > 0]
     if not veils or not rising:
         return []
     best, veil = max(rising, key=_evidence), veils[0]
     widest = veil.size_px[1]
     # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
-    share = min(
+    fraction = min(
         float(fitter.side_slopes(best).min() / best.at.amplitude[0])
         * np.sqrt(2.0 * np.pi)
         * widest,
         0.3,
     )
-    start = np.concatenate([best.point, [share, 0.5 * widest]])
+    start = np.concatenate([best.point, [fraction, 0.5 * widest]])
     return [
         fitter.fit(
             BlurModel(core=best.family.core, wide=veil),
             start,
             UNEVEN_PER_PX,
-            -float(np.log(len(wide))),
+            -float(np.log(len(components))),
         )
     ]

@@ -33,7 +33,7 @@ def _strongest_step(value: Array, slopes: Array) -> tuple[float, float, float]:
     """
     rows, cols = value.shape
     side, middle = min(rows, cols), 0.5 * (rows - 1)
-    reach = max(3, side // 6)
+    reach_cells = max(3, side // 6)
     best, position, along = 0.0, 0.0, 0.0
     for slope in slopes:
         # Running sums of the pixels projected along the slope and of their number.
@@ -49,13 +49,13 @@ def _strongest_step(value: Array, slopes: Array) -> tuple[float, float, float]:
             total[cell + 1] += total[cell]
             count[cell + 1] += count[cell]
         for cut in range(2, size - 1):
-            low, high = max(cut - reach, 0), min(cut + reach, size)
-            left, right = count[cut] - count[low], count[high] - count[cut]
+            low, high = max(cut - reach_cells, 0), min(cut + reach_cells, size)
+            before, after = count[cut] - count[low], count[high] - count[cut]
             # Each side of a step has at least a tenth of a full side's pixels.
-            if min(left, right) <= 0.1 * reach * side:
+            if min(before, after) <= 0.1 * reach_cells * side:
                 continue
-            step = (total[high] - total[cut]) / right - (total[cut] - total[low]) / left
-            score = step * np.sqrt(left * right / (left + right))
+            step = (total[high] - total[cut]) / after - (total[cut] - total[low]) / before
+            score = step * np.sqrt(before * after / (before + after))
             if abs(score) > abs(best):
                 best, position, along = score, cut - 0.5 + first, slope
     return best, position, along
@@ -88,8 +88,12 @@ class EdgeLine:
         px.
         """
         row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
-        even = np.arange(shape[1])[None, :] - self.position - self.slope * row
-        return even if self.fields is None else even - self.fields_apart_px * (self.fields - 0.5)
+        distance = np.arange(shape[1])[None, :] - self.position - self.slope * row
+        return (
+            distance
+            if self.fields is None
+            else distance - self.fields_apart_px * (self.fields - 0.5)
+        )
 
     def angle_rad(self, pitch_ratio: float) -> float:
         """Angle of the edge to the columns' direction, rad; rows are `pitch_ratio` column pitches
@@ -107,12 +111,12 @@ def find(picture: OrientedFrame) -> tuple[OrientedFrame, EdgeLine]:
         .reshape(rows // factor, factor, cols // factor, factor)
         .mean(axis=(1, 3))
     )
-    found = [_strongest_step(np.ascontiguousarray(one), SLOPES) for one in (small, small.T)]
-    transpose = abs(found[1][0]) > abs(found[0][0])
-    score, place, slope = found[int(transpose)]
+    steps = [_strongest_step(np.ascontiguousarray(frame), SLOPES) for frame in (small, small.T)]
+    transpose = abs(steps[1][0]) > abs(steps[0][0])
+    score, cell, slope = steps[int(transpose)]
     upright = picture.turned(transpose=transpose, mirror=score < 0)
     width = upright.value.shape[1]
-    position = (place + 0.5) * factor - 0.5
+    position = (cell + 0.5) * factor - 0.5
     line = EdgeLine(
         position=width - 1 - position if score < 0 else position,
         slope=-slope if score < 0 else slope,
@@ -137,9 +141,9 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
     row = np.arange(rows) - (rows - 1) / 2
     slack = 0.5 * rows * 0.035
     across = line.across((rows, cols))
-    reach = 12.0 + slack
-    inside = np.nonzero(np.abs(across) < reach)
-    every = picture.value[inside], across[inside], row[inside[0]] / rows
+    reach_px = 12.0 + slack
+    band = np.nonzero(np.abs(across) < reach_px)
+    every = picture.value[band], across[band], row[band[0]] / rows
     if every[0].size < 16:
         return line
     # The first steps are far from exact: some of the pixels tell them.
@@ -148,14 +152,14 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
     last = np.inf
     for iteration in range(12):
         value, distance, height = few if iteration < 3 else every
-        place = (distance - shift - turn * height) / width
+        bend_argument = (distance - shift - turn * height) / width
         renew = iteration in (3, 6)
         across_step, along_step, wider, clip = _smooth_step(
-            value, place, np.tanh(place), height, width, clip, renew
+            value, bend_argument, np.tanh(bend_argument), height, width, clip, renew
         )
         # On single numbers NumPy's clip takes fifty times as long.
         across_step, along_step = min(max(across_step, -4.0), 4.0), min(max(along_step, -8.0), 8.0)
-        shift, turn = min(max(shift + across_step, -reach), reach), turn + along_step
+        shift, turn = min(max(shift + across_step, -reach_px), reach_px), turn + along_step
         width = min(max(width + min(max(wider, -0.5 * width), width), 0.4), 20.0)
         size = abs(across_step) + abs(along_step)
         if iteration > 3 and size < 1e-3 and last < 0.1:
@@ -166,7 +170,13 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
 
 @njit(cache=True)
 def _smooth_step(
-    value: Array, place: Array, bend: Array, height: Array, width: float, clip: float, renew: bool
+    value: Array,
+    bend_argument: Array,
+    bend: Array,
+    height: Array,
+    width: float,
+    clip: float,
+    renew: bool,
 ) -> tuple[float, float, float, float]:
     """Return the Gauss-Newton step of position, turn and width of a smooth step, and the clip of
     residuals.
@@ -187,7 +197,7 @@ def _smooth_step(
         rise = levels[1] + levels[3] * height[k]
         residual[k] = value[k] - levels[0] - levels[2] * height[k] - rise * bend[k]
         design[4, k] = -rise / width * (1.0 - bend[k] ** 2)
-        design[5, k], design[6, k] = design[4, k] * height[k], design[4, k] * place[k]
+        design[5, k], design[6, k] = design[4, k] * height[k], design[4, k] * bend_argument[k]
     if renew:
         clip = 6.0 * NORMAL * np.median(np.abs(residual[:: max(1, value.size // 4000)]))
     move = _least_squares(design, np.minimum(np.maximum(residual, -clip), clip))
@@ -233,7 +243,7 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
     """
     rows = picture.value.shape[0]
     row = np.arange(rows) - (rows - 1) / 2
-    moved = False
+    corrected = False
     while True:
         across = line.across(picture.value.shape)
         sums, counts = _profile_sums(picture.value, across)
@@ -241,20 +251,23 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
         offset, power = _row_displacements(
             picture.value, across, profile, np.gradient(profile, CELLS_PX)
         )
-        good = (power > 0.5 * median(power)) & (power > 0)
-        if good.sum() < 3:
+        usable = (power > 0.5 * median(power)) & (power > 0)
+        if usable.sum() < 3:
             return RowFit(line=line, offset=offset, offset_sd=np.inf)
-        good &= np.abs(offset - median(offset[good])) < 6 * robust_sd(offset[good]) + 1e-9
-        design = np.stack([np.ones_like(row), row], axis=1)[good]
-        shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0].tolist()
-        if moved or abs(shift) + abs(turn) * rows <= 0.02:
+        usable &= np.abs(offset - median(offset[usable])) < 6 * robust_sd(offset[usable]) + 1e-9
+        design = np.stack([np.ones_like(row), row], axis=1)[usable]
+        shift, turn = np.linalg.lstsq(design, offset[usable], rcond=None)[0].tolist()
+        if corrected or abs(shift) + abs(turn) * rows <= 0.02:
             break
         shift, turn = min(max(shift, -3.0), 3.0), min(max(turn * rows, -6.0), 6.0) / rows
-        line, moved = replace(line, position=line.position + shift, slope=line.slope + turn), True
-    if good.sum() < 3:
+        line, corrected = (
+            replace(line, position=line.position + shift, slope=line.slope + turn),
+            True,
+        )
+    if usable.sum() < 3:
         return RowFit(line=line, offset=offset, offset_sd=np.inf)
-    offset = np.where(good, offset - shift - turn * row, np.nan)
-    return RowFit(line=line, offset=offset, offset_sd=robust_sd(offset[good]))
+    offset = np.where(usable, offset - shift - turn * row, np.nan)
+    return RowFit(line=line, offset=offset, offset_sd=robust_sd(offset[usable]))
 
 
 @njit(cache=True)
@@ -270,14 +283,14 @@ def _profile_sums(value: Array, across: Array) -> tuple[Array, Array]:
     for row in range(value.shape[0]):
         for col in range(value.shape[1]):
             if abs(across[row, col]) < ROW_REACH_PX:
-                place = min(
+                position = min(
                     max((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0.0), size - 1.001
                 )
-                cell = int(place)
+                cell = int(position)
                 for k in range(2):
-                    near = place - cell if k else 1.0 - place + cell
-                    sums[cell + k] += near * value[row, col]
-                    counts[cell + k] += near
+                    weight = position - cell if k else 1.0 - position + cell
+                    sums[cell + k] += weight * value[row, col]
+                    counts[cell + k] += weight
     return sums, counts
 
 
@@ -299,13 +312,13 @@ def _row_displacements(
         for col in range(cols):
             if abs(across[row, col]) >= ROW_REACH_PX:
                 continue
-            place = min(
+            position = min(
                 max((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0.0), profile.size - 1.0
             )
-            left = min(int(place), profile.size - 2)
-            rest = place - left
-            template = profile[left] + rest * (profile[left + 1] - profile[left])
-            shape[0] = rise[left] + rest * (rise[left + 1] - rise[left])
+            cell = min(int(position), profile.size - 2)
+            fraction = position - cell
+            template = profile[cell] + fraction * (profile[cell + 1] - profile[cell])
+            shape[0] = rise[cell] + fraction * (rise[cell + 1] - rise[cell])
             shape[2] = template - mean
             for k in range(3):
                 pull[k] += shape[k] * (value[row, col] - template)
@@ -325,16 +338,17 @@ def _row_displacements(
 
 def is_significant(displacement: Displacement) -> bool:
     """Return whether fields are displaced by more than chance, and by enough to matter."""
-    apart, error = displacement
+    displacement_px, error = displacement
     return bool(
-        abs(apart) > max(THRESHOLDS.field_displacement_sd * error, THRESHOLDS.field_displacement_px)
+        abs(displacement_px)
+        > max(THRESHOLDS.field_displacement_sd * error, THRESHOLDS.field_displacement_px)
     )
 
 
 def field_displacement(
     picture: OrientedFrame,
     rows: RowFit,
-    used: NDArray[np.bool_],
+    valid: NDArray[np.bool_],
     distance: Array,
     profile: tuple[Array, Array],
     noise: float | None = None,
@@ -344,7 +358,7 @@ def field_displacement(
 
     Parameters
     ----------
-    used, distance
+    valid, distance
         Pixels that show it where lines run along the edge, and their distance from it, shape (row,
         col), px.
     profile
@@ -358,17 +372,18 @@ def field_displacement(
     For lines along it the displacement is least squares on single pixels.
     """
     if not picture.transposed:
-        odd, good = (picture.row_index[:, 0] % 2).astype(bool), np.isfinite(rows.offset)
-        one, other = rows.offset[good & odd], rows.offset[good & ~odd]
-        if min(one.size, other.size) < 6:
+        odd, finite = (picture.row_index[:, 0] % 2).astype(bool), np.isfinite(rows.offset)
+        odd_offset, even_offset = rows.offset[finite & odd], rows.offset[finite & ~odd]
+        if min(odd_offset.size, even_offset.size) < 6:
             return 0.0, np.inf
         error = 1.25 * np.hypot(
-            robust_sd(one) / np.sqrt(one.size), robust_sd(other) / np.sqrt(other.size)
+            robust_sd(odd_offset) / np.sqrt(odd_offset.size),
+            robust_sd(even_offset) / np.sqrt(even_offset.size),
         )
-        return median(one) - median(other), float(error)
-    away, parity = distance[used], picture.row_index[used] % 2
-    residual = picture.value[used] - np.interp(away, *profile)
-    shape = (0.5 - parity) * steepness(*profile, away)
+        return median(odd_offset) - median(even_offset), float(error)
+    offset_px, parity = distance[valid], picture.row_index[valid] % 2
+    residual = picture.value[valid] - np.interp(offset_px, *profile)
+    shape = (0.5 - parity) * steepness(*profile, offset_px)
     power = float(shape @ shape)
     if power <= 0 or parity.min() == parity.max():
         return 0.0, np.inf
@@ -377,18 +392,18 @@ def field_displacement(
     ) / np.sqrt(power)
 
 
-def steepness(place: Array, value: Array, distance: Array) -> Array:
+def steepness(position: Array, value: Array, distance: Array) -> Array:
     """Return the slope of a profile at distances, DN per px, smoothed over even steps, as bins may
     lie close together.
 
     Zero within a pixel of its ends, and for a profile that is too short.
     """
     step_px, smooth = 0.25, 5
-    even = np.arange(place[0], place[-1], step_px)
-    if even.size < smooth + 6:
+    even_px = np.arange(position[0], position[-1], step_px)
+    if even_px.size < smooth + 6:
         return np.zeros_like(distance)
-    running = np.convolve(np.interp(even, place, value), np.ones(smooth) / smooth, "valid")
-    middle = even[smooth // 2 : -(smooth // 2)]
+    running = np.convolve(np.interp(even_px, position, value), np.ones(smooth) / smooth, "valid")
+    middle = even_px[smooth // 2 : -(smooth // 2)]
     return np.interp(
         distance, middle[2:-2], np.gradient(running, step_px)[2:-2], left=0.0, right=0.0
     )

@@ -6,6 +6,7 @@ pattern that frames share, and the correlation by blur.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -28,21 +29,42 @@ MAX_LAG_PX = 14
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeNoiseModel:
-    """Noise of a frame along an edge.
+    """Noise of a frame along an edge; its correlation is estimated where it is first asked for.
 
     Parameters
     ----------
     dark_variance, bright_variance
         Variance of a pixel on both plateaus, DN^2; in between it is linear in the profile.
-    correlation
-        Correlation at lags of rows and columns, shape (2 REACH + 1, 2 REACH + 1), 1 in the middle.
+    residual, level, valid
+        Frame less its profile, DN, the profile from 0 to 1, and the pixels that count, shape (row,
+        col).
+    slopes
+        Change of the distance from the edge with one column and with one row, px.
+    is_quantisation
+        Whether the residual is quantisation, in the data or in the bins, which does not correlate
+        neighbours.
+    field_axis
+        Axis of the frame along which two fields alternate; None: there are none.
     """
 
     dark_variance: float
     bright_variance: float
-    correlation: Array
+    residual: Array
+    level: Array
+    valid: NDArray[np.bool_]
+    slopes: tuple[float, float]
+    is_quantisation: bool
+    field_axis: int | None = None
 
-    @property
+    @cached_property
+    def correlation(self) -> Array:
+        """Correlation at lags of rows and columns, shape (2 R + 1, 2 C + 1), 1 in the middle."""
+        if self.is_quantisation:
+            return np.ones((1, 1))
+        standard = np.where(self.valid, self.residual / np.sqrt(self.variance(self.level)), 0.0)
+        return correlation_of(standard, self.valid, self.slopes, self.field_axis)
+
+    @cached_property
     def covariance_over_variance(self) -> float:
         """Sum of the correlation: by how much averages are noisier than those of independent
         pixels.
@@ -71,18 +93,19 @@ class EdgeNoiseModel:
 def estimate_edge_noise(
     residual: Array,
     level: Array,
-    used: NDArray[np.bool_],
+    valid: NDArray[np.bool_],
     distance: Array,
     floor: float,
     field_axis: int | None = None,
 ) -> EdgeNoiseModel:
-    """Estimate the noise from residuals.
+    """Estimate the noise from residuals r: r^2 = (1 - u) dark_variance + u bright_variance, u the
+    level.
 
     Parameters
     ----------
     residual, level
         Frame less its profile, DN, and the profile from 0 to 1, shape (row, col).
-    used, distance
+    valid, distance
         Pixels that count, and their distance from the edge, px, shape (row, col).
     floor
         Least variance, DN^2.
@@ -91,26 +114,29 @@ def estimate_edge_noise(
     """
     # Least-squares line through the squared residuals against the level; outliers count as 50
     # variances at most.
-    own, bright = residual[used], level[used]
-    square = np.minimum(own**2, 50.0 * (float(own.var()) if own.size else 0.0) + floor)
+    residuals, bright = residual[valid], level[valid]
+    square = np.minimum(
+        residuals**2, 50.0 * (float(residuals.var()) if residuals.size else 0.0) + floor
+    )
     sides = np.stack([1.0 - bright, bright])
     normal = sides @ sides.T
-    found = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), sides @ square)
-    least = max(0.02 * max(float(square.mean()) if square.size else 0.0, floor), floor)
-    dark, bright = (max(float(one), least) for one in found)
-    grain = EdgeNoiseModel(dark_variance=dark, bright_variance=bright, correlation=np.ones((1, 1)))
-    if max(dark, bright) <= 1.01 * floor:
-        # The residual is quantisation, in the data or in the bins, which does not correlate
-        # neighbours.
-        return grain
-    standard = np.where(used, residual / np.sqrt(grain.variance(level)), 0.0)
-    slopes = float(np.diff(distance[0, :2])[0]), float(np.diff(distance[:2, 0])[0])
-    correlation = correlation_of(standard, used, slopes, field_axis)
-    return EdgeNoiseModel(dark_variance=dark, bright_variance=bright, correlation=correlation)
+    variances = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), sides @ square)
+    min_variance = max(0.02 * max(float(square.mean()) if square.size else 0.0, floor), floor)
+    dark, bright = (max(float(variance), min_variance) for variance in variances)
+    return EdgeNoiseModel(
+        dark_variance=dark,
+        bright_variance=bright,
+        residual=residual,
+        level=level,
+        valid=valid,
+        slopes=(float(np.diff(distance[0, :2])[0]), float(np.diff(distance[:2, 0])[0])),
+        is_quantisation=max(dark, bright) <= 1.01 * floor,
+        field_axis=field_axis,
+    )
 
 
 def fit_correlation_model(
-    correlation: Array, pairs: Array, across: Array, between: NDArray[np.bool_] | None = None
+    correlation: Array, pairs: Array, across: Array, between_fields: NDArray[np.bool_] | None = None
 ) -> tuple[Array, Array]:
     """Fit a smooth model to a correlation and return it, and what the removal of bin means took
     from it.
@@ -123,13 +149,13 @@ def fit_correlation_model(
         Number of pairs of pixels at each lag.
     across
         Distance across the edge that each lag makes, px.
-    between
+    between_fields
         Which lags lead from one field to the other, whose exposures share less of the noise or
         none; None: there are no fields.
 
     Returns
     -------
-    form, taken
+    form, loss
         Same shape; the form is 1 in the middle and 0 elsewhere where neighbours are independent.
 
     Notes
@@ -142,18 +168,20 @@ def fit_correlation_model(
     strip = np.maximum(1.0 - np.abs(across) / ACCURACY.strip_px, 0.0)
     # One of each pair of opposite lags, and not the pixel itself.
     half = (y > 0) | ((y == 0) & (x > 0))
-    near = half & (np.maximum(np.abs(x), np.abs(y)) <= ACCURACY.correlation_fit_px) & (pairs > 50)
-    telling = near if between is None else near & ~between
+    short = half & (np.maximum(np.abs(x), np.abs(y)) <= ACCURACY.correlation_fit_px) & (pairs > 50)
+    telling = short if between_fields is None else short & ~between_fields
     weight = np.sqrt(pairs[telling])
     data, own_strip = correlation[telling] * weight, strip[telling] * weight
     lags = np.stack([x[telling], y[telling]]).astype(float)
     bounds = np.array([np.log(LENGTH_PX), np.log(LENGTH_PX), EXPONENT])
-    little = 1e-4
+    step = 1e-4
 
     def linearise(theta: Array) -> Linearisation:
-        points = theta + np.concatenate([np.zeros((1, 3)), little * np.eye(3)])
-        amplitude, left = _solve_amplitudes(points, data, lags, own_strip, weight)
-        return linearise_residual(left[0], (left[0] - left[1:]) / little, model=amplitude[0])
+        points = theta + np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
+        amplitude, residual = _solve_amplitudes(points, data, lags, own_strip, weight)
+        return linearise_residual(
+            residual[0], (residual[0] - residual[1:]) / step, model=amplitude[0]
+        )
 
     starts = np.array(
         [[np.log(length), np.log(length), EXPONENT_PRIOR[0]] for length in (0.7, 1.2, 2.4)]
@@ -163,27 +191,27 @@ def fit_correlation_model(
     theta, at = least_squares(
         linearise, starts[np.argmin(costs)], bounds, iterations=30, tolerance=0.1, **limits
     )
-    share, taken = at.model
+    fitted_amplitude, loss = at.model
     none = float(own_strip @ data / max(own_strip @ own_strip, 1e-300))
     form = np.zeros(x.shape)
     if (
         float(np.sum((data - none * own_strip) ** 2)) - at.cost > THRESHOLDS.correlation_chi2
-        and share > 0
+        and fitted_amplitude > 0
     ):
-        form = share * _shape(theta[None], np.stack([x.ravel(), y.ravel()]).astype(float)).reshape(
-            x.shape
-        )
+        form = fitted_amplitude * _shape(
+            theta[None], np.stack([x.ravel(), y.ravel()]).astype(float)
+        ).reshape(x.shape)
     else:
         # The model is not worth its parameters.
-        taken = min(none, 0.0)
-    if between is not None and form.any():
-        own = pairs * form * (near & between)
-        across_fields = np.sum(own * (correlation - taken * strip)) / max(
-            np.sum(own * form), 1e-300
+        loss = min(none, 0.0)
+    if between_fields is not None and form.any():
+        weighted = pairs * form * (short & between_fields)
+        across_fields = np.sum(weighted * (correlation - loss * strip)) / max(
+            np.sum(weighted * form), 1e-300
         )
-        form = np.where(between, float(np.clip(across_fields, 0.0, 1.0)) * form, form)
+        form = np.where(between_fields, float(np.clip(across_fields, 0.0, 1.0)) * form, form)
     middle = (x == 0) & (y == 0)
-    return np.where(middle, 1.0, form), np.where(middle, 0.0, taken * strip)
+    return np.where(middle, 1.0, form), np.where(middle, 0.0, loss * strip)
 
 
 @njit(cache=True)
@@ -205,25 +233,25 @@ def _solve_amplitudes(
     """Return amplitude and loss, shape (n, 2), and residuals, shape (n, lag + 1), the prior of the
     exponent last.
     """
-    found, left = np.empty((len(theta), 2)), np.empty((len(theta), data.size + 1))
+    amplitudes, residual = np.empty((len(theta), 2)), np.empty((len(theta), data.size + 1))
     other, stripped = max(np.dot(strip, strip), 1e-300), np.dot(strip, data)
     shapes = _shape(theta, lags)
     for i in range(len(theta)):
         shape = shapes[i] * weight
-        both = np.dot(shape, strip)
-        own = max(np.dot(shape, shape) - both**2 / other, 1e-300)
-        share = min(max((np.dot(shape, data) - both * stripped / other) / own, 0.0), 1.0)
+        overlap = np.dot(shape, strip)
+        power = max(np.dot(shape, shape) - overlap**2 / other, 1e-300)
+        amplitude = min(max((np.dot(shape, data) - overlap * stripped / other) / power, 0.0), 1.0)
         # Means take away and never add.
-        loss = min((stripped - share * both) / other, 0.0)
-        found[i] = share, loss
-        left[i, :-1] = data - share * shape - loss * strip
-        left[i, -1] = (theta[i, 2] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
-    return found, left
+        loss = min((stripped - amplitude * overlap) / other, 0.0)
+        amplitudes[i] = amplitude, loss
+        residual[i, :-1] = data - amplitude * shape - loss * strip
+        residual[i, -1] = (theta[i, 2] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
+    return amplitudes, residual
 
 
 def correlation_of(
     standard: Array,
-    used: NDArray[np.bool_],
+    valid: NDArray[np.bool_],
     slopes: tuple[float, float],
     field_axis: int | None = None,
 ) -> Array:
@@ -232,7 +260,7 @@ def correlation_of(
 
     Parameters
     ----------
-    standard, used
+    standard, valid
         Residuals in standard deviations and which of them count, shape (row, col).
     slopes
         Change of the distance from the edge with one column and with one row, px.
@@ -250,7 +278,7 @@ def correlation_of(
     ]
     # In single precision: a correlation is known to a thousandth at best.
     spectra = np.stack(
-        [np.fft.rfft2(one.astype(np.float32), fast) for one in (standard, used)]
+        [np.fft.rfft2(field.astype(np.float32), fast) for field in (standard, valid)]
     ).astype(np.complex64)
     lagged = np.fft.irfft2(spectra.real**2 + spectra.imag**2, fast)[
         :, take_row[:, None], take_col
@@ -264,27 +292,31 @@ def correlation_of(
     odd = np.broadcast_to(
         (take_row[:, None], take_col[None, :])[field_axis or 0] % 2 == 1, correlation.shape
     )
-    form, taken = fit_correlation_model(
+    form, loss = fit_correlation_model(
         correlation, pairs, across, None if field_axis is None else odd
     )
-    left = correlation - form - taken
+    residual = correlation - form - loss
     # Bartlett: errors of a correlation are tied over lags as the noise itself is.
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
-    near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= ACCURACY.correlation_near_px
-    tied = np.sqrt(np.sum(uniform_filter(form, 3, mode="constant") ** 2) / np.maximum(pairs, 1))
-    formless = np.mean((left / error)[near] ** 2) > THRESHOLDS.correlation_misfit
+    short = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= ACCURACY.correlation_near_px
+    tied_error = np.sqrt(
+        np.sum(uniform_filter(form, 3, mode="constant") ** 2) / np.maximum(pairs, 1)
+    )
+    formless = np.mean((residual / error)[short] ** 2) > THRESHOLDS.correlation_misfit
     # Where the model is not that of this noise, what is significant counts as it is.
-    tested = correlation - taken if formless else left
-    least = THRESHOLDS.correlation_sd if formless else THRESHOLDS.correlation_departure_sd
-    keep = np.abs(uniform_filter(tested, 3, mode="constant")) > least * tied
+    tested = correlation - loss if formless else residual
+    min_significance = (
+        THRESHOLDS.correlation_sd if formless else THRESHOLDS.correlation_departure_sd
+    )
+    keep = np.abs(uniform_filter(tested, 3, mode="constant")) > min_significance * tied_error
     keep[reach_row, reach_col] = False
     # 1 up to half the largest lag, then a cosine down to 0.
-    share = [
+    falloff = [
         np.clip((np.abs(lag) - MAX_LAG_PX / 2) / (MAX_LAG_PX / 2 + 1), 0.0, 1.0)
         for lag in (take_row, take_col)
     ]
-    departure = np.where(keep, left, 0.0) * np.outer(
-        *(0.5 * (1.0 + np.cos(np.pi * one)) for one in share)
+    departure = np.where(keep, residual, 0.0) * np.outer(
+        *(0.5 * (1.0 + np.cos(np.pi * field)) for field in falloff)
     )
     if formless or not keep.any():
         return form + departure
@@ -295,7 +327,7 @@ def correlation_of(
 
 
 def bin_covariance(
-    grain: EdgeNoiseModel,
+    noise: EdgeNoiseModel,
     borders: Array,
     level: Array,
     count: Array,
@@ -322,22 +354,22 @@ def bin_covariance(
     delta: for an even filling the overlap of two boxes, a second difference of the ramp sum_lag rho
     max(0, x - delta).
     """
-    rows, cols = (np.arange(size) - size // 2 for size in grain.correlation.shape)
+    rows, cols = (np.arange(size) - size // 2 for size in noise.correlation.shape)
     delta = np.add.outer(rows * slopes[1], cols * slopes[0]).ravel()
     order = np.argsort(delta)
-    delta, mass = delta[order], grain.correlation.ravel()[order]
+    delta, mass = delta[order], noise.correlation.ravel()[order]
     total, moment = (
         np.concatenate([[0.0], np.cumsum(mass)]),
         np.concatenate([[0.0], np.cumsum(mass * delta)]),
     )
-    place = np.rint(borders / NARROWEST_PX).astype(np.int64)
-    reach = int(np.ptp(place))
-    apart = np.arange(-reach, reach + 1) * NARROWEST_PX
-    index = np.searchsorted(delta, apart)
-    ramp = np.asarray(total[index] * apart - moment[index], np.float64)
-    sd = np.sqrt(grain.variance(level))
+    cell = np.rint(borders / NARROWEST_PX).astype(np.int64)
+    max_cells = int(np.ptp(cell))
+    lag_px = np.arange(-max_cells, max_cells + 1) * NARROWEST_PX
+    index = np.searchsorted(delta, lag_px)
+    ramp = np.asarray(total[index] * lag_px - moment[index], np.float64)
+    sd = np.sqrt(noise.variance(level))
     scale = sd / np.sqrt(np.diff(borders)[keep] * count)
-    ramp = ramp[reach + place - place[:, None]]
+    ramp = ramp[max_cells + cell - cell[:, None]]
     overlap = (ramp[:-1, 1:] - ramp[1:, 1:] + ramp[1:, :-1] - ramp[:-1, :-1])[np.ix_(keep, keep)]
     covariance = 0.5 * (overlap + overlap.T) * np.outer(scale, scale)
     diagonal = np.diag(covariance)

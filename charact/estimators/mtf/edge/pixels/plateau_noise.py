@@ -48,7 +48,7 @@ Sides = tuple[PlateauNoise, PlateauNoise]
 
 
 def plateau_noise(
-    frames: Array, expected: Array, sides: NDArray[np.int64], *, along: int, tied: float
+    frames: Array, expected: Array, sides: NDArray[np.int64], *, along: int, correlation_sum: float
 ) -> Sides | None:
     """Return the noise of the dark and of the bright plateau; None if a plateau has too few pixels.
 
@@ -62,7 +62,7 @@ def plateau_noise(
         0 for excluded pixels, 1 on the dark and 2 on the bright plateau, shape (row, col).
     along
         Axis of a frame along which neighbours belong to one field: 0 down its rows, 1 along them.
-    tied
+    correlation_sum
         Sum of the noise correlations: variance factor of averages relative to independent pixels.
 
     Notes
@@ -75,21 +75,23 @@ def plateau_noise(
     sums = _sum_products(frames, mean, sides, 1 - along, along)
     if sums[:, 0].min() < LIMITS.min_plateau_pixels:
         return None
-    free, tied, found = max(len(frames) - 1, 1), max(tied, 1.0), []
-    for one in sums / np.array([1, 1, free, free**2, free, free**2, 1, free, 1]):
-        pixels, level, variances, squares, near, near_squares, pairs, far, far_pairs = one.tolist()
-        variance, covariance = variances / pixels, near / max(pairs, 1.0)
+    free, correlation_sum, sides_noise = max(len(frames) - 1, 1), max(correlation_sum, 1.0), []
+    for moments in sums / np.array([1, 1, free, free**2, free, free**2, 1, free, 1]):
+        pixels, level, variances, squares, neighbours, near_squares, pairs, distant, far_pairs = (
+            moments.tolist()
+        )
+        variance, covariance = variances / pixels, neighbours / max(pairs, 1.0)
         scatter = max(squares / pixels - variance**2, 0.0)
         error = max(near_squares / max(pairs, 1.0) - covariance**2, 0.0)
         side = PlateauNoise(
             level=level / pixels,
             variance=variance,
-            scatter=float(np.sqrt(scatter * tied / pixels)) / max(variance, 1e-300),
-            covariance=covariance - far / max(far_pairs, 1.0),
-            covariance_sd=float(np.sqrt(error * tied / pairs)) if pairs else np.inf,
+            scatter=float(np.sqrt(scatter * correlation_sum / pixels)) / max(variance, 1e-300),
+            covariance=covariance - distant / max(far_pairs, 1.0),
+            covariance_sd=float(np.sqrt(error * correlation_sum / pairs)) if pairs else np.inf,
         )
-        found.append(side)
-    return found[0], found[1]
+        sides_noise.append(side)
+    return sides_noise[0], sides_noise[1]
 
 
 @njit(cache=True)
@@ -103,45 +105,45 @@ def _sum_products(
     number.
     """
     frames, rows, cols = values.shape
-    out, left = np.zeros((2, 9)), np.zeros((frames, rows, cols))
+    out, residual = np.zeros((2, 9)), np.zeros((frames, rows, cols))
     for k in range(frames):
         total, count = np.zeros(3), np.zeros(3)
         for i in range(rows):
             for j in range(cols):
-                left[k, i, j] = values[k, i, j] - mean[i, j]
-                total[sides[i, j]] += left[k, i, j]
+                residual[k, i, j] = values[k, i, j] - mean[i, j]
+                total[sides[i, j]] += residual[k, i, j]
                 count[sides[i, j]] += 1.0
         for i in range(rows):
             for j in range(cols):
-                left[k, i, j] -= total[sides[i, j]] / count[sides[i, j]]
+                residual[k, i, j] -= total[sides[i, j]] / count[sides[i, j]]
     for i in range(rows):
         for j in range(cols):
             side = sides[i, j]
             if side == 0:
                 continue
-            here = out[side - 1]
+            totals = out[side - 1]
             square, value = 0.0, 0.0
             for k in range(frames):
-                square += left[k, i, j] ** 2
+                square += residual[k, i, j] ** 2
                 value += values[k, i, j] / frames
-            here[0] += 1.0
-            here[1] += value
-            here[2] += square
-            here[3] += square**2
+            totals[0] += 1.0
+            totals[1] += value
+            totals[2] += square
+            totals[3] += square**2
             for lag in LAGS_PX:
                 p, q = i + lag * down, j + lag * across
                 if p >= rows or q >= cols or sides[p, q] != side:
                     continue
                 product = 0.0
                 for k in range(frames):
-                    product += left[k, i, j] * left[k, p, q]
+                    product += residual[k, i, j] * residual[k, p, q]
                 if lag == 1:
-                    here[4] += product
-                    here[5] += product**2
-                    here[6] += 1.0
+                    totals[4] += product
+                    totals[5] += product**2
+                    totals[6] += 1.0
                 else:
-                    here[7] += product
-                    here[8] += 1.0
+                    totals[7] += product
+                    totals[8] += 1.0
     return out
 
 
@@ -191,26 +193,28 @@ def noise_on_slopes(
     )[:, None]
     if len(frames) < LIMITS.min_smoothing_frames or not on_slope.any():
         return SlopeNoise()
-    left, used = frames - frames.mean(axis=0), on_slope | (sides > 0)
-    design = np.stack([np.ones(np.count_nonzero(used)), level[used]])
-    base, contrast = np.linalg.lstsq(design.T, left[:, used].T, rcond=None)[0]
-    left = left - base[:, None, None] - contrast[:, None, None] * level
+    residual, valid = frames - frames.mean(axis=0), on_slope | (sides > 0)
+    design = np.stack([np.ones(np.count_nonzero(valid)), level[valid]])
+    base, contrast = np.linalg.lstsq(design.T, residual[:, valid].T, rcond=None)[0]
+    residual = residual - base[:, None, None] - contrast[:, None, None] * level
     free = len(frames) - 1
-    square = np.sum(left**2, axis=0) / free
+    square = np.sum(residual**2, axis=0) / free
     count = np.count_nonzero(on_slope, axis=1)
     shape = np.where(on_slope, steep, 0.0)
-    moved = np.einsum("fij,ij->fi", left, shape) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
-    slope = np.sum(square * on_slope, axis=1) - moved.sum(axis=0) / free
+    displacement_power = np.einsum("fij,ij->fi", residual, shape) ** 2 / np.maximum(
+        np.sum(shape**2, axis=1), 1e-300
+    )
+    slope = np.sum(square * on_slope, axis=1) - displacement_power.sum(axis=0) / free
     usable = count >= LIMITS.min_slope_pixels
     # The displacement of a row takes one degree of freedom.
     fraction = (count - 1) / np.maximum(count, 1)
     bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * fraction
     # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright
     # level.
-    slope, bright, dark = ((usable * one) for one in (slope, bright, count * fraction - bright))
+    slope, bright, dark = ((usable * side) for side in (slope, bright, count * fraction - bright))
     plateaus = [
-        (np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1))
-        for one in (1, 2)
+        (np.sum(square * (sides == side), axis=1), np.count_nonzero(sides == side, axis=1))
+        for side in (1, 2)
     ]
     parts = [slope, dark, bright, *(part for plateau in plateaus for part in plateau)]
     rows = np.stack([np.asarray(part, np.float64) for part in parts])
@@ -272,10 +276,10 @@ def noise_growth(
     if black_dn is not None and bright.level > dark.level > black_dn:
         photons = (bright.level - black_dn) / (dark.level - black_dn)
         if (
-            min(one.covariance / max(one.covariance_sd, 1e-300) for one in sides)
+            min(side.covariance / max(side.covariance_sd, 1e-300) for side in sides)
             >= LIMITS.min_covariance_sd
         ):
-            scatter = [one.covariance_sd / one.covariance for one in sides]
+            scatter = [side.covariance_sd / side.covariance for side in sides]
             return PlateauNoiseRatio(
                 ratio=bright.covariance / dark.covariance,
                 scatter=float(
@@ -302,10 +306,10 @@ def noise_flags(growth: PlateauNoiseRatio) -> tuple[str, ...]:
     grows at most in proportion to the signal above black; the covariance of neighbours grows in
     proportion to it.
     """
-    beyond = LIMITS.rising_variance[0] + LIMITS.rising_variance[1] * growth.scatter
-    rising = growth.photon_ratio is not None and growth.ratio > growth.photon_ratio * beyond
+    margin = LIMITS.rising_variance[0] + LIMITS.rising_variance[1] * growth.scatter
+    rising = growth.photon_ratio is not None and growth.ratio > growth.photon_ratio * margin
     if growth.of_light and growth.photon_ratio is not None:
-        falling = growth.ratio * beyond < growth.photon_ratio
+        falling = growth.ratio * margin < growth.photon_ratio
     else:
         falling = (
             growth.ratio
@@ -330,16 +334,22 @@ def ln_bayes_factor_nonlinear(growth: PlateauNoiseRatio) -> float:
     # A side without noise, such as a clipped one, gives no information about the response.
     if growth.photon_ratio is None or not growth.photon_ratio > 1.0 or not growth.ratio > 0.0:
         return 0.0
-    found, most, error = np.log(growth.ratio), np.log(growth.photon_ratio), growth.scatter
-    apart = np.array([error, np.hypot(error, 2.0 * BENDING * most)])
+    ln_ratio, ln_photon_ratio, error = (
+        np.log(growth.ratio),
+        np.log(growth.photon_ratio),
+        growth.scatter,
+    )
+    sds = np.array([error, np.hypot(error, 2.0 * BENDING * ln_photon_ratio)])
 
-    def normal(away: float, sd: Array) -> Array:
-        return np.exp(-0.5 * (away / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd)
+    def normal(deviation: float, sd: Array) -> Array:
+        return np.exp(-0.5 * (deviation / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd)
 
     if growth.of_light:
-        density = normal(found - most, apart)
+        density = normal(ln_ratio - ln_photon_ratio, sds)
     else:
-        even = (ndtr(found / apart) - ndtr((found - most) / apart)) / most
-        density = READ_OUT * normal(found, apart[:1]) + (1.0 - READ_OUT) * even
-    straight, curved = np.log(np.maximum(density, 1e-300))
-    return float(np.clip(curved - straight, -MAX_LN_BAYES_FACTOR, MAX_LN_BAYES_FACTOR))
+        uniform = (
+            ndtr(ln_ratio / sds) - ndtr((ln_ratio - ln_photon_ratio) / sds)
+        ) / ln_photon_ratio
+        density = READ_OUT * normal(ln_ratio, sds[:1]) + (1.0 - READ_OUT) * uniform
+    linear, curved = np.log(np.maximum(density, 1e-300))
+    return float(np.clip(curved - linear, -MAX_LN_BAYES_FACTOR, MAX_LN_BAYES_FACTOR))

@@ -21,7 +21,6 @@ from charact.estimators.mtf.edge.pixels.line import (
 )
 from charact.estimators.mtf.edge.pixels.plateau_noise import (
     PlateauNoiseRatio,
-    Sides,
     SlopeNoise,
     noise_growth,
     noise_on_slopes,
@@ -65,10 +64,10 @@ class PreparedEdge:
 
     Parameters
     ----------
-    used
+    frames
         The frames cut to the edge and its plateaus.
     where
-        ROW, COL, HEIGHT, WIDTH of that in the frames given.
+        ROW, COL, HEIGHT, WIDTH of that in the frames of the caller.
     picture
         Mean frame, the edge upright.
     rows
@@ -79,7 +78,7 @@ class PreparedEdge:
         Those of finding it.
     """
 
-    used: FrameStack
+    frames: FrameStack
     where: Region
     picture: OrientedFrame
     rows: RowFit
@@ -87,25 +86,20 @@ class PreparedEdge:
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    @property
-    def orientation_deg(self) -> float:
-        """Direction of the edge's normal from the row direction, degrees in [0, 180)."""
-        tilt = float(np.rad2deg(self.profile.angle_rad))
-        # Upright, the normal stands at -tilt to the columns; mirrored it is turned over, transposed
-        # exchanged.
-        tilt = tilt if self.picture.mirrored else -tilt
-        return (90.0 - tilt if self.picture.transposed else tilt) % 180.0
+    @cached_property
+    def upright_frames(self) -> Array:
+        """Frames in the orientation of the picture, shape (frame, row, col), DN."""
+        if self.picture.frames == 1:
+            return self.picture.value[None]
+        return self.picture.upright(self.frames.data)
 
     @cached_property
     def target_motion(self) -> TargetMotion:
         """Displacement across the edge from frame to frame."""
-        frames = self.picture.upright(self.used.data)
-        if len(frames) < 2:
-            return TargetMotion()
-        across = self.rows.line.across(frames.shape[1:])
+        across = self.rows.line.across(self.picture.value.shape)
         row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
         normal = across * np.cos(self.profile.angle_rad)
-        return measure_line_motion(frames, normal, row, np.abs(across) < ROW_REACH_PX)
+        return measure_line_motion(self.upright_frames, normal, row, np.abs(across) < ROW_REACH_PX)
 
     @cached_property
     def roughness(self) -> TargetMotion:
@@ -113,45 +107,51 @@ class PreparedEdge:
         return roughness_of(self.picture, self.profile)
 
     @cached_property
-    def temporal_noise(self) -> tuple[Sides | None, SlopeNoise]:
-        """Noise of both plateaus, None: one has few pixels; and of the slopes over that of the
-        plateaus.
-        """
-        profile, frames = self.profile, self.picture.upright(self.used.data)
+    def expected(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Profile at every pixel, DN and from 0 to 1, and its plateau: 1 dark, 2 bright, else 0."""
+        profile, plateau = self.profile, ACCURACY.plateau_fraction
         value = np.zeros(profile.keep.size)
         value[profile.keep] = profile.value
         value = value[profile.gathered.bin_index]
-        level, share = (value - profile.dark) / (profile.step or 1.0), ACCURACY.plateau_fraction
-        sides = np.select([level < share, level > 1.0 - share], [1, 2]) * profile.gathered.used
-        tied = profile.grain.covariance_over_variance
-        plateaus = plateau_noise(
-            frames, value, sides, along=0 if self.picture.transposed else 1, tied=tied
-        )
-        steep = (
-            steepness(profile.distance, profile.value, profile.gathered.distance)
-            * profile.gathered.used
-        )
-        return plateaus, noise_on_slopes(frames, level, steep, sides)
+        level = (value - profile.dark) / (profile.step or 1.0)
+        sides = np.select([level < plateau, level > 1.0 - plateau], [1, 2])
+        return value, level, sides * profile.gathered.valid
+
+    @cached_property
+    def slope_noise(self) -> SlopeNoise:
+        """Temporal noise of the slopes over that of the plateaus."""
+        profile, (_, level, sides) = self.profile, self.expected
+        steep = steepness(profile.distance, profile.value, profile.gathered.distance)
+        return noise_on_slopes(self.upright_frames, level, steep * profile.gathered.valid, sides)
 
     @cached_property
     def noise_growth(self) -> PlateauNoiseRatio:
-        """How its noise grows with the light, from frame to frame where there are several that
-        differ.
+        """How the noise grows with the light: from frame to frame where there are several that
+        differ, or by covariances above a known black level; else by the noise of the mean frame.
         """
-        profile, grain, sides = self.profile, self.profile.grain, self.temporal_noise[0]
-        found = sides and noise_growth(sides, profile.black, several=len(self.used.data) > 1)
-        if found:
-            return found
-        pixels = (
-            0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
-        )
+        profile, noise = self.profile, self.profile.noise
+        if self.picture.frames > 1 or profile.black is not None:
+            value, _, sides = self.expected
+            plateaus = plateau_noise(
+                self.upright_frames,
+                value,
+                sides,
+                along=0 if self.picture.transposed else 1,
+                correlation_sum=noise.covariance_over_variance,
+            )
+            several = self.picture.frames > 1
+            growth = plateaus and noise_growth(plateaus, profile.black, several=several)
+            if growth:
+                return growth
+        pixels = 0.5 * np.count_nonzero(profile.gathered.valid)
+        pixels /= max(noise.covariance_over_variance, 1.0)
         photons = None
         if profile.black is not None and profile.dark > profile.black:
             bright_dn = profile.bright - profile.black
-            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(grain.bright_variance):
+            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(noise.bright_variance):
                 photons = bright_dn / (profile.dark - profile.black)
         return PlateauNoiseRatio(
-            ratio=grain.bright_variance / grain.dark_variance,
+            ratio=noise.bright_variance / noise.dark_variance,
             # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
             scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
             photon_ratio=photons,
@@ -176,9 +176,9 @@ def prepare_edge(
         Whether the two fields of an interlaced frame are taken each at its own position, where the
         edge moved between them; else that is left to be flagged.
     """
-    used = stack if region is None else stack.region(*region)
+    frames = stack if region is None else stack.region(*region)
     row, col, *_ = region or (0, 0)
-    height, width = used.shape[1:]
+    height, width = frames.shape[1:]
     where: Region = (row, col, height, width)
     cut = False
     while True:
@@ -186,15 +186,15 @@ def prepare_edge(
             reason = f"an edge needs a region of at least 8 x 8 px, got {height} x {width}"
             return EdgeRefusal(reason=reason, where=where, flag="window-too-small")
         picture, coarse = find(
-            mean_oriented_frame(used, context.pitch_ratio, interlaced=context.interlaced)
+            mean_oriented_frame(frames, context.pitch_ratio, interlaced=context.interlaced)
         )
         part = (
             edge_extent(picture, coarse) if min(height, width) >= 2 * MIN_ROWS and not cut else None
         )
         if part is None:
             break
-        used, where, cut = (
-            used.region(*part),
+        frames, where, cut = (
+            frames.region(*part),
             (row + part[0], col + part[1], part[2], part[3]),
             True,
         )
@@ -206,21 +206,22 @@ def prepare_edge(
     no_step = EdgeRefusal(
         reason="no target: no step from dark to bright was found in the region", where=where
     )
-    distance, near = rows.line.across(picture.value.shape), 2 * THRESHOLDS.min_half_width_px
-    sides = (np.count_nonzero((side > 0) & (side < near)) for side in (distance, -distance))
+    distance, band_px = rows.line.across(picture.value.shape), 2 * THRESHOLDS.min_half_width_px
+    sides = (np.count_nonzero((side > 0) & (side < band_px)) for side in (distance, -distance))
     if min(sides) < THRESHOLDS.min_side_pixels:
         return no_step
     edge = centre_line(picture, rows.line)
     profile = profile_of(picture, edge, WIDEST_PX, quickly=quickly)
     if not profile.step > 0 or profile.gathered.half_width_px < THRESHOLDS.min_half_width_px:
         return no_step
-    notes, black = [], used.black_level_dn
+    notes, black = [], frames.black_level_dn
     if cut:
         notes.append("The frame shows more than this edge; the region is the part that was used.")
     if edge.fields is not None:
-        apart = abs(edge.fields_apart_px)
+        displacement_px = abs(edge.fields_apart_px)
         notes.append(
-            f"The edge lies {apart:.2f} px apart in the two fields; each is taken at its own place."
+            f"The edge lies {displacement_px:.2f} px apart in the two fields; each is taken at its "
+            "own place."
         )
     if profile.black is not None:
         notes.append(f"No light is at {profile.black:.4g} DN.")
@@ -230,7 +231,7 @@ def prepare_edge(
             f"{profile.dark:.4g} DN: taken as not known."
         )
     return PreparedEdge(
-        used=used,
+        frames=frames,
         where=where,
         picture=picture,
         rows=replace(rows, line=edge),
@@ -250,24 +251,27 @@ def separate_fields(picture: OrientedFrame, rows: RowFit) -> RowFit:
         # distance of -d.
         gathered = bin_pixels(picture, rows.line, ACCURACY.field_band_px)
         mean, count = gathered.means(picture.value)
-        profile = gathered.place[count > 0], mean[count > 0]
-        apart, error = field_displacement(picture, rows, gathered.used, gathered.distance, profile)
+        profile = gathered.mean_distance[count > 0], mean[count > 0]
+        across_px, error = field_displacement(
+            picture, rows, gathered.valid, gathered.distance, profile
+        )
         cosine = (
             float(np.cos(rows.line.angle_rad(picture.pitch_ratio))) if picture.transposed else 1.0
         )
-        return apart / cosine, error
+        return across_px / cosine, error
 
-    moved = displacement()
-    if not is_significant(moved):
+    measured = displacement()
+    if not is_significant(measured):
         return rows
     # The profile of displaced fields is at first smeared: repeated.
     for _ in range(5):
-        apart = rows.line.fields_apart_px + moved[0]
+        fields_apart_px = rows.line.fields_apart_px + measured[0]
         rows = refine(
-            picture, replace(rows.line, fields_apart_px=apart, fields=picture.row_index % 2)
+            picture,
+            replace(rows.line, fields_apart_px=fields_apart_px, fields=picture.row_index % 2),
         )
-        moved = displacement()
-        if abs(moved[0]) < ACCURACY.field_tolerance_px:
+        measured = displacement()
+        if abs(measured[0]) < ACCURACY.field_tolerance_px:
             break
     return rows
 
@@ -283,13 +287,20 @@ def edge_extent(picture: OrientedFrame, line: EdgeLine) -> Region | None:
     across = line.across((rows, cols))
     # The step of each block of rows, NaN where a side lies outside the frame, and the noise of one.
     size = max(4, rows // 64)
-    count, near, far = rows // size, ACCURACY.step_near_px, ACCURACY.step_far_px
+    count, near_px, far_px = rows // size, ACCURACY.step_near_px, ACCURACY.step_far_px
     sides = []
-    for inside in ((across > near) & (across < far), (across < -near) & (across > -far)):
-        parts = inside.sum(axis=1).astype(float), np.where(inside, picture.value, 0.0).sum(axis=1)
-        number, total = (one[: count * size].reshape(count, size).sum(axis=1) for one in parts)
+    for on_side in (
+        (across > near_px) & (across < far_px),
+        (across < -near_px) & (across > -far_px),
+    ):
+        parts = on_side.sum(axis=1).astype(float), np.where(on_side, picture.value, 0.0).sum(axis=1)
+        number, total = (
+            per_row[: count * size].reshape(count, size).sum(axis=1) for per_row in parts
+        )
         sides.append(
-            np.where(number >= size * (far - near - 2.0), total / np.maximum(number, 1.0), np.nan)
+            np.where(
+                number >= size * (far_px - near_px - 2.0), total / np.maximum(number, 1.0), np.nan
+            )
         )
     step = sides[0] - sides[1]
     finite = step[np.isfinite(step)]
@@ -300,9 +311,9 @@ def edge_extent(picture: OrientedFrame, line: EdgeLine) -> Region | None:
     if not reference > 0:
         return None
     # The longest run of blocks that hold the edge, single gaps closed.
-    held = np.isfinite(step) & ~(step < 0.5 * reference - 3.0 * error)
-    held[1:-1] |= held[:-2] & held[2:]
-    borders = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int), [0]])))
+    has_step = np.isfinite(step) & ~(step < 0.5 * reference - 3.0 * error)
+    has_step[1:-1] |= has_step[:-2] & has_step[2:]
+    borders = np.flatnonzero(np.diff(np.concatenate([[0], has_step.astype(int), [0]])))
     if not borders.size:
         return None
     best = 2 * int(np.argmax(borders[1::2] - borders[::2]))
@@ -310,17 +321,17 @@ def edge_extent(picture: OrientedFrame, line: EdgeLine) -> Region | None:
     if (last - first) * size < MIN_ROWS:
         return None
     inset = 2 * size + 4
-    whole = last - first >= len(step) - 1
-    top, bottom = (0, rows) if whole else (first * size + inset, min(last * size, rows) - inset)
+    all_rows = last - first >= len(step) - 1
+    top, bottom = (0, rows) if all_rows else (first * size + inset, min(last * size, rows) - inset)
     if bottom - top < MIN_ROWS:
         return None
-    left, right = (
+    dark_px, bright_px = (
         _plateau_reach(picture.value[top:bottom], across[top:bottom], s, reference, error)
         for s in (-1, 1)
     )
     middle = line.position + line.slope * (np.array([top, bottom - 1]) - (rows - 1) / 2)
-    low = int(np.floor(max(middle.min() - left, 0.0)))
-    high = int(np.ceil(min(middle.max() + right + 1.0, float(cols))))
+    low = int(np.floor(max(middle.min() - dark_px, 0.0)))
+    high = int(np.ceil(min(middle.max() + bright_px + 1.0, float(cols))))
     if (top, bottom, low, high) == (0, rows, 0, cols):
         return None
     col = cols - high if picture.mirrored else low
@@ -337,21 +348,21 @@ def _plateau_reach(value: Array, across: Array, sign: int, step: float, error: f
     low = int(cell.min())
     count = np.bincount((cell - low).ravel())
     mean = np.bincount((cell - low).ravel(), weights=value.ravel()) / np.maximum(count, 1)
-    places = np.arange(3, 400) * sign - (1 if sign < 0 else 0) - low
-    places = places[(places >= 0) & (places < mean.size)]
-    places = places[(count > 0.3 * median(count))[places]]
-    if places.size < 6:
+    cells = np.arange(3, 400) * sign - (1 if sign < 0 else 0) - low
+    cells = cells[(cells >= 0) & (cells < mean.size)]
+    cells = cells[(count > 0.3 * median(count))[cells]]
+    if cells.size < 6:
         return np.inf
     # The level varies with the light: each is compared with the median of itself and up to twelve
     # before it.
-    levels, back = mean[places], 12
+    levels, back = mean[cells], 12
     padded = np.concatenate([np.full(back, np.inf), levels])
     windows = np.sort(np.lib.stride_tricks.sliding_window_view(padded, back + 1))
-    each = np.arange(levels.size)
-    known = np.minimum(each + 1, back + 1)
-    before = 0.5 * (windows[each, (known - 1) // 2] + windows[each, known // 2])
-    away = np.abs(levels - before) > 0.3 * step + 3.0 * error
-    return 2.0 * (3 + int(np.argmax(away)) - 4) if away.any() else np.inf
+    index = np.arange(levels.size)
+    known = np.minimum(index + 1, back + 1)
+    before = 0.5 * (windows[index, (known - 1) // 2] + windows[index, known // 2])
+    departs = np.abs(levels - before) > 0.3 * step + 3.0 * error
+    return 2.0 * (3 + int(np.argmax(departs)) - 4) if departs.any() else np.inf
 
 
 def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
@@ -360,62 +371,68 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
 
     Notes
     -----
-    The displacement of a row is a weighted sum of its pixels: least squares on -m'(d), m the edge's
-    profile, its own level and contrast free. The same weights, applied to the plateaus, give the
-    displacements by noise: temporal and fixed-pattern noise, correlated between rows or not. Noise
-    half way up is taken as the mean of both sides', as that of light and of read-out are. The mean
-    squares of displacements at the edge and on the plateaus are compared as Fisher's F.
+    d_row = -sum w (v - m), w = (X'X)^-1 X' of m': the displacement of a row is a weighted sum of
+    its pixels v, least squares on -m'(d), m the edge's profile, its own level and contrast free (X
+    = [m', m, 1]). The same weights, applied to the plateaus, give the displacements by noise:
+    temporal and fixed-pattern noise, correlated between rows or not. Noise half way up is taken as
+    the mean of both sides', as that of light and of read-out are. The mean squares of displacements
+    at the edge and on the plateaus are compared as Fisher's F.
     """
     from scipy.special import fdtrc
 
     # Pixels that locate the edge: they hold most of the squared slope.
     at = np.arange(0.0, ACCURACY.max_row_window_px, STEP_PX)
     steep = sum(steepness(profile.distance, profile.value, sign * at) ** 2 for sign in (-1.0, 1.0))
-    held = np.cumsum(steep)
-    reach = (
-        at[int(np.searchsorted(held, ACCURACY.slope_fraction * held[-1]))] + STEP_PX
-        if held[-1] > 0
+    slope_power = np.cumsum(steep)
+    reach_px = (
+        at[int(np.searchsorted(slope_power, ACCURACY.slope_fraction * slope_power[-1]))] + STEP_PX
+        if slope_power[-1] > 0
         else 0.0
     )
-    reach = max(float(reach), ACCURACY.min_row_window_px)
-    distance, step = profile.gathered.distance, reach / abs(profile.slopes[0])
-    at = np.arange(-reach - 1.0, reach + 1.0 + STEP_PX, STEP_PX)
+    reach_px = max(float(reach_px), ACCURACY.min_row_window_px)
+    distance, step = profile.gathered.distance, reach_px / abs(profile.slopes[0])
+    at = np.arange(-reach_px - 1.0, reach_px + 1.0 + STEP_PX, STEP_PX)
     residual = picture.value - np.interp(distance, profile.distance, profile.value)
     profile_at = np.interp(at, profile.distance, profile.value)
     steep = steepness(profile.distance, profile.value, at)
     # As many windows on the dark as on the bright side.
-    away = np.rint(
+    offsets = np.rint(
         np.arange(2.0 * step, max(picture.value.shape[1], 2.0 * step + 1.0), step)
     ).astype(np.int64)
-    shifts = np.concatenate([[0], -away, away])
-    places, squares = _row_positions(
-        residual, distance, profile.gathered.used, reach, profile_at, steep, shifts
+    shifts = np.concatenate([[0], -offsets, offsets])
+    displacements, squares = _row_positions(
+        residual, distance, profile.gathered.valid, reach_px, profile_at, steep, shifts
     )
-    edge = places[:, 0]
+    edge = displacements[:, 0]
     valid = np.flatnonzero(np.isfinite(edge))
-    plateaus = [_plateau_scatter(side) for side in np.split(places[:, 1:], 2, axis=1)]
-    if valid.size < 16 or min(one[1] for one in plateaus) < ACCURACY.min_plateau_positions:
+    plateaus = [_plateau_scatter(side) for side in np.split(displacements[:, 1:], 2, axis=1)]
+    if valid.size < 16 or min(plateau[1] for plateau in plateaus) < ACCURACY.min_plateau_positions:
         return TargetMotion()
-    left = edge[valid] - np.polyval(np.polyfit(valid, edge[valid], 1), valid)
+    residuals = edge[valid] - np.polyval(np.polyfit(valid, edge[valid], 1), valid)
     # Of each pixel the profile holds as much as one of its bin's pixels weighs.
-    own = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach]))
-    square = float(left @ left) / (valid.size - 2) / max(1.0 - own, 0.5)
-    noise = 0.5 * sum(one[0] for one in plateaus)
+    in_profile = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach_px]))
+    square = float(residuals @ residuals) / (valid.size - 2) / max(1.0 - in_profile, 0.5)
+    noise = 0.5 * sum(plateau[0] for plateau in plateaus)
     if picture.whole_codes:
         # All pixels of a plateau have the same quantisation error; those near an edge differ: the
         # mean square of the sawtooth of `charact.estimators.mtf.quantisation_checks` at any level,
         # DN^2.
-        grain = np.array([profile.grain.dark_variance, profile.grain.bright_variance])
-        variance = np.maximum(grain * picture.frames - QUANTISATION_DN2, 0.0)
+        sides = np.array([profile.noise.dark_variance, profile.noise.bright_variance])
+        variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
         turn = np.pi * np.arange(1, 7)[:, None]
         quantisation = np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0))
         noise += float(quantisation * np.mean(squares[valid]))
     if not square > noise > 0:
         return TargetMotion()
-    tied = 0.5 * sum(one[2] for one in plateaus)
+    variance_factor = 0.5 * sum(plateau[2] for plateau in plateaus)
     # Of a mean of two squares (Satterthwaite); windows that overlap by half count for half.
-    freedom = 0.5 * 4.0 * noise**2 / sum(one[0] ** 2 * tied / one[1] for one in plateaus)
-    chance = float(fdtrc(valid.size / tied, freedom, square / noise))
+    freedom = (
+        0.5
+        * 4.0
+        * noise**2
+        / sum(plateau[0] ** 2 * variance_factor / plateau[1] for plateau in plateaus)
+    )
+    chance = float(fdtrc(valid.size / variance_factor, freedom, square / noise))
     return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
 
 
@@ -423,8 +440,8 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
 def _row_positions(
     residual: Array,
     distance: Array,
-    used: NDArray,
-    reach: float,
+    valid: NDArray,
+    reach_px: float,
     profile: Array,
     steep: Array,
     shifts: NDArray,
@@ -435,19 +452,21 @@ def _row_positions(
     Shapes (row, shift), NaN where a window is not whole, and (row,).
     """
     rows, cols = residual.shape
-    places, squares = np.full((rows, shifts.size), np.nan), np.zeros(rows)
+    displacement, squares = np.full((rows, shifts.size), np.nan), np.zeros(rows)
     middle = profile.mean()
     shape = np.zeros((cols, 3))
     for row in range(rows):
         normal, first, last = np.zeros((3, 3)), cols, -1
         for col in range(cols):
-            if abs(distance[row, col]) >= reach:
+            if abs(distance[row, col]) >= reach_px:
                 continue
-            place = (distance[row, col] + reach + 1.0) / STEP_PX
-            left = int(place)
-            rest = place - left
-            shape[col, 0] = steep[left] + rest * (steep[left + 1] - steep[left])
-            shape[col, 1] = profile[left] + rest * (profile[left + 1] - profile[left]) - middle
+            node = (distance[row, col] + reach_px + 1.0) / STEP_PX
+            lower = int(node)
+            fraction = node - lower
+            shape[col, 0] = steep[lower] + fraction * (steep[lower + 1] - steep[lower])
+            shape[col, 1] = (
+                profile[lower] + fraction * (profile[lower + 1] - profile[lower]) - middle
+            )
             shape[col, 2] = 1.0
             first, last = min(first, col), col
             for k in range(3):
@@ -456,58 +475,62 @@ def _row_positions(
         # A row locates the edge if its pixels lie on both sides of it up to the reach.
         if (
             last - first < 4
-            or distance[row, first] > 1.0 - reach
-            or distance[row, last] < reach - 1.0
+            or distance[row, first] > 1.0 - reach_px
+            or distance[row, last] < reach_px - 1.0
         ):
             continue
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(3)
         inverse = np.linalg.solve(normal, np.array([1.0, 0.0, 0.0])) / scale / scale[0]
-        for one in range(shifts.size):
-            shift = shifts[one]
+        for window in range(shifts.size):
+            shift = shifts[window]
             if first + shift < 0 or last + shift >= cols:
                 continue
-            total, whole = 0.0, True
+            total, complete = 0.0, True
             for col in range(first, last + 1):
-                whole &= used[row, col + shift]
+                complete &= valid[row, col + shift]
                 weight = (
                     inverse[0] * shape[col, 0]
                     + inverse[1] * shape[col, 1]
                     + inverse[2] * shape[col, 2]
                 )
                 total -= weight * residual[row, col + shift]
-                squares[row] += weight**2 if one == 0 else 0.0
-            if whole:
-                places[row, one] = total
-    return places, squares
+                squares[row] += weight**2 if window == 0 else 0.0
+            if complete:
+                displacement[row, window] = total
+    return displacement, squares
 
 
-def _plateau_scatter(places: Array) -> tuple[float, int, float]:
+def _plateau_scatter(displacements: Array) -> tuple[float, int, float]:
     """Return mean square and number of displacements on a plateau, shape (row, window), and their
     variance factor.
 
     The factor is by how much a mean square scatters more than that of as many independent normal
     displacements.
     """
-    good = np.isfinite(places)
-    count = np.count_nonzero(good, axis=0)
-    places, good, count = places[:, count > 1], good[:, count > 1], count[count > 1]
+    finite = np.isfinite(displacements)
+    count = np.count_nonzero(finite, axis=0)
+    displacements, finite, count = (
+        displacements[:, count > 1],
+        finite[:, count > 1],
+        count[count > 1],
+    )
     if not count.size:
         return 0.0, 0, 1.0
-    values = np.where(good, places, 0.0)
-    values = np.where(good, values - values.sum(axis=0) / count, 0.0)
+    values = np.where(finite, displacements, 0.0)
+    values = np.where(finite, values - values.sum(axis=0) / count, 0.0)
     number = int(count.sum())
     square = float(np.sum(values**2)) / (number - count.size)
     if not square > 0:
         return 0.0, number, 1.0
-    shared = [
+    correlation = [
         float(np.sum(values[lag:] * values[:-lag]))
-        / max(np.count_nonzero(good[lag:] & good[:-lag]), 1)
+        / max(np.count_nonzero(finite[lag:] & finite[:-lag]), 1)
         / square
         for lag in range(1, ACCURACY.roughness_lags + 1)
     ]
     heavy = max(float(np.sum(values**4)) / number / square**2 - 1.0, 2.0) / 2.0
-    return square, number, heavy + 2.0 * float(np.sum(np.square(shared)))
+    return square, number, heavy + 2.0 * float(np.sum(np.square(correlation)))
 
 
 def fit_refusal(
@@ -519,16 +542,16 @@ def fit_refusal(
     leaves more than a fifth unexplained besides, what varies across the region is something else.
     """
     misfit, half_width = max(chi2 / free, 1.0), edge.profile.gathered.half_width_px
-    sd, left = np.sqrt(max((chi2_without - chi2) / misfit, 0.0)), chi2 / chi2_without
+    sd, unexplained = np.sqrt(max((chi2_without - chi2) / misfit, 0.0)), chi2 / chi2_without
     if sd**2 < THRESHOLDS.min_edge_chi2:
         reason = (
             f"the best step in the region stands {sd:.1f} standard errors out of the noise, "
             f"fewer than 9.5"
         )
-    elif misfit > THRESHOLDS.no_edge_reduced_chi2 and left > THRESHOLDS.no_edge_fraction:
+    elif misfit > THRESHOLDS.no_edge_reduced_chi2 and unexplained > THRESHOLDS.no_edge_fraction:
         reason = (
-            f"the best step in the region leaves {100 * left:.0f} % of what varies across it "
-            f"unexplained"
+            f"the best step in the region leaves {100 * unexplained:.0f} % of what varies across "
+            f"it unexplained"
         )
     elif half_width < 0.6 / half_frequency_cy_per_px:
         reason = f"the blur is wider than the region, which ends {half_width:.0f} px from it"

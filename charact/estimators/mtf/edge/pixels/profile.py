@@ -39,10 +39,10 @@ class BinnedPixels:
     distance, along
         Distance of every pixel along the normal, positive on the bright side, and position along
         the edge from its middle, shape (row, col), px.
-    used
+    valid
         Pixels inside the band that are not masked, shape (row, col).
     bin_index
-        Bin of every pixel, shape (row, col); meaningful where used.
+        Bin of every pixel, shape (row, col); meaningful where valid.
     borders
         Borders of the bins, shape (bin + 1,), px.
     half_width_px
@@ -51,19 +51,19 @@ class BinnedPixels:
 
     distance: Array
     along: Array
-    used: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
     bin_index: NDArray[np.int64]
     borders: Array
     half_width_px: float
 
     def means(self, value: Array) -> tuple[Array, Array]:
         """Return mean of a quantity and count of pixels in every bin, shape (bin,)."""
-        index, size = self.bin_index[self.used], self.borders.size - 1
+        index, size = self.bin_index[self.valid], self.borders.size - 1
         count = np.bincount(index, minlength=size).astype(float)
-        return np.bincount(index, value[self.used], size) / np.maximum(count, 1.0), count
+        return np.bincount(index, value[self.valid], size) / np.maximum(count, 1.0), count
 
     @cached_property
-    def place(self) -> Array:
+    def mean_distance(self) -> Array:
         """Mean distance of the pixels of every bin, shape (bin,), px."""
         return self.means(self.distance)[0]
 
@@ -88,12 +88,12 @@ def bin_pixels(
         np.bincount((-flat[flat < 0]).astype(np.int64)),
         np.bincount(flat[flat >= 0].astype(np.int64)),
     ]
-    enough = 0.6 * max(median(one[:4]) if one.size else 0.0 for one in counts)
-    reach = []
-    for one in counts:
-        stop = int(np.argmin(one >= enough)) if not (one >= enough).all() else one.size
-        reach.append(float(min(max(stop, 1), half_width_px)))
-    borders = _borders(reach[0], reach[1])
+    enough = 0.6 * max(median(pixels[:4]) if pixels.size else 0.0 for pixels in counts)
+    extents = []
+    for pixels in counts:
+        stop = int(np.argmin(pixels >= enough)) if not (pixels >= enough).all() else pixels.size
+        extents.append(float(min(max(stop, 1), half_width_px)))
+    borders = _borders(extents[0], extents[1])
     # Borders lie on multiples of the narrowest width from the first.
     narrow = np.rint(np.diff(borders) / NARROWEST_PX).astype(np.int64)
     lookup = np.repeat(np.arange(narrow.size), narrow)
@@ -101,12 +101,12 @@ def bin_pixels(
     return BinnedPixels(
         distance=distance,
         along=along,
-        used=(distance >= borders[0])
+        valid=(distance >= borders[0])
         & (distance < borders[-1])
         & (True if masked is None else ~masked),
         bin_index=lookup[np.clip(cell, 0, lookup.size - 1)],
         borders=borders,
-        half_width_px=min(reach),
+        half_width_px=min(extents),
     )
 
 
@@ -117,11 +117,11 @@ def coarsen(gathered: BinnedPixels) -> BinnedPixels:
     borders = _borders(-gathered.borders[0], gathered.borders[-1], wider=2)
     middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
     into = np.searchsorted(borders, middle) - 1
-    inside = (into >= 0) & (into < borders.size - 1)
+    in_band = (into >= 0) & (into < borders.size - 1)
     return replace(
         gathered,
         borders=borders,
-        used=gathered.used & inside[gathered.bin_index],
+        valid=gathered.valid & in_band[gathered.bin_index],
         bin_index=np.clip(into, 0, borders.size - 2)[gathered.bin_index],
     )
 
@@ -143,8 +143,8 @@ def levels_of(mean: Array, count: Array, gathered: BinnedPixels) -> tuple[float,
     """Return dark and bright level: medians of the outer halves of both sides."""
     middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
     filled = count > 0
-    left, right = middle < 0.5 * gathered.borders[0], middle > 0.5 * gathered.borders[-1]
-    sides = (side if side.any() else filled for side in (filled & left, filled & right))
+    dark_half, bright_half = middle < 0.5 * gathered.borders[0], middle > 0.5 * gathered.borders[-1]
+    sides = (side if side.any() else filled for side in (filled & dark_half, filled & bright_half))
     dark, bright = (median(mean[side]) for side in sides)
     return dark, bright
 
@@ -162,9 +162,13 @@ def _residual_of(value: Array, gathered: BinnedPixels) -> tuple[Array, Array, Ar
     index, filled, rise = gathered.bin_index, count > 0, np.zeros_like(mean)
     level = ((mean - dark) / (bright - dark if bright != dark else 1.0))[index]
     if np.count_nonzero(filled) > 8:
-        rise[filled] = steepness(gathered.place[filled], mean[filled], gathered.place[filled])
-    residual = value - (mean[index] + rise[index] * (gathered.distance - gathered.place[index]))
-    lost = np.where(gathered.used, np.sqrt(count / np.maximum(count - 1.0, 0.5))[index], 0.0)
+        rise[filled] = steepness(
+            gathered.mean_distance[filled], mean[filled], gathered.mean_distance[filled]
+        )
+    residual = value - (
+        mean[index] + rise[index] * (gathered.distance - gathered.mean_distance[index])
+    )
+    lost = np.where(gathered.valid, np.sqrt(count / np.maximum(count - 1.0, 0.5))[index], 0.0)
     return residual, level, lost, abs(bright - dark)
 
 
@@ -177,8 +181,8 @@ def _slope_along(value: Array, gathered: BinnedPixels, level: Array) -> Array:
     """
     along = gathered.along / max(float(np.abs(gathered.along).max()), 1.0)
     middle = gathered.means(along)[0]
-    within = np.where(gathered.used, along - middle[gathered.bin_index], 0.0)
-    sides = np.stack([(within * level).ravel(), (within * (1.0 - level)).ravel()])
+    centred = np.where(gathered.valid, along - middle[gathered.bin_index], 0.0)
+    sides = np.stack([(centred * level).ravel(), (centred * (1.0 - level)).ravel()])
     bright, dark = np.linalg.lstsq(sides @ sides.T, sides @ value.ravel(), rcond=1e-9)[0]
     return along * (bright * level + dark * (1.0 - level))
 
@@ -198,18 +202,16 @@ class EdgeProfile:
         Which bins of the band those are.
     dark, bright, black
         Levels of both sides at the edge, and black level, DN; None: unknown.
-    grain
+    noise
         Noise of the frame.
-    covariance
-        Of the bin means, shape (bin, bin), DN^2.
-    shading_sd
-        Standard deviation of slow undulations of the plateaus beyond the noise, DN.
     defects
         Number of pixels left out for values that the noise cannot explain.
     angle_rad, slopes
         Angle of the edge; change of distance with one column and one row, px.
     variance_floor
         Least variance of a pixel, DN^2: quantisation, and a ten-millionth of the squared step.
+    shading_sd
+        Standard deviation of slow undulations of the plateaus beyond the noise, DN.
     """
 
     gathered: BinnedPixels
@@ -221,18 +223,28 @@ class EdgeProfile:
     dark: float
     bright: float
     black: float | None
-    grain: EdgeNoiseModel
-    covariance: Array
-    shading_sd: float
+    noise: EdgeNoiseModel
     defects: int
     angle_rad: float
     slopes: tuple[float, float]
     variance_floor: float
+    shading_sd: float = 0.0
 
     @property
     def step(self) -> float:
         """Height of the edge, DN."""
         return self.bright - self.dark
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the bin means by noise and shading, shape (bin, bin), DN^2."""
+        level = (self.value - self.dark) / (self.step or 1.0)
+        covariance = bin_covariance(
+            self.noise, self.gathered.borders, level, self.count, self.keep, self.slopes
+        )
+        if not self.shading_sd:
+            return covariance
+        return covariance + self.shading_sd**2 * undulation(self.distance)
 
     @property
     def contrast(self) -> float:
@@ -276,10 +288,10 @@ class EdgeProfile:
         slope_sd_per_px
             That of the bright side's slope, fraction of the step per px.
         """
-        apart = max(THRESHOLDS.gradient_asymmetry * slope_sd_per_px, EVEN_PER_PX)
+        unshared_sd = max(THRESHOLDS.gradient_asymmetry * slope_sd_per_px, EVEN_PER_PX)
         sd = (
             slope_sd_per_px / self.gradient_ways[0, 0],
-            apart if self._is_one_light else slope_sd_per_px,
+            unshared_sd if self._is_one_light else slope_sd_per_px,
         )
         return np.array(sd) * max(abs(self.step), 1e-300)
 
@@ -305,36 +317,32 @@ def profile_of(
     residual = residual * lost
     # Defects: pixels that the noise of their level cannot explain; none in heavy-tailed noise,
     # where many nearly are.
-    size, used = np.abs(residual), gathered.used
+    size, valid = np.abs(residual), gathered.valid
     quantisation_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
     least_sd = max(quantisation_sd, THRESHOLDS.min_defect * step / DEFECT_SD)
     sides = (
-        side if side.any() else used for side in (used & (level < 0.25), used & (level > 0.75))
+        side if side.any() else valid for side in (valid & (level < 0.25), valid & (level > 0.75))
     )
     dark_sd, bright_sd = (max(NORMAL * median(size[side]), least_sd) for side in sides)
     sd = np.sqrt(dark_sd**2 + np.clip(level, 0.0, 1.0) * (bright_sd**2 - dark_sd**2))
-    masked, near = (size > DEFECT_SD * sd) & (sd > 0), np.count_nonzero(size > 5.0 * sd)
+    masked, heavy_tailed = (size > DEFECT_SD * sd) & (sd > 0), np.count_nonzero(size > 5.0 * sd)
     defects = int(np.count_nonzero(masked))
-    if defects <= THRESHOLDS.defect_fraction * near:
+    if defects <= THRESHOLDS.defect_fraction * heavy_tailed:
         defects = 0
     if defects:
         gathered = bin_pixels(picture, line, half_width_px, masked)
         residual, level, lost, _ = _residual_of(value, gathered)
         residual = residual * lost
-    if quickly and step < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.used]):
+    if quickly and step < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.valid]):
         gathered = coarsen(gathered)
     mean, count = gathered.means(value)
-    distance, (square, _) = gathered.place, gathered.means(gathered.distance**2)
+    distance, (square, _) = gathered.mean_distance, gathered.means(gathered.distance**2)
     keep = count >= 1
     dark, bright = levels_of(mean, count, gathered)
     angle = line.angle_rad(picture.pitch_ratio)
     slopes = float(np.cos(angle)), float(-line.slope * np.cos(angle))
     quantisation = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
     floor = max(quantisation, (3e-4 * (bright - dark)) ** 2, 1e-30)
-    grain = estimate_edge_noise(
-        residual, level, gathered.used, gathered.distance, floor, picture.field_axis
-    )
-    of_bins = (mean[keep] - dark) / (bright - dark if bright != dark else 1.0)
     return EdgeProfile(
         gathered=gathered,
         distance=distance[keep],
@@ -345,9 +353,9 @@ def profile_of(
         dark=dark,
         bright=bright,
         black=usable_black_level(picture.black_dn, dark, bright),
-        grain=grain,
-        covariance=bin_covariance(grain, gathered.borders, of_bins, count[keep], keep, slopes),
-        shading_sd=0.0,
+        noise=estimate_edge_noise(
+            residual, level, gathered.valid, gathered.distance, floor, picture.field_axis
+        ),
         defects=defects,
         angle_rad=angle,
         slopes=slopes,
@@ -364,9 +372,9 @@ def centre_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
     filled = count > 0
     dark, bright = levels_of(mean, count, gathered)
     smooth = np.convolve(mean[filled], np.ones(9) / 9.0, "same")[4:-4]
-    above = smooth > 0.5 * (dark + bright)
-    rises = np.flatnonzero(np.diff(above.astype(int)) == 1)
-    shift = median(gathered.place[filled][4:-4][rises]) if rises.size else 0.0
+    is_bright = smooth > 0.5 * (dark + bright)
+    rises = np.flatnonzero(np.diff(is_bright.astype(int)) == 1)
+    shift = median(gathered.mean_distance[filled][4:-4][rises]) if rises.size else 0.0
     if not np.isfinite(shift) or abs(shift) > 4.0:
         return line
     return replace(
@@ -381,24 +389,24 @@ def refine_noise(profile: EdgeProfile, picture: OrientedFrame, model_value: Arra
     gathered = profile.gathered
     at_pixel = np.interp(gathered.distance, profile.distance, model_value)
     level = (at_pixel - profile.dark) / profile.step
-    value = np.where(gathered.used, picture.value - at_pixel, 0.0)
-    residual = np.where(gathered.used, value - _slope_along(value, gathered, level), value)
+    value = np.where(gathered.valid, picture.value - at_pixel, 0.0)
+    residual = np.where(gathered.valid, value - _slope_along(value, gathered, level), value)
     floor = profile.variance_floor
-    grain = estimate_edge_noise(
-        residual, level, gathered.used, gathered.distance, floor, picture.field_axis
+    noise = estimate_edge_noise(
+        residual, level, gathered.valid, gathered.distance, floor, picture.field_axis
     )
-    of_bins = (profile.value - profile.dark) / profile.step
-    covariance = bin_covariance(
-        grain, gathered.borders, of_bins, profile.count, profile.keep, profile.slopes
-    )
-    return with_shading(
-        replace(profile, grain=grain, covariance=covariance, shading_sd=0.0), profile.value
-    )
+    return with_shading(replace(profile, noise=noise, shading_sd=0.0), profile.value)
+
+
+def undulation(distance: Array) -> Array:
+    """Return the correlation of shading, exp(-(d - d')^2 / (2 l^2)), shape (bin, bin)."""
+    apart_px = distance[:, None] - distance
+    return np.exp(-0.5 * (apart_px / ACCURACY.shading_length_px) ** 2)
 
 
 def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:
-    """Return the profile with slow undulations of its plateaus allowed for, as large as residuals
-    show them.
+    """Return a profile without shading with the slow undulations of its plateaus allowed for, as
+    large as residuals show them.
 
     A plateau not much longer than the correlation length is fitted by a parabola within a
     thousandth: no estimate.
@@ -408,26 +416,29 @@ def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:
     left_over
         The bins' values, or their residuals of a model, shape (bin,), DN.
     """
-    place, excess, weight, scatter = profile.distance, 0.0, 0.0, 0.0
-    even = np.exp(-0.5 * ((place[:, None] - place) / ACCURACY.shading_length_px) ** 2)
-    bare = profile.covariance - profile.shading_sd**2 * even
-    for side in (place < -ACCURACY.plateau_from_px, place > ACCURACY.plateau_from_px):
-        own = place[side]
-        if own.size < 12 or np.ptp(own) < 1.4 * ACCURACY.shading_length_px:
+    distance, excess, weight, scatter = profile.distance, 0.0, 0.0, 0.0
+    for side in (distance < -ACCURACY.plateau_from_px, distance > ACCURACY.plateau_from_px):
+        plateau = distance[side]
+        if plateau.size < 12 or np.ptp(plateau) < 1.4 * ACCURACY.shading_length_px:
             continue
-        basis = np.linalg.qr(np.stack([np.ones_like(own), own, own**2], axis=1))[0]
-        noise, undulation = bare[np.ix_(side, side)], even[np.ix_(side, side)]
+        basis = np.linalg.qr(np.stack([np.ones_like(plateau), plateau, plateau**2], axis=1))[0]
+        noise, shading = profile.covariance[np.ix_(side, side)], undulation(plateau)
         # Of the residuals of values, noise and undulations after the bend I - B B^T: squares and
         # traces.
         across = noise @ basis
-        within = basis.T @ across
+        noise_in_basis = basis.T @ across
         bend = basis.T @ left_over[side]
         excess += float(
-            left_over[side] @ left_over[side] - bend @ bend - np.trace(noise) + np.trace(within)
+            left_over[side] @ left_over[side]
+            - bend @ bend
+            - np.trace(noise)
+            + np.trace(noise_in_basis)
         )
-        scatter += 2.0 * float(np.sum(noise**2) - 2.0 * np.sum(across**2) + np.sum(within**2))
-        weight += float(np.trace(undulation) - np.sum(basis * (undulation @ basis)))
+        scatter += 2.0 * float(
+            np.sum(noise**2) - 2.0 * np.sum(across**2) + np.sum(noise_in_basis**2)
+        )
+        weight += float(np.trace(shading) - np.sum(basis * (shading @ basis)))
     # The excess of plateaus without shading scatters by this much; only what stands out of it
     # counts.
-    shading = float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0
-    return replace(profile, covariance=bare + shading**2 * even, shading_sd=shading)
+    shading_sd = float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0
+    return replace(profile, shading_sd=shading_sd) if shading_sd else profile

@@ -72,7 +72,7 @@ def test_odds_are_the_mean_likelihood_over_shares(wide, amplitude, precision):
     size = np.array([[40.0]])
     unit = float(wide.share_unit(size)[0, 0])
     light = edge_beyond.TrialComponent(
-        wide=wide, shapes=size, unit=np.array([unit]), change=np.zeros((1, 1))
+        component=wide, shapes=size, unit=np.array([unit]), change=np.zeros((1, 1))
     )
     ratio = lambda q: np.exp(precision * (amplitude * unit * q - 0.5 * (unit * q) ** 2))  # noqa: E731
     low, high = wide.fraction
@@ -226,7 +226,7 @@ def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
         for one, odds, gain in zip(found, (0.6, 0.9, 5.0), (1.0, 2.0, 30.0), strict=True)
     ]
     worth = edge_beyond._components_worth_fitting(promised)
-    assert [one.wide for one in worth] == [kinds[2], kinds[1]]
+    assert [score.component for score in worth] == [kinds[2], kinds[1]]
     assert np.exp([one.ln_weight for one in worth]) == pytest.approx([1 / 3, 1.5 / 0.9 / 3])
     fit = edge_beyond.fit_extended_component(fitter, worth[1], np.inf)
     assert fit.ln_weight == worth[1].ln_weight

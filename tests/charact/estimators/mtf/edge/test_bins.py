@@ -46,11 +46,11 @@ def test_wider_bins_hold_the_pixels_of_the_narrow_ones(seed):
     assert np.allclose(np.diff(wide.borders)[middle < 4], 0.25)
     assert wide.borders.size < 0.55 * narrow.borders.size
     inside = (narrow.distance >= wide.borders[0]) & (narrow.distance < wide.borders[-1])
-    assert np.array_equal(wide.used, narrow.used & inside)
-    index = np.digitize(narrow.distance[wide.used], wide.borders) - 1
-    assert np.array_equal(wide.bin_index[wide.used], index)
+    assert np.array_equal(wide.valid, narrow.valid & inside)
+    index = np.digitize(narrow.distance[wide.valid], wide.borders) - 1
+    assert np.array_equal(wide.bin_index[wide.valid], index)
     mean, count = wide.means(edge.picture.value)
-    assert float(mean @ count) == pytest.approx(float(edge.picture.value[wide.used].sum()))
+    assert float(mean @ count) == pytest.approx(float(edge.picture.value[wide.valid].sum()))
 
 
 @pytest.mark.parametrize(("snr", "wide"), [(5.0, True), (30.0, False)])
