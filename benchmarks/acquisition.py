@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.synthetic_rig import COLUMNS, ROWS, NoOperator, PacedCamera, SlowBench
-from charact.cli.benches import SaturationJudge
+from charact.live.judge import SaturationJudge
 from drivers.acquisition.acquire import LOG, acquire
 from labdata import Conditions, Session
 from labdata.capture import Frame

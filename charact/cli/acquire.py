@@ -53,7 +53,8 @@ def acquire(
         exit_on_bad_input(str(plan), events=events, interrupted=interrupted),
         progress_bar(events=events) as progress,
     ):
-        from charact.cli.benches import acquire_session, load_plan, remove_run
+        from charact.cli.benches import acquire_session, remove_run
+        from drivers.acquisition.plans import load_plan
         from labdata.errors import BadInput
         from labdata.serialiser import from_toml
         from simulate.virtual_bench.rehearsal import FaultScript
@@ -126,12 +127,12 @@ def safe(
     Example: charact safe plan.toml
     """
     with exit_on_bad_input(str(plan or "the last bench"), events=events):
-        from charact.cli.benches import load_plan
+        from drivers.acquisition.plans import load_plan
         from drivers.bench.safe_state import make_bench_safe
         from drivers.bench.setup import last_bench, with_present_ports
 
         wires = last_bench() if plan is None else with_present_ports(load_plan(plan).wires)
-        if not any(one.port for one in wires.instruments):
+        if not any(connection.port for connection in wires.instruments):
             print("This bench has no serial ports: no instrument is on between runs.")
             return
 

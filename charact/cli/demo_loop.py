@@ -9,10 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from charact.cli.benches import acquire_session, bench_folder, load_plan
+from charact.cli.benches import acquire_session
 from charact.cli.output import print_message, progress_bar
 from charact.cli.outputs import FITTED, is_taken, remove_session, require_free, why_kept
 from charact.cli.sessions import fit_and_save, measure_folder, validate_and_save
+from drivers.acquisition.acquire import bench_folder
+from drivers.acquisition.plans import load_plan
 from labdata.errors import BadInput
 from labdata.plan import Plan
 from labdata.session import Session, open_session
@@ -91,7 +93,7 @@ def demo_plan(seed: int, *, quick: bool) -> Plan:
     """Return the shipped plan with a seed; `quick`: with fewer frames, and a bench without wires
     and processes.
     """
-    plan = replace(load_plan(Path("demo")), seed=seed)
+    plan = replace(load_plan("demo"), seed=seed)
     if not quick:
         return plan
     steps = tuple(replace(step, frames=min(step.frames, 10)) for step in plan.steps)

@@ -139,8 +139,9 @@ def live_source(
         require_session(session)
         yield SessionSource(session)
         return
-    from charact.cli.benches import camera_named, load_plan
     from charact.live.frame_source import CameraSource
+    from drivers.acquisition.plans import load_plan
+    from drivers.cameras import camera_named
 
     loaded = None if plan is None else load_plan(plan)
     if camera is None and (
@@ -151,7 +152,7 @@ def live_source(
         return
     name = camera or (loaded.wires.camera if loaded else None)
     yield CameraSource(
-        camera_named(name, tell=tell),
+        camera_named(name, say=tell),
         frames_each=_frames_each(name or ""),
         name=f"camera {name or '(the only one)'}",
         context=_context(loaded.sensor if loaded else None, full_scale_dn),

@@ -1,25 +1,32 @@
 """Acquire a plan's stacks into a session and leave the tube in the safe state."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Self
 
 from drivers.acquisition.plan_check import (
     check_plan,
+    field_hz,
     picture_of,
     same_but_wires,
     sentences_out_of_step,
 )
+from drivers.acquisition.plans import load_plan
 from drivers.acquisition.run import Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
+from drivers.bench.client import BenchClient
+from drivers.bench.local_bench import LocalBench, open_bench
+from drivers.cameras import camera_named
 from drivers.interface import Bench, Camera, Operator
+from drivers.serial_lines.line import InstrumentLine
 from labdata.background import BackgroundWriter
 from labdata.camera.description import Camera as Description
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
 from labdata.file_io import write_atomically
+from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force
 from labdata.plan import Judge, Plan, gain_table_of, in_volts
 from labdata.plan_file import plan_toml, read_plan
@@ -27,18 +34,20 @@ from labdata.sensors import load_sensor, save_sensor, sensor_names
 from labdata.session import MANIFEST, Session, open_session
 from labdata.session_writer import SessionWriter
 from labdata.storage_thread import Storage
+from labdata.tube_dose import DoseLedger, ledger_of
 
 PLAN = "plan.toml"
 LOG = "log.jsonl"
+SAFETY_LOG, DOSE = "safety.jsonl", "dose.jsonl"
 
 
 def acquire(
-    plan: Plan,
-    folder: str | Path,
+    plan: str | Path | Plan,
+    out: str | Path,
     *,
-    camera: AbstractContextManager[Camera],
-    bench: AbstractContextManager[Bench],
     operator: Operator,
+    camera: AbstractContextManager[Camera] | None = None,
+    bench: AbstractContextManager[Bench] | None = None,
     judge: Judge | None = None,
     resume: bool = False,
     progress: Callable[[str, float], None] = lambda sentence, fraction: None,
@@ -53,32 +62,78 @@ def acquire(
 
     Parameters
     ----------
-    camera, bench
-        Not yet opened; the bench is opened first and closed last. Both make the tube safe.
+    plan
+        A plan, its TOML file, or the name of a shipped one.
+    out
+        Folder of the session.
     operator
         Places targets and sets light.
+    camera, bench
+        Not yet opened; the bench is opened first and closed last. Both make the tube safe. None:
+        those that the plan names, on a real bench.
     judge
-        Assesses each stack during acquisition; its complaint becomes a note of the stack.
+        Assesses each stack during acquisition, such as `charact.live.judge.SaturationJudge`; its
+        complaint becomes a note of the stack.
     resume
         Continue an interrupted run: finished stacks are not repeated, a partial one is completed,
         or acquired again where the bench failed during it.
     progress
         Called with the step and the completed fraction (0..1).
     requests
-        Requests of the user; by default Ctrl-C and SIGUSR1.
+        Requests of the user, and where they are confirmed; by default Ctrl-C and SIGUSR1.
+
+    Returns
+    -------
+    Session
+        The stacks with conditions as read back, for `charact.measure`.
 
     Raises
     ------
     BadInput
-        If the plan breaks a rule, the folder has a session, a resumed plan differs from the
-        original one or reads back other conditions, or the disk does not accept the frames.
+        If the plan breaks a rule, a virtual bench or its camera is not given, the folder has a
+        session, a resumed plan differs from the original one or reads back other conditions, or the
+        disk does not accept the frames.
     BenchError
         If an instrument or the camera fails; the message names it.
     KeyboardInterrupt
         If the run was stopped: by the first Ctrl-C after the present step, by the second at once.
+
+    Examples
+    --------
+    A dark on a virtual bench without wires:
+
+    >>> import tempfile
+    >>> from drivers.instruments.models import lines_on
+    >>> from labdata.conditions import Conditions
+    >>> from labdata.plan import Step
+    >>> from simulate.virtual_bench.bench import VirtualBench
+    >>> wires = InstrumentConfig(bench="in-process")
+    >>> sensor = load_sensor("pulnix-ag5745ef3")
+    >>> dark = Step(label="dark", kind="dark", frames=2, conditions=Conditions(gate_ns=1e4))
+    >>> plan = Plan(name="darks", sensor="pulnix-ag5745ef3", wires=wires, steps=(dark,))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     out = Path(folder) / "day1"
+    ...     with VirtualBench(bench_folder(out), sensor, seed=1, wires=wires) as virtual:
+    ...         lines = lines_on(virtual.inside.ports, virtual.wires)
+    ...         acquire(
+    ...             plan,
+    ...             out,
+    ...             bench=bench_of(plan, out, wires=virtual.wires, lines=lines),
+    ...             camera=virtual.in_process_camera(),
+    ...             operator=virtual.operator,
+    ...         ).stacks[0].read().shape
+    (2, 493, 768)
     """
-    folder = Path(folder)
+    plan, folder = load_plan(plan), Path(out)
     asked = requests or RunControl()
+    if bench is None or camera is None:
+        if plan.wires.bench != "real":
+            raise BadInput(
+                f"bench and camera must be given to a plan whose bench is {plan.wires.bench}, got "
+                f"no {'bench' if bench is None else 'camera'} for {plan.name!r}"
+            )
+        bench = bench or bench_of(plan, folder)
+        camera = camera or camera_named(plan.wires.camera, say=asked.say)
     with ExitStack() as opened:
         report = opened.enter_context(_Reporter(progress))
         opened.enter_context(asked.listen())
@@ -126,6 +181,61 @@ def acquire(
         storage.wait()
         report("all frames are stored", 1.0)
     return open_session(folder)
+
+
+def bench_of(
+    plan: Plan,
+    out: Path,
+    *,
+    wires: InstrumentConfig | None = None,
+    log: Path | None = None,
+    lines: Mapping[Role, InstrumentLine] | None = None,
+) -> BenchClient | LocalBench:
+    """Return the bench of a plan, not opened, with limits, gating and dose ledger of its tube.
+
+    Parameters
+    ----------
+    plan, out
+        The plan, and the folder of its session.
+    wires, lines
+        Wires in place of the plan's, and lines in place of their serial ports, as of a virtual
+        bench.
+    log
+        File for the events of the interlock; None: next to the session.
+
+    Raises
+    ------
+    BadInput
+        If an instrument has no serial port.
+    """
+    sensor = None if plan.sensor is None else load_sensor(plan.sensor)
+    return open_bench(
+        wires or plan.wires,
+        limits_in_force(plan.limits, sensor, plan.overrides),
+        log=log or out.with_name(f"{out.name}.{SAFETY_LOG}"),
+        lines=lines,
+        lamp=plan.lamp,
+        meters=plan.meters,
+        field_hz=field_hz(sensor),
+        gating=plan.gating,
+        dose=dose_ledger(plan, out),
+        session=str(out),
+    )
+
+
+def dose_ledger(plan: Plan, out: Path) -> DoseLedger:
+    """Return the dose ledger of the plan's tube; that of an unnamed tube is a file next to the
+    session, or in the folder of its virtual bench.
+    """
+    if plan.tube is not None:
+        return ledger_of(plan.tube)
+    real = plan.wires.bench == "real"
+    return DoseLedger(out.with_name(f"{out.name}.{DOSE}") if real else bench_folder(out) / DOSE)
+
+
+def bench_folder(session: Path) -> Path:
+    """Folder of the virtual bench of a session, next to the session folder."""
+    return session.with_name(session.name + ".bench")
 
 
 class _Reporter:

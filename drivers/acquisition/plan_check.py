@@ -4,6 +4,7 @@ import shutil
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from drivers.acquisition.plans import load_plan
 from drivers.acquisition.run import DISCARDED_FRAMES
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import FIELD_RATE_HZ
@@ -11,11 +12,13 @@ from drivers.bench.state import Command, InterlockRefused, OpenGate, RaiseGain, 
 from labdata.calibration import GainTable, LampCalibration
 from labdata.camera.description import Camera
 from labdata.capture import PIXEL_BITS, CameraSettings
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gating import Gating, out_of_step
 from labdata.limits import LimitsInForce, limits_in_force
-from labdata.plan import Plan, Step, gain_table_of
-from labdata.tube_dose import Dose, dose_of, total_dose
+from labdata.plan import Plan, Step, by_calibration, gain_table_of, in_volts
+from labdata.sensors import load_sensor
+from labdata.tube_dose import Dose, dose_of, ledger_of, total_dose, warnings
 
 _NEEDED = {
     "bars": ("bars", "frequency_cy_per_px"),
@@ -233,50 +236,89 @@ class StepForecast:
     anode_na_per_cm2: float  #: MCP output current density without saturation, nA/cm2
     share_of_limit: float  #: Fraction of the allowed current density
     dose: Dose
+    gain: Conditions  #: Luminous gain by the gain table; empty without one
+    lamp: Conditions | None  #: Lamp current and filter; None in the dark, or if a person sets light
 
 
 @dataclass(frozen=True, kw_only=True)
-class Forecast:
-    """Forecast of a plan, in the order of its steps."""
+class PlanReport:
+    """What a plan would do, in the order of its steps."""
 
+    plan: Plan  #: The plan with every gain in volts
+    sensor: Camera | None
     steps: tuple[StepForecast, ...]
     bytes: int  #: Disk space of its frames; 0 where no sensor gives the frame size
     limits: LimitsInForce
     gain_table: GainTable | None
-    out_of_step: tuple[
-        str, ...
-    ] = ()  #: One sentence for each unsynchronised pair of gate and exposure
+    dose_before: Dose | None  #: Dose of the tube so far; None where the plan names no tube
+    warnings: tuple[str, ...]  #: Sentences on the tube's life, and on gates out of step with fields
 
     @property
     def seconds(self) -> float:
         """Duration of the plan, s."""
-        return sum(step.seconds for step in self.steps)
+        return sum(forecast.seconds for forecast in self.steps)
 
     @property
     def dose(self) -> Dose:
         """Total dose of the tube."""
-        return total_dose(step.dose for step in self.steps)
+        return total_dose(forecast.dose for forecast in self.steps)
 
     @property
     def hottest(self) -> StepForecast:
         """The step nearest to the limit of current density."""
-        return max(self.steps, key=lambda step: step.share_of_limit)
+        return max(self.steps, key=lambda forecast: forecast.share_of_limit)
 
 
-def forecast(plan: Plan, sensor: Camera | None) -> Forecast:
-    """Return the forecast of a plan in volts that was checked by `check_plan`."""
-    limits = limits_in_force(plan.limits, sensor, plan.overrides)
-    befores = (None, *plan.steps[:-1])
+def plan_report(plan: str | Path | Plan, out: str | Path = ".") -> PlanReport:
+    """Check an acquisition plan and forecast its time, disk space and tube dose.
+
+    Nothing is switched on.
+
+    Parameters
+    ----------
+    plan
+        A plan, its TOML file, or the name of a shipped one.
+    out
+        Folder of the session, whose disk must have space for the frames.
+
+    Returns
+    -------
+    PlanReport
+        `steps`, each with its duration (s), MCP output current density (nA/cm2) and fraction of the
+        limit; `seconds`, `bytes`, `dose` (C/cm2 and hours at gain), `hottest`, `warnings`.
+
+    Raises
+    ------
+    BadInput
+        If there is no such plan, or it breaks a rule of the tube, the camera or the disk.
+
+    Examples
+    --------
+    >>> report = plan_report("gain-by-light")
+    >>> f"{report.hottest.share_of_limit:.0%} of the limit in {report.hottest.step.label}"
+    '2% of the limit in flat-850V-0.0002lux'
+    """
+    asked = load_plan(plan)
+    sensor = None if asked.sensor is None else load_sensor(asked.sensor)
+    asked = in_volts(asked, sensor)
+    check_plan(asked, Path(out), sensor)
+    limits = limits_in_force(asked.limits, sensor, asked.overrides)
+    befores = (None, *asked.steps[:-1])
     steps = tuple(
-        _step(plan, step, before, sensor, limits)
-        for step, before in zip(plan.steps, befores, strict=True)
+        _step(asked, step, before, sensor, limits)
+        for step, before in zip(asked.steps, befores, strict=True)
     )
-    return Forecast(
+    spent = None if asked.tube is None else ledger_of(asked.tube).total()
+    doses = [total_dose(forecast.dose for forecast in steps), *([] if spent is None else [spent])]
+    return PlanReport(
+        plan=asked,
+        sensor=sensor,
         steps=steps,
-        bytes=bytes_of(plan, sensor),
+        bytes=bytes_of(asked, sensor),
         limits=limits,
-        gain_table=gain_table_of(plan, sensor),
-        out_of_step=sentences_out_of_step(plan, sensor),
+        gain_table=gain_table_of(asked, sensor),
+        dose_before=spent,
+        warnings=(*warnings(total_dose(doses), sensor), *sentences_out_of_step(asked, sensor)),
     )
 
 
@@ -286,12 +328,12 @@ def sentences_out_of_step(plan: Plan, sensor: Camera | None) -> tuple[str, ...]:
     """
     rate_hz = field_hz(sensor)
     asked = (step.conditions for step in plan.steps)
-    pairs = dict.fromkeys((step.gate_ns or 0.0, step.exposure_s or 1.0 / rate_hz) for step in asked)
+    pairs = dict.fromkeys((c.gate_ns or 0.0, c.exposure_s or 1.0 / rate_hz) for c in asked)
     sentences = (
         out_of_step(plan.gating, width_ns=gate_ns, exposure_s=exposure_s, field_hz=rate_hz)
         for gate_ns, exposure_s in pairs
     )
-    return tuple(dict.fromkeys(step for step in sentences if step is not None))
+    return tuple(dict.fromkeys(filter(None, sentences)))
 
 
 def _step(
@@ -318,6 +360,10 @@ def _step(
         anode_na_per_cm2=anode,
         share_of_limit=anode / limits.largest_anode_na_per_cm2(point=point),
         dose=dose,
+        gain=by_calibration(gain_table_of(plan, sensor), step.conditions.mcp_v),
+        lamp=None
+        if plan.lamp is None or not asked.illuminance_lux
+        else plan.lamp.setting(asked.illuminance_lux, asked.filter_density).read,
     )
 
 

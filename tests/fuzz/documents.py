@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.acquisition.plan_check import check_plan, forecast
-from labdata import BadInput, load_sensor, open_session
+from drivers.acquisition.plan_check import plan_report
+from labdata import BadInput, open_session
 from labdata.phosphors import load_phosphor
 from labdata.plan_file import plan_toml, read_plan
 from labdata.sensors import load_camera
@@ -167,9 +167,7 @@ i a.npy
 
 def _read_plan(path: Path) -> None:
     plan = read_plan(path)
-    sensor = None if plan.sensor is None else load_sensor(plan.sensor)
-    check_plan(plan, path.parent, sensor)
-    foreseen = forecast(plan, sensor)
+    foreseen = plan_report(plan, path.parent)
     assert foreseen.seconds >= 0.0 and foreseen.dose.factor95 >= 1.0 and foreseen.hottest
     if len(plan.steps) < 200:  # what was read is written so that it reads the same
         path.write_text(plan_toml(plan), encoding="utf-8")
@@ -222,7 +220,11 @@ def _ledgers() -> list[bytes]:
 
 Reader = Callable[[Path], None]
 TARGETS: dict[str, tuple[Reader, Callable[[], list[bytes]], str]] = {
-    "plan": (_read_plan, lambda: [SWEPT, SWEPT, *_shipped("charact.cli", "plans")], "plan.toml"),
+    "plan": (
+        _read_plan,
+        lambda: [SWEPT, SWEPT, *_shipped("drivers.acquisition", "plans")],
+        "plan.toml",
+    ),
     "session": (_read_session, lambda: [SESSION], MANIFEST),
     "sensor": (_read_sensor, lambda: _shipped("labdata.sensors"), "sensor.toml"),
     "phosphor": (_read_phosphor, lambda: _shipped("labdata.phosphors"), "phosphor.toml"),

@@ -4,13 +4,17 @@ what was told.
 
 import json
 
+import numpy as np
 import pytest
 
-from charact.cli.benches import builtin_plan_names, load_plan
+import drivers
 from charact.reporting.session_page import page
+from drivers.acquisition.plans import builtin_plan_names, load_plan
+from drivers.instruments.models import lines_on
+from labdata import BadInput, load_sensor, open_session
 from labdata import Result as Measured
-from labdata import open_session
 from labdata.tube_dose import FOLDER_VARIABLE, Dose, ledger_of
+from simulate.virtual_bench.bench import VirtualBench
 from tests.charact.cli.runner import charact, done_well, small_camera
 
 PLAN = """
@@ -127,3 +131,31 @@ def test_what_the_interlock_would_refuse_is_refused_before(plan, line, rule):
     assert done.exit_code == 1
     assert rule in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_reports_and_frames_of_the_functions_are_those_of_the_verbs(plan, tmp_path):
+    report, document = drivers.plan_report(plan), told(plan)
+    assert drivers.plan_report(report.plan) == report
+    assert document["hottest"]["share_of_limit"] == report.hottest.share_of_limit
+    assert document["dose"]["screen_c_per_cm2"] == report.dose.screen_c_per_cm2
+    assert [step["seconds"] for step in document["steps"]] == [
+        round(step.seconds, 3) for step in report.steps
+    ]
+    dark = '[[step]]\nlabel = "dark"\nkind = "dark"\nframes = 2\ngate_ns = 1e4\n'
+    plan.write_text(PLAN.split("[[override]]")[0] + dark)
+    loaded, out = load_plan(plan), tmp_path / "python"
+    sensor = load_sensor(loaded.sensor)
+    with VirtualBench(tmp_path / "rig", sensor, loaded.seed, wires=loaded.wires) as virtual:
+        lines = lines_on(virtual.inside.ports, virtual.wires)
+        session = drivers.acquire(
+            plan,
+            out,
+            bench=drivers.bench_of(loaded, out, wires=virtual.wires, lines=lines),
+            camera=virtual.in_process_camera(),
+            operator=virtual.operator,
+        )
+    done_well("acquire", plan, tmp_path / "verb")
+    for entry, other in zip(session.stacks, open_session(tmp_path / "verb").stacks, strict=True):
+        assert np.array_equal(entry.read().data, other.read().data)
+    with pytest.raises(BadInput, match="whose bench is in-process, got no bench for 'small'"):
+        drivers.acquire(plan, tmp_path / "none", operator=virtual.operator)

@@ -16,8 +16,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from charact.cli.benches import SaturationJudge
 from charact.cli.prompting import PromptingOperator
+from charact.live.judge import SaturationJudge
 from drivers.acquisition.acquire import PLAN, acquire
 from drivers.acquisition.run_control import RunControl
 from drivers.bench.local_bench import open_bench
