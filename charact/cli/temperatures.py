@@ -1,9 +1,6 @@
 """The verb `temperatures`: surface temperatures of an outdoor scene over a day, and their map."""
 
-import io
-import json
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,8 +13,7 @@ from charact.cli.outputs import Force, require_free
 if TYPE_CHECKING:
     import numpy as np
 
-    from labdata.measurement import Result
-    from simulate.thermal.temperatures import Temperatures
+    from simulate.surface_temperatures import SurfaceTemperatures
 
 
 def temperatures(
@@ -62,171 +58,65 @@ def temperatures(
             else "something without a temperatures.json"
         )
         require_free(out, force=force, taken=taken, kept=lambda: other)
-        import numpy as np
-
+        import simulate
         from charact.cli.image_figures import save_png
-        from labdata.conditions import Conditions
-        from labdata.errors import BadInput
-        from labdata.file_io import write_atomically
-        from simulate.api import load_described_camera
-        from simulate.camera.scene_to_photoelectrons import camera_from_description
-        from simulate.outdoor_rendering import OutdoorRendering
-        from simulate.radiance.scene import LabScene, load_scene
-        from simulate.thermal.temperatures import temperatures_of
 
-        loaded = load_scene(scene)
-        if isinstance(loaded, LabScene):
-            raise BadInput(
-                f"surface temperatures need an outdoor scene, got the lab bench {loaded.name!r}"
-            )
-        view = OutdoorRendering(
-            loaded, camera_from_description(load_described_camera(sensor)), Conditions()
-        ).view
-        progress("heat balance", 0.0)
-        began = time.perf_counter()
-        found = temperatures_of(loaded, tolerance_mk=within_mk, seed=seed)
-        result = _result(found, time.perf_counter() - began, seed)
-        kelvin = found.map_k(view, lambda fraction: progress("map", fraction))
-        for note in found.balance.weather.notes:
+        warm = simulate.temperatures(
+            scene, sensor=sensor, within_mk=within_mk, seed=seed, progress=progress
+        )
+        for note in warm.notes:
             print_message(note, events=events)
         if explain:
-            print("\n".join(_terms(found, within_mk)), file=sys.stderr if as_json else sys.stdout)
-        title = (
-            f"{loaded.name}, {found.balance.weather.moment.isoformat(sep=' ', timespec='minutes')}"
-        )
-        out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / "temperatures.csv", _table(found).encode())
-        write_atomically(out / "temperatures.json", json.dumps(_document(found), indent=1).encode())
-        for name, figure in (
-            ("temperatures.png", _curves(found, title)),
-            ("map.png", _map(kelvin, title)),
-        ):
-            save_png(figure, out / name)
-        content = io.BytesIO()
-        np.savez_compressed(content, temperature_k=kelvin)
-        write_atomically(out / "map.npz", content.getbuffer())
+            print("\n".join(_terms(warm, within_mk)), file=sys.stderr if as_json else sys.stdout)
+        title = f"{warm.scene}, {warm.moment.isoformat(sep=' ', timespec='minutes')}"
+        warm.save(out)
+        save_png(_curves(warm, title), out / "temperatures.png")
+        save_png(_map(warm.map_k, title), out / "map.png")
         if as_json:
-            print_result(result, given=str(scene), verb="temperatures", as_json=True, events=events)
+            print_result(warm, given=str(scene), verb="temperatures", as_json=True, events=events)
             return
-        print("\n".join(_last_row(result)))
+        print("\n".join(_last_row(warm)))
         print(
             f"{out}: temperatures.csv, temperatures.png, map.png, map.npz (kelvin), "
             f"temperatures.json (numbers used)"
         )
 
 
-def _result(found: "Temperatures", seconds: float, seed: int) -> "Result":
-    """Return the mean temperature of each OBJECT:MATERIAL at the scene's time as measurements."""
-    from charact import __version__
-    from labdata.measurement import Provenance, Result, measurement_from_sd
-
-    of_library = {slab.source for slab in found.balance.slabs if slab.source}
-    notes = (
-        *found.balance.weather.notes,
-        *(f"slabs: {source}" for source in sorted(of_library)[:1]),
-    )
-    _, _, surfaces = found.means_c()
-    return Result(
-        measurements=tuple(
-            measurement_from_sd(
-                "surface_temperature",
-                "C",
-                float(surfaces[name][-1]),
-                sd,
-                method="slab",
-                seconds=seconds,
-                stack=name,
-                notes=notes,
-                provenance=Provenance(version=__version__, seed=seed),
-            )
-            for name, sd in found.last_sd_k().items()
-        )
-    )
-
-
-def _last_row(result: "Result") -> list[str]:
+def _last_row(warm: "SurfaceTemperatures") -> list[str]:
     """Return lines on surfaces at the scene's time, the warmest first, with 95 % intervals."""
     from charact.reporting.summary import LINES
 
-    most = LINES - 10
-    ordered = sorted(result.measurements, key=lambda one: -(one.value or 0.0))
+    count = LINES - 10
+    ordered = sorted(warm.measurements, key=lambda m: -(m.value or 0.0))
     lines = [f"{'surface at the scene time':44}  {'mean, C':>8}  {'95 %':>6}"]
-    for one in ordered[:most]:
-        low, high = one.interval95 or (0.0, 0.0)
-        lines.append(f"{one.stack or '':44}  {one.value:8.1f}  ±{0.5 * (high - low):5.1f}")
-    more = len(ordered) - most
+    for m in ordered[:count]:
+        low, high = m.interval95 or (0.0, 0.0)
+        lines.append(f"{m.stack or '':44}  {m.value:8.1f}  ±{0.5 * (high - low):5.1f}")
+    more = len(ordered) - count
     return [*lines, *([f"and {more} more in temperatures.csv"] if more > 0 else [])]
 
 
-def _terms(found: "Temperatures", within_mk: float) -> list[str]:
+def _terms(warm: "SurfaceTemperatures", within_mk: float) -> list[str]:
     """Return lines on retained and neglected terms."""
-    solution = found.solution
     lines = [f"{'term':58}  {'changes at most, mK':>20}"]
-    for effects, verdict in ((solution.effects, "kept"), (solution.left_out, "left out")):
-        ordered = sorted(effects, key=lambda effect: -effect.influence)
-        lines += [f"{effect.name:58}  {effect.influence:20.3g}  {verdict}" for effect in ordered]
-    together = sum(effect.influence for effect in solution.left_out)
+    for term in sorted(warm.terms, key=lambda term: (not term.kept, -term.changes_mk)):
+        verdict = "kept" if term.kept else "left out"
+        lines.append(f"{term.name:58}  {term.changes_mk:20.3g}  {verdict}")
+    together = sum(term.changes_mk for term in warm.terms if not term.kept)
     lines.append(f"left out together: at most {together:.3g} mK; each may have {within_mk:g} mK")
     lines.append(f"{'uncertain input':58}  {'1 sd, at most, mK':>20}")
-    errors = {name: 1e3 * float(abs(error).max()) for name, error in solution.errors_k.items()}
-    return [
-        *lines,
-        *(
-            f"{name:58}  {size:20.3g}"
-            for name, size in sorted(errors.items(), key=lambda one: -one[1])
-        ),
-    ]
+    largest = sorted(warm.input_errors_mk.items(), key=lambda error: -error[1])
+    return [*lines, *(f"{name:58}  {size:20.3g}" for name, size in largest)]
 
 
-def _table(found: "Temperatures") -> str:
-    import csv
-
-    hours, air, surfaces = found.means_c()
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["hour", "air_c", *(f"{name}_c" for name in surfaces)])
-    for row, hour in enumerate(hours):
-        rows.writerow(
-            [
-                f"{hour:g}",
-                f"{air[row]:.3f}",
-                *(f"{values[row]:.3f}" for values in surfaces.values()),
-            ]
-        )
-    return text.getvalue()
-
-
-def _document(found: "Temperatures") -> dict:
-    """Return terms, notes, and all slab parameters with basis and source, as plain values."""
-    from dataclasses import asdict
-
-    balance, solution = found.balance, found.solution
-    slabs = dict(zip(balance.facets.names, balance.slabs, strict=True))
-    return {
-        "weather": list(balance.weather.notes),
-        "terms": [
-            {"name": effect.name, "changes_mk": effect.influence, "kept": kept}
-            for effects, kept in ((solution.effects, True), (solution.left_out, False))
-            for effect in effects
-        ],
-        "standard_deviation_k": found.last_sd_k(),
-        "slabs": {
-            name: {"label": slab.label}
-            | {key: asdict(number) for key, number in slab.parameters().items()}
-            for name, slab in slabs.items()
-        },
-    }
-
-
-def _curves(found: "Temperatures", title: str) -> Any:
+def _curves(warm: "SurfaceTemperatures", title: str) -> Any:
     """Plot temperatures of the air and of each material against hours before the scene's time."""
     from charact.cli.image_figures import WIDTH_INCHES, new_figure
 
-    _, air, surfaces = found.means_c()
     hours = range(-24, 1)
     figure = new_figure(WIDTH_INCHES, 0.6 * WIDTH_INCHES)
     axes = figure.subplots()
-    ordered = sorted(surfaces.items(), key=lambda item: -item[1][-1])
+    ordered = sorted(warm.surfaces_c.items(), key=lambda item: -item[1][-1])
     for number, (name, values) in enumerate(ordered):
         style = ("-", "--", ":")[number // 10 % 3]
         axes.plot(
@@ -237,7 +127,7 @@ def _curves(found: "Temperatures", title: str) -> Any:
             lw=1.3,
             label=f"{name}  {values[-1]:.1f} C",
         )
-    axes.plot(hours, air, color="black", lw=2.0, label=f"air  {air[-1]:.1f} C")
+    axes.plot(hours, warm.air_c, color="black", lw=2.0, label=f"air  {warm.air_c[-1]:.1f} C")
     axes.set(
         xlabel="hours before the scene's time",
         ylabel="temperature, C",

@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import simulate
+from labdata import BadInput
 from labdata.sensors import load_camera, save_sensor
 from tests.charact.cli.runner import LAWN, charact, done_well
 
@@ -81,6 +83,17 @@ def test_the_document_holds_the_last_row_with_intervals(scene, small, tmp_path):
         half = 0.5 * (one["interval95"][1] - one["interval95"][0])
         # Handbook slabs under a modelled sky: some tenths of a kelvin to some kelvin.
         assert 0.2 < half < 6.0 and any("modelled" in note for note in one["notes"])
+    warm = simulate.temperatures(scene, sensor=small, out=tmp_path / "python")
+    assert {m.stack: m.value for m in warm.measurements} == {
+        name: one["value"] for name, one in found.items()
+    }
+    for name in ("temperatures.csv", "temperatures.json"):
+        files = [tmp_path / made / name for made in ("python", "warm")]
+        assert files[0].read_bytes() == files[1].read_bytes()
+    with np.load(tmp_path / "warm" / "map.npz") as file:
+        assert np.array_equal(file["temperature_k"], warm.map_k, equal_nan=True)
+    with pytest.raises(BadInput, match="needs a camera of visible light, got 'VOx LWIR 640'"):
+        simulate.temperatures(scene, sensor="vox-lwir-640")
     refused = charact("temperatures", "bench", tmp_path / "cold", "--json")
     assert refused.exit_code == 1 and "outdoor scene" in json.loads(refused.stdout)["error"]
 
