@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         stack,
         validate,
     )
+    from charact.api.fusing import fuse, fusion_colours, fusion_scores
     from labdata.errors import BadInput
 
 __all__ = [
@@ -44,6 +45,9 @@ __all__ = [
     "compare",
     "fit",
     "frames_of",
+    "fuse",
+    "fusion_colours",
+    "fusion_scores",
     "measure",
     "mtf",
     "noise",
@@ -61,7 +65,9 @@ def __getattr__(name: str) -> Any:
 
     if name not in __all__:
         raise AttributeError(f"module 'charact' has no attribute {name!r}")
-    return getattr(import_module("labdata.errors" if name == "BadInput" else "charact.api"), name)
+    elsewhere = {"BadInput": "labdata.errors", "fuse": "charact.api.fusing"}
+    elsewhere |= {"fusion_colours": "charact.api.fusing", "fusion_scores": "charact.api.fusing"}
+    return getattr(import_module(elsewhere.get(name, "charact.api")), name)
 
 
 def __dir__() -> list[str]:

@@ -71,11 +71,11 @@ def place_source(
                 f"{source.name} {source.stack.shape[1]} x {source.stack.shape[2]}"
                 for source in (fixed, moving)
             )
-            known = "unless both lenses are known (--sensor, --imager)"
+            known = "unless both lenses are known (sensor, imager)"
             raise BadInput(f"bands must have the same rows and columns {known}, got {sizes}")
         if distance_m is not None:
             raise BadInput(
-                "--range-m needs the poses of both cameras, as in the truth of a simulated session"
+                "range_m needs the poses of both cameras, as in the truth of a simulated session"
             )
         return None, (
             f"{moving.name}: warp and parallax were left out: poses of the cameras are unknown",
@@ -158,10 +158,22 @@ def common_field(places: Sequence[Placement | None]) -> tuple[int, int, int, int
         left, right = left + (worst == 2), right - (worst == 3)
     if bottom - top < 16 or right - left < 16:
         raise BadInput(
-            "the fields of view must have 16 rows and columns in common: --whole fuses the whole "
-            "frame"
+            "the fields of view must have 16 rows and columns in common: whole=True fuses the "
+            "whole frame"
         )
     return top, left, bottom - top, right - left
+
+
+def crop_bands(bands: Sequence[Band], region: tuple[int, int, int, int] | None) -> list[Band]:
+    """Return bands cut to the region that all show, the first with a note of it; None: uncut."""
+    if region is None:
+        return list(bands)
+    cut = [crop_band(band, region) for band in bands]
+    note = (
+        "ROW,COL,HEIGHT,WIDTH {},{},{},{} of {}, the field of view in common (whole=True keeps all)"
+    )
+    notes = (*cut[0].notes, note.format(*region, bands[0].name))
+    return [replace(cut[0], notes=notes), *cut[1:]]
 
 
 def crop_band(band: Band, region: tuple[int, int, int, int]) -> Band:

@@ -72,7 +72,7 @@ def fuse_all(
     """
     if colour and (grey := [name for name in methods if name not in ("auto", *COLOURED)]):
         raise BadInput(
-            f"--colour needs the method auto or one of {', '.join(COLOURED)}, got {grey[0]!r}"
+            f"colour needs the method auto or one of {', '.join(COLOURED)}, got {grey[0]!r}"
         )
     among = (
         COLOURED if colour else [name for name in DESCRIPTIONS["fusion"] if name not in COLOURED]

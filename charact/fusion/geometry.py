@@ -194,7 +194,7 @@ def place_pixels(
     -5.0
     """
     if distance_m is not None and not distance_m > 0.0:
-        raise BadInput(f"--range-m must be positive, got {distance_m:g}")
+        raise BadInput(f"range_m must be positive, got {distance_m:g}")
     x, y = fixed.tangents
     length = np.sqrt(x * x + y * y + 1.0)
     ray = np.stack([x, y, np.ones_like(x)], axis=-1)
@@ -211,7 +211,7 @@ def place_pixels(
         ray = ray @ np.asarray(moving.rotation).T
     elif distance_m is not None:
         raise BadInput(
-            "--range-m needs the places of both cameras, which only the truth of a simulated "
+            "range_m needs the places of both cameras, which only the truth of a simulated "
             "session has"
         )
     ahead = ray[..., 2] > 1e-6

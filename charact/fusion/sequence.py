@@ -148,7 +148,7 @@ def filter_bands(bands: Iterator[Band], gain: float) -> Iterator[Band]:
     first = next(bands)
     if first.noise is None or not first.noise.is_known:
         needed = f"{LEAST_FRAMES} frames or more, or a description of the camera"
-        raise BadInput(f"--recursive needs the noise of {first.name}: {needed}")
+        raise BadInput(f"recursive needs the noise of {first.name}: {needed}")
     waiting: list[Band] = []
 
     def images() -> Iterator[NDArray[Any]]:

@@ -100,6 +100,19 @@ class Source:
         found = _read_geometry(self.truth_files[latest]) if latest else None
         return self if found is None else replace(self, geometry=found)
 
+    def materials(self) -> tuple[NDArray[np.integer], tuple[str, ...]]:
+        """Return the number of the material that each pixel of the frame shows, (row, col), and the
+        names of the materials, from the truth of a simulated session.
+        """
+        truth = self.truth_files.get(0)
+        if truth is None or self.geometry is None:
+            raise BadInput(
+                f"a colour table needs the truth of a simulated session, got none of {self.name}"
+            )
+        with np.load(truth) as file:
+            numbers, names = self.geometry.on_frame(file["material"]), file["materials"]
+            return numbers, tuple(str(name) for name in names)
+
     def values_of(self, quantity: str) -> list[float]:
         """Return the measured values of a quantity of the session."""
         return [
@@ -110,7 +123,7 @@ class Source:
 
 
 def read_source(
-    given: str,
+    given: str | Path | FrameStack | StackEntry,
     name: str,
     *,
     camera: Camera | None = None,
@@ -118,17 +131,21 @@ def read_source(
     black_dn: float | None = None,
     describe: Describe | None = None,
 ) -> Source:
-    """Read a picture, or SESSION#LABEL with all that the session states of the camera of that
-    stack.
+    """Return frames, or read a picture, or SESSION#LABEL with all that the session states of the
+    camera of that stack.
 
     `camera`: its description, instead of the session's; `mcp_v`: MCP voltage,
     V, instead of the session's; `describe`: noise law and point spread function of a description at
     a voltage, such as `charact.fitting.described_camera.describe_camera`; None: descriptions state
     neither.
     """
-    path, _, label = given.partition("#")
+    path, _, label = str(given).partition("#")
     session = entry = result = None
-    if (Path(path) / MANIFEST).is_file():
+    if isinstance(given, FrameStack):
+        stack = given
+    elif isinstance(given, StackEntry):
+        entry, stack = given, given.read()
+    elif (Path(path) / MANIFEST).is_file():
         session = open_session(path)
         entry = session.stack(label)
         stack, result = entry.read(), result_io.load(session.folder)
@@ -146,7 +163,7 @@ def read_source(
         volts = mcp_v or (None if entry is None else entry.conditions.mcp_v)
         if volts is None:
             volts = float(camera.microchannel_plate.reference_v)
-            notes.append(f"{name}: MCP voltage unknown, {volts:g} V assumed (--mcp-v)")
+            notes.append(f"{name}: MCP voltage unknown, {volts:g} V assumed (mcp_v)")
         described = None if describe is None else describe(camera, volts)
     source = Source(
         name=name,
@@ -244,7 +261,7 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
     frames = len(stack) if frame is None else 1
     notes = list(source.notes)
     if frames > 1:
-        moving = ", of a scene that moves: --sequence fuses each" if source.is_moving else ""
+        moving = ", of a scene that moves: sequence=True fuses each" if source.is_moving else ""
         notes.append(f"{name} is the mean of {frames} frames{moving}")
     image = (
         stack.data.mean(axis=0, dtype=np.float64)
@@ -272,7 +289,7 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
             if full is None
             else "no description of the camera"
             if bloom
-            else "--no-bloom"
+            else "bloom=False"
         )
         notes.append(f"{name}: blooming was left out: {why}")
     else:

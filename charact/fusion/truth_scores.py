@@ -2,8 +2,8 @@
 artefacts.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fusion.bands import Mask, lamp_pixels
+from charact.fusion.fused import Fused
 from charact.fusion.scores import CONTROL_NOISE_DN, SOBEL_X, Score, sigmoid
 from charact.fusion.thresholds import FUSION, TRUTH
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
+from labdata.measurement import make_measurement
 
 Array = NDArray[np.float64]
 
@@ -65,6 +67,19 @@ class FusionTruth:
         """Mean of the bands in display units, shape (row, col)."""
         return self.display.mean(axis=0)
 
+    def cropped(self, region: tuple[int, int, int, int] | None) -> "FusionTruth":
+        """Return the truth cut to ROW, COL, HEIGHT, WIDTH if it is larger; None: as it is."""
+        if region is None or self.objects.shape == region[2:]:
+            return self
+        row, col, height, width = region
+        cut = np.s_[row : row + height, col : col + width]
+        return FusionTruth(
+            bands=self.bands[(slice(None), *cut)],
+            zones={name: mask[cut] for name, mask in self.zones.items()},
+            objects=self.objects[cut],
+            halos=self.halos - (row, col, 0),
+        )
+
     def save(self, path: Path) -> None:
         """Write a compressed .npz of `bands`, `objects`, `halos`, and `zone_NAME` for every
         zone.
@@ -85,7 +100,7 @@ class FusionTruth:
                 }
                 bands, objects, halos = (file[name] for name in ("bands", "objects", "halos"))
         except (OSError, ValueError, KeyError) as error:
-            needed = "--truth must be an .npz with bands, objects, halos and zones"
+            needed = "truth must be an .npz with bands, objects, halos and zones"
             raise BadInput(f"{needed}, got {path}: {error}") from None
         return cls(
             bands=np.asarray(bands, float),
@@ -109,6 +124,25 @@ def find_zones(ground: Array, blooming: Array, clip: float) -> dict[str, Mask]:
         "halo": (blooming > TRUTH.halo_share * level) & ~core,
         "core": core,
     }
+
+
+def with_restoration_errors(fused: Fused, rows: Sequence[Score]) -> Fused:
+    """Return a fused picture with `fusion_error`, percent, in each zone of its scores `rows`."""
+    method, errors = fused.measurements[0].method, "restoration_error_"
+    added = [
+        make_measurement(
+            "fusion_error",
+            "%",
+            100.0 * row.value,
+            None,
+            None,
+            method=method,
+            stack=row.quantity.removeprefix(errors),
+        )
+        for row in rows
+        if row.quantity.startswith(errors) and row.value is not None
+    ]
+    return replace(fused, measurements=(*fused.measurements, *added))
 
 
 def truth_scores(

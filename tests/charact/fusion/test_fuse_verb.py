@@ -11,6 +11,7 @@ import tifffile
 from PIL import Image
 from typer.testing import CliRunner
 
+import charact
 from charact.cli.application import app
 from charact.fusion.truth_scores import FusionTruth
 from tests.truth.fusion import Pair
@@ -127,7 +128,7 @@ def test_settings_that_are_no_settings_are_refused(folder, tmp_path) -> None:
         ((*pair, tmp_path / "out", "--span", "visible=1"), "--span must be"),
         ((*pair, tmp_path / "out", "--method", "magic"), "--method must be"),
         ((*pair, tmp_path / "out.jpg"), "OUT must be"),
-        ((*pair, tmp_path / "out", "--imager", "pulnix-ag5745ef3"), "--imager must be"),
+        ((*pair, tmp_path / "out", "--imager", "pulnix-ag5745ef3"), "imager must be"),
         (pair, "needs VISIBLE THERMAL"),
     ):
         code, text = run(*arguments, "--json")
@@ -245,3 +246,48 @@ def test_a_table_of_the_materials_colours_a_session(night, tmp_path) -> None:
     assert (upper > lower).all() and lower[1] > max(lower[0], lower[2])
     (night / "night" / "truth" / "pulnix-ag5745ef3.npz").unlink()
     assert run("table", *given, "hangar", colours, "--force")[0] == 1
+
+
+def test_arrays_files_and_the_verb_have_one_picture(folder, tmp_path) -> None:
+    names = folder / "visible.png", folder / "thermal.png"
+    settings = {"method": "weighted", "registered": True, "bloom": False}
+    of_files = charact.fuse(*names, **settings, out=tmp_path / "files")
+    of_arrays = charact.fuse(*(np.asarray(Image.open(name)) for name in names), **settings)
+    given = *names, tmp_path / "verb", "--method", "weighted", "--registered", "--no-bloom"
+    printed = json.loads(run(*given, "--json")[1])["measurements"]
+    pictures = [fusion.pictures["weighted"].picture for fusion in (of_files, of_arrays)]
+    assert np.array_equal(*pictures)
+    for name in FILES:
+        files = [tmp_path / made / name for made in ("files", "verb")]
+        assert files[0].read_bytes() == files[1].read_bytes(), name
+    for row, m in zip(printed, of_files.result.measurements, strict=True):
+        assert (row["quantity"], row["value"]) == (m.quantity, m.value)
+        # The function names its parameter, the verb its option.
+        assert "visible: blooming was left out: bloom=False" in m.notes
+        assert "visible: blooming was left out: --no-bloom" in row["notes"]
+
+
+def test_scores_of_arrays_are_those_of_the_verb(folder) -> None:
+    names = [folder / "visible.png", folder / "thermal.png", folder / "visible.png"]
+    rows = charact.fusion_scores(*(np.asarray(Image.open(name)) for name in names))
+    assert [row._asdict() for row in rows] == json.loads(run("score", *names, "--json")[1])[
+        "scores"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("settings", "rule"),
+    [
+        ({"sequence": True, "method": ("pca", "weighted")}, "sequence needs one method"),
+        ({"recursive": 0.2}, "recursive filters a sequence"),
+        ({"imager": "pulnix-ag5745ef3"}, "imager must be a thermal camera"),
+        ({"method": "all", "out": "fused.png"}, "out must be a folder for several methods"),
+        ({"out": "fused.jpg"}, "out must be a folder, .png or .tif"),
+        ({"range_m": 5.0}, "range_m needs the poses of both cameras"),
+        ({"colour": True, "method": "pca"}, "colour needs the method auto"),
+    ],
+)
+def test_what_cannot_be_fused_is_refused_in_a_sentence(settings, rule: str) -> None:
+    frames = np.random.default_rng(1).normal(100.0, 3.0, (2, 64, 64))
+    with pytest.raises(charact.BadInput, match=rule):
+        charact.fuse(*frames, registered=True, **settings)

@@ -195,7 +195,7 @@ def test_a_truth_that_does_not_fit_is_refused(pair: Pair, tmp_path) -> None:
     with pytest.raises(BadInput, match="the truth must exist"):
         FusionTruth.load(tmp_path / "absent.npz")
     (tmp_path / "text.npz").write_text("no arrays")
-    with pytest.raises(BadInput, match="--truth must be an"):
+    with pytest.raises(BadInput, match="truth must be an"):
         FusionTruth.load(tmp_path / "text.npz")
     few = np.zeros((2, 240, 320)), np.zeros((2, 2, 240, 320))
     with pytest.raises(BadInput, match="more than"):

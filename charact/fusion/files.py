@@ -1,44 +1,49 @@
-"""Files of the verb `fuse`: pictures, maps and settings of a fused picture or sequence."""
+"""Files of a fusion: pictures, maps and settings of a fused picture or sequence."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.cli.outputs import require_free
 from charact.fusion.fused import MARKS, Fused
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
+from labdata.importers import read_frames
 
 Region = tuple[int, int, int, int]
 SETTINGS, PAGE = "fused.json", "index.html"
 
 
-def require_free_output(out: Path, *, force: bool) -> None:
-    """Require a new output; --force replaces a picture, or a folder that holds fused pictures."""
-    if out.suffix.lower() in (".png", ".tif", ".tiff"):
-        require_free(out, force=force, kept=lambda: None if out.is_file() else "a folder")
-    elif out.suffix:
-        raise BadInput(f"OUT must be a folder, .png or .tif, got {out.name!r}")
-    else:
-        taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
-        ours = (out / SETTINGS).is_file() or (out / PAGE).is_file()
-        require_free(
-            out,
-            force=force,
-            taken=taken,
-            kept=lambda: None if ours else f"something without a {SETTINGS}",
+def require_place(out: Path, *, is_folder: bool, name: str = "out") -> None:
+    """Raise BadInput unless a path is one of a folder, or of a picture where that is enough."""
+    if out.suffix and is_folder:
+        raise BadInput(
+            f"{name} must be a folder for several methods or a sequence, got {out.name!r}"
         )
+    if out.suffix.lower() not in ("", ".png", ".tif", ".tiff"):
+        raise BadInput(f"{name} must be a folder, .png or .tif, got {out.name!r}")
 
 
-def picture_of(out: Path, method: str | None = None) -> Path:
-    """Return the path of a fused picture of 8 bits; `method`: of several."""
-    if out.suffix:
-        return out
-    return (out if method is None else out / method) / "fused.png"
+def read_codes(picture: str | Path | NDArray) -> NDArray[np.uint8]:
+    """Return the 8-bit codes of a picture, (row, col) or (row, col, 3); other values in a file are
+    BadInput.
+    """
+    if not isinstance(picture, str | Path):
+        return np.asarray(picture)
+    try:
+        planes = [read_frames(picture, plane).data[0] for plane in ("r", "g", "b")]
+    except BadInput:
+        planes = [read_frames(picture).data[0]]
+    codes = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    if codes.dtype != np.uint8:
+        raise BadInput(
+            f"scores are of pictures of 8 bits, got {codes.dtype} in {picture}: score fused.png, "
+            "not fused.tif"
+        )
+    return codes
 
 
 def region_of(picture: Path) -> Region | None:
@@ -54,7 +59,7 @@ def region_of(picture: Path) -> Region | None:
 
 
 def write(
-    found: dict[str, Fused],
+    pictures: Mapping[str, Fused],
     shown: Sequence[NDArray[np.uint8]],
     out: Path,
     given: Sequence[str],
@@ -65,7 +70,7 @@ def write(
 
     Of several methods each has a folder in it.
     """
-    first = next(iter(found.values()))
+    first = next(iter(pictures.values()))
     if out.suffix:
         write_atomically(
             out, _png(first.codes) if out.suffix.lower() == ".png" else _tiff(first.picture)
@@ -74,12 +79,12 @@ def write(
     out.mkdir(parents=True, exist_ok=True)
     for name, band in zip(first.names, shown, strict=True):
         write_atomically(out / f"{name}.png", _png(band))
-    for name, one in found.items():
-        folder = out if len(found) == 1 else out / name
+    for name, fused in pictures.items():
+        folder = out if len(pictures) == 1 else out / name
         folder.mkdir(exist_ok=True)
-        _write_maps(one, folder)
-        write_atomically(folder / SETTINGS, _settings(one, name, given, region))
-        for file, picture in (("fused.tif", one.picture), ("sd.tif", one.sd)):
+        _write_maps(fused, folder)
+        write_atomically(folder / SETTINGS, _settings(fused, name, given, region))
+        for file, picture in (("fused.tif", fused.picture), ("sd.tif", fused.sd)):
             write_atomically(folder / file, _tiff(picture))
 
 
@@ -88,7 +93,7 @@ def write_sequence(
     out: Path,
     given: Sequence[str],
     region: Region | None,
-    time_s: list[float] | None,
+    time_s: Sequence[float] | None,
 ) -> None:
     """Write a sequence: fused.tif and sd.tif with all frames, and the maps of the first one."""
     first = frames[0]
@@ -105,23 +110,23 @@ def write_sequence(
         write_atomically(out / file, _tiff(np.stack(pictures)))
 
 
-def _write_maps(found: Fused, folder: Path) -> None:
+def _write_maps(fused: Fused, folder: Path) -> None:
     contents = {
-        "fused.png": _png(found.codes),
-        "share.tif": _tiff(found.share),
-        "mask.png": _png(found.marks),
+        "fused.png": _png(fused.codes),
+        "share.tif": _tiff(fused.share),
+        "mask.png": _png(fused.marks),
     }
     for name, content in contents.items():
         write_atomically(folder / name, content)
 
 
 def _settings(
-    found: Fused, method: str, given: Sequence[str], region: Region | None, **more: Any
+    fused: Fused, method: str, given: Sequence[str], region: Region | None, **more: Any
 ) -> bytes:
     document = {
         "method": method,
-        "bands": dict(zip(found.names, given, strict=True)),
-        "spans": found.spans,
+        "bands": dict(zip(fused.names, given, strict=True)),
+        "spans": fused.spans,
         "region": region,
         "marks": MARKS,
         **more,
