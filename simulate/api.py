@@ -36,11 +36,8 @@ if TYPE_CHECKING:
 
 Description = Camera
 Progress = Callable[[str, float], None]
-# Field of a target: its option and its kind of target.
-OF_A_TARGET: dict[str, tuple[str, Kind]] = {
-    "frequency_cy_per_px": ("--frequency", "bars"),
-    "pinhole_px": ("--pinhole-px", "point"),
-}
+# Field of a target, and its kind of target.
+OF_A_TARGET: dict[str, Kind] = {"frequency_cy_per_px": "bars", "pinhole_px": "point"}
 
 
 def _ignore_progress(sentence: str, share: float) -> None:
@@ -95,7 +92,7 @@ def load_described_camera(sensor: str, phosphor: str | None = None) -> Descripti
     if phosphor is None:
         return camera
     if not camera.has_tube:
-        raise BadInput(f"--phosphor needs a camera with a tube, got {camera.name!r}")
+        raise BadInput(f"phosphor needs a camera with a tube, got {camera.name!r}")
     return camera.with_phosphor(load_phosphor(phosphor))
 
 
@@ -243,24 +240,20 @@ def _infrared_shot(
     """Return a thermal imager before an outdoor scene; another source is BadInput."""
     from simulate.camera.thermal_imager import ThermalImager
     from simulate.infrared_view import view_infrared
-    from simulate.radiance.outdoor.scene import OutdoorScene
-    from simulate.radiance.scene import load_scene
     from simulate.thermal.temperatures import temperatures_of
 
-    scene = load_scene(request.source) if is_scene(request.source) else None
-    if not isinstance(scene, OutdoorScene):
-        raise BadInput(f"a thermal imager needs an outdoor scene, got {name_of(request.source)}")
+    scene = _outdoor_scene(request, "a thermal imager needs")
     _require_no_image_options(request)
     _require_no_bench_options(request, conditions)
     if request.kind not in (None, "scene"):
-        raise BadInput(f"--kind of an outdoor scene must be scene, got {request.kind}")
+        raise BadInput(f"kind of an outdoor scene must be scene, got {request.kind}")
     progress("surface temperatures", 0.0)
     temperatures, delay_s = (
         request.temperatures or temperatures_of(scene, seed=request.seed),
         _delay_s(request, scene),
     )
 
-    def view(now: OutdoorScene, camera: ThermalImager, seed: int, is_set: bool) -> "InfraredView":
+    def view(now: "OutdoorScene", camera: ThermalImager, seed: int, is_set: bool) -> "InfraredView":
         return view_infrared(
             now,
             camera,
@@ -279,7 +272,7 @@ def _infrared_shot(
         False,
     )
 
-    def look(now: OutdoorScene, seed: int) -> Look:
+    def look(now: "OutdoorScene", seed: int) -> Look:
         later = view(now, seen.camera, seed, True)
         return Look(view=later, light=later.signal)
 
@@ -312,13 +305,9 @@ def simulate_rig(
     sensors
         Description and conditions by the names that the scene's rig and the session use.
     """
-    from simulate.radiance.outdoor.scene import OutdoorScene
-    from simulate.radiance.scene import load_scene
     from simulate.thermal.temperatures import temperatures_of
 
-    scene = load_scene(request.source) if is_scene(request.source) else None
-    if not isinstance(scene, OutdoorScene):
-        raise BadInput(f"several sensors need an outdoor scene, got {name_of(request.source)}")
+    scene = _outdoor_scene(request, "several sensors need")
     if any(description.is_thermal for description, _ in sensors.values()):
         progress("surface temperatures", 0.0)
         request = replace(request, temperatures=temperatures_of(scene, seed=request.seed))
@@ -339,6 +328,19 @@ def is_scene(source: "Path | NDArray[Any]") -> TypeGuard[Path]:
     return source.suffix == ".toml" or (not source.suffix and not source.is_file())
 
 
+def _outdoor_scene(request: SimulationRequest, needed: str) -> "OutdoorScene":
+    """Return the outdoor scene of a request; another source is BadInput, which begins with
+    `needed`.
+    """
+    from simulate.radiance.outdoor.scene import OutdoorScene
+    from simulate.radiance.scene import load_scene
+
+    scene = load_scene(request.source) if is_scene(request.source) else None
+    if not isinstance(scene, OutdoorScene):
+        raise BadInput(f"{needed} an outdoor scene, got {name_of(request.source)}")
+    return scene
+
+
 def preview(
     request: SimulationRequest, description: Description, conditions: Conditions
 ) -> "RenderedView | InfraredView":
@@ -347,12 +349,8 @@ def preview(
         return _infrared_shot(request, description, conditions, _ignore_progress, preview=True).seen
     from simulate.camera.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
-    from simulate.radiance.outdoor.scene import OutdoorScene
-    from simulate.radiance.scene import load_scene
 
-    scene = load_scene(request.source) if is_scene(request.source) else None
-    if not isinstance(scene, OutdoorScene):
-        raise BadInput(f"--preview needs an outdoor scene, got {name_of(request.source)}")
+    scene = _outdoor_scene(request, "a preview needs")
     _require_no_image_options(request)
     _require_no_bench_options(request, conditions)
     now = scene.at(_delay_s(request, scene)).for_sensor(request.sensor)
@@ -392,21 +390,21 @@ def _bench_shot(
     if description.is_thermal:
         raise BadInput(f"a bench scene needs a camera of visible light, got {description.name!r}")
     kind, lux = request.kind or "edge", conditions.illuminance_lux
-    for name, (option, of) in OF_A_TARGET.items():
+    for name, target_kind in OF_A_TARGET.items():
         value = getattr(request.target, name)
-        if kind == of and value is None:
-            raise BadInput(f"--kind {kind} of a bench scene needs {option}, got none")
-        if kind != of and value is not None:
+        if kind == target_kind and value is None:
+            raise BadInput(f"kind {kind} of a bench scene needs {name}, got none")
+        if kind != target_kind and value is not None:
             raise BadInput(
-                f"{option} is only for --kind {of} of a bench scene, got it with --kind {kind}"
+                f"{name} is only for kind {target_kind} of a bench scene, got it with kind {kind}"
             )
     if kind == "dark" and lux:
-        raise BadInput(f"a dark must have no light, got --illuminance-lux {lux:g}")
+        raise BadInput(f"a dark must have no light, got illuminance_lux {lux:g}")
     target = as_stood(kind, request.target)
     if lux is None:
         if kind != "dark" and not description.has_tube:
             raise BadInput(
-                f"a bench scene before {description.name!r} needs --illuminance-lux at its chip, "
+                f"a bench scene before {description.name!r} needs illuminance_lux at its chip, "
                 "got none"
             )
         conditions = replace(conditions, illuminance_lux=0.0 if kind == "dark" else 1e-4)
@@ -424,26 +422,21 @@ def _bench_shot(
 
 def _require_no_bench_options(request: SimulationRequest, conditions: Conditions) -> None:
     if conditions.illuminance_lux is not None:
-        raise BadInput("--illuminance-lux is only for bench scenes")
-    for name, (option, kind) in OF_A_TARGET.items():
+        raise BadInput("illuminance_lux is only for bench scenes")
+    for name, kind in OF_A_TARGET.items():
         if getattr(request.target, name) is not None:
-            named = name_of(request.source)
-            raise BadInput(
-                f"{option} is only for --kind {kind} of a bench scene, got it with {named}"
-            )
+            source = name_of(request.source)
+            raise BadInput(f"{name} is only for kind {kind} of a bench scene, got it with {source}")
 
 
 def _require_no_image_options(request: SimulationRequest) -> None:
-    for option, value in (
-        ("--photoelectrons-per-dn", request.photoelectrons_per_dn),
-        ("--black-dn", request.black_dn),
-    ):
-        if value is not None:
-            raise BadInput(f"{option} is only for an image, got it with {name_of(request.source)}")
+    for name in ("photoelectrons_per_dn", "black_dn"):
+        if getattr(request, name) is not None:
+            raise BadInput(f"{name} is only for an image, got it with {name_of(request.source)}")
 
 
 def _require_dark(request: SimulationRequest, seen: NDArray[np.floating]) -> None:
-    """Raise BadInput if --kind is dark and the source has light."""
+    """Raise BadInput if the kind is dark and the source has light."""
     if request.kind == "dark" and (lit := float((seen > 0.0).mean())):
         raise BadInput(
             f"a dark must have no light, got it on {100.0 * lit:.3g} % of {name_of(request.source)}"
@@ -476,13 +469,8 @@ def _select_effects(
     return camera, {"exact": False, "plan": plan}
 
 
-# Options of a tube, by the name of their condition.
-_OF_A_TUBE = {
-    "mcp_v": "--mcp-v",
-    "gain_control": "--gain-control",
-    "gate_ns": "--gate-ns",
-    "brightness_control": "--brightness-control",
-}
+# Conditions of a tube.
+_OF_A_TUBE = ("mcp_v", "gain_control", "gate_ns", "brightness_control")
 
 
 def conditions_of(camera: Description, *, gain: float | None = None, **options: Any) -> Conditions:
@@ -493,40 +481,27 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
     """
     given = {name: value for name, value in options.items() if value is not None}
     if gain is not None and not (math.isfinite(gain) and gain > 0.0):
-        raise BadInput(f"--gain must be positive, got {gain:g}")
+        raise BadInput(f"gain must be positive, got {gain:g}")
     exposure_s = 1.0 / float(camera.video.field_rate_hz)
     if camera.is_thermal:
         if unfit := [*given, *(["gain"] if gain is not None else [])]:
-            raise BadInput(
-                f"--{unfit[0].replace('_', '-')} needs a camera of visible light, got "
-                f"{camera.name!r}"
-            )
+            raise BadInput(f"{unfit[0]} needs a camera of visible light, got {camera.name!r}")
         cooled = camera.cooled_array
         return Conditions(
             exposure_s=exposure_s if cooled is None else 1e-3 * float(cooled.integration_ms)
         )
     if given.get("automatic_gain") and not camera.video.automatic_gain:
-        raise BadInput(f"--automatic-gain needs a camera that has it, got {camera.name!r}")
+        raise BadInput(f"automatic_gain needs a camera that has it, got {camera.name!r}")
     if not camera.has_tube:
         most = float(camera.register.em_gain)
         if gain is not None and not 1.0 <= gain <= most:
-            raise BadInput(
-                f"--gain of {camera.name!r} must lie between 1 and {most:g}, got {gain:g}"
-            )
-        if unfit := [option for name, option in _OF_A_TUBE.items() if name in given]:
+            raise BadInput(f"gain of {camera.name!r} must lie between 1 and {most:g}, got {gain:g}")
+        if unfit := [name for name in _OF_A_TUBE if name in given]:
             raise BadInput(f"{unfit[0]} needs a camera with a tube, got {camera.name!r}")
         return Conditions(exposure_s=exposure_s, em_gain=most if gain is None else gain, **given)
-    if (
-        len(
-            ways := [name for name in ("mcp_v", "gain_control") if name in given]
-            + ["gain"] * (gain is not None)
-        )
-        > 1
-    ):
-        raise BadInput(
-            "the gain must be set once, got "
-            f"{' and '.join('--' + way.replace('_', '-') for way in ways)}"
-        )
+    ways = [name for name in ("mcp_v", "gain_control") if name in given]
+    if len(ways := [*ways, *(["gain"] if gain is not None else [])]) > 1:
+        raise BadInput(f"the gain must be set once, got {' and '.join(ways)}")
     nominal: dict[str, Any] = {"gate_ns": exposure_s * 1e9}
     if gain is not None or not ways:
         nominal["mcp_v"] = voltage_of(camera, gain)
@@ -541,9 +516,7 @@ def voltage_of(sensor: Camera, luminous_gain: float | None) -> float:
     if luminous_gain is None:
         return float(mcp.reference_v)
     if not (exponent := float(mcp.gain_exponent)) > 0.0:
-        raise BadInput(
-            f"--gain needs a tube with a positive gain exponent, got 0 in {sensor.name!r}"
-        )
+        raise BadInput(f"gain needs a tube with a positive gain exponent, got 0 in {sensor.name!r}")
     return float(mcp.reference_v) * (luminous_gain / float(sensor.tube.luminous_gain)) ** (
         1.0 / exponent
     )

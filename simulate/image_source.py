@@ -35,13 +35,13 @@ def read_image(
     scale = photoelectrons_per_dn
     if scale is None:
         raise BadInput(
-            "an image needs --photoelectrons-per-dn, mean photoelectrons per pixel and exposure "
+            "an image needs photoelectrons_per_dn, mean photoelectrons per pixel and exposure "
             "for each DN, got none"
         )
     if not (math.isfinite(scale) and scale > 0.0):
-        raise BadInput(f"--photoelectrons-per-dn must be positive, got {scale:g}")
+        raise BadInput(f"photoelectrons_per_dn must be positive, got {scale:g}")
     if not math.isfinite(black_dn):
-        raise BadInput(f"--black-dn must be a number, got {black_dn:g}")
+        raise BadInput(f"black_dn must be a number, got {black_dn:g}")
     stack = read_frames(source) if isinstance(source, Path) else read_array(source)
     name = name_of(source)
     image = stack.data[0].astype(np.float64)

@@ -177,19 +177,19 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(
 @pytest.mark.parametrize(
     ("file", "options", "words"),
     [
-        ("half.tif", (), ("needs --photoelectrons-per-dn",)),
+        ("half.tif", (), ("an image needs ",)),
         (
             "half.tif",
             (*SCALE, "--illuminance-lux", 1),
-            ("--illuminance-lux is only for bench scenes",),
+            (" is only for bench scenes",),
         ),
         (
             "half.tif",
             (*SCALE, "--frequency", 0.1),
-            ("--frequency is only for --kind bars of a bench scene",),
+            ("is only for", "bars of a bench scene"),
         ),
-        ("airfield", ("--illuminance-lux", 1e-4), ("--illuminance-lux is only for bench scenes",)),
-        ("bench", ("--preview",), ("--preview needs an outdoor scene",)),
+        ("airfield", ("--illuminance-lux", 1e-4), (" is only for bench scenes",)),
+        ("bench", ("--preview",), ("preview needs an outdoor scene",)),
         (
             "nowhere",
             (),
@@ -205,13 +205,13 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(
         ("letter.tif", SCALE, ("letter.tif",)),
         ("picture.xyz", SCALE, (".xyz", ".tif")),
         ("cube.npz", (), ("must be a complete .npz file",)),
-        ("cube.npz", SCALE, ("--photoelectrons-per-dn is only for an image",)),
-        ("bench", SCALE, ("--photoelectrons-per-dn is only for an image",)),
+        ("cube.npz", SCALE, (" is only for an image",)),
+        ("bench", SCALE, (" is only for an image",)),
         ("missing.toml", (), ("must exist",)),
         (
             "half.tif",
             (*SCALE, "--pinhole-px", 1),
-            ("--pinhole-px is only for --kind point of a bench scene",),
+            ("is only for", "point of a bench scene"),
         ),
         (
             "half.tif",
@@ -228,12 +228,12 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(
             ("--preview", "--stage-images", "s"),
             ("--preview has no stages, got --stage-images",),
         ),
-        ("bench", ("--kind", "point"), ("--kind point of a bench scene needs --pinhole-px",)),
-        ("bench", ("--kind", "bars"), ("--kind bars of a bench scene needs --frequency",)),
+        ("bench", ("--kind", "point"), ("kind point of a bench scene needs",)),
+        ("bench", ("--kind", "bars"), ("kind bars of a bench scene needs",)),
         (
             "bench",
             ("--frequency", 0.1),
-            ("--frequency is only for --kind bars of a bench scene, got it with --kind edge",),
+            ("bars of a bench scene, got it with", "kind edge"),
         ),
         (
             "bench",
@@ -243,7 +243,7 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(
         (
             "bench",
             ("--kind", "dark", "--illuminance-lux", 1),
-            ("a dark must have no light, got --illuminance-lux 1",),
+            ("a dark must have no light, got",),
         ),
     ],
 )

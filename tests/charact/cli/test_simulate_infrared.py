@@ -230,7 +230,7 @@ def test_what_a_thermal_imager_cannot_do_is_refused_in_one_sentence(files, tmp_p
         *thermal,
         "--gain",
         100,
-        words=("--gain needs a camera of visible",),
+        words=("gain needs a camera of visible",),
     )
     refused(
         files / "scene.toml",

@@ -70,15 +70,15 @@ def test_a_picture_stands_in_the_middle_of_the_frame_to_half_a_pixel(rows, cols)
         (
             np.ones((2, 2)),
             {"photoelectrons_per_dn": None},
-            "an image needs --photoelectrons-per-dn",
+            "an image needs photoelectrons_per_dn",
         ),
         (
             np.ones((2, 2)),
             {"photoelectrons_per_dn": 0.0},
-            "--photoelectrons-per-dn must be positive, got 0",
+            "photoelectrons_per_dn must be positive, got 0",
         ),
         (np.ones((2, 2)), {"photoelectrons_per_dn": float("nan")}, "must be positive, got nan"),
-        (np.ones((2, 2)), {"black_dn": float("nan")}, "--black-dn must be a number, got nan"),
+        (np.ones((2, 2)), {"black_dn": float("nan")}, "black_dn must be a number, got nan"),
         (-np.ones((2, 2)), {}, "an image must have no negative pixel, got -1 in picture.npy"),
         (np.array([[np.nan, 1.0]]), {}, "every pixel must be finite"),
     ],
@@ -183,11 +183,11 @@ def test_what_is_left_open_is_nominal_and_recorded(tube, emccd):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"gain": 0.0}, "--gain must be positive, got 0"),
-        ({"gain": 100.0, "mcp_v": 700.0}, "the gain must be set once, got --mcp-v and --gain"),
+        ({"gain": 0.0}, "gain must be positive, got 0"),
+        ({"gain": 100.0, "mcp_v": 700.0}, "the gain must be set once, got mcp_v and gain"),
         (
             {"gain_control": 10.0, "mcp_v": 700.0},
-            "the gain must be set once, got --mcp-v and --gain-control",
+            "the gain must be set once, got mcp_v and gain_control",
         ),
         ({"gate_ns": -1.0}, "gate_ns must not be negative, got -1"),
     ],
@@ -201,14 +201,14 @@ def test_settings_that_no_tube_takes_are_refused(tube, options, sentence):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"gain": 2000.0}, "--gain of 'EMCCD 512' must lie between 1 and 1000, got 2000"),
-        ({"mcp_v": 800.0}, "--mcp-v needs a camera with a tube, got 'EMCCD 512'"),
-        ({"gate_ns": 100.0}, "--gate-ns needs a camera with a tube, got 'EMCCD 512'"),
+        ({"gain": 2000.0}, "gain of 'EMCCD 512' must lie between 1 and 1000, got 2000"),
+        ({"mcp_v": 800.0}, "mcp_v needs a camera with a tube, got 'EMCCD 512'"),
+        ({"gate_ns": 100.0}, "gate_ns needs a camera with a tube, got 'EMCCD 512'"),
         (
             {"brightness_control": True},
-            "--brightness-control needs a camera with a tube, got 'EMCCD 512'",
+            "brightness_control needs a camera with a tube, got 'EMCCD 512'",
         ),
-        ({"automatic_gain": True}, "--automatic-gain needs a camera that has it, got 'EMCCD 512'"),
+        ({"automatic_gain": True}, "automatic_gain needs a camera that has it, got 'EMCCD 512'"),
     ],
 )
 def test_settings_of_a_tube_are_refused_where_there_is_none(emccd, options, sentence):

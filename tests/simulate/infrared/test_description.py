@@ -128,7 +128,7 @@ def test_verbs_that_need_visible_light_or_a_tube_refuse_an_imager_in_one_sentenc
             BadInput, match=r"^--[a-z-]+ needs a camera of visible light, got 'VOx LWIR 640'$"
         ):
             api.conditions_of(described, **option)
-    with pytest.raises(BadInput, match="--phosphor needs a camera with a tube"):
+    with pytest.raises(BadInput, match="phosphor needs a camera with a tube"):
         api.load_described_camera("vox-lwir-640", "p43")
     with pytest.raises(BadInput, match="must be an intensified camera"):
         load_sensor("vox-lwir-640")
