@@ -128,8 +128,8 @@ def measure(
         added = [note for note in notes if note not in measurement.notes]
         # The tolerance holds for the charted quantity.
         charted = measurement.quantity == chosen.quantities[0] and measurement.status != "refused"
-        if method == "auto" and charted and (wide := beyond_note(measurement, within_percent)):
-            added.append(wide)
+        if method == "auto" and charted and (excess := beyond_note(measurement, within_percent)):
+            added.append(excess)
         changes: dict[str, Any] = {"notes": (*measurement.notes, *added)} if added else {}
         if stack.plane != "mono" and (provenance := measurement.provenance) is not None:
             settings = {**provenance.settings, "plane": stack.plane}
