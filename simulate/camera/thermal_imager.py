@@ -33,7 +33,7 @@ from simulate.camera.thermal_arrays import (
 from simulate.camera.thermal_lens import KELVIN, Optics, Slot
 from simulate.camera.thresholds import LIMITS
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.spectrum import band_photon_radiance, band_radiance, brightness_temperature
+from simulate.radiance.spectrum import band_photon_radiance, band_radiance
 
 Array = NDArray[np.floating]
 # Temperature at which noise is stated, and of the spectrum within a bin and a band, K.
@@ -131,19 +131,6 @@ class ThermalImager:
             )
         changed = self.description.with_values({"video.level_c": level_c, "video.span_k": span_k})
         return replace(self, description=changed)
-
-    def with_span_of(self, signal: Array) -> "ThermalImager":
-        """Return the camera at level and span of a picture, all but 0.2 % of its cells; a cooled
-        array as it is.
-        """
-        if self.description.cooled_array is not None:
-            return self
-        ends = np.quantile(signal, [0.5 * LIMITS.beyond_span, 1.0 - 0.5 * LIMITS.beyond_span])
-        if not ends[0] > 0.0:
-            raise BadInput(f"level and span of a picture need signals above 0, got {ends[0]:g}")
-        low, high = (float(end) - KELVIN for end in brightness_temperature(*self.band_um, ends))
-        # A twentieth more on each side, for the noise.
-        return self.with_span(0.5 * (low + high), max(1.1 * (high - low), LIMITS.least_span_k))
 
     @property
     def pattern_seed(self) -> int:
@@ -404,10 +391,4 @@ class ThermalImager:
             )
         return np.stack(
             list(self.frames_of_signal(signal, seed=seed, count=count, first_frame=first_frame))
-        )
-
-    def count_saturated(self, frame: NDArray) -> tuple[int, int]:
-        """Return the number of pixels of a frame at code 0 and at full scale."""
-        return int(np.sum(frame <= 0)), int(
-            np.sum(frame >= 2**self.description.video.bit_depth - 1)
         )
