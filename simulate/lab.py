@@ -243,7 +243,7 @@ class LabBench:
         dark = (1.0 - target.contrast) / (1.0 + target.contrast)
         mask = replace(
             clear,
-            transmittance=tuple(dark * share for share in clear.transmittance),
+            transmittance=tuple(dark * transmittance for transmittance in clear.transmittance),
             reflectance=tuple(0.0 for _ in clear.reflectance),
         )
         return replace(self.scene, mask=mask)
@@ -281,8 +281,8 @@ def _relative_picture(
     col).
     """
     picture = np.empty(view.shape, np.float32)
-    for place, tile in view.tiles(128):
-        picture[place] = render_bench(scene, kind, target, tile, WAVELENGTH_NM).sum_bands(
+    for slices, tile in view.tiles(128):
+        picture[slices] = render_bench(scene, kind, target, tile, WAVELENGTH_NM).sum_bands(
             np.array(weight)
         )
     return read_only(picture)

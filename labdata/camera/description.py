@@ -221,8 +221,10 @@ class Camera:
         changed = self.with_parameters(
             {path: known[path].times(factor, words) for path, factor in factors.items()}
         )
-        kept = "electron gain of the plate" if measured else "photons per photoelectron"
-        note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
+        constant = "electron gain of the plate" if measured else "photons per photoelectron"
+        note = (
+            f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {constant} stayed."
+        )
         draws, notes = self.draws.without_phosphor(factors), (*self.notes, note)
         return replace(changed, phosphor=phosphor, gain_table=None, draws=draws, notes=notes)
 
@@ -258,11 +260,11 @@ def _require_solid_state(camera: Camera) -> None:
 
 def _require_thermal_imager(camera: Camera) -> None:
     """Require the rules of a thermal imager."""
-    given = [name for name in THERMAL if getattr(camera, name) is not None]
-    if len(given) != 1:
+    sections = [name for name in THERMAL if getattr(camera, name) is not None]
+    if len(sections) != 1:
         raise BadInput(
             f"a thermal imager must have one of {', '.join(THERMAL)}, got "
-            f"{', '.join(given) or 'none'}"
+            f"{', '.join(sections) or 'none'}"
         )
     scanner, video = camera.scanner, camera.video
     if video.interlaced != (scanner is not None):

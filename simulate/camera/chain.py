@@ -167,8 +167,8 @@ class Chain:
 
     def replacing(self, *stages: Stage) -> "Chain":
         """Return the chain with other stages in their slots."""
-        others = {stage.slot: stage for stage in stages}
-        return Chain(tuple(others.get(stage.slot, stage) for stage in self.stages))
+        replacements = {stage.slot: stage for stage in stages}
+        return Chain(tuple(replacements.get(stage.slot, stage) for stage in self.stages))
 
     def mean(self, light: Any) -> StageImage:
         """Return the noiseless image behind the last stage."""

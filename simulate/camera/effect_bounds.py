@@ -364,8 +364,8 @@ class NoiseBudget:
         noise that the tolerance leaves.
         """
         third = photoelectrons * self.charge_e * self.pulses[1]
-        least = self.variance * (1.0 - self.tolerance / (1.0 + self.tolerance))
-        return float(np.max(third / least**1.5)) * (self.RARE_SD**2 - 1.0) / 6.0
+        smallest_variance = self.variance * (1.0 - self.tolerance / (1.0 + self.tolerance))
+        return float(np.max(third / smallest_variance**1.5)) * (self.RARE_SD**2 - 1.0) / 6.0
 
     def with_blur(self, blur: StageBlur) -> Map:
         """The frame after a blur, surroundings included."""

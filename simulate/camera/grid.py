@@ -98,9 +98,9 @@ class Grid:
     @property
     def inside(self) -> tuple[slice, slice]:
         """Slices that cut the pixels of the chip out of an image on cells, margins left out."""
-        top, left = self.margin_rows * self.per_row, self.margin_columns * self.per_column
+        top, first_column = self.margin_rows * self.per_row, self.margin_columns * self.per_column
         return slice(top, top + self.rows * self.per_row), slice(
-            left, left + self.columns * self.per_column
+            first_column, first_column + self.columns * self.per_column
         )
 
     def frequencies(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
@@ -248,8 +248,8 @@ class CameraFrame(ABC):
         # Both extents are rounded up to lengths that transform fast; this one must contain that of
         # the cells.
         rows, columns = (
-            fast_length(max(size, 4 * margin_px + 2 * own))
-            for size, own in zip(grid.shape, self.cells.shape, strict=True)
+            fast_length(max(size, 4 * margin_px + 2 * cells))
+            for size, cells in zip(grid.shape, self.cells.shape, strict=True)
         )
         return replace(grid, shape=(rows, columns))
 
