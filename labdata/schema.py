@@ -6,7 +6,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from labdata.camera.files import IntensifiedCameraFile, SolidStateCameraFile, ThermalImagerFile
+from labdata.camera.description import (
+    IntensifiedCameraFile,
+    SolidStateCameraFile,
+    ThermalImagerFile,
+)
 from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput
 from labdata.plan_file import PlanFile

@@ -285,7 +285,7 @@ def _infrared_shot(
 
     return InfraredShot(
         camera=seen.camera,
-        light=None,
+        light=seen.signal,
         kind="scene",
         conditions=conditions,
         seen=seen,

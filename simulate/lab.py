@@ -257,7 +257,7 @@ class LabBench:
         rows, columns = camera.shape
         row, col, height, width = target.region or (0, 0, rows, columns)
         # Frame rows that sum two rows of the chip are centred half a row further down.
-        centre_row = row + height / 2.0 + (0.5 if camera.is_interlaced else 0.0)
+        centre_row = row + height / 2.0 + (0.5 if camera.description.interlaced else 0.0)
         centre_col = col + width / 2.0
         lens_mm = float(camera.description.optics.focal_length_mm)
         return TargetView(

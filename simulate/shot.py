@@ -110,16 +110,12 @@ class Shot:
         assert self.view is not None
         steps, shown = self._exposures_per_frame, self.view
         for number, look in enumerate(
-            motion.looks(Look(view=self.view, light=self._first_light), times_s)
+            motion.looks(Look(view=self.view, light=self.light), times_s)
         ):
             if number % steps == 0 and look.view is not shown:
                 shown = look.view
                 keep(number // steps, shown)
             yield look
-
-    @property
-    def _first_light(self) -> Any:
-        return self.light
 
     def _still_frames(self, seed: int) -> Iterator[NDArray[Any]]:
         threads = min(2, os.cpu_count() or 1)
@@ -191,16 +187,8 @@ class InfraredShot(Shot):
         """Radial distortions: none, as the distortion of the imager is that of its view."""
         return ()
 
-    @property
-    def _exposures_per_frame(self) -> int:
-        return 1
-
-    @property
-    def _first_light(self) -> Any:
-        return self.seen.signal
-
     def _still_frames(self, seed: int) -> Iterator[NDArray[Any]]:
-        return self.seen.frames(seed=seed)
+        return self.camera.frames_of_signal(self.light, seed=seed)
 
     def _moving_frames(self, seed: int, looks: Iterator[Look]) -> Iterator[NDArray[Any]]:
         # The lag of a frame needs those before it.

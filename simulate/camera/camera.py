@@ -115,7 +115,7 @@ class CameraModel(CameraFrame):
             detector_efficiency=efficiency,
             grid=self.scene_cells,
             magnification=magnification,
-            row_pairs=self.is_interlaced,
+            row_pairs=self.description.interlaced,
         )
 
     def open_s(self, conditions: Conditions) -> float:

@@ -138,7 +138,7 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             "pattern_seed": camera.pattern_seed,
         }
         if camera.has_tube:
-            return values_of(cls, ccd, interlaced=camera.is_interlaced, **shared)
+            return values_of(cls, ccd, interlaced=camera.description.interlaced, **shared)
         neighbours = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
         return values_of(
             cls,

@@ -197,11 +197,6 @@ class CameraFrame(ABC):
         """Return the time that gate or shutter is open in one exposure, s."""
 
     @property
-    def is_interlaced(self) -> bool:
-        """Whether a frame is two fields exposed one after the other."""
-        return self.description.interlaced
-
-    @property
     def fields_per_frame(self) -> int:
         """Exposures in one frame; where there are two, a pixel as read is as many rows of the chip
         high.
@@ -264,7 +259,7 @@ class CameraFrame(ABC):
         ccd, (rows, columns) = self.description.ccd, self.shape
         # Field integration sums rows r and r + 1, so the chip has one row more than the frame.
         return grid_with_margin(
-            rows + (1 if self.is_interlaced else 0),
+            rows + (1 if self.description.interlaced else 0),
             columns,
             per_pixel=per_pixel,
             margin=margin,

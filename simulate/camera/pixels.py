@@ -36,7 +36,7 @@ class Collection(Stage, slot=Slot.PIXELS, section="ccd"):
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the pixels of a camera."""
         if camera.has_tube:
-            return cls(row_pairs=camera.is_interlaced)
+            return cls(row_pairs=camera.description.interlaced)
         return cls(
             row_pairs=False,
             takes="photoelectrons in the chip",
@@ -122,7 +122,7 @@ class FieldReadout(
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the order of reading of a camera."""
-        return cls(interlaced=camera.is_interlaced)
+        return cls(interlaced=camera.description.interlaced)
 
     def mean(self, light: StageImage) -> StageImage:
         """Return frames woven of their two fields."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, load_sensor
-from labdata.camera.files import ThermalImagerFile
+from labdata.camera.description import ThermalImagerFile
 from labdata.sensors import load_camera, save_sensor
 from labdata.serialiser import from_mapping
 from simulate import api
