@@ -55,13 +55,15 @@ class RisingTable:
         nearest = min(max(first, self.first[0]), self.first[-1])
         if not abs(first - nearest) <= beyond:
             self._check_within(self.names[0], first, self.first)
-        place = np.log(nearest)
-        second = float(np.exp(np.interp(place, np.log(self.first), np.log(self.second))))
+        log_first = np.log(nearest)
+        second = float(np.exp(np.interp(log_first, np.log(self.first), np.log(self.second))))
         relative_sd = float(
-            np.hypot(np.interp(place, np.log(self.first), self.relative_sd), self._bend(place))
+            np.hypot(
+                np.interp(log_first, np.log(self.first), self.relative_sd), self._bend(log_first)
+            )
         )
         return second * (first / nearest) ** float(
-            self._powers()[self._interval(place)]
+            self._powers()[self._interval(log_first)]
         ), relative_sd
 
     def first_for(self, second: float) -> float:
@@ -71,23 +73,25 @@ class RisingTable:
         self._check_within(self.names[1], second, self.second)
         return float(np.exp(np.interp(np.log(second), np.log(self.second), np.log(self.first))))
 
-    def _bend(self, place: float) -> float:
+    def _bend(self, log_first: float) -> float:
         """Return the relative interpolation error: zero at the points, largest in the centre of an
         interval.
         """
-        places, powers, interval = np.log(self.first), self._powers(), self._interval(place)
-        others = (other for other in (interval - 1, interval + 1) if 0 <= other < len(powers))
-        changes = [abs(powers[other] - powers[interval]) for other in others]
-        width = places[interval + 1] - places[interval]
-        fraction = (place - places[interval]) / width
+        log_firsts, powers, interval = np.log(self.first), self._powers(), self._interval(log_first)
+        neighbours = (other for other in (interval - 1, interval + 1) if 0 <= other < len(powers))
+        changes = [abs(powers[other] - powers[interval]) for other in neighbours]
+        width = log_firsts[interval + 1] - log_firsts[interval]
+        fraction = (log_first - log_firsts[interval]) / width
         return max(changes, default=0.0) * width * fraction * (1.0 - fraction)
 
     def _powers(self) -> NDArray[np.float64]:
         """Return the exponent of the power law of each interval."""
         return np.diff(np.log(self.second)) / np.diff(np.log(self.first))
 
-    def _interval(self, place: float) -> int:
-        return int(np.clip(np.searchsorted(np.log(self.first), place) - 1, 0, len(self.first) - 2))
+    def _interval(self, log_first: float) -> int:
+        return int(
+            np.clip(np.searchsorted(np.log(self.first), log_first) - 1, 0, len(self.first) - 2)
+        )
 
     def _check_within(self, name: str, value: float, column: tuple[float, ...]) -> None:
         if not column[0] <= value <= column[-1]:
@@ -131,7 +135,9 @@ class LampCalibration:
     def __post_init__(self) -> None:
         if not self.source.strip():
             raise BadInput("the calibration of a lamp must say its source, got none")
-        if not self.filter_density or not all(0.0 <= one < math.inf for one in self.filter_density):
+        if not self.filter_density or not all(
+            0.0 <= density < math.inf for density in self.filter_density
+        ):
             raise BadInput(
                 f"filter densities must be numbers of at least 0, got {self.filter_density}"
             )
@@ -211,14 +217,14 @@ class LampCalibration:
             fitting = [self.position_of(filter_density)]
         else:
             densest_first = sorted(
-                range(len(self.filter_density)), key=lambda place: -self.filter_density[place]
+                range(len(self.filter_density)), key=lambda index: -self.filter_density[index]
             )
-            fitting = [place + 1 for place in densest_first]
+            fitting = [index + 1 for index in densest_first]
         low, high = self.illuminance_lux[0], self.illuminance_lux[-1]
         return [
-            one
-            for one in fitting
-            if low <= illuminance_lux * 10.0 ** self.filter_density[one - 1] <= high
+            position
+            for position in fitting
+            if low <= illuminance_lux * 10.0 ** self.filter_density[position - 1] <= high
         ]
 
     def _table(self) -> RisingTable:

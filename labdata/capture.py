@@ -110,7 +110,7 @@ def _stretches_before(
     numbers.
     """
     missing = expected
-    for faulty in sorted(one for one in faults if expected <= one < number):
+    for faulty in sorted(fault for fault in faults if expected <= fault < number):
         if missing < faulty:
             yield missing, faulty - 1, NEVER_ARRIVED
         yield faulty, faulty, faults[faulty]

@@ -98,10 +98,10 @@ class EventLog:
 
 def read_events(path: str | Path) -> list[dict]:
     """Return the events of a log; incomplete lines are omitted."""
-    found = []
+    events = []
     for line in Path(path).read_bytes().splitlines():
         try:
-            found.append(json.loads(line))
+            events.append(json.loads(line))
         except ValueError:
             continue
-    return found
+    return events

@@ -43,9 +43,9 @@ def sync_folder(folder: Path) -> None:
 
 def write_whole(descriptor: int, data: bytes | memoryview) -> None:
     """Write all bytes; a disk that accepts only part of them raises at the next attempt."""
-    left = memoryview(data)
-    while len(left):
-        left = left[os.write(descriptor, left) :]
+    unwritten = memoryview(data)
+    while len(unwritten):
+        unwritten = unwritten[os.write(descriptor, unwritten) :]
 
 
 def ends_mid_line(descriptor: int) -> bool:

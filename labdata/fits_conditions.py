@@ -143,29 +143,33 @@ def group_stated(
         Kind of all stacks in place of the stated one; frames that state none are scenes.
     """
     stacks: dict[tuple, list[StatedFrame]] = {}
-    for one in frames:
-        own = kind or one.kind or "scene"
-        stacks.setdefault((own, one.conditions.exposure_s, tuple(one.settings.items())), []).append(
-            one
-        )
+    for frame in frames:
+        stack_kind = kind or frame.kind or "scene"
+        stacks.setdefault(
+            (stack_kind, frame.conditions.exposure_s, tuple(frame.settings.items())), []
+        ).append(frame)
     differing = [
-        card for card in SETTING_CARDS if len({one.settings.get(card) for one in frames}) > 1
+        card for card in SETTING_CARDS if len({frame.settings.get(card) for frame in frames}) > 1
     ]
-    found = []
-    for (own, exposure_s, _), alike in stacks.items():
+    stated_stacks = []
+    for (stack_kind, exposure_s, _), members in stacks.items():
         for warm in _split(
-            alike, lambda one: one.conditions.temperature_c or 0.0, lambda _: SAME_TEMPERATURE_K
+            members,
+            lambda frame: frame.conditions.temperature_c or 0.0,
+            lambda _: SAME_TEMPERATURE_K,
         ):
             levels = (
-                _split(warm, lambda one: one.mean_dn, lambda one: SAME_LEVEL * abs(one.mean_dn))
-                if own == "flat"
+                _split(
+                    warm, lambda frame: frame.mean_dn, lambda frame: SAME_LEVEL * abs(frame.mean_dn)
+                )
+                if stack_kind == "flat"
                 else [warm]
             )
             for level in levels:
                 known = [
-                    one.conditions.temperature_c
-                    for one in level
-                    if one.conditions.temperature_c is not None
+                    frame.conditions.temperature_c
+                    for frame in level
+                    if frame.conditions.temperature_c is not None
                 ]
                 temperature_c = round(float(np.mean(known)), 2) if known else None
                 conditions = Conditions(exposure_s=exposure_s, temperature_c=temperature_c)
@@ -180,9 +184,16 @@ def group_stated(
                     if card in level[0].settings
                 ]
                 parts += [f"level={level[0].mean_dn:.4g}"] if len(levels) > 1 else []
-                paths = sorted(one.path for one in level)
-                found.append((" ".join([own, *parts]).replace("/", "-"), own, conditions, paths))
-    return found
+                paths = sorted(frame.path for frame in level)
+                stated_stacks.append(
+                    (
+                        " ".join([stack_kind, *parts]).replace("/", "-"),
+                        stack_kind,
+                        conditions,
+                        paths,
+                    )
+                )
+    return stated_stacks
 
 
 Of = Callable[[StatedFrame], float]
@@ -192,8 +203,8 @@ def _split(frames: list[StatedFrame], value: Of, gap: Of) -> list[list[StatedFra
     """Return frames in the order of a value, cut where it rises by more than a gap."""
     ordered = sorted(frames, key=value)
     out = [ordered[:1]]
-    for before, one in pairwise(ordered):
-        if value(one) - value(before) > gap(before):
+    for before, frame in pairwise(ordered):
+        if value(frame) - value(before) > gap(before):
             out.append([])
-        out[-1].append(one)
+        out[-1].append(frame)
     return out

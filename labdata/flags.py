@@ -71,7 +71,7 @@ class Finding:
 
 def order_flags(flags: Iterable[str]) -> tuple[str, ...]:
     """Return the flags in vocabulary order, without repeats; an unknown flag is a ValueError."""
-    given = set(flags)
-    if unknown := given - FLAGS.keys():
+    unordered = set(flags)
+    if unknown := unordered - FLAGS.keys():
         raise ValueError(f"a flag must be one of labdata.flags.FLAGS, got {sorted(unknown)}")
-    return tuple(flag for flag in FLAGS if flag in given)
+    return tuple(flag for flag in FLAGS if flag in unordered)

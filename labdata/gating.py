@@ -91,8 +91,8 @@ def fields_open_ns(
     period_s, width_s = 1.0 / rate_hz, min(width_ns * 1e-9, 1.0 / rate_hz)
 
     def since_begin_s(time_s: NDArray[np.floating]) -> NDArray[np.floating]:
-        whole = np.floor(time_s / period_s)
-        return whole * width_s + np.minimum(time_s - whole * period_s, width_s)
+        periods = np.floor(time_s / period_s)
+        return periods * width_s + np.minimum(time_s - periods * period_s, width_s)
 
     return 1e9 * (since_begin_s(begins_s + exposure_s) - since_begin_s(begins_s))
 

@@ -62,10 +62,10 @@ def _of_store(entry: StackEntry, path: Path) -> LazyStack:
         "time_s": np.array([frame.time_s for frame in frames]),
         "frame_number": np.array([frame.frame_number for frame in frames], np.int64),
     }
-    found = _lazy_stack(
+    stack = _lazy_stack(
         entry, array, lambda first, last: read_frames(path, array, frames[first:last]), **stamps
     )
-    return replace(found, shape=(len(frames), *found.shape[1:]))
+    return replace(stack, shape=(len(frames), *stack.shape[1:]))
 
 
 def _lazy_stack(

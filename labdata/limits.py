@@ -183,21 +183,22 @@ def limits_in_force(
         Limits of the tube that the plan overrides; any other plan above the tube's limit is
         BadInput.
     """
-    if len({one.limit for one in overrides}) < len(overrides):
-        raise BadInput(f"a limit can be overridden once, got {[one.limit for one in overrides]}")
+    if len({override.limit for override in overrides}) < len(overrides):
+        raise BadInput(
+            f"a limit can be overridden once, got {[override.limit for override in overrides]}"
+        )
     tube = TubeLimits() if sensor is None else sensor.limits
-    instead = {one.limit: one for one in overrides}
+    instead = {override.limit: override for override in overrides}
     values = {
         name: _in_force(name, getattr(asked, name), tube, instead, known=sensor is not None)
         for name in LIMITS
     }
     load = CAUTIOUS_LOAD if sensor is None else TubeLoad.of(sensor)
+    limits_of_tube = {override.limit: getattr(tube, override.limit) for override in overrides}
     overridden = tuple(
-        (
-            f"{OVERRIDDEN} {one.limit} of {own.value:g} ({own.source}) was overridden to "
-            f"{one.value:g}: {one.reason}."
-        )
-        for one, own in ((one, getattr(tube, one.limit)) for one in overrides)
+        f"{OVERRIDDEN} {name} of {limit.value:g} ({limit.source}) was overridden to "
+        f"{instead[name].value:g}: {instead[name].reason}."
+        for name, limit in limits_of_tube.items()
     )
     return LimitsInForce(**values, load=load, overridden=overridden, known=sensor is not None)
 
@@ -207,12 +208,12 @@ def _in_force(
 ) -> float:
     if name in instead:
         return min(instead[name].value, asked or instead[name].value)
-    own = float(getattr(tube, name))
+    limit = getattr(tube, name)
     if asked is None:
-        return own
-    if known and asked > own:
+        return float(limit)
+    if known and asked > float(limit):
         raise BadInput(
-            f"limits.{name} must not exceed the tube's {own:g} ({getattr(tube, name).source}), "
+            f"limits.{name} must not exceed the tube's {float(limit):g} ({limit.source}), "
             f"got {asked:g}; an [[override]] with a reason sets it aside"
         )
     return asked

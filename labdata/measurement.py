@@ -61,8 +61,8 @@ def intervals_of(draws: ArrayLike) -> tuple[float, Interval, Interval]:
     ordered = np.sort(np.asarray(draws, float), axis=None)
     if np.isnan(ordered[-1]):
         return np.nan, (np.nan, np.nan), (np.nan, np.nan)
-    places = np.asarray(QUANTILES) * (ordered.size - 1)
-    low95, low68, middle, high68, high95 = np.interp(places, np.arange(ordered.size), ordered)
+    ranks = np.asarray(QUANTILES) * (ordered.size - 1)
+    low95, low68, middle, high68, high95 = np.interp(ranks, np.arange(ordered.size), ordered)
     return float(middle), (float(low68), float(high68)), (float(low95), float(high95))
 
 
@@ -128,12 +128,15 @@ class Measurement:
         """Return a copy with fields changed; flags and findings are added and change the status to
         suspect.
         """
-        found = tuple(findings)
+        added = tuple(findings)
         flags = vocabulary.order_flags(
-            (*self.flags, *(each.flag for each in found), *changes.pop("flags", ()))
+            (*self.flags, *(finding.flag for finding in added), *changes.pop("flags", ()))
         )
-        if found:
-            changes["notes"] = (*changes.get("notes", self.notes), *(each.note for each in found))
+        if added:
+            changes["notes"] = (
+                *changes.get("notes", self.notes),
+                *(finding.note for finding in added),
+            )
         status = self.status if self.status == "refused" else ("suspect" if flags else "ok")
         return replace(self, flags=flags, status=status, **changes)
 

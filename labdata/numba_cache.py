@@ -37,8 +37,8 @@ def stamp_of(file: Path) -> str | None:
     packages.
     """
     source = file.resolve()
-    inside = source.parts[len(ROOT.parts) :] if source.is_relative_to(ROOT) else ()
-    if len(inside) < 2 or inside[0] not in PACKAGES:
+    relative_parts = source.parts[len(ROOT.parts) :] if source.is_relative_to(ROOT) else ()
+    if len(relative_parts) < 2 or relative_parts[0] not in PACKAGES:
         return None
     sources, pending = {source}, [source]
     while pending:
@@ -46,8 +46,8 @@ def stamp_of(file: Path) -> str | None:
         sources |= new
         pending += new
     stamp = sha256()
-    for each in sorted(sources):
-        stamp.update(str(each.relative_to(ROOT)).encode() + b"\0" + _digest(each))
+    for path in sorted(sources):
+        stamp.update(str(path.relative_to(ROOT)).encode() + b"\0" + _digest(path))
     return stamp.hexdigest()
 
 
@@ -59,10 +59,10 @@ def _digest(source: Path) -> bytes:
 @cache
 def _imports_of(source: Path) -> frozenset[Path]:
     """Return the files of these packages that a file imports, inside functions too."""
-    found = set()
+    imported = set()
     for module, names in IMPORT.findall(source.read_text(encoding="utf-8")):
-        place = ROOT.joinpath(*module.split("."))
-        candidates = [place.with_suffix(".py"), place / "__init__.py"]
-        candidates += [place / f"{name}.py" for name in re.findall(r"\w+", names)]
-        found.update(each for each in candidates if each.is_file())
-    return frozenset(found)
+        module_path = ROOT.joinpath(*module.split("."))
+        candidates = [module_path.with_suffix(".py"), module_path / "__init__.py"]
+        candidates += [module_path / f"{name}.py" for name in re.findall(r"\w+", names)]
+        imported.update(candidate for candidate in candidates if candidate.is_file())
+    return frozenset(imported)

@@ -255,9 +255,9 @@ class Plan(PlanHead):
             )
         self._check_meters()
         if (self.lamp is None) != (self.wires.light is None):
-            there = "none" if self.lamp is None else "one"
+            calibrations = "none" if self.lamp is None else "one"
             raise BadInput(
-                f"a plan must have a lamp where its wires name a light, got {there} for "
+                f"a plan must have a lamp where its wires name a light, got {calibrations} for "
                 f"{self.wires.light}"
             )
         if len(set(labels)) != len(labels):

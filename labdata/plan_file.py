@@ -156,9 +156,9 @@ class SweepRecord:
             return
         numbers = itertools.count(1)
         yield self._dark(lit[0], next(numbers))
-        for taken, step in enumerate(lit, 1):
+        for lit_steps, step in enumerate(lit, 1):
             yield step
-            if taken % self.dark_every == 0 or taken == len(lit):
+            if lit_steps % self.dark_every == 0 or lit_steps == len(lit):
                 yield self._dark(step, next(numbers))
 
     def _dark(self, neighbour: Step, number: int) -> Step:
@@ -250,8 +250,8 @@ class PlanFile(PlanHead):
 
     def _read(self, key: str, type_: type) -> Any:
         """Return a calibration given in the plan, or read the file that it names."""
-        given = getattr(self, key)
-        return from_toml(given, type_) if isinstance(given, str) else given
+        stated = getattr(self, key)
+        return from_toml(stated, type_) if isinstance(stated, str) else stated
 
 
 def read_plan(path: str | Path) -> Plan:

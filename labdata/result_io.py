@@ -76,14 +76,14 @@ def save(result: Result, folder: str | Path) -> Path:
 
 def save_into(result: Result, folder: str | Path) -> Path:
     """Save the result of one analysis in a session folder; other quantities saved there stay."""
-    kept = load(folder) or Result()
+    earlier = load(folder) or Result()
     anew = {m.quantity for m in result.measurements}
-    others = Result(
-        measurements=tuple(m for m in kept.measurements if m.quantity not in anew),
-        curves=kept.curves,
-        evidence=kept.evidence,
+    remaining = Result(
+        measurements=tuple(m for m in earlier.measurements if m.quantity not in anew),
+        curves=earlier.curves,
+        evidence=earlier.evidence,
     )
-    return save(others + result, folder)
+    return save(remaining + result, folder)
 
 
 def load(folder: str | Path) -> Result | None:
@@ -102,8 +102,10 @@ def load(folder: str | Path) -> Result | None:
                 f"a kept result must have format {FORMAT}, got {document['format']} in {path}"
             )
         return Result(
-            measurements=tuple(_read_measurement(one, arrays) for one in document["measurements"]),
-            curves={name: _read_curve(one) for name, one in document["curves"].items()},
+            measurements=tuple(
+                _read_measurement(stored, arrays) for stored in document["measurements"]
+            ),
+            curves={name: _read_curve(stored) for name, stored in document["curves"].items()},
             evidence=document["evidence"],
         )
     except BadInput:
@@ -124,12 +126,12 @@ def _measurement(measurement: Measurement) -> dict[str, Any]:
 
 
 def _curve(curve: Curve) -> dict[str, Any]:
-    whole = {
+    columns = {
         item.name: _value(getattr(curve, item.name))
         for item in fields(curve)
         if item.name != "draws"
     }
-    return {name: value for name, value in whole.items() if value is not None or name != "stack"}
+    return {name: value for name, value in columns.items() if value is not None or name != "stack"}
 
 
 def _full_measurement(
@@ -138,19 +140,19 @@ def _full_measurement(
     """Return a measurement with provenance and posterior; its arrays are replaced by names, equal
     ones by one.
     """
-    whole = _measurement(measurement)
+    record = _measurement(measurement)
     if measurement.value is None:
-        whole["refusal"] = measurement.refusal
+        record["refusal"] = measurement.refusal
     if measurement.provenance is not None:
-        whole["provenance"] = _value(vars(measurement.provenance))
+        record["provenance"] = _value(vars(measurement.provenance))
     if measurement.posterior is not None:
-        whole["posterior"] = {
+        record["posterior"] = {
             name: {"array": _array_name(value, f"{key}.{name}", arrays)}
             if isinstance(value, np.ndarray)
             else _value(value)
             for name, value in vars(measurement.posterior).items()
         }
-    return whole
+    return record
 
 
 def _array_name(value: NDArray, key: str, arrays: dict[str, NDArray]) -> str:

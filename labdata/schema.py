@@ -6,7 +6,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from labdata.camera.files import IntensifiedCameraFile, SolidStateCameraFile, ThermalImagerFile
+from labdata.camera.description import (
+    IntensifiedCameraFile,
+    SolidStateCameraFile,
+    ThermalImagerFile,
+)
 from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput
 from labdata.plan_file import PlanFile
@@ -71,21 +75,21 @@ def _table(table: dict[str, Any], type_: type | None) -> dict[str, Any]:
         return table
     words = parameters_of(type_)
     keys = {name: _key(key, words.get(name)) for name, key in table["properties"].items()}
-    whole = {**table, "description": summary_of(type_), "properties": keys}
+    described = {**table, "description": summary_of(type_), "properties": keys}
     # A bare number in a file is an exact parameter.
-    return {"anyOf": [{"type": "number"}, whole]} if type_ is Parameter else whole
+    return {"anyOf": [{"type": "number"}, described]} if type_ is Parameter else described
 
 
 def _key(key: dict[str, Any], words: str | None) -> dict[str, Any]:
     """Return the schema of one key without null, which TOML does not have."""
     kinds = [kind for kind in key.get("anyOf", []) if kind != {"type": "null"}]
-    kept = {
+    schema = {
         name: part
         for name, part in key.items()
         if name not in ("anyOf", "title") and part is not None
     }
-    kept |= kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {}
-    return kept | ({"description": words} if words else {})
+    schema |= kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {}
+    return schema | ({"description": words} if words else {})
 
 
 def summary_of(type_: type) -> str:

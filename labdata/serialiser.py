@@ -47,19 +47,21 @@ def sentence(
     steps = _steps_in(steps, mapping)
     if kind in ("missing", "too_long"):
         steps = steps[:-1] if kind == "missing" and steps and isinstance(steps[-1], int) else steps
-        whole: Any = mapping
-        error = {**error, "input": reduce(lambda at, step: at[step], steps, whole)}
+        root: Any = mapping
+        error = {**error, "input": reduce(lambda at, step: at[step], steps, root)}
     if kind in ("value_error", "assertion_error"):
         return f"{error['ctx']['error']}{_place(', in ', steps, mapping, where)}"
     # Each member of a union reports its own error.
     rules = [
-        _rule(one) for one in errors if _steps_in(tuple(one["loc"])[1:], mapping) == steps
+        _rule(member_error)
+        for member_error in errors
+        if _steps_in(tuple(member_error["loc"])[1:], mapping) == steps
     ] or [_rule(error)]
     rule = " or ".join(dict.fromkeys(rules))
     *outer, key = steps or ("the file",)
     if isinstance(key, int) and outer:
-        place = _place(", in ", outer[:-1], mapping, where)
-        return f"every item of {outer[-1]} must be {rule}, got {_display(error['input'])}{place}"
+        location = _place(", in ", outer[:-1], mapping, where)
+        return f"every item of {outer[-1]} must be {rule}, got {_display(error['input'])}{location}"
     return (
         f"{key} must be {rule}, got "
         f"{_display(error['input'])}{_place(', in ', outer, mapping, where)}"
@@ -75,11 +77,13 @@ def _about_a_key(
 ) -> str:
     *outer, key = steps
     outer = _steps_in(outer, mapping)
-    place = _place(" in ", outer, mapping, where)
+    location = _place(" in ", outer, mapping, where)
     if kind == "missing":
-        return f"missing key {key!r}{place}"
-    near = difflib.get_close_matches(str(key), [name for name in known if name != key], n=1)
-    return f"unknown key {key!r}{place}" + (f"; did you mean {near[0]!r}?" if near else "")
+        return f"missing key {key!r}{location}"
+    suggestions = difflib.get_close_matches(str(key), [name for name in known if name != key], n=1)
+    return f"unknown key {key!r}{location}" + (
+        f"; did you mean {suggestions[0]!r}?" if suggestions else ""
+    )
 
 
 def _rule(error: Mapping[str, Any]) -> str:
@@ -95,30 +99,30 @@ def _rule(error: Mapping[str, Any]) -> str:
 
 def _steps_in(steps: Sequence[str | int], mapping: Any) -> tuple[str | int, ...]:
     """Return the steps that exist in the mapping; pydantic inserts names of union members."""
-    found: list[str | int] = []
+    existing: list[str | int] = []
     for step in steps:
         try:
             mapping = mapping[step]
         except (KeyError, IndexError, TypeError):
             continue
-        found.append(step)
-    return tuple(found)
+        existing.append(step)
+    return tuple(existing)
 
 
 def _place(joint: str, steps: Sequence[str | int], mapping: Any, where: str) -> str:
     """Return the location, innermost first: 'target of stack 2 ("flat-03") of session.toml'."""
-    places: list[str] = []
+    names: list[str] = []
     at = mapping
     for step in steps:
         at = at[step]
-        if isinstance(step, int) and places:
+        if isinstance(step, int) and names:
             label = at.get("label") if isinstance(at, Mapping) else None
-            places[-1] += f" {step + 1}" + (
+            names[-1] += f" {step + 1}" + (
                 f" ({json.dumps(label, ensure_ascii=False, default=str)})" if label else ""
             )
         else:
-            places.append(str(step))
-    words = places[::-1] + ([where] if where else [])
+            names.append(str(step))
+    words = names[::-1] + ([where] if where else [])
     return joint + " of ".join(words) if words else ""
 
 
@@ -175,8 +179,8 @@ def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") ->
     try:
         return adapter(type_).validate_json(text)[0]
     except ValidationError as errors:
-        found = errors.errors(include_url=False)
-        raise BadInput(sentence(found, mapping, where, _valid_keys(type_))) from None
+        problems = errors.errors(include_url=False)
+        raise BadInput(sentence(problems, mapping, where, _valid_keys(type_))) from None
 
 
 def to_toml(value: Any) -> str:
@@ -223,9 +227,9 @@ def _plain_number(value: Any) -> Any:
 
 
 def _plain_fields(value: Any) -> dict[str, Any]:
-    own = inspect.get_annotations(type(value))
+    annotations = inspect.get_annotations(type(value))
     plain = {}
-    for item in sorted(dataclasses.fields(value), key=lambda item: item.name not in own):
+    for item in sorted(dataclasses.fields(value), key=lambda item: item.name not in annotations):
         written = _plain(getattr(value, item.name))
         required = (
             item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING

@@ -210,9 +210,9 @@ def _all_or_none(arrays: list[np.ndarray], parts: list[FrameStack]) -> np.ndarra
     return np.concatenate(arrays) if complete else arrays[0][:0]
 
 
-def _agreeing(one: Conditions, other: Conditions) -> tuple[str, ...]:
+def _agreeing(first: Conditions, other: Conditions) -> tuple[str, ...]:
     """Return the dark-relevant settings in which two conditions agree."""
-    return tuple(name for name in DARK_SETTINGS if getattr(one, name) == getattr(other, name))
+    return tuple(name for name in DARK_SETTINGS if getattr(first, name) == getattr(other, name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,18 +247,22 @@ class Session:
 
         Stacks of several planes are a BadInput, and so is a plane of a mosaic behind an image tube.
         """
-        found: dict[tuple[str, int], str] = {}
+        label_of_sampling: dict[tuple[str, int], str] = {}
         for entry in self.stacks:
             if entry.kind != "scene":
                 plane, pitch_px = entry.sampling()
-                found.setdefault(("mono" if plane == "luminance" else plane, pitch_px), entry.label)
-        if len(found) > 1:
-            shown = " and ".join(f"{plane} in {label!r}" for (plane, _), label in found.items())
+                label_of_sampling.setdefault(
+                    ("mono" if plane == "luminance" else plane, pitch_px), entry.label
+                )
+        if len(label_of_sampling) > 1:
+            shown = " and ".join(
+                f"{plane} in {label!r}" for (plane, _), label in label_of_sampling.items()
+            )
             raise BadInput(
                 f"one camera description is of one colour plane, got {shown} of session "
                 f"{self.name!r}"
             )
-        plane, pitch_px = next(iter(found), ("mono", 1))
+        plane, pitch_px = next(iter(label_of_sampling), ("mono", 1))
         if pitch_px > 1 and self.camera is not None and self.camera.silicon is None:
             raise BadInput(
                 f"a plane of a mosaic must be that of a camera without an image tube, got {plane} "

@@ -185,10 +185,12 @@ def _group_headers(paths: list[Path], kind: Kind | None, plane: str | None) -> l
     stated = [read_stated_frame(path, plane) for path in paths]
     alone = [path for path, one in zip(paths, stated, strict=True) if one is None]
     stems = [path.stem for path in alone]
-    own = [(path.stem if stems.count(path.stem) == 1 else path.name, path) for path in alone]
+    single_stacks = [
+        (path.stem if stems.count(path.stem) == 1 else path.name, path) for path in alone
+    ]
     known = [one for one in stated if one is not None]
     return [
-        *((name, kind or "scene", Conditions(), [path]) for name, path in own),
+        *((name, kind or "scene", Conditions(), [path]) for name, path in single_stacks),
         *(group_stated(known, kind) if known else []),
     ]
 
@@ -217,12 +219,12 @@ def _group_files(paths: list[Path], kind: Kind, pattern: str) -> list[Group]:
         ).append(path)
     return [
         (
-            f"{kind} " + " ".join(f"{name}={value:g}" for name, value in given),
+            f"{kind} " + " ".join(f"{name}={value:g}" for name, value in key),
             kind,
-            replace(Conditions(), **dict(given)),
+            replace(Conditions(), **dict(key)),
             members,
         )
-        for given, members in sorted(groups.items())
+        for key, members in sorted(groups.items())
     ]
 
 
@@ -250,7 +252,7 @@ def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
     """
     from labdata.importers import read_frames
 
-    found: dict[tuple[int, int], str] = {}
+    label_of_size: dict[tuple[int, int], str] = {}
     notes: dict[str, list[str]] = {}
     for stack in stacks:
         sizes: dict[tuple[int, int], str] = {}
@@ -268,15 +270,17 @@ def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
             raise BadInput(
                 f"all files of a stack must have one picture size, got {shown} for {stack.label!r}"
             )
-        found |= {size: stack.label for size in sizes if size not in found}
-    said = [
+        label_of_size |= {size: stack.label for size in sizes if size not in label_of_size}
+    sentences = [
         f"{files[0]}{f' and {len(files) - 1} more' if files[1:] else ''}: {note}"
         for note, files in notes.items()
     ]
-    if len(found) > 1:
-        shown = ", ".join(f"{rows} x {cols} ({label})" for (rows, cols), label in found.items())
-        said.append(f"pictures of several sizes, rows x columns: {shown}")
-    return tuple(said)
+    if len(label_of_size) > 1:
+        shown = ", ".join(
+            f"{rows} x {cols} ({label})" for (rows, cols), label in label_of_size.items()
+        )
+        sentences.append(f"pictures of several sizes, rows x columns: {shown}")
+    return tuple(sentences)
 
 
 def _write_session(form: SessionFile, out: Path, *, add: bool = False) -> Session:

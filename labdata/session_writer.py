@@ -198,7 +198,7 @@ class SessionWriter:
             bit_depth=bit_depth,
             finished=False,
         )
-        known = {one.label: one for one in self._form.stack}.get(label)
+        known = {record.label: record for record in self._form.stack}.get(label)
         if known is not None:
             entry = _resume_entry(known, entry)
         if is_ours(path):
@@ -262,11 +262,14 @@ class SessionWriter:
                 f"{label!r}"
             )
         self._save(
-            replace(self._form, stack=tuple(one for one in self._form.stack if one.label != label))
+            replace(
+                self._form,
+                stack=tuple(record for record in self._form.stack if record.label != label),
+            )
         )
 
     def _enter(self, entry: StackRecord) -> None:
-        stacks = {one.label: one for one in self._form.stack}
+        stacks = {record.label: record for record in self._form.stack}
         self._save(replace(self._form, stack=tuple({**stacks, entry.label: entry}.values())))
 
     def _save(self, form: SessionFile) -> None:

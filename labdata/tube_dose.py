@@ -47,13 +47,13 @@ def total_dose(doses: Iterable[Dose]) -> Dose:
     average out.
     """
     doses = tuple(doses)
-    charge = sum(one.charge_c_per_cm2 for one in doses)
-    weighted = sum(one.charge_c_per_cm2 * one.log_sd for one in doses)
+    charge = sum(dose.charge_c_per_cm2 for dose in doses)
+    weighted = sum(dose.charge_c_per_cm2 * dose.log_sd for dose in doses)
     return Dose(
-        screen_c_per_cm2=sum(one.screen_c_per_cm2 for one in doses),
-        point_c_per_cm2=sum(one.point_c_per_cm2 for one in doses),
-        hours_at_gain=sum(one.hours_at_gain for one in doses),
-        log_sd=weighted / charge if charge else max((one.log_sd for one in doses), default=0.0),
+        screen_c_per_cm2=sum(dose.screen_c_per_cm2 for dose in doses),
+        point_c_per_cm2=sum(dose.point_c_per_cm2 for dose in doses),
+        hours_at_gain=sum(dose.hours_at_gain for dose in doses),
+        log_sd=weighted / charge if charge else max((dose.log_sd for dose in doses), default=0.0),
     )
 
 

@@ -174,7 +174,7 @@ def _outdoor_shot(
     if request.kind == "dark":
         raise BadInput(f"a dark must have no light, got the scene {scene.name!r}")
     _require_no_bench_options(request, conditions)
-    whole, temperatures, delay_s = (
+    full_camera, temperatures, delay_s = (
         camera_from_description(description),
         request.temperatures,
         _delay_s(request, scene),
@@ -184,14 +184,14 @@ def _outdoor_shot(
         now: "OutdoorScene", seed: int, like: "RenderedView | None" = None
     ) -> "tuple[RenderedView, Any]":
         """Return a view of the scene as it stands, and its photoelectrons."""
-        rendering = OutdoorRendering(now, whole, conditions)
+        rendering = OutdoorRendering(now, full_camera, conditions)
         view = _render(rendering, replace(request, seed=seed), progress, like)
         if temperatures is not None:
             view = view.with_temperatures(temperatures.moved(now).map_k(rendering.view))
-        return view, photoelectrons_from_radiance(whole, view.picture.cube, conditions)
+        return view, photoelectrons_from_radiance(full_camera, view.picture.cube, conditions)
 
     view, photoelectrons = render(scene.at(delay_s).for_sensor(request.sensor), request.seed)
-    camera, planned = _select_effects(whole, photoelectrons, conditions, request)
+    camera, planned = _select_effects(full_camera, photoelectrons, conditions, request)
 
     def look(now: "OutdoorScene", seed: int) -> Look:
         later, released = render(now, seed, view)
@@ -278,7 +278,7 @@ def _infrared_shot(
 
     return InfraredShot(
         camera=seen.camera,
-        light=None,
+        light=seen.signal,
         kind="scene",
         conditions=conditions,
         seen=seen,
@@ -479,33 +479,37 @@ def conditions_of(camera: Description, *, gain: float | None = None, **options: 
     `gain`: luminous gain of the tube, lm/lm, or multiplication of an electron-multiplying register.
     Raises BadInput if an option does not apply to the camera or conflicts with another one.
     """
-    given = {name: value for name, value in options.items() if value is not None}
+    stated = {name: value for name, value in options.items() if value is not None}
     if gain is not None and not (math.isfinite(gain) and gain > 0.0):
         raise BadInput(f"gain must be positive, got {gain:g}")
     exposure_s = 1.0 / float(camera.video.field_rate_hz)
     if camera.is_thermal:
-        if unfit := [*given, *(["gain"] if gain is not None else [])]:
+        if unfit := [*stated, *(["gain"] if gain is not None else [])]:
             raise BadInput(f"{unfit[0]} needs a camera of visible light, got {camera.name!r}")
         cooled = camera.cooled_array
         return Conditions(
             exposure_s=exposure_s if cooled is None else 1e-3 * float(cooled.integration_ms)
         )
-    if given.get("automatic_gain") and not camera.video.automatic_gain:
+    if stated.get("automatic_gain") and not camera.video.automatic_gain:
         raise BadInput(f"automatic_gain needs a camera that has it, got {camera.name!r}")
     if not camera.has_tube:
-        most = float(camera.register.em_gain)
-        if gain is not None and not 1.0 <= gain <= most:
-            raise BadInput(f"gain of {camera.name!r} must lie between 1 and {most:g}, got {gain:g}")
-        if unfit := [name for name in _OF_A_TUBE if name in given]:
+        highest_gain = float(camera.register.em_gain)
+        if gain is not None and not 1.0 <= gain <= highest_gain:
+            raise BadInput(
+                f"gain of {camera.name!r} must lie between 1 and {highest_gain:g}, got {gain:g}"
+            )
+        if unfit := [name for name in _OF_A_TUBE if name in stated]:
             raise BadInput(f"{unfit[0]} needs a camera with a tube, got {camera.name!r}")
-        return Conditions(exposure_s=exposure_s, em_gain=most if gain is None else gain, **given)
-    ways = [name for name in ("mcp_v", "gain_control") if name in given]
+        return Conditions(
+            exposure_s=exposure_s, em_gain=highest_gain if gain is None else gain, **stated
+        )
+    ways = [name for name in ("mcp_v", "gain_control") if name in stated]
     if len(ways := [*ways, *(["gain"] if gain is not None else [])]) > 1:
         raise BadInput(f"the gain must be set once, got {' and '.join(ways)}")
     nominal: dict[str, Any] = {"gate_ns": exposure_s * 1e9}
     if gain is not None or not ways:
         nominal["mcp_v"] = voltage_of(camera, gain)
-    return Conditions(exposure_s=exposure_s, **{**nominal, **given})
+    return Conditions(exposure_s=exposure_s, **{**nominal, **stated})
 
 
 def voltage_of(sensor: Camera, luminous_gain: float | None) -> float:

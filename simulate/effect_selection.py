@@ -78,8 +78,8 @@ class EffectSelection:
         return {"tolerance": self.tolerance, "left_out_together": self.influence, "effects": rows}
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.3g} %" if share < 100.0 else "beyond all bounds"
+def _percent(fraction: float) -> str:
+    return f"{100.0 * fraction:.3g} %" if fraction < 100.0 else "beyond all bounds"
 
 
 def select_effects(
@@ -91,10 +91,10 @@ def select_effects(
     """
     if not tolerance >= 0.0:
         raise BadInput(f"a tolerance must not be negative, got {tolerance:g}")
-    kept: list[OptionalEffect] = []
+    retained: list[OptionalEffect] = []
     left_out: list[OptionalEffect] = []
     total = 0.0
-    for effect in sorted(effects, key=lambda each: (each.influence, each.name)):
+    for effect in sorted(effects, key=lambda candidate: (candidate.influence, candidate.name)):
         total += effect.influence
-        (left_out if total <= tolerance else kept).append(effect)
-    return EffectSelection(tolerance=tolerance, kept=tuple(kept), left_out=tuple(left_out))
+        (left_out if total <= tolerance else retained).append(effect)
+    return EffectSelection(tolerance=tolerance, kept=tuple(retained), left_out=tuple(left_out))

@@ -47,15 +47,15 @@ def read_image(
     image = stack.data[0].astype(np.float64)
     if image.min() < 0.0:
         raise BadInput(f"an image must have no negative pixel, got {image.min():g} in {name}")
-    above = image - black_dn
-    below = int(np.count_nonzero(above < 0.0))
-    placed, how = centre_on_frame(np.maximum(above, 0.0) * scale, shape)
+    signal_dn = image - black_dn
+    dark_pixels = int(np.count_nonzero(signal_dn < 0.0))
+    placed, how = centre_on_frame(np.maximum(signal_dn, 0.0) * scale, shape)
     notes = [
         f"{name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure",
         *how,
     ]
     notes += [f"first of {len(stack)} frames of {name}"] if len(stack) > 1 else []
-    notes += [f"{below} pixels below {black_dn:g} DN count as dark"] if below else []
+    notes += [f"{dark_pixels} pixels below {black_dn:g} DN count as dark"] if dark_pixels else []
     return placed.astype(np.float32), (*notes, *stack.notes)
 
 
@@ -71,12 +71,12 @@ def centre_on_frame(
     differs.
     """
     frame = np.zeros(shape)
-    there, here = [], []
+    frame_slices, image_slices = [], []
     for size, room in zip(image.shape, shape, strict=True):
-        shift, kept = (room - size) // 2, min(size, room)
-        there.append(slice(max(shift, 0), max(shift, 0) + kept))
-        here.append(slice(max(-shift, 0), max(-shift, 0) + kept))
-    frame[tuple(there)] = image[tuple(here)]
+        shift, length = (room - size) // 2, min(size, room)
+        frame_slices.append(slice(max(shift, 0), max(shift, 0) + length))
+        image_slices.append(slice(max(-shift, 0), max(-shift, 0) + length))
+    frame[tuple(frame_slices)] = image[tuple(image_slices)]
     sizes = list(zip(image.shape, shape, strict=True))
     done = ["cropped"] * any(size > room for size, room in sizes)
     done += ["padded with darkness"] * any(size < room for size, room in sizes)

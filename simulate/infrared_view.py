@@ -1,7 +1,7 @@
 """Outdoor scene before an infrared imager: its radiance, and the imager's level and span for it."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -111,10 +111,6 @@ class InfraredView:
     def signal(self) -> NDArray[np.floating]:
         """Signal of the imager's cells, shape (row, col)."""
         return self.camera.signal(self.picture.radiance, self.picture.edges_um)
-
-    def frames(self, *, seed: int) -> Iterator[Any]:
-        """Yield frames without end, DN."""
-        return self.camera.frames_of_signal(self.signal, seed=seed)
 
 
 def _row(effect: Any) -> dict[str, Any]:

@@ -243,7 +243,7 @@ class LabBench:
         dark = (1.0 - target.contrast) / (1.0 + target.contrast)
         mask = replace(
             clear,
-            transmittance=tuple(dark * share for share in clear.transmittance),
+            transmittance=tuple(dark * transmittance for transmittance in clear.transmittance),
             reflectance=tuple(0.0 for _ in clear.reflectance),
         )
         return replace(self.scene, mask=mask)
@@ -257,7 +257,7 @@ class LabBench:
         rows, columns = camera.shape
         row, col, height, width = target.region or (0, 0, rows, columns)
         # Frame rows that sum two rows of the chip are centred half a row further down.
-        centre_row = row + height / 2.0 + (0.5 if camera.is_interlaced else 0.0)
+        centre_row = row + height / 2.0 + (0.5 if camera.description.interlaced else 0.0)
         centre_col = col + width / 2.0
         lens_mm = float(camera.description.optics.focal_length_mm)
         return TargetView(
@@ -281,8 +281,8 @@ def _relative_picture(
     col).
     """
     picture = np.empty(view.shape, np.float32)
-    for place, tile in view.tiles(128):
-        picture[place] = render_bench(scene, kind, target, tile, WAVELENGTH_NM).sum_bands(
+    for slices, tile in view.tiles(128):
+        picture[slices] = render_bench(scene, kind, target, tile, WAVELENGTH_NM).sum_bands(
             np.array(weight)
         )
     return read_only(picture)

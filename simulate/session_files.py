@@ -101,10 +101,13 @@ def save_rig_session(
 
     with SessionWriter.create(out, name="simulated scene") as writer:
         for name, shot in shots.items():
-            given, files = descriptions[name], {}
+            description, files = descriptions[name], {}
             (out / "sensor").mkdir(exist_ok=True)
-            save_sensor(shot.description or given, out / "sensor" / f"{name}.toml")
-            own = {"sensor": f"sensor/{name}.toml", "bit_depth": given.video.bit_depth}
+            save_sensor(shot.description or description, out / "sensor" / f"{name}.toml")
+            stack_fields = {
+                "sensor": f"sensor/{name}.toml",
+                "bit_depth": description.video.bit_depth,
+            }
             _save_stack(
                 writer,
                 shot,
@@ -114,7 +117,7 @@ def save_rig_session(
                 seed,
                 notes.get(name, ()),
                 progress,
-                **own,
+                **stack_fields,
             )
             if shot.view is not None:
                 save_truth(
@@ -137,7 +140,7 @@ def _save_stack(
     seed: int,
     notes: tuple[str, ...],
     progress: Progress,
-    **own: Any,
+    **stack_fields: Any,
 ) -> None:
     """Simulate the frames of a stack and store them one at a time, with the truth of each further
     view.
@@ -151,9 +154,9 @@ def _save_stack(
         save_truth(view, path, shot.time_s(number), shot.frame_distortion)
 
     stream = shot.frames(seed=seed, count=frames, keep=keep)
-    first, given = next(stream), {"target": shot.target, **own}
+    first, record_fields = next(stream), {"target": shot.target, **stack_fields}
     with writer.begin_stack(
-        label, shot.kind, first.shape, first.dtype, shot.conditions, **given
+        label, shot.kind, first.shape, first.dtype, shot.conditions, **record_fields
     ) as stack:
         stack.append(first, shot.delay_s, 0)
         for number, frame in enumerate(stream, 1):

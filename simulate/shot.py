@@ -108,18 +108,14 @@ class Shot:
 
     def _looks(self, motion: Motion, times_s: list[float], keep: Keep) -> Iterator[Look]:
         assert self.view is not None
-        steps, kept = self._exposures_per_frame, self.view
+        steps, shown = self._exposures_per_frame, self.view
         for number, look in enumerate(
-            motion.looks(Look(view=self.view, light=self._first_light), times_s)
+            motion.looks(Look(view=self.view, light=self.light), times_s)
         ):
-            if number % steps == 0 and look.view is not kept:
-                kept = look.view
-                keep(number // steps, kept)
+            if number % steps == 0 and look.view is not shown:
+                shown = look.view
+                keep(number // steps, shown)
             yield look
-
-    @property
-    def _first_light(self) -> Any:
-        return self.light
 
     def _still_frames(self, seed: int) -> Iterator[NDArray[Any]]:
         threads = min(2, os.cpu_count() or 1)
@@ -133,8 +129,8 @@ class Shot:
             yield from self.camera.moving_frames(lights, self.conditions, seed=seed, settled=True)
             return
         for number, look in enumerate(looks):
-            given = {"seed": seed, "first_frame": number, "exact": self.exact}
-            yield next(self.camera.frames(look.light, self.conditions, **given))
+            settings = {"seed": seed, "first_frame": number, "exact": self.exact}
+            yield next(self.camera.frames(look.light, self.conditions, **settings))
 
     def stages(self, *, seed: int) -> Iterator[Stage]:
         """Yield the input, the expected photoelectrons or radiance behind the lens, and the image
@@ -148,9 +144,9 @@ class Shot:
             return
         if self.seen is not None:
             yield "picture", "photoelectrons per exposure and pixel, expected", self.seen
-        place = "at the plate" if self.camera.has_tube else "in the chip"
-        inside = self.light.values[(..., *self.light.grid.inside)]
-        yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", inside
+        location = "at the plate" if self.camera.has_tube else "in the chip"
+        pixels = self.light.values[(..., *self.light.grid.inside)]
+        yield f"photoelectrons {location}", "photoelectrons per exposure and cell, expected", pixels
         yield from stage_images(self.camera, self.light, self.conditions, seed)
 
     @property
@@ -170,11 +166,11 @@ class Shot:
         if self.plan is None or self.exact:
             return "nothing left out"
         names = ", ".join(effect.name for effect in self.plan.left_out) or "nothing"
-        share = (
+        influence = (
             f"{100.0 * self.plan.influence:.2g} % of the temporal noise, of "
             f"{100.0 * self.plan.tolerance:g} %"
         )
-        return f"left out, together at most {share} allowed: {names}; see economy.json"
+        return f"left out, together at most {influence} allowed: {names}; see economy.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,16 +187,8 @@ class InfraredShot(Shot):
         """Radial distortions: none, as the distortion of the imager is that of its view."""
         return ()
 
-    @property
-    def _exposures_per_frame(self) -> int:
-        return 1
-
-    @property
-    def _first_light(self) -> Any:
-        return self.seen.signal
-
     def _still_frames(self, seed: int) -> Iterator[NDArray[Any]]:
-        return self.seen.frames(seed=seed)
+        return self.camera.frames_of_signal(self.light, seed=seed)
 
     def _moving_frames(self, seed: int, looks: Iterator[Look]) -> Iterator[NDArray[Any]]:
         # The lag of a frame needs those before it.

@@ -1,5 +1,6 @@
-"""One description of a camera: sections of parameters, and what the camera can do."""
+"""One description of a camera: its sections, what it can do, and the tables of its files."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Self, TypeGuard
 
@@ -7,12 +8,13 @@ import numpy as np
 
 from labdata.calibration import GainTable
 from labdata.camera.chip import Ccd, Readout, Register, Silicon
-from labdata.camera.optics import Band, Optics
+from labdata.camera.optics import Band, InfraredOptics, Optics
 from labdata.camera.parameters import Draws, Parameter
 from labdata.camera.thermal import Bolometer, CooledArray, PixelArray, Scanner
 from labdata.camera.tube import MicrochannelPlate, Phosphor, Photocathode, Taper, Tube, TubeLimits
-from labdata.camera.video import Video
+from labdata.camera.video import InfraredVideo, Video
 from labdata.errors import BadInput
+from labdata.serialiser import from_mapping
 
 # ruff: noqa: RUF009 - `_section` returns a field.
 
@@ -221,8 +223,10 @@ class Camera:
         changed = self.with_parameters(
             {path: known[path].times(factor, words) for path, factor in factors.items()}
         )
-        kept = "electron gain of the plate" if measured else "photons per photoelectron"
-        note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
+        constant = "electron gain of the plate" if measured else "photons per photoelectron"
+        note = (
+            f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {constant} stayed."
+        )
         draws, notes = self.draws.without_phosphor(factors), (*self.notes, note)
         return replace(changed, phosphor=phosphor, gain_table=None, draws=draws, notes=notes)
 
@@ -258,11 +262,11 @@ def _require_solid_state(camera: Camera) -> None:
 
 def _require_thermal_imager(camera: Camera) -> None:
     """Require the rules of a thermal imager."""
-    given = [name for name in THERMAL if getattr(camera, name) is not None]
-    if len(given) != 1:
+    sections = [name for name in THERMAL if getattr(camera, name) is not None]
+    if len(sections) != 1:
         raise BadInput(
             f"a thermal imager must have one of {', '.join(THERMAL)}, got "
-            f"{', '.join(given) or 'none'}"
+            f"{', '.join(sections) or 'none'}"
         )
     scanner, video = camera.scanner, camera.video
     if video.interlaced != (scanner is not None):
@@ -280,3 +284,75 @@ def _require_thermal_imager(camera: Camera) -> None:
         )
     if (camera.optics.focal_length_mm is None) != (scanner is not None):
         raise BadInput("an array must have a focal_length_mm, and a scanner none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _CameraFile:
+    """Tables of a camera's file; which of them a file has says its kind."""
+
+    def __post_init__(self) -> None:
+        self.camera()  # Its rules are those of the file.
+
+    def camera(self) -> Camera:
+        """Return the camera of the file."""
+        return Camera(**{item.name: getattr(self, item.name) for item in fields(self)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntensifiedCameraFile(_CameraFile):
+    """An image-intensified camera."""
+
+    name: str
+    optics: Optics
+    photocathode: Photocathode
+    microchannel_plate: MicrochannelPlate
+    tube: Tube
+    phosphor: Phosphor
+    taper: Taper
+    ccd: Ccd
+    video: Video
+    limits: TubeLimits = field(default_factory=TubeLimits)
+    gain_table: GainTable | None = None  #: calibration of this very tube, where there is one
+    draws: Draws = field(default_factory=Draws)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolidStateCameraFile(_CameraFile):
+    """A progressive, digital camera without an intensifier."""
+
+    name: str
+    optics: Optics
+    silicon: Silicon
+    ccd: Ccd
+    register: Register
+    video: Video
+    readout: Readout = field(default_factory=Readout)
+    draws: Draws = field(default_factory=Draws)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalImagerFile(_CameraFile):
+    """A thermal imager; the one of [scanner], [bolometer] and [cooled_array] that it has says of
+    which kind it is.
+    """
+
+    name: str
+    band: Band
+    optics: InfraredOptics
+    video: InfraredVideo
+    scanner: Scanner | None = None
+    bolometer: Bolometer | None = None
+    cooled_array: CooledArray | None = None
+    notes: tuple[str, ...] = ()
+
+
+def camera_from_mapping(tables: Mapping[str, Any], where: str = "") -> Camera:
+    """Return the camera of the tables of a file; `where` names it in messages."""
+    form = IntensifiedCameraFile
+    if "tube" not in tables and not tables.keys().isdisjoint(THERMAL):
+        form = ThermalImagerFile
+    elif "tube" not in tables and "silicon" in tables:
+        form = SolidStateCameraFile
+    return from_mapping(tables, form, where).camera()

@@ -65,10 +65,10 @@ class Parameter:
         return core_schema.no_info_before_validator_function(_of_number, table, ref=reference)
 
 
-def _of_number(given: Any) -> Any:
+def _of_number(stated: Any) -> Any:
     """Return the table of an exact parameter given as a bare number."""
-    bare = isinstance(given, int | float) and not isinstance(given, bool)
-    return {"value": given} if bare else given
+    bare = isinstance(stated, int | float) and not isinstance(stated, bool)
+    return {"value": stated} if bare else stated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,12 +86,13 @@ class Draws:
 
     def without_phosphor(self, factors: dict[str, float]) -> "Draws":
         """Return the draws with some columns multiplied and those of the screen left out."""
-        kept = [i for i, name in enumerate(self.names) if not name.startswith("phosphor.")]
-        scale = [factors.get(self.names[i], 1.0) for i in kept]
+        columns = [i for i, name in enumerate(self.names) if not name.startswith("phosphor.")]
+        scale = [factors.get(self.names[i], 1.0) for i in columns]
         return Draws(
-            names=tuple(self.names[i] for i in kept),
+            names=tuple(self.names[i] for i in columns),
             values=tuple(
-                tuple(row[i] * by for i, by in zip(kept, scale, strict=True)) for row in self.values
+                tuple(row[i] * by for i, by in zip(columns, scale, strict=True))
+                for row in self.values
             ),
         )
 
@@ -109,7 +110,7 @@ def must_be_an_efficiency_table(
         raise BadInput(
             f"the wavelengths of an efficiency table must rise, got {list(wavelength_nm)}"
         )
-    if not all(0.0 <= one <= 1.0 for one in efficiency) or not max(efficiency) > 0.0:
+    if not all(0.0 <= fraction <= 1.0 for fraction in efficiency) or not max(efficiency) > 0.0:
         raise BadInput(
             f"efficiencies must lie between 0 and 1 and not all be 0, got {list(efficiency)}"
         )

@@ -42,12 +42,12 @@ class Video:
     def __post_init__(self) -> None:
         check(self, positive="field_rate_hz gamma conversion_gain_dn_per_e")
         check_range(self, 1, 16, "bit_depth")
-        given = [name for name in _ANALOG if getattr(self, name) is not None]
-        if self.digital and given:
+        analog = [name for name in _ANALOG if getattr(self, name) is not None]
+        if self.digital and analog:
             raise BadInput(
-                f"a camera without bandwidth_mhz must have no analog video, got {', '.join(given)}"
+                f"a camera without bandwidth_mhz must have no analog video, got {', '.join(analog)}"
             )
-        if not self.digital and len(given) < len(_ANALOG):
+        if not self.digital and len(analog) < len(_ANALOG):
             missing = [name for name in _ANALOG if getattr(self, name) is None]
             raise BadInput(
                 f"a camera with bandwidth_mhz must have all its analog video, got no "

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from labdata.camera.description import Camera
-from labdata.camera.files import camera_from_mapping
+from labdata.camera.description import Camera, camera_from_mapping
 from labdata.errors import BadInput
 from labdata.file_io import names_of_shipped, path_of_shipped, write_atomically
 from labdata.serialiser import read_toml, to_toml

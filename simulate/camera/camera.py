@@ -115,7 +115,7 @@ class CameraModel(CameraFrame):
             detector_efficiency=efficiency,
             grid=self.scene_cells,
             magnification=magnification,
-            row_pairs=self.is_interlaced,
+            row_pairs=self.description.interlaced,
         )
 
     def open_s(self, conditions: Conditions) -> float:
@@ -227,7 +227,7 @@ class CameraModel(CameraFrame):
         video = self.description.video
 
         def following(state: AutomaticState) -> AutomaticState:
-            output, above = 0.0, 0.0
+            output, signal_dn = 0.0, 0.0
             if controls.brightness is not None:
                 output = (
                     self.chain(conditions, state)[Slot.MCP].mean(at_mcp).values.sum(dtype=float)
@@ -237,8 +237,8 @@ class CameraModel(CameraFrame):
                 level = np.minimum(
                     self.mean_frame(at_mcp, conditions, state), 2**video.bit_depth - 1
                 )
-                above = float(level.mean(dtype=float)) - float(video.black_level_dn)
-            return controls.next(state, output, above)
+                signal_dn = float(level.mean(dtype=float)) - float(video.black_level_dn)
+            return controls.next(state, output, signal_dn)
 
         def state_of(frame: int) -> AutomaticState:
             if controls == AutomaticControls():

@@ -138,8 +138,8 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             "pattern_seed": camera.pattern_seed,
         }
         if camera.has_tube:
-            return values_of(cls, ccd, interlaced=camera.is_interlaced, **shared)
-        places = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
+            return values_of(cls, ccd, interlaced=camera.description.interlaced, **shared)
+        neighbours = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
         return values_of(
             cls,
             ccd,
@@ -148,7 +148,7 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             clamped=False,
             multiplied=camera.description.register.multiplies,
             **shared,
-            **places,
+            **neighbours,
         )
 
     def __post_init__(self) -> None:
@@ -160,8 +160,8 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
         charge = self.mean_charge(light.values)
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
             charge = charge + (self.dark(charge.shape[-2:]) - np.float32(self.dark_e))
-        held = self.limit_to_full_well(charge) + self.offsets(charge.shape[-2:])
-        return light.with_values(held if self.clamped else held + np.float32(self.dark_e))
+        charge_e = self.limit_to_full_well(charge) + self.offsets(charge.shape[-2:])
+        return light.with_values(charge_e if self.clamped else charge_e + np.float32(self.dark_e))
 
     def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the charge read, e-: Poisson charge of light and dark, then overflow, then read
@@ -171,15 +171,15 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
 
         expected = self.mean_charge(light.values)
         expected += self.dark(expected.shape[-2:])
-        held = self.limit_to_full_well(
+        charge_e = self.limit_to_full_well(
             poisson_numbers(rng.integers(2**64, dtype=np.uint64), expected)
         )
-        held = held + self.offsets(expected.shape[-2:])
+        charge_e = charge_e + self.offsets(expected.shape[-2:])
         if self.read_noise_e > 0.0:
-            held = held + np.float32(self.read_noise_e) * rng.standard_normal(
-                held.shape, dtype=np.float32
+            charge_e = charge_e + np.float32(self.read_noise_e) * rng.standard_normal(
+                charge_e.shape, dtype=np.float32
             )
-        return light.with_values(held - np.float32(self.dark_e) if self.clamped else held)
+        return light.with_values(charge_e - np.float32(self.dark_e) if self.clamped else charge_e)
 
     def dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the mean dark charge of each pixel, e-; one number where all are alike."""
@@ -229,17 +229,17 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             return charge
         from simulate.camera.column_blooming import apply_column_blooming
 
-        held = np.array(charge, np.float32)
+        charge_e = np.array(charge, np.float32)
         step = 2 if self.interlaced else 1
-        for image in held.reshape(-1, *held.shape[-2:]):
+        for image in charge_e.reshape(-1, *charge_e.shape[-2:]):
             for parity in range(step):
                 field = image[parity::step]
                 field[:] = apply_column_blooming(field, self.full_well_e, self.antibloom_ratio)[0]
-        return held
+        return charge_e
 
     def bounds(self, budget: Any) -> dict[str, float]:
         """Return the influence of each effect on the mean and on the noise."""
-        beyond = np.maximum(budget.brightest_e - self.full_well_e, 0.0)
+        overflow_e = np.maximum(budget.brightest_e - self.full_well_e, 0.0)
         # The dark pattern changes the mean and the noise; without dark charge there is no pattern
         # of it.
         hottest = budget.hottest_e
@@ -249,7 +249,7 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
         )
         pixels = 2.0 * float(budget.mean_pe.size)
         return {
-            "column blooming": budget.of_mean(beyond / budget.charge_e),
+            "column blooming": budget.of_mean(overflow_e / budget.charge_e),
             "smear": budget.of_mean(budget.smear),
             "DSNU": pattern_of_dark,
             "CCD dark current": budget.of_white(budget.of_chain.white * self.dark_e)

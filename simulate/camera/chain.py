@@ -1,21 +1,16 @@
-"""Chain of camera stages: slots, what a stage is, each stage's own random generator, and moments of
-its pulses.
-"""
+"""Chain of camera stages: slots, what a stage is, and each stage's own random generator."""
 
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
-from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera.stage_image import StageImage
-from simulate.camera.transfer import StageBlur
 
 
 class Slot(StrEnum):
@@ -167,8 +162,8 @@ class Chain:
 
     def replacing(self, *stages: Stage) -> "Chain":
         """Return the chain with other stages in their slots."""
-        others = {stage.slot: stage for stage in stages}
-        return Chain(tuple(others.get(stage.slot, stage) for stage in self.stages))
+        replacements = {stage.slot: stage for stage in stages}
+        return Chain(tuple(replacements.get(stage.slot, stage) for stage in self.stages))
 
     def mean(self, light: Any) -> StageImage:
         """Return the noiseless image behind the last stage."""
@@ -193,55 +188,3 @@ class Chain:
             child = np.random.SeedSequence(entropy, spawn_key=(zlib.crc32(stage.name.encode()),))
             light = stage.draw(light, np.random.Generator(np.random.PCG64(child)))
             yield light
-
-
-@dataclass(frozen=True)
-class PulseMoments:
-    """Gain, spread over exposures, and filter of the pulses of a chain, nothing saturated."""
-
-    chain: Chain
-
-    @cached_property
-    def gain_e(self) -> float:
-        """CCD electrons per photoelectron, the undetected counted."""
-        optical = float(self.chain[Slot.PHOSPHOR].photons_per_electron) * float(
-            self.chain[Slot.TAPER].transmission
-        )
-        return self.chain[Slot.MCP].gain * (optical * self.chain[Slot.CCD].quantum_efficiency)
-
-    @cached_property
-    def blurs(self) -> tuple[StageBlur, ...]:
-        """Blurs behind the gain, the pixels' aperture left out."""
-        return (
-            self.chain.between(Slot.PHOSPHOR, Slot.TAPER)
-            .mean(StageImage(values=np.zeros((1, 1))))
-            .pending_blurs
-        )
-
-    @cached_property
-    def shares(self) -> NDArray[np.floating]:
-        """Fractions of a pulse's light emitted in its own field and in later ones, shape (pulse,
-        field).
-        """
-        return self.chain[Slot.DECAY].pulse_shares
-
-    @cached_property
-    def decay(self) -> tuple[float, float]:
-        """Factors by which phosphor decay reduces the second and third moment of a pulse."""
-        return float(np.mean(np.sum(self.shares**2, axis=1))), float(
-            np.mean(np.sum(self.shares**3, axis=1))
-        )
-
-    @cached_property
-    def next_field(self) -> float:
-        """Mean product of the fractions of consecutive fields."""
-        return float(np.mean(np.sum(self.shares[:, 1:] * self.shares[:, :-1], axis=1)))
-
-    @cached_property
-    def white(self) -> float:
-        """Factor by which the line filter reduces the variance of white noise, as of the charge's
-        own shot noise.
-        """
-        return float(
-            np.sum(np.asarray(self.chain[Slot.VIDEO].low_pass.impulse_response(), float) ** 2)
-        )

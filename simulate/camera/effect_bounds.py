@@ -22,9 +22,10 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Chain, PulseMoments, Slot
+from simulate.camera.chain import Chain, Slot
 from simulate.camera.fast_sampler.kernel import noise_kernel
 from simulate.camera.grid import ACCURACY
+from simulate.camera.moments import PulseMoments
 from simulate.camera.stage_image import StageImage
 from simulate.camera.transfer import StageBlur, product
 from simulate.effect_selection import (
@@ -364,8 +365,8 @@ class NoiseBudget:
         noise that the tolerance leaves.
         """
         third = photoelectrons * self.charge_e * self.pulses[1]
-        least = self.variance * (1.0 - self.tolerance / (1.0 + self.tolerance))
-        return float(np.max(third / least**1.5)) * (self.RARE_SD**2 - 1.0) / 6.0
+        smallest_variance = self.variance * (1.0 - self.tolerance / (1.0 + self.tolerance))
+        return float(np.max(third / smallest_variance**1.5)) * (self.RARE_SD**2 - 1.0) / 6.0
 
     def with_blur(self, blur: StageBlur) -> Map:
         """The frame after a blur, surroundings included."""
@@ -451,4 +452,4 @@ def per_pixel(camera: CameraModel, photoelectrons: StageImage) -> Map:
         axis=(1, 3), dtype=float
     )
     # Field integration sums rows; the last row of the margin has none below it.
-    return chip + np.append(chip[1:], chip[-1:], axis=0) if camera.is_interlaced else chip
+    return chip + np.append(chip[1:], chip[-1:], axis=0) if camera.description.interlaced else chip

@@ -98,9 +98,9 @@ class Grid:
     @property
     def inside(self) -> tuple[slice, slice]:
         """Slices that cut the pixels of the chip out of an image on cells, margins left out."""
-        top, left = self.margin_rows * self.per_row, self.margin_columns * self.per_column
+        top, first_column = self.margin_rows * self.per_row, self.margin_columns * self.per_column
         return slice(top, top + self.rows * self.per_row), slice(
-            left, left + self.columns * self.per_column
+            first_column, first_column + self.columns * self.per_column
         )
 
     def frequencies(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
@@ -197,11 +197,6 @@ class CameraFrame(ABC):
         """Return the time that gate or shutter is open in one exposure, s."""
 
     @property
-    def is_interlaced(self) -> bool:
-        """Whether a frame is two fields exposed one after the other."""
-        return self.description.interlaced
-
-    @property
     def fields_per_frame(self) -> int:
         """Exposures in one frame; where there are two, a pixel as read is as many rows of the chip
         high.
@@ -248,8 +243,8 @@ class CameraFrame(ABC):
         # Both extents are rounded up to lengths that transform fast; this one must contain that of
         # the cells.
         rows, columns = (
-            fast_length(max(size, 4 * margin_px + 2 * own))
-            for size, own in zip(grid.shape, self.cells.shape, strict=True)
+            fast_length(max(size, 4 * margin_px + 2 * cells))
+            for size, cells in zip(grid.shape, self.cells.shape, strict=True)
         )
         return replace(grid, shape=(rows, columns))
 
@@ -264,7 +259,7 @@ class CameraFrame(ABC):
         ccd, (rows, columns) = self.description.ccd, self.shape
         # Field integration sums rows r and r + 1, so the chip has one row more than the frame.
         return grid_with_margin(
-            rows + (1 if self.is_interlaced else 0),
+            rows + (1 if self.description.interlaced else 0),
             columns,
             per_pixel=per_pixel,
             margin=margin,

@@ -133,8 +133,12 @@ def resample_image(
     col = (
         x_mm / grid.pitch_x_mm + 0.5 * grid.columns + grid.margin_columns
     ) * grid.per_column - 0.5
-    found = np.empty(image.shape, np.float32)
+    resampled = np.empty(image.shape, np.float32)
     map_coordinates(
-        image.astype(np.float32, copy=False), [row, col], output=found, order=order, mode="nearest"
+        image.astype(np.float32, copy=False),
+        [row, col],
+        output=resampled,
+        order=order,
+        mode="nearest",
     )
-    return found
+    return resampled

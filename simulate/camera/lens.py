@@ -236,12 +236,14 @@ def few_transfers(
     """
     mean = np.average(transfers, axis=0, weights=weight if weight.sum() > 0.0 else None)
     left, size, right = np.linalg.svd(transfers - mean, full_matrices=False)
-    kept = 0
+    components = 0
     while (
-        kept < len(size)
-        and np.abs((left[:, kept:] * size[kept:]) @ right[kept:]).max()
+        components < len(size)
+        and np.abs((left[:, components:] * size[components:]) @ right[components:]).max()
         > ACCURACY.band_transfer_error
     ):
-        kept += 1
-    shares = np.concatenate([np.ones((1, len(transfers))), (left[:, :kept] * size[:kept]).T])
-    return shares, np.concatenate([mean[None], right[:kept]])
+        components += 1
+    shares = np.concatenate(
+        [np.ones((1, len(transfers))), (left[:, :components] * size[:components]).T]
+    )
+    return shares, np.concatenate([mean[None], right[:components]])

@@ -249,22 +249,22 @@ class MicrochannelPlate(
         A chance p of that shifts the level that normal noise exceeds with a chance q by p/(q z).
         """
         mean, pixels = budget.mean_load, 3.0 / budget.blurs[0]
-        found = {"MCP saturation": budget.of_gain(mean)}
+        influences = {"MCP saturation": budget.of_gain(mean)}
         if self.depletion_blur_um is not None:
             near = budget.with_blur(
                 GapSpread(radius_um=float(np.sqrt(2.0)) * self.depletion_blur_um)
             )
             local = np.maximum(budget.load(near), 0.0)
             # Relative to whichever gain is the lower.
-            found["local gain depletion"] = budget.of_gain(
+            influences["local gain depletion"] = budget.of_gain(
                 (local - mean) / (1.0 + np.minimum(local, mean))
             )
-            found["MCP saturation"] = max(found["MCP saturation"], budget.of_gain(local))
+            influences["MCP saturation"] = max(influences["MCP saturation"], budget.of_gain(local))
         fields = 1 + int(np.sum(budget.of_chain.shares.mean(axis=0)[1:] > 0.01))
         pushed = min(budget.ions * pixels * fields / budget.RARE / budget.RARE_SD, 1.0)
         ion_mean = budget.of_mean(budget.ions * self.ion_event_size_pe / self.detection_probability)
         return {
-            **found,
+            **influences,
             "ion feedback": max(budget.of_variance(budget.of_ions) + ion_mean, pushed),
             "multi-fibre pattern": self.pattern_contrast * budget.of_gain(1.0),
             "pulse-height distribution": budget.of_skewness(budget.mean_pe),

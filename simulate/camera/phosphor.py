@@ -136,9 +136,9 @@ class PhosphorDecay(
         (component, pulse).
         """
         weight, tau = self._weight, self._tau
-        share = weight * tau
+        component_light = weight * tau
         ends = np.exp(-(self.field_s - self.gate_s * arrival) / tau[:, None])
-        return share[:, None] / share.sum() * ends
+        return component_light[:, None] / component_light.sum() * ends
 
     @property
     def _weight(self) -> NDArray[np.float64]:
@@ -177,9 +177,14 @@ class PhosphorDecay(
         The spread of each component over arrival times is its regression on what all leave
         together, so that the variance of the field and its covariance with later ones are exact.
         """
-        left = self.remainder(self.arrivals)
-        later, together = left.mean(axis=1), left.sum(axis=0)
-        spread = (left - later[:, None]) @ together / together.size / (float(together.std()) or 1.0)
+        remainders = self.remainder(self.arrivals)
+        later, together = remainders.mean(axis=1), remainders.sum(axis=0)
+        spread = (
+            (remainders - later[:, None])
+            @ together
+            / together.size
+            / (float(together.std()) or 1.0)
+        )
         return np.stack([later, spread, self.retention]).astype(np.float32)[:, self.lasting]
 
     @cached_property
@@ -260,12 +265,12 @@ class PhosphorDecay(
         """Return the influence of decay: without it the noise of each field is larger and fields
         are uncorrelated.
         """
-        share = float(np.max(budget.of_pulses / budget.variance))
+        pulse_share = float(np.max(budget.of_pulses / budget.variance))
         second, third = budget.of_chain.decay
         together = budget.of_chain.next_field / second
-        grown = np.sqrt(1.0 + share * (1.0 / second - 1.0)) - 1.0
+        grown = np.sqrt(1.0 + pulse_share * (1.0 / second - 1.0)) - 1.0
         skewed = budget.of_skewness(budget.mean_pe) * abs(1.0 - second**1.5 / third)
-        return {"phosphor decay": max(float(grown) + skewed, together * share)}
+        return {"phosphor decay": max(float(grown) + skewed, together * pulse_share)}
 
 
 def apply_phosphor_decay(

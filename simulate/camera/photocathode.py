@@ -196,9 +196,9 @@ class ProximityGap(
             fraction=1.0, gap_mm=self.halo.gap_mm, elastic_share=self.halo.elastic_share
         )
         protection = self.supply.blur(budget.cathode_lux)
-        moved, n = budget.with_blur(scattered) - budget.mean_pe, budget.mean_pe
+        halo_change, n = budget.with_blur(scattered) - budget.mean_pe, budget.mean_pe
         return {
-            "halo": self.halo.fraction * budget.of_light(moved),
+            "halo": self.halo.fraction * budget.of_light(halo_change),
             "bright-source protection": 0.0
             if protection is None
             else budget.of_light(budget.with_blur(protection) - n),

@@ -36,7 +36,7 @@ class Collection(Stage, slot=Slot.PIXELS, section="ccd"):
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the pixels of a camera."""
         if camera.has_tube:
-            return cls(row_pairs=camera.is_interlaced)
+            return cls(row_pairs=camera.description.interlaced)
         return cls(
             row_pairs=False,
             takes="photoelectrons in the chip",
@@ -55,9 +55,11 @@ class Collection(Stage, slot=Slot.PIXELS, section="ccd"):
         pixels = irfft_image(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
         # So far the amount in a cell around the pixel's centre, averaged by its aperture.
         pixels *= pixels.dtype.type(grid.per_column * grid.per_row * height)
-        top, left = grid.margin_rows, grid.margin_columns
+        top, first_column = grid.margin_rows, grid.margin_columns
         rows = grid.rows - height + 1
-        return StageImage(values=pixels[..., top : top + rows, left : left + grid.columns])
+        return StageImage(
+            values=pixels[..., top : top + rows, first_column : first_column + grid.columns]
+        )
 
 
 @lru_cache(maxsize=8)
@@ -74,14 +76,14 @@ def pixel_transfer(
     fx, fy = grid.frequencies()
     if grid.per_row == 1:
         cell_x_mm = grid.pitch_x_mm / grid.per_column
-        whole = fold_transfer(
+        transfer = fold_transfer(
             pending, aperture, fx[0], fy[:, 0], cell_x_mm=cell_x_mm, cell_y_mm=grid.pitch_y_mm
         )
     else:
-        whole = product((*pending, aperture), *np.broadcast_arrays(fx, fy))
+        transfer = product((*pending, aperture), *np.broadcast_arrays(fx, fy))
     right, down = 0.5 - 0.5 / grid.per_column, 0.5 * height - 0.5 / grid.per_row
     shift = np.exp(2j * np.pi * (right * fx * grid.pitch_x_mm + down * fy * grid.pitch_y_mm))
-    return (whole * shift).astype(np.complex64)
+    return (transfer * shift).astype(np.complex64)
 
 
 def fold_rows(spectrum: NDArray) -> NDArray:
@@ -120,7 +122,7 @@ class FieldReadout(
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the order of reading of a camera."""
-        return cls(interlaced=camera.is_interlaced)
+        return cls(interlaced=camera.description.interlaced)
 
     def mean(self, light: StageImage) -> StageImage:
         """Return frames woven of their two fields."""

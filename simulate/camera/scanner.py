@@ -66,10 +66,10 @@ class ScanTiming:
         """Times of the samples from the middle of the line, shape (sample,), s, in the order of the
         sweep.
         """
-        even = (np.arange(self.samples) + 0.5) / self.samples - 0.5
+        fractions = (np.arange(self.samples) + 0.5) / self.samples - 0.5
         if not self.linearised:
-            return even * self.active_s
-        return np.arcsin(even * self.field_mrad / self.amplitude_mrad) / (
+            return fractions * self.active_s
+        return np.arcsin(fractions * self.field_mrad / self.amplitude_mrad) / (
             2.0 * np.pi * self.mirror_hz
         )
 
@@ -188,10 +188,10 @@ class LineScan(
 
     def mean(self, light: StageImage) -> StageImage:
         values = np.asarray(light.values, float)
-        left = is_scanned_left(values.shape[-2])
+        leftward = is_scanned_left(values.shape[-2])
         out = np.empty((*values.shape[:-1], self.timing.samples))
-        out[..., ~left, :] = self._sweep(values[..., ~left, :])
-        out[..., left, :] = self._sweep(values[..., left, ::-1])[..., ::-1]
+        out[..., ~leftward, :] = self._sweep(values[..., ~leftward, :])
+        out[..., leftward, :] = self._sweep(values[..., leftward, ::-1])[..., ::-1]
         return light.with_values(out)
 
     def _sweep(self, cells: Array) -> Array:
@@ -212,19 +212,23 @@ class LineScan(
         signal = CubicSpline(middles, cells - self.reference, axis=-1)(angle)
         if pole_s:
             # The mean of two steps makes the delay that of the pole.
-            kept = np.exp(-step_s / pole_s)
-            low = 0.5 * (1.0 - kept)
+            decay = np.exp(-step_s / pole_s)
+            low = 0.5 * (1.0 - decay)
             start = (1.0 - low) * signal[..., :1]
-            signal = lfilter([low, low], [1.0, -kept], signal, axis=-1, zi=start)[0]
+            signal = lfilter([low, low], [1.0, -decay], signal, axis=-1, zi=start)[0]
         if self.coupling_hz:
             turn = np.pi * self.coupling_hz * step_s
             high = lfilter([1.0, -1.0], [1.0 + turn, turn - 1.0], signal[..., lead:], axis=-1)
             signal = np.concatenate([signal[..., :lead], high], axis=-1)
         # Linear between steps, which are shorter than a tenth of the dwell.
-        place = (timing.sample_s + pole_s + self.clock_error_s - time_s[0]) / step_s
-        first = np.floor(place).astype(int)
-        share = place - first
-        return signal[..., first] * (1.0 - share) + signal[..., first + 1] * share + self.reference
+        step = (timing.sample_s + pole_s + self.clock_error_s - time_s[0]) / step_s
+        first = np.floor(step).astype(int)
+        fraction = step - first
+        return (
+            signal[..., first] * (1.0 - fraction)
+            + signal[..., first + 1] * fraction
+            + self.reference
+        )
 
 
 def noise_equivalent_radiance(imager: Camera, noise_hz: float) -> float:
@@ -316,8 +320,8 @@ class LineNoise(
             noise += active
             clamp = clamp + turn * bool(self.clamp_samples)
         noise -= clamp[:, None]
-        left = is_scanned_left(rows)
-        noise[left] = noise[left, ::-1]
+        leftward = is_scanned_left(rows)
+        noise[leftward] = noise[leftward, ::-1]
         return light.with_values(light.values + self.sigma / np.sqrt(self.averaged) * noise)
 
     def _white(self, rng: np.random.Generator, rows: int) -> Array:
@@ -325,8 +329,8 @@ class LineNoise(
         sample).
         """
         noise = rng.standard_normal((self.timing.samples, rows))
-        alike = np.exp(-2.0 * np.pi * self.bandwidth_hz * np.diff(self.timing.sample_s))
-        for j, r in enumerate(alike, 1):
+        correlations = np.exp(-2.0 * np.pi * self.bandwidth_hz * np.diff(self.timing.sample_s))
+        for j, r in enumerate(correlations, 1):
             noise[j] = r * noise[j - 1] + np.sqrt(1.0 - r * r) * noise[j]
         return noise.T
 
@@ -354,10 +358,10 @@ class LineNoise(
         start = (np.arange(rows) // 2) * timing.line_s + (
             np.arange(rows) % 2
         ) * 0.5 * lines * timing.line_s
-        place = (start[:, None] + 0.5 * timing.line_s + timing.sample_s) / step_s
-        first = np.floor(place).astype(int)
-        share = place - first
-        active = series[first % count] * (1.0 - share) + series[(first + 1) % count] * share
+        step = (start[:, None] + 0.5 * timing.line_s + timing.sample_s) / step_s
+        first = np.floor(step).astype(int)
+        fraction = step - first
+        active = series[first % count] * (1.0 - fraction) + series[(first + 1) % count] * fraction
         half = 0.5 * (1.0 - timing.active_fraction) * LIMITS.values_per_line
         turn = np.round(start / step_s)[:, None].astype(int) + np.arange(-round(half), round(half))
         return active, series[turn % count].mean(axis=1)

@@ -125,6 +125,6 @@ def photoelectrons_from_image(camera: CameraModel, image_pe: NDArray[np.floating
     cells = camera.scene_cells
     per_pixel = cells.per_column * cells.per_row * camera.fields_per_frame
     spread = image_placement.place_on_cells(
-        image_pe, cells, row_pairs=camera.is_interlaced
+        image_pe, cells, row_pairs=camera.description.interlaced
     ) / np.float32(per_pixel)
     return StageImage(values=spread, grid=cells)

@@ -65,13 +65,14 @@ class StageImage:
         rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
         spectrum = rfft_image(self.values)
         half = rows // 2
-        kept = np.concatenate([spectrum[..., :half, :], spectrum[..., -half:, :]], axis=-2)[
-            ..., : columns // 2 + 1
-        ]
+        low_frequencies = np.concatenate(
+            [spectrum[..., :half, :], spectrum[..., -half:, :]], axis=-2
+        )[..., : columns // 2 + 1]
         # Four cells become one, and the inverse transform divides by a quarter of the number: the
         # two cancel.
         values = irfft_image(
-            kept * _resampling(self.pending_blurs, fine, grid.per_column), (rows, columns)
+            low_frequencies * _resampling(self.pending_blurs, fine, grid.per_column),
+            (rows, columns),
         )
         row, col = grid.window_of(fine)
         return StageImage(
@@ -96,13 +97,13 @@ def _resampling(
     fx = np.fft.rfftfreq(columns, fine.pitch_x_mm / per_pixel)[None, :]
     fy = np.fft.fftfreq(rows, fine.pitch_y_mm / per_pixel)[:, None]
     x, y = fx * fine.pitch_x_mm, fy * fine.pitch_y_mm
-    whole = product(pending, *np.broadcast_arrays(fx, fy)) * _fade(x) * _fade(y)
+    transfer = product(pending, *np.broadcast_arrays(fx, fy)) * _fade(x) * _fade(y)
     cell = np.sinc(x / fine.per_column) * np.sinc(y / fine.per_column)
     shift = np.exp(2j * np.pi * 0.5 * (x + y) / fine.per_column)
-    return (whole / cell * shift).astype(np.complex64)
+    return (transfer / cell * shift).astype(np.complex64)
 
 
 def _fade(frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.float64]:
     exact = ACCURACY.resampling_exact_cy_per_px
-    beyond = (np.abs(frequency_cy_per_px) - exact) / (1.0 - exact)
-    return np.cos(np.pi / 2.0 * np.clip(beyond, 0.0, 1.0)) ** 2
+    excess = (np.abs(frequency_cy_per_px) - exact) / (1.0 - exact)
+    return np.cos(np.pi / 2.0 * np.clip(excess, 0.0, 1.0)) ** 2

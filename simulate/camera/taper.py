@@ -119,8 +119,8 @@ class FibreGeometry(
             fraction=self.distortion_fraction, corner_mm=image_placement.corner_mm(grid)
         )
         from_x, from_y, area = radial.source(x, y)
-        moved = image_placement.resample_image(light.values, grid, from_x, from_y, order=3)
-        return light.with_values(moved * area.astype(np.float32))
+        displaced = image_placement.resample_image(light.values, grid, from_x, from_y, order=3)
+        return light.with_values(displaced * area.astype(np.float32))
 
     def bounds(self, budget: Any) -> dict[str, float]:
         """Return the influence of the displacement."""

@@ -33,7 +33,7 @@ from simulate.camera.thermal_arrays import (
 from simulate.camera.thermal_lens import KELVIN, Optics, Slot
 from simulate.camera.thresholds import LIMITS
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.spectrum import band_photon_radiance, band_radiance, brightness_temperature
+from simulate.radiance.spectrum import band_photon_radiance, band_radiance
 
 Array = NDArray[np.floating]
 # Temperature at which noise is stated, and of the spectrum within a bin and a band, K.
@@ -131,19 +131,6 @@ class ThermalImager:
             )
         changed = self.description.with_values({"video.level_c": level_c, "video.span_k": span_k})
         return replace(self, description=changed)
-
-    def with_span_of(self, signal: Array) -> "ThermalImager":
-        """Return the camera at level and span of a picture, all but 0.2 % of its cells; a cooled
-        array as it is.
-        """
-        if self.description.cooled_array is not None:
-            return self
-        ends = np.quantile(signal, [0.5 * LIMITS.beyond_span, 1.0 - 0.5 * LIMITS.beyond_span])
-        if not ends[0] > 0.0:
-            raise BadInput(f"level and span of a picture need signals above 0, got {ends[0]:g}")
-        low, high = (float(end) - KELVIN for end in brightness_temperature(*self.band_um, ends))
-        # A twentieth more on each side, for the noise.
-        return self.with_span(0.5 * (low + high), max(1.1 * (high - low), LIMITS.least_span_k))
 
     @property
     def pattern_seed(self) -> int:
@@ -261,10 +248,16 @@ class ThermalImager:
                 f"spectral bins must hold the band {short:g} to {long:g} um, got {edges[0]:g} to "
                 f"{edges[-1]:g} um"
             )
-        inside = np.clip(edges, short, long)
-        seen = band_radiance if self._electrons is None else band_photon_radiance
-        within = np.where(inside[1:] > inside[:-1], seen(inside[:-1], inside[1:], STATED_K), 0.0)
-        return (self._electrons or 1.0) * within / band_radiance(edges[:-1], edges[1:], STATED_K)
+        band_edges = np.clip(edges, short, long)
+        band_integral = band_radiance if self._electrons is None else band_photon_radiance
+        bin_signal = np.where(
+            band_edges[1:] > band_edges[:-1],
+            band_integral(band_edges[:-1], band_edges[1:], STATED_K),
+            0.0,
+        )
+        return (
+            (self._electrons or 1.0) * bin_signal / band_radiance(edges[:-1], edges[1:], STATED_K)
+        )
 
     def signal(self, radiance: Array, bin_edges_um: ArrayLike) -> Array:
         """Return the signal of each cell of a radiance (..., row, col, bin), W m-2 sr-1 in each
@@ -291,16 +284,18 @@ class ThermalImager:
 
     def sigma(self, temperature_k: float = STATED_K) -> float:
         """Return the standard deviation of white temporal noise, in units of the signal."""
-        about = self.description
-        if about.scanner is not None:
+        description = self.description
+        if description.scanner is not None:
             return noise_equivalent_radiance(
-                about, NOISE_BANDWIDTH * float(about.scanner.bandwidth_mhz) * 1e6
+                description, NOISE_BANDWIDTH * float(description.scanner.bandwidth_mhz) * 1e6
             )
-        if about.bolometer is not None:
-            return float(about.bolometer.netd_mk) * 1e-3 * self.signal_slope()
-        assert about.cooled_array is not None
+        if description.bolometer is not None:
+            return float(description.bolometer.netd_mk) * 1e-3 * self.signal_slope()
+        assert description.cooled_array is not None
         return float(
-            np.hypot(np.sqrt(self.signal_of(temperature_k)), float(about.cooled_array.read_noise_e))
+            np.hypot(
+                np.sqrt(self.signal_of(temperature_k)), float(description.cooled_array.read_noise_e)
+            )
         )
 
     @cached_property
@@ -360,9 +355,9 @@ class ThermalImager:
                 f"a sequence must have the {count} frames that are asked for, got "
                 f"{len(light.values)}"
             )
-        most = len(light.values) if moving and count is None else count
+        frame_count = len(light.values) if moving and count is None else count
         for number in numbers(first_frame):
-            if most is not None and number - first_frame >= most:
+            if frame_count is not None and number - first_frame >= frame_count:
                 return
             now = light.with_values(light.values[number - first_frame]) if moving else light
             stages = (
@@ -404,10 +399,4 @@ class ThermalImager:
             )
         return np.stack(
             list(self.frames_of_signal(signal, seed=seed, count=count, first_frame=first_frame))
-        )
-
-    def count_saturated(self, frame: NDArray) -> tuple[int, int]:
-        """Return the number of pixels of a frame at code 0 and at full scale."""
-        return int(np.sum(frame <= 0)), int(
-            np.sum(frame >= 2**self.description.video.bit_depth - 1)
         )

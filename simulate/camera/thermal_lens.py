@@ -110,24 +110,27 @@ class Optics(
                 f"{self.shape[1]} pixels, got {values.shape[-2]} x {values.shape[-1]}"
             )
         margin, level = LIMITS.margin_px * oversample, np.float32(values.mean(dtype=float))
-        wide = np.pad(
+        padded = np.pad(
             values - level, [(0, 0)] * (values.ndim - 2) + [(margin, margin)] * 2, mode="edge"
         )
         cell = self.pitch_mrad[0] / oversample, self.pitch_mrad[1] / oversample
-        fy, fx = np.fft.fftfreq(wide.shape[-2])[:, None], np.fft.rfftfreq(wide.shape[-1])[None, :]
+        fy, fx = (
+            np.fft.fftfreq(padded.shape[-2])[:, None],
+            np.fft.rfftfreq(padded.shape[-1])[None, :],
+        )
         transfer = self.transfer(fy / cell[0], fx / cell[1], cell).astype(np.complex64)
         # The middle of a pixel lies on an edge of cells where these are even in number.
         late = 0.5 if oversample % 2 == 0 else 0.0
         transfer *= np.exp(2j * np.pi * late * (fy + (0.0 if self.whole_lines else fx))).astype(
             np.complex64
         )
-        blurred = irfft_image(rfft_image(wide) * transfer, wide.shape[-2:])[
+        blurred = irfft_image(rfft_image(padded) * transfer, padded.shape[-2:])[
             ..., margin:-margin, margin:-margin
         ]
         middle = (oversample - 1) // 2
-        kept = (
+        sampled = (
             blurred[..., middle::oversample, :]
             if self.whole_lines
             else blurred[..., middle::oversample, middle::oversample]
         )
-        return light.with_values(kept + level)
+        return light.with_values(sampled + level)

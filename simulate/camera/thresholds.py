@@ -20,9 +20,6 @@ class ImagerLimits:
     # Full scale of a cooled array over its well, so that a full well is at full scale under noise
     # and correction.
     full_scale_of_well: float = 0.98
-    # Least span that is set by a picture, K, and share of its cells that may lie beyond.
-    least_span_k: float = 5.0
-    beyond_span: float = 0.002
     # Values of 1/f noise in a line: above their Nyquist frequency, 1 MHz, it is weaker than a knee
     # of 0.1 MHz' white.
     values_per_line: int = 128

@@ -172,10 +172,10 @@ def product(blurs: tuple[StageBlur, ...], fx: Array, fy: Array) -> NDArray[np.fl
     """Return the product of the transfers of consecutive blurs, at frequencies of one shape,
     cycles/mm.
     """
-    whole = np.ones(fx.shape)
+    transfer = np.ones(fx.shape)
     for blur in blurs:
-        whole = whole * blur.transfer(fx, fy)
-    return whole
+        transfer = transfer * blur.transfer(fx, fy)
+    return transfer
 
 
 def fold_transfer(

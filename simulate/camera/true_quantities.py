@@ -14,7 +14,8 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera import tube_photometry
 from simulate.camera.camera import CameraModel
-from simulate.camera.chain import PulseMoments, Slot
+from simulate.camera.chain import Slot
+from simulate.camera.moments import PulseMoments
 from simulate.camera.transfer import PixelAperture, StageBlur, product
 from simulate.camera.video import NoFilter, VideoFilter
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Camera, load_sensor
-from labdata.camera.files import camera_from_mapping
+from labdata.camera.description import camera_from_mapping
 from labdata.camera.parameters import Parameter
 from labdata.sensors import load_camera, save_sensor, sensor_names
 from labdata.serialiser import to_mapping, to_toml

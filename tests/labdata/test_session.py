@@ -9,7 +9,6 @@ import pytest
 import tifffile
 
 from labdata import BadInput, Conditions, Session, Target, open_session
-from labdata.camera.description import has_tube
 
 
 def session_of(folder: Path, manifest: str, **files: np.ndarray) -> Path:
@@ -47,7 +46,6 @@ target = { bars = 4, frequency_cy_per_px = 0.12, angle_deg = 90.0 }
     for path in (folder, str(folder), folder / "session.toml"):
         session = open_session(path)
         assert session.name == "flat series, 21 March"
-        assert has_tube(session.camera)
         assert session.is_interlaced
         (stack,) = session.of_kind("flat")
         assert stack.conditions == Conditions(

@@ -13,9 +13,9 @@ from labdata import BadInput, FrameStack, Session, Target, result_io
 from labdata.measurement import make_measurement
 from labdata.sensors import load_camera, save_sensor
 from simulate.camera.thermal_imager import ThermalImager
-from simulate.camera.thermal_targets import half_moon
 from tests.charact.cli.runner import done_well
 from tests.charact.estimators.infrared.cameras import entry
+from tests.truth.thermal_targets import half_moon
 
 LEVELS = (17.0, 20.0, 22.0, 25.0, 28.0)
 FRAMES, SIDE = 16, 96

@@ -57,7 +57,7 @@ def _per_pixel(camera, light) -> np.ndarray:
     """Photoelectrons that every pixel as read collects."""
     from simulate.camera.pixels import Collection
 
-    return Collection(row_pairs=camera.is_interlaced).mean(light).values
+    return Collection(row_pairs=camera.description.interlaced).mean(light).values
 
 
 def test_a_flat_picture_of_x_gives_x_photoelectrons_per_pixel_as_read(camera):
@@ -73,7 +73,7 @@ def test_a_spot_keeps_its_photoelectrons(camera):
     image = np.zeros(camera.shape)
     image[20, 30] = 1000.0
     light = mcp_input_from_photoelectrons(camera, image, Conditions())
-    at_mcp = 500.0 if camera.is_interlaced else 1000.0
+    at_mcp = 500.0 if camera.description.interlaced else 1000.0
     assert light.values.sum(dtype=float) == pytest.approx(at_mcp, rel=1e-3)
 
 

@@ -72,7 +72,9 @@ def flat_frames(
     row, col).
     """
     camera = CameraModel(sensor)
-    cells = camera.cells.per_column * camera.cells.per_row * (2 if camera.is_interlaced else 1)
+    cells = (
+        camera.cells.per_column * camera.cells.per_row * (2 if camera.description.interlaced else 1)
+    )
     flat = np.full(camera.cells.shape, photoelectrons_per_pixel / cells, np.float32)
     return drawn(sensor, StageImage(values=flat, grid=camera.cells), frames, seed, tier)
 

@@ -11,7 +11,7 @@ import pytest
 from labdata import BadInput, Conditions, load_sensor
 from simulate.camera import true_quantities
 from simulate.camera.camera import CameraModel
-from simulate.camera.chain import PulseMoments, Slot
+from simulate.camera.chain import Slot
 from simulate.camera.fast_sampler import (
     charge_distribution,
     event_samplers,
@@ -20,6 +20,7 @@ from simulate.camera.fast_sampler import (
 )
 from simulate.camera.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
 from simulate.camera.grid import ACCURACY
+from simulate.camera.moments import PulseMoments
 from simulate.camera.phosphor import PhosphorDecay
 from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.camera.stage_image import StageImage

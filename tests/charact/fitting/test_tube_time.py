@@ -32,8 +32,7 @@ WITHIN = 4.5
 
 
 def tube(name: str = "pulnix-ag5745ef3") -> Camera:
-    camera = load_camera(name)
-    return camera
+    return load_camera(name)
 
 
 def level_of(

@@ -8,7 +8,7 @@ import numpy as np
 
 from labdata.sensors import load_camera
 from simulate.camera.thermal_imager import ThermalImager
-from simulate.camera.thermal_targets import half_moon
+from tests.truth.thermal_targets import half_moon
 
 RANDOM = ("white noise", "1/f noise", "line clamp", "quantisation")
 # Resonant scan of 20 degrees in three quarters of a half period at 7867 Hz: amplitude 10.82

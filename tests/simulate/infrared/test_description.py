@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, load_sensor
-from labdata.camera.files import ThermalImagerFile
+from labdata.camera.description import ThermalImagerFile
 from labdata.sensors import load_camera, save_sensor
 from labdata.serialiser import from_mapping
 from simulate import api
 from simulate.camera.thermal_imager import ThermalImager
-from simulate.camera.thermal_targets import four_bars, half_moon
 from simulate.radiance.spectrum import band_radiance
 from tests.simulate.infrared.measures import imager
+from tests.truth.thermal_targets import half_moon
 
 NAMES = ("scanning-lwir", "vox-lwir-640", "insb-mwir-640")
 
@@ -150,7 +150,7 @@ def test_the_signal_of_a_black_body_is_its_radiance_in_the_band(camera):
         )
 
 
-def test_codes_are_linear_in_radiance_and_what_saturates_is_counted(camera):
+def test_codes_are_linear_in_radiance_and_clipped_at_both_ends(camera):
     quiet = ThermalImager(camera.description, frozenset(camera.effects) - {"quantisation"})
     low, high = (float(camera.signal_of(kelvin)) for kelvin in (288.0, 300.0))
     levels = [
@@ -170,11 +170,10 @@ def test_codes_are_linear_in_radiance_and_what_saturates_is_counted(camera):
     dark, hot = (
         next(camera.frames_of_signal(np.full(camera.shape, s), seed=0)) for s in (0.0, 50.0 * high)
     )
-    pixels = dark.size
-    assert camera.count_saturated(hot) == (0, pixels) and hot.min() == full
-    assert camera.count_saturated(levels[0]) == (0, 0)
+    assert hot.min() == hot.max() == full
+    assert levels[0].min() > 0 and levels[0].max() < full
     if camera.description.cooled_array is None:
-        assert camera.count_saturated(dark) == (pixels, 0)
+        assert dark.max() == 0
 
 
 def test_a_frame_follows_from_seed_and_number(camera, seed):
@@ -200,20 +199,13 @@ def test_radiance_and_effects_that_do_not_fit_are_refused(camera):
 
 
 def test_plates_show_the_share_that_is_drawn():
-    """Half of a half moon, and four bars of seven times their width."""
+    """Half of a half moon."""
     camera = ThermalImager(load_camera("vox-lwir-640"))
     for tilt_deg in (0.0, 5.0, 90.0):
         share = half_moon(camera, tilt_deg=tilt_deg, oversample=2)
         assert share.mean() == pytest.approx(0.5, abs=1e-9)
         mixed = np.mean((share > 1e-3) & (share < 0.999))
         assert (mixed > 0.0) == (tilt_deg == 5.0)
-    for level in (False, True):
-        bars = four_bars(camera, 0.1, level=level, oversample=2)
-        cell = camera.pitch_mrad[0] * camera.pitch_mrad[1] / 4.0
-        # A bar is 5 mrad wide and 35 mrad long.
-        assert bars.sum() * cell == pytest.approx(4.0 * 5.0 * 35.0, rel=1e-6)
-        assert (bars.min(), bars.max()) == pytest.approx((0.0, 1.0))
-    assert np.array_equal(bars.shape, np.array(camera.shape) * 2)
 
 
 def test_rays_of_a_scanner_are_equal_angles_and_those_of_an_array_equal_slopes(camera):
