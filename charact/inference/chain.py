@@ -122,7 +122,7 @@ def sample(
     spread = np.asarray(covariance, float)
     walls = bounds_of(bounds, len(spread))
     count = _walkers(walkers, len(spread))
-    places = _peaks(log_probability, np.atleast_2d(np.asarray(start, float)), spread, walls, seed)
+    starts = _peaks(log_probability, np.atleast_2d(np.asarray(start, float)), spread, walls, seed)
     open_space = ProbitTransform(walls)
 
     def log_probability_of_scores(points: NDArray) -> NDArray:
@@ -132,7 +132,7 @@ def sample(
         log_probability,
         log_probability_of_scores,
         open_space,
-        places,
+        starts,
         spread,
         (max(2, ensembles), count),
         seed,
@@ -140,21 +140,21 @@ def sample(
     _learn(running, log_probability_of_scores, max_steps)
     chains, trust = _run(running, max_steps)
     chains = open_space.inside(chains)
-    seen = _pick_draws(chains, 4000, seed)
-    several = ("several-modes",) if has_several_peaks(seen) else ()
+    sampled = _pick_draws(chains, 4000, seed)
+    several = ("several-modes",) if has_several_peaks(sampled) else ()
     if not trust.converged:
         return laplace(
             log_probability,
             names=names,
             units=units,
-            start=places[0],
+            start=starts[0],
             covariance=spread,
             seed=seed,
             bounds=bounds,
             draws=draws,
             flags=("not-converged", *several),
         )
-    leaning = ("prior-bound",) if crowds_at_bound(seen, walls).any() else ()
+    leaning = ("prior-bound",) if crowds_at_bound(sampled, walls).any() else ()
     return Posterior(
         names=names,
         units=units,
@@ -172,12 +172,12 @@ def _walkers(asked: int | None, parameters: int) -> int:
     """Return the number of walkers of an ensemble; too few would stay in the subspace in which they
     began.
     """
-    least = max(2 * parameters, LEAST_WALKERS)
+    minimum = max(2 * parameters, LEAST_WALKERS)
     if asked is None:
         return max(32, 2 * parameters)
-    if asked < least:
+    if asked < minimum:
         raise BadInput(
-            f"walkers must be at least twice the parameters and {LEAST_WALKERS}, {least} here, "
+            f"walkers must be at least twice the parameters and {LEAST_WALKERS}, {minimum} here, "
             f"got {asked}"
         )
     return asked
@@ -187,7 +187,7 @@ def _start_ensembles(
     log_probability: Vectorised,
     unbounded: Vectorised,
     open_space: ProbitTransform,
-    places: NDArray,
+    starts: NDArray,
     covariance: NDArray,
     shape: tuple[int, int],
     seed: int,
@@ -198,18 +198,18 @@ def _start_ensembles(
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(ensembles)
     ]
     first = [
-        first_places(log_probability, places, covariance, open_space.walls, walkers, rng)
+        first_places(log_probability, starts, covariance, open_space.walls, walkers, rng)
         for rng in generators
     ]
-    if len(places) == 1:
-        near = open_space.outside(
-            draw_truncated_gaussian(generators[0], places[0], covariance, open_space.walls, 500)
+    if len(starts) == 1:
+        cloud = open_space.outside(
+            draw_truncated_gaussian(generators[0], starts[0], covariance, open_space.walls, 500)
         )
-        moves = walker_moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)), ensembles)
+        moves = walker_moves(cloud.mean(axis=0)[None], np.atleast_2d(np.cov(cloud.T)), ensembles)
     else:
-        stretch = open_space.stretch(places[0])
+        stretch = open_space.stretch(starts[0])
         moves = walker_moves(
-            open_space.outside(places), covariance * np.outer(stretch, stretch), ensembles
+            open_space.outside(starts), covariance * np.outer(stretch, stretch), ensembles
         )
     return Ensembles(
         unbounded, moves, open_space.outside(np.array(first)), int(generators[0].integers(2**31))
@@ -226,28 +226,28 @@ def _learn(running: Ensembles, log_probability: Vectorised, max_steps: int) -> N
     steps, spent, last = LEARNING_STEPS, 0, None
     while spent < max_steps:
         running.advance(steps)
-        seen = running.chains()[:, steps // 2 :]
-        seen = seen.reshape(-1, seen.shape[-1])
-        covariance = np.atleast_2d(np.cov(seen.T)) + 1e-12 * np.diag(seen.var(axis=0))
-        running.restart(log_probability, _learnt(seen, running.shape[0]))
+        sampled = running.chains()[:, steps // 2 :]
+        sampled = sampled.reshape(-1, sampled.shape[-1])
+        covariance = np.atleast_2d(np.cov(sampled.T)) + 1e-12 * np.diag(sampled.var(axis=0))
+        running.restart(log_probability, _learnt(sampled, running.shape[0]))
         if last is not None and _alike(last, covariance):
             return
         steps, spent, last = steps * 4 // 3, spent + steps, covariance
 
 
-def _learnt(seen: NDArray, ensembles: int) -> list:
+def _learnt(draws: NDArray, ensembles: int) -> list:
     """Return moves shaped after draws: each margin made normal first, so that what is left to fit
     is a covariance.
     """
-    scores = NormalScores(seen)
-    straight, _ = scores.of(seen)
-    covariance = np.atleast_2d(np.cov(straight.T)) + 1e-12 * np.diag(straight.var(axis=0))
-    return walker_moves(straight.mean(axis=0)[None], covariance, ensembles, scores)
+    scores = NormalScores(draws)
+    normal, _ = scores.of(draws)
+    covariance = np.atleast_2d(np.cov(normal.T)) + 1e-12 * np.diag(normal.var(axis=0))
+    return walker_moves(normal.mean(axis=0)[None], covariance, ensembles, scores)
 
 
-def _alike(one: NDArray, other: NDArray) -> bool:
+def _alike(first: NDArray, other: NDArray) -> bool:
     """Tell whether the variance in every direction is alike within `ALIKE`."""
-    inverse = np.linalg.pinv(covariance_root(one))
+    inverse = np.linalg.pinv(covariance_root(first))
     ratios = np.linalg.eigvalsh(inverse @ other @ inverse.T)
     return bool(ratios.max() < ALIKE and ratios.min() > 1.0 / ALIKE)
 
@@ -312,30 +312,30 @@ def _pick_draws(chains: NDArray[np.float64], draws: int, seed: int) -> NDArray[n
 
 
 def _peaks(
-    log_probability: Vectorised, places: NDArray, covariance: NDArray, walls: NDArray, seed: int
+    log_probability: Vectorised, peaks: NDArray, covariance: NDArray, walls: NDArray, seed: int
 ) -> NDArray[np.float64]:
     """Return the places and every other peak of comparable height that climbs from far around
     reach.
     """
-    wide = _far_around(places[0], covariance, walls, np.random.default_rng([seed, 1]))
-    possible = wide[np.isfinite(log_probability(wide))][: max(2, CLIMBS // len(walls))]
+    scattered = _far_around(peaks[0], covariance, walls, np.random.default_rng([seed, 1]))
+    possible = scattered[np.isfinite(log_probability(scattered))][: max(2, CLIMBS // len(walls))]
     inverse = np.linalg.pinv(covariance_root(covariance))
     for begin in possible:
         peak, _ = find_maximum(log_probability, begin, walls, iterations=15)
-        height = log_probability(np.concatenate([peak[None], places]))
-        far = np.sum(((places - peak) @ inverse.T) ** 2, axis=1).min() > FAR_SD**2
-        if far and height[0] > height[1:].max() - LOWEST_PEAK:
-            places = np.concatenate([places, peak[None]])
-    return places
+        height = log_probability(np.concatenate([peak[None], peaks]))
+        is_distant = np.sum(((peaks - peak) @ inverse.T) ** 2, axis=1).min() > FAR_SD**2
+        if is_distant and height[0] > height[1:].max() - LOWEST_PEAK:
+            peaks = np.concatenate([peaks, peak[None]])
+    return peaks
 
 
 def _far_around(
-    place: NDArray, covariance: NDArray, walls: NDArray, rng: np.random.Generator
+    start: NDArray, covariance: NDArray, walls: NDArray, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Return start points: anywhere between bounds, or within `FAR_AROUND_SD` of the start without
     bounds.
     """
-    reach = FAR_AROUND_SD * np.sqrt(np.diag(covariance))
-    low = np.where(np.isfinite(walls[:, 0]), walls[:, 0], place - reach)
-    high = np.where(np.isfinite(walls[:, 1]), walls[:, 1], place + reach)
+    distance = FAR_AROUND_SD * np.sqrt(np.diag(covariance))
+    low = np.where(np.isfinite(walls[:, 0]), walls[:, 0], start - distance)
+    high = np.where(np.isfinite(walls[:, 1]), walls[:, 1], start + distance)
     return rng.uniform(low, np.maximum(high, low), (64, len(walls)))

@@ -34,11 +34,11 @@ def split_r_hat(chain: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     half = len(chain) // 2
     halves = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
-    within = halves.var(axis=0, ddof=1).mean(axis=0)
-    between = halves.mean(axis=0).var(axis=0, ddof=1)
+    within_variance = halves.var(axis=0, ddof=1).mean(axis=0)
+    between_variance = halves.mean(axis=0).var(axis=0, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.sqrt((half - 1) / half + between / within)
-    return np.where(within > 0, ratio, np.where(between > 0, np.inf, 1.0))
+        ratio = np.sqrt((half - 1) / half + between_variance / within_variance)
+    return np.where(within_variance > 0, ratio, np.where(between_variance > 0, np.inf, 1.0))
 
 
 def ensemble_r_hat(chains: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -53,11 +53,11 @@ def ensemble_r_hat(chains: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def split_r_hat_of_pooled(pooled: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return R-hat of pooled half chains (half, draw, parameter)."""
-    within = pooled.var(axis=1, ddof=1).mean(axis=0)
-    between = pooled.mean(axis=1).var(axis=0, ddof=1)
+    within_variance = pooled.var(axis=1, ddof=1).mean(axis=0)
+    between_variance = pooled.mean(axis=1).var(axis=0, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.sqrt(1.0 + between / within)
-    return np.where(within > 0, ratio, np.where(between > 0, np.inf, 1.0))
+        ratio = np.sqrt(1.0 + between_variance / within_variance)
+    return np.where(within_variance > 0, ratio, np.where(between_variance > 0, np.inf, 1.0))
 
 
 def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDArray[np.float64]:
@@ -80,8 +80,8 @@ def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDA
     moving = np.ptp(chain, axis=0).any(axis=0)
     correlation = covariance / np.where(moving, covariance[:, 0], 1.0)[:, None]
     times = 2.0 * np.cumsum(correlation, axis=1) - 1.0
-    beyond = np.arange(steps) >= window * times
-    last = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), steps - 1)
+    exceeds_window = np.arange(steps) >= window * times
+    last = np.where(exceeds_window.any(axis=1), np.argmax(exceeds_window, axis=1), steps - 1)
     return np.where(moving, np.maximum(times[np.arange(len(times)), last], 1.0), np.inf)
 
 
@@ -121,11 +121,11 @@ def crowds_at_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> N
         Lower and upper bounds, shape (parameter, 2), infinite where there are none.
     """
     leaning, ordered = np.zeros(draws.shape[1], bool), np.sort(draws, axis=0)
-    for wall, far in ((walls[:, 0], 0.995), (walls[:, 1], 0.005)):
-        span = np.abs(ordered[round(far * (len(draws) - 1))] - wall)
+    for wall, far_quantile in ((walls[:, 0], 0.995), (walls[:, 1], 0.005)):
+        span = np.abs(ordered[round(far_quantile * (len(draws) - 1))] - wall)
         with np.errstate(invalid="ignore"):
-            near = np.abs(draws - wall) <= WALL_STRIP * span
-        leaning |= np.isfinite(wall) & (near.mean(axis=0) > WALL_CROWD * WALL_STRIP)
+            is_in_strip = np.abs(draws - wall) <= WALL_STRIP * span
+        leaning |= np.isfinite(wall) & (is_in_strip.mean(axis=0) > WALL_CROWD * WALL_STRIP)
     return leaning
 
 
@@ -166,9 +166,9 @@ def _two_peaked(line: NDArray[np.float64]) -> bool:
     )
 
 
-def _separate(density: NDArray, hist: NDArray, left: int, right: int) -> bool:
+def _separate(density: NDArray, hist: NDArray, first: int, second: int) -> bool:
     """Tell whether a deep enough valley parts two peaks that both hold draws."""
-    valley = left + int(np.argmin(density[left : right + 1]))
-    share = hist[:valley].sum() / hist.sum()
-    deep = density[valley] < VALLEY_DEPTH * min(density[left], density[right])
-    return bool(deep and min(share, 1.0 - share) > PEAK_SHARE)
+    valley = first + int(np.argmin(density[first : second + 1]))
+    mass = hist[:valley].sum() / hist.sum()
+    deep = density[valley] < VALLEY_DEPTH * min(density[first], density[second])
+    return bool(deep and min(mass, 1.0 - mass) > PEAK_SHARE)

@@ -20,7 +20,7 @@ INDEPENDENT_SHARE = 0.75
 
 
 def walker_moves(
-    places: Array, covariance: Array, ensembles: int, scores: NormalScores | None = None
+    centres: Array, covariance: Array, ensembles: int, scores: NormalScores | None = None
 ) -> list[tuple[Any, float]]:
     """Return the moves of consecutive ensembles with their weights.
 
@@ -29,7 +29,7 @@ def walker_moves(
     """
     return [
         (DifferentialEvolution(ensembles), 1.0 - INDEPENDENT_SHARE),
-        (IndependentDraws(places, covariance, scores), INDEPENDENT_SHARE),
+        (IndependentDraws(centres, covariance, scores), INDEPENDENT_SHARE),
     ]
 
 
@@ -51,38 +51,41 @@ class DifferentialEvolution:
         count = len(state.coords) // self._ensembles
         split = np.argsort(model.random.rand(self._ensembles, count), axis=1)
         split += count * np.arange(self._ensembles)[:, None]
-        moved = np.zeros(len(state.coords), bool)
+        accepted = np.zeros(len(state.coords), bool)
         halves = split[:, : count // 2], split[:, count // 2 :]
         for moving, still in (halves, halves[::-1]):
             fresh = state.coords[moving] + _differences(
                 state.coords[still], moving.shape[1], model.random
             )
             fresh = fresh.reshape(moving.size, -1)
-            moved |= _metropolis_step(model, state, moving.ravel(), fresh, np.zeros(moving.size))
-        self.proposed, self.accepted = self.proposed + moved.size, self.accepted + int(moved.sum())
-        return state, moved
+            accepted |= _metropolis_step(model, state, moving.ravel(), fresh, np.zeros(moving.size))
+        self.proposed, self.accepted = (
+            self.proposed + accepted.size,
+            self.accepted + int(accepted.sum()),
+        )
+        return state, accepted
 
 
-def _differences(others: Array, wanted: int, random: np.random.RandomState) -> Array:
+def _differences(walkers: Array, wanted: int, random: np.random.RandomState) -> Array:
     """Return scaled differences of pairs of others (ensemble, walker, parameter), `wanted` for each
     ensemble.
     """
-    ensembles, count, parameters = others.shape
+    ensembles, count, parameters = walkers.shape
     first = random.randint(count, size=(ensembles, wanted))
     second = (first + random.randint(1, count, size=(ensembles, wanted))) % count
     row = np.arange(ensembles)[:, None]
-    whole = random.rand(ensembles, wanted, 1) < 0.1
-    gamma = np.where(whole, 1.0, 2.38 / np.sqrt(2.0 * parameters))
-    return gamma * (others[row, first] - others[row, second])
+    is_jump = random.rand(ensembles, wanted, 1) < 0.1
+    gamma = np.where(is_jump, 1.0, 2.38 / np.sqrt(2.0 * parameters))
+    return gamma * (walkers[row, first] - walkers[row, second])
 
 
 class IndependentDraws:
     """Propose draws from a mixture of Student t densities, body and tails around each optimum."""
 
     def __init__(
-        self, places: Array, covariance: Array, scores: NormalScores | None = None
+        self, centres: Array, covariance: Array, scores: NormalScores | None = None
     ) -> None:
-        self._places = places
+        self._centres = centres
         self._scores = scores
         self._root = covariance_root(covariance)
         self._inverse = np.linalg.pinv(self._root)
@@ -93,7 +96,7 @@ class IndependentDraws:
         shares, freedoms, scales = np.array(BODY_AND_TAILS).T
         part = np.searchsorted(np.cumsum(shares)[:-1], random.rand(count), side="right")
         stretch = scales[part] * np.sqrt(freedoms[part] / random.chisquare(freedoms[part]))
-        centre = self._places[random.randint(len(self._places), size=count)]
+        centre = self._centres[random.randint(len(self._centres), size=count)]
         fresh = (
             centre + (random.standard_normal((count, parameters)) * stretch[:, None]) @ self._root.T
         )
@@ -107,20 +110,20 @@ class IndependentDraws:
 
     def _log_density(self, points: Array) -> Array:
         """Return the log-density of the mixture up to a constant, shape (point,)."""
-        squares = (((points[:, None, :] - self._places) @ self._inverse.T) ** 2).sum(-1)
+        squares = (((points[:, None, :] - self._centres) @ self._inverse.T) ** 2).sum(-1)
         parts = [_log_student_t(squares, points.shape[1], *part) for part in BODY_AND_TAILS]
         return np.logaddexp.reduce(np.concatenate(parts, axis=1), axis=1)
 
 
 def _log_student_t(
-    squares: Array, parameters: int, share: float, freedom: float, scale: float
+    squares: Array, parameters: int, weight: float, freedom: float, scale: float
 ) -> Array:
     """Return the log of a weighted Student t density at squared distances, without the common
     constant.
     """
     half = 0.5 * (freedom + parameters)
     norm = lgamma(half) - lgamma(0.5 * freedom) - parameters * log(scale * sqrt(freedom))
-    return log(share) + norm - half * np.log1p(squares / (freedom * scale**2))
+    return log(weight) + norm - half * np.log1p(squares / (freedom * scale**2))
 
 
 def _metropolis_step(
@@ -131,12 +134,12 @@ def _metropolis_step(
     """
     log_probability, _ = model.compute_log_prob_fn(fresh)
     gain = log_probability - state.log_prob[index] + log_ratio
-    taken = np.log(model.random.rand(len(index))) < gain
-    state.coords[index[taken]] = fresh[taken]
-    state.log_prob[index[taken]] = log_probability[taken]
-    moved = np.zeros(len(state.coords), bool)
-    moved[index[taken]] = True
-    return moved
+    accepted = np.log(model.random.rand(len(index))) < gain
+    state.coords[index[accepted]] = fresh[accepted]
+    state.log_prob[index[accepted]] = log_probability[accepted]
+    has_moved = np.zeros(len(state.coords), bool)
+    has_moved[index[accepted]] = True
+    return has_moved
 
 
 class Ensembles:
@@ -185,7 +188,7 @@ class Ensembles:
 
 def first_places(
     log_probability: Vectorised,
-    places: Array,
+    starts: Array,
     covariance: Array,
     walls: Array,
     walkers: int,
@@ -195,11 +198,11 @@ def first_places(
 
     A walker at a log-probability that is not finite might never move.
     """
-    share = np.array_split(np.arange(walkers), len(places))
+    parts = np.array_split(np.arange(walkers), len(starts))
     first = np.concatenate(
         [
-            draw_truncated_gaussian(rng, place, 2.0 * covariance, walls, len(part))
-            for place, part in zip(places, share, strict=True)
+            draw_truncated_gaussian(rng, start, 2.0 * covariance, walls, len(part))
+            for start, part in zip(starts, parts, strict=True)
         ]
     )
     for shrink in 2.0 ** -np.arange(1.0, 20.0):
@@ -207,9 +210,9 @@ def first_places(
         if not lost.any():
             return first
         first[lost] = draw_truncated_gaussian(
-            rng, places[0], shrink * covariance, walls, int(lost.sum())
+            rng, starts[0], shrink * covariance, walls, int(lost.sum())
         )
-    raise ValueError(f"no point near the start {places[0].tolist()} has a finite log-probability")
+    raise ValueError(f"no point near the start {starts[0].tolist()} has a finite log-probability")
 
 
 def _emcee() -> ModuleType:

@@ -81,12 +81,12 @@ def importance_sample(
     """
     walls = bounds_of(bounds, len(names))
     space, rng = ProbitTransform(walls), np.random.default_rng(seed)
-    near = space.outside(
+    cloud = space.outside(
         draw_truncated_gaussian(
             rng, np.asarray(start, float), np.asarray(covariance, float), walls, 2000
         )
     )
-    first = _StudentT(near.mean(axis=0), WIDER * np.atleast_2d(np.cov(near.T)))
+    first = _StudentT(cloud.mean(axis=0), WIDER * np.atleast_2d(np.cov(cloud.T)))
     mixture, points = [(first, first_draws)], first.draw(rng, first_draws)
     heights = _heights(log_probability, space, points)
     # How densely all that was drawn lies at each point: densities add up, so that old points need
@@ -129,9 +129,9 @@ def importance_sample(
 class _StudentT:
     """A Student t density about a place."""
 
-    def __init__(self, place: Array, covariance: Array) -> None:
-        self.place, self.root = (
-            place,
+    def __init__(self, centre: Array, covariance: Array) -> None:
+        self.centre, self.root = (
+            centre,
             covariance_root(covariance + 1e-9 * np.diag(np.diag(covariance))),
         )
         self.inverse = np.linalg.pinv(self.root)
@@ -141,16 +141,16 @@ class _StudentT:
         """Return draws, shape (count, parameter)."""
         stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, count))
         return (
-            self.place
-            + (rng.standard_normal((count, self.place.size)) * stretch[:, None]) @ self.root.T
+            self.centre
+            + (rng.standard_normal((count, self.centre.size)) * stretch[:, None]) @ self.root.T
         )
 
     def log_density(self, points: Array) -> Array:
         """Return ln of the density at points up to a constant that all share, shape (point,)."""
-        away = points @ self.inverse.T
-        away -= self.inverse @ self.place
-        squares = np.einsum("ij,ij->i", away, away)
-        return -0.5 * (FREEDOM + self.place.size) * np.log1p(squares / FREEDOM) - self.log_volume
+        offset = points @ self.inverse.T
+        offset -= self.inverse @ self.centre
+        squares = np.einsum("ij,ij->i", offset, offset)
+        return -0.5 * (FREEDOM + self.centre.size) * np.log1p(squares / FREEDOM) - self.log_volume
 
 
 def _add_component(points: Array, unit: Array, weight: Array) -> _StudentT:
@@ -158,18 +158,18 @@ def _add_component(points: Array, unit: Array, weight: Array) -> _StudentT:
     density.
     """
     heaviest = int(np.argmax(weight))
-    place, away = points[heaviest], unit - unit[heaviest]
-    away = np.einsum("ij,ij->i", away, away)
-    nearest = np.argpartition(away, min(NEAREST, away.size) - 1)[:NEAREST]
-    own = 0.5 * (weight[nearest] + 1.0 / len(points))
-    off = points[nearest] - place
-    return _StudentT(place, (off * (own / own.sum())[:, None]).T @ off)
+    centre, offset = points[heaviest], unit - unit[heaviest]
+    offset = np.einsum("ij,ij->i", offset, offset)
+    nearest = np.argpartition(offset, min(NEAREST, offset.size) - 1)[:NEAREST]
+    component_weight = 0.5 * (weight[nearest] + 1.0 / len(points))
+    off = points[nearest] - centre
+    return _StudentT(centre, (off * (component_weight / component_weight.sum())[:, None]).T @ off)
 
 
 def _log_density_of_draws(mixture: list[tuple[_StudentT, int]], points: Array) -> Array:
     """Return ln of how densely the draws from some densities lie at points, shape (point,)."""
     return np.logaddexp.reduce(
-        [np.log(count) + one.log_density(points) for one, count in mixture], axis=0
+        [np.log(count) + density.log_density(points) for density, count in mixture], axis=0
     )
 
 

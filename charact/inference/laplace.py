@@ -40,10 +40,10 @@ def quasi_random_normals(rng: np.random.Generator, count: int, parameters: int) 
             for done in range(0, count, LONGEST)
         ]
         return np.concatenate(parts)
-    even = min(parameters, len(BASES))
-    shares = (_halton()[:count, :even] + rng.random(even)) % 1.0
+    dimensions = min(parameters, len(BASES))
+    shares = (_halton()[:count, :dimensions] + rng.random(dimensions)) % 1.0
     normal = ndtri(np.maximum(shares, np.finfo(float).tiny))
-    return np.concatenate([normal, rng.standard_normal((count, parameters - even))], axis=1)
+    return np.concatenate([normal, rng.standard_normal((count, parameters - dimensions))], axis=1)
 
 
 @lru_cache(maxsize=1)
@@ -53,11 +53,11 @@ def _halton() -> Array:
     """
     out = np.zeros((LONGEST, len(BASES)))
     for column, base in enumerate(BASES):
-        rest, place = np.arange(1, LONGEST + 1), 1.0
-        while rest.any():
-            place /= base
-            rest, digit = np.divmod(rest, base)
-            out[:, column] += place * digit
+        number, digit_value = np.arange(1, LONGEST + 1), 1.0
+        while number.any():
+            digit_value /= base
+            number, digit = np.divmod(number, base)
+            out[:, column] += digit_value * digit
     return out
 
 
@@ -170,7 +170,7 @@ def laplace(
         peak, covariance = find_maximum(log_probability, peak, bounds)
     rng = np.random.default_rng(seed)
     chosen = draw_truncated_gaussian(
-        rng, peak, np.asarray(covariance, float), walls, draws, even=True
+        rng, peak, np.asarray(covariance, float), walls, draws, quasi_random=True
     )
     leaning = ("prior-bound",) if crowds_at_bound(chosen, walls).any() else ()
     return Posterior(
@@ -190,7 +190,7 @@ def draw_truncated_gaussian(
     walls: NDArray,
     draws: int,
     *,
-    even: bool = False,
+    quasi_random: bool = False,
 ) -> NDArray[np.float64]:
     """Draw from a Gaussian truncated at its bounds, shape (draw, parameter).
 
@@ -198,23 +198,23 @@ def draw_truncated_gaussian(
     are independent.
     """
     root = covariance_root(covariance)
-    if even:
+    if quasi_random:
         # Lower triangular: the first parameters depend on the first columns alone.
         root = np.asarray(np.linalg.qr(root.T, mode="r"), np.float64).T
-    kept = np.empty((0, peak.size))
+    accepted = np.empty((0, peak.size))
     for _ in range(200):
         normal = (
             quasi_random_normals(rng, 2 * draws, peak.size)
-            if even
+            if quasi_random
             else rng.standard_normal((2 * draws, peak.size))
         )
         fresh = peak + normal @ root.T
-        inside = np.all((fresh >= walls[:, 0]) & (fresh <= walls[:, 1]), axis=1)
-        kept = np.concatenate([kept, fresh[inside]])
-        if len(kept) >= draws:
-            return kept[:draws]
-    short = peak + rng.standard_normal((draws - len(kept), peak.size)) @ root.T
-    return np.concatenate([kept, np.clip(short, walls[:, 0], walls[:, 1])])
+        is_inside = np.all((fresh >= walls[:, 0]) & (fresh <= walls[:, 1]), axis=1)
+        accepted = np.concatenate([accepted, fresh[is_inside]])
+        if len(accepted) >= draws:
+            return accepted[:draws]
+    short = peak + rng.standard_normal((draws - len(accepted), peak.size)) @ root.T
+    return np.concatenate([accepted, np.clip(short, walls[:, 0], walls[:, 1])])
 
 
 def bounds_of(bounds: ArrayLike | None, parameters: int) -> NDArray[np.float64]:
@@ -240,8 +240,8 @@ def _steps(
     scale = largest if np.isnan(last).any() else last
     sizes = np.minimum(scale[:, None] * factors, largest[:, None])  # (parameter, factor)
     offsets = np.einsum("pf,pq->pfq", sizes, np.eye(point.size)).reshape(-1, point.size)
-    both = np.concatenate([point + offsets, point - offsets])
-    change = log_probability(np.clip(both, walls[:, 0], walls[:, 1])) - value
+    neighbours = np.concatenate([point + offsets, point - offsets])
+    change = log_probability(np.clip(neighbours, walls[:, 0], walls[:, 1])) - value
     # The mean of both sides is the curvature; at a bound only one side changes, which is
     # sufficient.
     bend = np.abs(change.reshape(2, *sizes.shape).mean(0))

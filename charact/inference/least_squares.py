@@ -121,32 +121,32 @@ def least_squares(
     """
     bounds = np.ascontiguousarray(bounds, float)
     point = np.clip(np.asarray(start, float), bounds[:, 0], bounds[:, 1])
-    most = np.asarray(max_step, float) * (bounds[:, 1] - bounds[:, 0])
-    here = linearise(point)
+    max_change = np.asarray(max_step, float) * (bounds[:, 1] - bounds[:, 0])
+    model = linearise(point)
     accepted = 0
     for _ in range(iterations):
-        step = damped_step(here.gradient, here.normal, point, bounds, damping, most)
+        step = damped_step(model.gradient, model.normal, point, bounds, damping, max_change)
         trial = np.clip(point + step, bounds[:, 0], bounds[:, 1])
-        there = linearise(trial)
-        gain = here.cost - there.cost
+        trial_model = linearise(trial)
+        gain = model.cost - trial_model.cost
         if gain >= 0:
             # Near the optimum a step gains at least as much as all later ones, unless damping
             # shortens it.
             is_whole, accepted = damping < 1.0, accepted + 1
-            point, here, damping = trial, there, max(damping * shrink, min_damping)
-            is_hopeless = accepted > 2 and here.cost - gain > hopeless
-            if is_whole and (gain < max(tolerance, relative_tolerance * here.cost) or is_hopeless):
+            point, model, damping = trial, trial_model, max(damping * shrink, min_damping)
+            is_hopeless = accepted > 2 and model.cost - gain > hopeless
+            if is_whole and (gain < max(tolerance, relative_tolerance * model.cost) or is_hopeless):
                 break
         else:
             damping *= grow
             if not damping <= max_damping:
                 break
-    return Optimum(point, here)
+    return Optimum(point, model)
 
 
 @njit(cache=True)
 def damped_step(
-    gradient: Array, normal: Array, point: Array, bounds: Array, damping: float, most: Array
+    gradient: Array, normal: Array, point: Array, bounds: Array, damping: float, max_change: Array
 ) -> Array:
     """Return the damped Gauss-Newton step of the parameters that have bounds, at most so large,
     shape (parameter,).
@@ -168,7 +168,7 @@ def damped_step(
     step = np.linalg.solve(matrix, right / scale) / scale
     out = np.empty(point.size)
     for k in range(point.size):
-        out[k] = min(max(step[k], -most[k]), most[k])
+        out[k] = min(max(step[k], -max_change[k]), max_change[k])
     return out
 
 
@@ -217,17 +217,17 @@ def ln_evidence(
         return volume
     sd = np.sqrt(np.maximum(np.diag(covariance), LEAST_CURVATURE))
     low, high = (point - bounds[:, 0]) / sd, (bounds[:, 1] - point) / sd
-    inside = np.log(np.maximum(ndtr(high) - ndtr(-low), 1e-3))
+    ln_mass = np.log(np.maximum(ndtr(high) - ndtr(-low), 1e-3))
     if gradient is not None:
         pull = sd * np.where(
             low < 1e-6, np.maximum(-gradient, 0.0), (high < 1e-6) * np.maximum(gradient, 0.0)
         )
-        inside = np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), inside)
-    return volume + float(np.sum(inside))
+        ln_mass = np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), ln_mass)
+    return volume + float(np.sum(ln_mass))
 
 
 def weigh_by_evidence(
-    ln_evidences: ArrayLike, *, power: float = 1.0, least: float = 0.0
+    ln_evidences: ArrayLike, *, power: float = 1.0, min_weight: float = 0.0
 ) -> list[tuple[int, float]]:
     """Return index and weight of each model that counts, the most probable first.
 
@@ -237,10 +237,10 @@ def weigh_by_evidence(
         ln of evidence times prior probability of each model, shape (model,).
     power
         Power of the evidence that weighs; below 1 where evidences are approximate.
-    least
+    min_weight
         Weight that a model must exceed.
     """
     values = np.asarray(ln_evidences, float)
     weight = np.exp(power * (values - values.max()))
     weight /= weight.sum()
-    return [(int(i), float(weight[i])) for i in np.argsort(-weight) if weight[i] > least]
+    return [(int(i), float(weight[i])) for i in np.argsort(-weight) if weight[i] > min_weight]

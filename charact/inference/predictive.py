@@ -111,8 +111,8 @@ def predictive_check(
         for block in blocks
     ]
     odd = [
-        _tail(one[0], many, rng)
-        for one, many in zip(ours, np.concatenate(theirs, axis=1), strict=True)
+        _tail(observed[0], replicated, rng)
+        for observed, replicated in zip(ours, np.concatenate(theirs, axis=1), strict=True)
     ]
     return PredictiveCheck(chi_squared=odd[0], runs=odd[1], neighbours=odd[2], level=level)
 
@@ -139,8 +139,8 @@ def _shrink_by_fit(white: Array, spread: Array) -> Array:
     clipped.
     """
     _, values, directions = np.linalg.svd(spread, full_matrices=False)
-    left = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))
-    return white - ((white @ directions.T) * (1.0 - left)) @ directions
+    remaining = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))
+    return white - ((white @ directions.T) * (1.0 - remaining)) @ directions
 
 
 def _discrepancies(residual: Array) -> Array:
@@ -162,5 +162,5 @@ def _tail(ours: float, theirs: Array, rng: np.random.Generator) -> float:
     """Return the probability of a sign as large, ties broken at random, so that it is uniform under
     the model.
     """
-    above, level = np.sum(theirs > ours), np.sum(theirs == ours)
-    return float((above + rng.uniform() * (level + 1)) / (len(theirs) + 1))
+    larger, level = np.sum(theirs > ours), np.sum(theirs == ours)
+    return float((larger + rng.uniform() * (level + 1)) / (len(theirs) + 1))

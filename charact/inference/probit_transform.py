@@ -23,8 +23,8 @@ class ProbitTransform:
 
     def outside(self, points: NDArray) -> NDArray[np.float64]:
         """Return z of x; points on a bound are moved inwards by a millionth of the range."""
-        share = np.clip((points - self._low) / self._range, 1e-6, 1.0 - 1e-6)
-        return np.where(self._bounded, ndtri(share), points)
+        quantile = np.clip((points - self._low) / self._range, 1e-6, 1.0 - 1e-6)
+        return np.where(self._bounded, ndtri(quantile), points)
 
     def inside(self, points: NDArray) -> NDArray[np.float64]:
         """Return x of z."""
@@ -36,8 +36,8 @@ class ProbitTransform:
 
     def stretch(self, point: NDArray) -> NDArray[np.float64]:
         """Return dz/dx at a point."""
-        share = np.clip((point - self._low) / self._range, 1e-3, 1.0 - 1e-3)
-        slope = np.sqrt(2.0 * np.pi) * np.exp(0.5 * ndtri(share) ** 2) / self._range
+        quantile = np.clip((point - self._low) / self._range, 1e-3, 1.0 - 1e-3)
+        slope = np.sqrt(2.0 * np.pi) * np.exp(0.5 * ndtri(quantile) ** 2) / self._range
         return np.where(self._bounded, slope, 1.0)
 
 
@@ -71,11 +71,11 @@ class NormalScores:
         mean = np.maximum(np.ptp(quantiles, axis=1) / (SHARES.size - 1), 1e-300)
         width = np.maximum(np.diff(quantiles, axis=1), 0.05 * mean[:, None])
         longer = LONGER / (INNER[1] - INNER[0])
-        below, above = width[:, :1] * longer[::-1], width[:, -1:] * longer
-        self._width = np.concatenate([below, width, above], axis=1)
+        low_tail, high_tail = width[:, :1] * longer[::-1], width[:, -1:] * longer
+        self._width = np.concatenate([low_tail, width, high_tail], axis=1)
         self._left = (
             quantiles[:, :1]
-            - below.sum(axis=1, keepdims=True)
+            - low_tail.sum(axis=1, keepdims=True)
             + np.cumsum(self._width, axis=1)
             - self._width
         )
@@ -88,16 +88,16 @@ class NormalScores:
         (point,).
         """
         piece = (points[:, :, None] > self._inner).sum(axis=2)
-        left, width, log_slope = self._of(piece)
-        return PINS[piece] + STEPS[piece] * (points - left) / width, log_slope
+        start, width, log_slope = self._of(piece)
+        return PINS[piece] + STEPS[piece] * (points - start) / width, log_slope
 
     def points(self, scores: Array) -> tuple[Array, Array]:
         """Return the points of scores (point, parameter) and ln |d scores/d points| there, shape
         (point,).
         """
         piece = np.searchsorted(PINS[1:-1], scores)
-        left, width, log_slope = self._of(piece)
-        return left + width * (scores - PINS[piece]) / STEPS[piece], log_slope
+        start, width, log_slope = self._of(piece)
+        return start + width * (scores - PINS[piece]) / STEPS[piece], log_slope
 
     def _of(self, piece: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """Return left end and width of pieces between pins, and the log of the slopes that they

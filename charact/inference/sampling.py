@@ -62,13 +62,13 @@ def sample_posterior(
         "bounds": bounds,
         "draws": draws,
     }
-    found = importance_sample(
+    posterior = importance_sample(
         log_probability, **asked, enough=WANTED * effort, first_draws=round(FIRST_DRAWS * effort)
     )
-    if found.effective_sample_size.min() < ENOUGH * effort:
+    if posterior.effective_sample_size.min() < ENOUGH * effort:
         return sample(log_probability, **asked, max_steps=max_steps)
     return (
-        replace(found, flags=(*found.flags, "several-modes"))
-        if has_several_peaks(found.draws)
-        else found
+        replace(posterior, flags=(*posterior.flags, "several-modes"))
+        if has_several_peaks(posterior.draws)
+        else posterior
     )

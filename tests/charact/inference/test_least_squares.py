@@ -71,7 +71,7 @@ def test_the_evidence_of_a_gaussian_is_its_integral_between_the_bounds():
 
 
 def test_models_weigh_as_their_evidence():
-    assert weigh_by_evidence([0.0, np.log(3.0), -50.0], least=1e-6) == [
+    assert weigh_by_evidence([0.0, np.log(3.0), -50.0], min_weight=1e-6) == [
         (1, pytest.approx(0.75)),
         (0, pytest.approx(0.25)),
     ]

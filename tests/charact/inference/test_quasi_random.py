@@ -51,7 +51,12 @@ def test_quantiles_of_few_draws_scatter_half_as_much(seed):
     for even in (False, True):
         drawn = [
             draw_truncated_gaussian(
-                np.random.default_rng([seed, i]), np.zeros(4), covariance, WIDE, 500, even=even
+                np.random.default_rng([seed, i]),
+                np.zeros(4),
+                covariance,
+                WIDE,
+                500,
+                quasi_random=even,
             )[:, 1]
             for i in range(200)
         ]
@@ -64,12 +69,12 @@ def test_quantiles_of_few_draws_scatter_half_as_much(seed):
 def test_even_draws_keep_to_the_covariance_and_to_the_walls(seed):
     covariance = np.array([[2.0, -0.9], [-0.9, 0.5]])
     drawn = draw_truncated_gaussian(
-        np.random.default_rng(seed), np.zeros(2), covariance, WIDE[:2], 4000, even=True
+        np.random.default_rng(seed), np.zeros(2), covariance, WIDE[:2], 4000, quasi_random=True
     )
     assert np.cov(drawn.T) == pytest.approx(covariance, rel=0.02)
     walls = np.array([[0.0, np.inf], [-np.inf, np.inf]])
     half = draw_truncated_gaussian(
-        np.random.default_rng(seed), np.zeros(2), covariance, walls, 4000, even=True
+        np.random.default_rng(seed), np.zeros(2), covariance, walls, 4000, quasi_random=True
     )
     assert half.shape == (4000, 2)
     assert half[:, 0].min() >= 0
@@ -82,7 +87,12 @@ def test_even_draws_keep_to_the_covariance_and_to_the_walls(seed):
 def test_a_singular_covariance_is_drawn_from_too(seed):
     along = np.array([1.0, -2.0, 0.5])
     drawn = draw_truncated_gaussian(
-        np.random.default_rng(seed), np.zeros(3), np.outer(along, along), WIDE[:3], 500, even=True
+        np.random.default_rng(seed),
+        np.zeros(3),
+        np.outer(along, along),
+        WIDE[:3],
+        500,
+        quasi_random=True,
     )
     assert drawn == pytest.approx(np.outer(drawn[:, 0], along), abs=1e-6)
     assert drawn[:, 0].std() == pytest.approx(1.0, rel=0.03)

@@ -218,7 +218,7 @@ class LineSpreads:
                         for point in product(widths, [top.tail], SMOOTHNESS, ASYMMETRY)
                     ]
         weights = weigh_by_evidence(
-            [setting.log_evidence for setting in tried], least=THRESHOLDS.min_setting_weight
+            [setting.log_evidence for setting in tried], min_weight=THRESHOLDS.min_setting_weight
         )
         self.weights = np.array([weight for _, weight in weights])
         self.settings = [tried[index] for index, _ in weights]

@@ -340,7 +340,7 @@ def _refusal(reason: str, fields: dict[str, Any]) -> Result:
 def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraws:
     """Draw from the posteriors of the forms that have a say."""
     weights = weigh_by_evidence(
-        [peak.log_weight for peak in peaks], least=THRESHOLDS.min_model_weight
+        [peak.log_weight for peak in peaks], min_weight=THRESHOLDS.min_model_weight
     )
     likely_peaks = tuple(peaks[i] for i, _ in weights)
     posterior_weights = np.array([weight for _, weight in weights])

@@ -245,5 +245,5 @@ def _fit_extended(
 
 
 def _rank_by_evidence(fits: list[BlurModelFit2D]) -> list[EvidenceWeightedModels2D]:
-    ranked = weigh_by_evidence([_weight(fit) for fit in fits], least=ACCURACY.min_model_weight)
+    ranked = weigh_by_evidence([_weight(fit) for fit in fits], min_weight=ACCURACY.min_model_weight)
     return [EvidenceWeightedModels2D(fit=fits[index], weight=weight) for index, weight in ranked]

@@ -289,7 +289,7 @@ def fit_blur_models(
     weights = weigh_by_evidence(
         [fit.log_evidence for fit in fits],
         power=THRESHOLDS.evidence_power,
-        least=THRESHOLDS.min_model_weight,
+        min_weight=THRESHOLDS.min_model_weight,
     )
     return [EvidenceWeightedModels(fit=fits[index], weight=weight) for index, weight in weights]
 
