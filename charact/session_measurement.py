@@ -65,7 +65,7 @@ def attempt(
 def _refusals(quantities: Quantities, reason: str, stack: str | None) -> Result:
     return Result(
         measurements=tuple(
-            make_refusal(*one, reason, method=METHOD, stack=stack) for one in quantities
+            make_refusal(*quantity, reason, method=METHOD, stack=stack) for quantity in quantities
         )
     )
 
@@ -137,9 +137,9 @@ def measure(
     complaints: list[BadInput] = []
     for done, task in enumerate(tasks):
         progress(task.sentence, done / len(tasks))
-        own = replace(context, progress=partial(_within, progress, done, len(tasks)))
+        task_context = replace(context, progress=partial(_within, progress, done, len(tasks)))
         try:
-            result += attempt(partial(task.run, own), task.quantities, stack=task.stack)
+            result += attempt(partial(task.run, task_context), task.quantities, stack=task.stack)
         except BadInput as complaint:
             complaints.append(complaint)
             result += _refusals(task.quantities, str(complaint), task.stack)
@@ -173,13 +173,13 @@ def measure_noise(
     from charact.method import choose
 
     choose("flats", method, within_percent=within_percent)
-    heated, others = bool(infrared.blackbody_flats(session)), _of_light(session)
+    heated, visible = bool(infrared.blackbody_flats(session)), _of_light(session)
     result = Result()
-    if others.of_kind("dark", "flat") or not heated:
+    if visible.of_kind("dark", "flat") or not heated:
         run = partial(
-            noise.measure, others, method=method, within_percent=within_percent, context=context
+            noise.measure, visible, method=method, within_percent=within_percent, context=context
         )
-        result += _with_step(attempt(run, NOISE), others)
+        result += _with_step(attempt(run, NOISE), visible)
     if heated:
         result += attempt(
             partial(infrared.measure, session, context=context), (("sitf", "DN/K"), ("netd", "mK"))
@@ -193,13 +193,15 @@ def _with_step(result: Result, session: Session) -> Result:
     """
     from charact.estimators.noise.rounding import step_finding
 
-    found = step_finding(session)
-    if found is None:
+    coarse_step = step_finding(session)
+    if coarse_step is None:
         return result
     return replace(
         result,
         measurements=tuple(
-            m.with_(findings=(found,)) if m.quantity in OF_DARK and m.status != "refused" else m
+            m.with_(findings=(coarse_step,))
+            if m.quantity in OF_DARK and m.status != "refused"
+            else m
             for m in result.measurements
         ),
     )
@@ -256,7 +258,7 @@ def with_inputs(result: Result, session: Session) -> Result:
     of all stacks.
     """
     digests = {entry.label: _digests(entry) for entry in session.stacks if entry.kind != "scene"}
-    everything = {name: digest for one in digests.values() for name, digest in one.items()}
+    everything = {name: digest for files in digests.values() for name, digest in files.items()}
     measurements = tuple(
         m
         if m.provenance is None
@@ -274,9 +276,9 @@ def _digests(entry: StackEntry) -> dict[str, str]:
     return {name: sha256_of(path) for name, path in zip(names, entry.paths, strict=True)}
 
 
-def _within(progress: Progress, done: int, tasks: int, sentence: str, share: float) -> None:
+def _within(progress: Progress, done: int, tasks: int, sentence: str, fraction: float) -> None:
     """Report the progress of one of several analyses as progress of all."""
-    progress(sentence, (done + share) / tasks)
+    progress(sentence, (done + fraction) / tasks)
 
 
 def _combine_targets(session: Session, result: Result, context: Context) -> Result:
@@ -294,25 +296,29 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
     kinds = {entry.label: entry.kind for entry in targets}
     conditions = {entry.label: entry.conditions for entry in targets}
     joint: Quantities = (("mtf50", "cy/px"),)
-    whole = result
+    combined = result
     if len(targets) > 1:
-        whole += (
+        combined += (
             attempt(partial(session_curves, result, kinds, context=context), joint)
             + attempt(partial(fit_joint_mtf, result, kinds, context=context), joint)
             + attempt(partial(mtf_consistency, result, kinds), joint)
             + attempt(partial(mtf_uniformity, result, kinds, conditions, context=context), joint)
         )
-    whole = attempt(partial(add_mtf_budget, whole, kinds, context=context), joint, before=whole)
+    combined = attempt(
+        partial(add_mtf_budget, combined, kinds, context=context), joint, before=combined
+    )
     flats = blackbody_flats(session)
     if flats:
         return attempt(
-            partial(add_mrtd, session, flats, whole, context=context),
+            partial(add_mrtd, session, flats, combined, context=context),
             (("mrtd", "K"),),
-            before=whole,
+            before=combined,
         )
     known = {entry.label: entry.conditions for entry in session.stacks}
     resolution = (("limiting_resolution", "lp/mm"),)
-    return attempt(partial(add_resolution, whole, known, context=context), resolution, before=whole)
+    return attempt(
+        partial(add_resolution, combined, known, context=context), resolution, before=combined
+    )
 
 
 def _with_measured_gap(context: Context, result: Result) -> Context:
@@ -322,14 +328,14 @@ def _with_measured_gap(context: Context, result: Result) -> Context:
     A point series constrains the gap better than the description; a single edge often fits several
     gaps.
     """
-    found = [
+    halos = [
         m for m in result.find("halo_diameter") if m.status == "ok" and m.interval95 is not None
     ]
     camera = context.camera
-    if not has_tube(camera) or not found or found[0].value is None or found[0].interval95 is None:
+    if not has_tube(camera) or not halos or halos[0].value is None or halos[0].interval95 is None:
         return context
     mm_per_px = float(camera.ccd.pitch_x_um) * float(camera.taper.demagnification) * 1e-3
-    value, low, high = (x * mm_per_px / 4.0 for x in (found[0].value, *found[0].interval95))
+    value, low, high = (x * mm_per_px / 4.0 for x in (halos[0].value, *halos[0].interval95))
     gap = Parameter(
         value=value,
         low=low,
@@ -411,12 +417,19 @@ def _target(session: Session, entry: StackEntry, within_percent: float, context:
         "point": {"pinhole_px": target.pinhole_px},
     }[entry.kind]
     result = Result()
-    for direction, part, region, own in scan_directions(stack, target.region, context=context):
-        found = mtf.measure(
-            entry.kind, part, region=region, within_percent=within_percent, context=own, **arguments
+    for direction, part, region, direction_context in scan_directions(
+        stack, target.region, context=context
+    ):
+        part_result = mtf.measure(
+            entry.kind,
+            part,
+            region=region,
+            within_percent=within_percent,
+            context=direction_context,
+            **arguments,
         )
         result += with_stack_label(
-            found, f"{entry.label}, lines {direction}" if direction else entry.label
+            part_result, f"{entry.label}, lines {direction}" if direction else entry.label
         )
     return result
 
@@ -430,15 +443,17 @@ def _best_point(session: Session, within_percent: float, context: Context) -> Re
     """
     from charact.estimators.mtf.point.source import source_signal
 
-    found: list[tuple[tuple[int, int], Result]] = []
+    candidates: list[tuple[tuple[int, int], Result]] = []
     # Read again when measured: a long series does not fit into memory.
-    for entry in sorted(session.of_kind("point"), key=lambda one: -source_signal(one.read().data)):
+    for entry in sorted(
+        session.of_kind("point"), key=lambda candidate: -source_signal(candidate.read().data)
+    ):
         result = _target(session, entry, within_percent, context)
         refusals = sum(m.status == "refused" for m in result.measurements)
-        found.append(((refusals, sum(len(m.flags) for m in result.measurements)), result))
-        if found[-1][0] == (0, 0):
+        candidates.append(((refusals, sum(len(m.flags) for m in result.measurements)), result))
+        if candidates[-1][0] == (0, 0):
             break
-    return min(found, key=lambda one: one[0])[1]
+    return min(candidates, key=lambda candidate: candidate[0])[1]
 
 
 def with_stack_label(result: Result, label: str) -> Result:

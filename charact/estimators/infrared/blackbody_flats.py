@@ -65,12 +65,12 @@ def blackbody_flats(session: Session) -> tuple[StackEntry, ...]:
 
 def is_linear(result: Result) -> bool:
     """Return whether black-body levels at three temperatures or more follow the law of radiance."""
-    found = [
+    transfers = [
         m
         for m in result.find("sitf")
         if m.value is not None and not {"nonlinear", "drift", "agc"} & {*m.flags}
     ]
-    return bool(found) and len(set(result.evidence["signal-transfer"]["blackbody_c"])) > 2
+    return bool(transfers) and len(set(result.evidence["signal-transfer"]["blackbody_c"])) > 2
 
 
 @with_timing
@@ -117,10 +117,12 @@ def measure(session: Session, *, context: Context) -> Result:
         )
     else:
         kelvin = [m for m in map(series.in_kelvin, noise.measurements) if m is not None]
-        own = (series.sitf(context, fields), series.netd(noise, context, fields), *kelvin)
-        result = Result(measurements=own, evidence={"signal-transfer": series.figure_data()})
+        measurements = (series.sitf(context, fields), series.netd(noise, context, fields), *kelvin)
+        result = Result(
+            measurements=measurements, evidence={"signal-transfer": series.figure_data()}
+        )
     return ready.in_dn(result + noise) + defect_pixels(
-        ready.session, ready.surveys, ready.found, context=context
+        ready.session, ready.surveys, ready.defects, context=context
     )
 
 
@@ -194,13 +196,15 @@ class BlackbodySeries:
         kelvin = np.array([_kelvin(level) for level in known])
         variance = np.stack([_draws(level, "tvh", rng) for level in known], axis=1)
         pairs = zip(transfer.background_k, variance, strict=True)
-        between = np.array([np.interp(at, kelvin, own) for at, own in pairs])
+        variance_dn2 = np.array(
+            [np.interp(at, kelvin, level_variance) for at, level_variance in pairs]
+        )
         # Beyond the levels the photon noise, an unknown part of the variance, goes on with
         # radiance.
         at = np.clip(transfer.background_k, kelvin[0], kelvin[-1])
-        beyond = WORST.radiance(transfer.background_k) / WORST.radiance(at) - 1.0
-        between = between * (1.0 + beyond * rng.uniform(0.0, 1.0, len(at)))
-        draws = 1e3 * np.sqrt(np.maximum(between, 0.0)) / np.abs(transfer.sitf)
+        radiance_excess = WORST.radiance(transfer.background_k) / WORST.radiance(at) - 1.0
+        variance_dn2 = variance_dn2 * (1.0 + radiance_excess * rng.uniform(0.0, 1.0, len(at)))
+        draws = 1e3 * np.sqrt(np.maximum(variance_dn2, 0.0)) / np.abs(transfer.sitf)
         scanner = is_thermal(context.camera) and context.camera.scanner is not None
         standard = (
             f"as by {E1543}, but of frames as recorded, without that filter"
@@ -212,9 +216,9 @@ class BlackbodySeries:
             f"is noise_vh in K."
         )
         findings = [Finding(None, what), self.background, *self.findings]
-        near = np.argsort(np.abs(kelvin - np.median(at)), kind="stable")[:2]
+        nearest = np.argsort(np.abs(kelvin - np.median(at)), kind="stable")[:2]
         for m in (
-            m for i in near for m in noise.find("noise_tvh", stack=known[i].label) if m.flags
+            m for i in nearest for m in noise.find("noise_tvh", stack=known[i].label) if m.flags
         ):
             findings += [
                 Finding(flag, f"{flag}: random noise of {m.stack}: {'; '.join(m.notes)}")
@@ -241,7 +245,7 @@ class BlackbodySeries:
         """Return a component of 3-D noise, DN, in K at its black body's temperature; None of an
         excluded level.
         """
-        level = next((one for one in self.levels if one.label == m.stack), None)
+        level = next((candidate for candidate in self.levels if candidate.label == m.stack), None)
         if m.value is None or m.interval95 is None or level is None or level.cube is None:
             return None
         rng, name = np.random.default_rng([self.seed, 44]), m.quantity.removeprefix("noise_")
@@ -317,10 +321,10 @@ def _series(flats: list[StackStatistics], single: list[str], context: Context) -
     if len(temperatures := sorted({_kelvin(level) - ZERO_C for level in chosen})) < 2:
         known = f"one, at {temperatures[0]:.1f} °C" if temperatures else "none"
         other = f"{temperatures[0] + 5.0:.0f} °C" if temperatures else "20 and 30 °C"
-        left = "".join(f"; {one.note}" for one in notes)
+        exclusions = "".join(f"; {finding.note}" for finding in notes)
         raise Unmeasurable(
             "SiTF needs two or more black-body levels (flats with blackbody_c, neither clipped "
-            f"nor single frames), got {known}{left}: add 8 or more frames at {other}; "
+            f"nor single frames), got {known}{exclusions}: add 8 or more frames at {other}; "
             f"{INFRARED.advised_levels} levels also show drift and bend"
         )
     kelvin, mean = np.array([(_kelvin(level), level.mean_dn) for level in chosen]).T
@@ -371,10 +375,10 @@ def _one_setting(flats: list[StackStatistics]) -> tuple[list[StackStatistics], l
             level
         )
     chosen = max(
-        settings.values(), key=lambda levels: len({_kelvin(one) for one in levels}), default=[]
+        settings.values(), key=lambda levels: len({_kelvin(flat) for flat in levels}), default=[]
     )
-    here = {level.label for level in chosen}
-    other = [level.label for level in flats if level.label not in here]
+    chosen_labels = {level.label for level in chosen}
+    other = [level.label for level in flats if level.label not in chosen_labels]
     return chosen, [
         Finding(None, f"excluded (other gain or exposure): {', '.join(other)}")
     ] if other else []
@@ -384,26 +388,27 @@ def _drop_saturated(levels: list[StackStatistics]) -> tuple[list[StackStatistics
     """Return the levels without clipped values and without a collapse of noise at either end, and
     what was left out.
     """
-    kept = [
-        one
-        for one in levels
-        if max(one.low_fraction, one.high_fraction) <= INFRARED.max_clipped_fraction
+    unsaturated = [
+        level
+        for level in levels
+        if max(level.low_fraction, level.high_fraction) <= INFRARED.max_clipped_fraction
     ]
     out = [
-        one.label
-        for one in levels
-        if max(one.low_fraction, one.high_fraction) > INFRARED.max_clipped_fraction
+        level.label
+        for level in levels
+        if max(level.low_fraction, level.high_fraction) > INFRARED.max_clipped_fraction
     ]
     findings = (
         [Finding(None, f"excluded (values at 0 DN or full scale): {', '.join(out)}")] if out else []
     )
     for end, inner in ((-1, -2), (0, 1)):
         while (
-            len(kept) > 2
-            and kept[end].variance_dn2 < INFRARED.saturated_noise**2 * kept[inner].variance_dn2
+            len(unsaturated) > 2
+            and unsaturated[end].variance_dn2
+            < INFRARED.saturated_noise**2 * unsaturated[inner].variance_dn2
         ):
-            gone = kept.pop(end)
-            ratio = np.sqrt(gone.variance_dn2 / kept[end].variance_dn2)
+            gone = unsaturated.pop(end)
+            ratio = np.sqrt(gone.variance_dn2 / unsaturated[end].variance_dn2)
             effect = (
                 f"noise of {gone.label} falls to {ratio:.2g} of the next level's, so it was "
                 f"excluded"
@@ -411,7 +416,7 @@ def _drop_saturated(levels: list[StackStatistics]) -> tuple[list[StackStatistics
             findings.append(
                 with_remedy("saturated", effect, "levels within the span of the camera")
             )
-    return kept, findings
+    return unsaturated, findings
 
 
 def _mean_sd(level: StackStatistics) -> float:
@@ -422,10 +427,10 @@ def _mean_sd(level: StackStatistics) -> float:
     variance = float(means @ means) / max(len(means) - 1, 1)
     successive = float(means[:-1] @ means[1:]) / max(len(means) - 1, 1)
     correlation = float(np.clip(successive / variance, 0.0, 0.95)) if variance > 0 else 0.0
-    own = variance / len(means) * (1.0 + correlation) / (1.0 - correlation)
+    mean_variance = variance / len(means) * (1.0 + correlation) / (1.0 - correlation)
     rounding, _ = rounding_sd(level.variance_dn2 + max(level.spatial_variance_dn2, 0.0))
     white = level.variance_dn2 / (level.frames * level.pixels)
-    return float(np.sqrt(max(own, white) + rounding**2))
+    return float(np.sqrt(max(mean_variance, white) + rounding**2))
 
 
 def _require_order(kelvin: Array, mean: Array, sd: Array) -> None:
@@ -433,8 +438,8 @@ def _require_order(kelvin: Array, mean: Array, sd: Array) -> None:
     scene.
     """
     steps, error = np.diff(mean), np.hypot(sd[1:], sd[:-1])
-    apart = np.diff(kelvin) > 2.0 * np.sqrt(2.0) * INFRARED.blackbody_sd_k
-    turned = apart & (steps * np.sign(mean[-1] - mean[0]) < -INFRARED.significant_sd * error)
+    is_warmer = np.diff(kelvin) > 2.0 * np.sqrt(2.0) * INFRARED.blackbody_sd_k
+    turned = is_warmer & (steps * np.sign(mean[-1] - mean[0]) < -INFRARED.significant_sd * error)
     if turned.any():
         i = int(np.argmax(turned))
         raise Unmeasurable(
@@ -448,7 +453,9 @@ def _require_order(kelvin: Array, mean: Array, sd: Array) -> None:
 def _background(levels: list[StackStatistics]) -> tuple[float | None, Finding]:
     """Return the background temperature, K, None if unknown, and the finding on it."""
     stated = [
-        one.conditions.background_c for one in levels if one.conditions.background_c is not None
+        level.conditions.background_c
+        for level in levels
+        if level.conditions.background_c is not None
     ]
     if not stated:
         low, high = (_kelvin(levels[end]) - ZERO_C for end in (0, -1))
@@ -458,12 +465,12 @@ def _background(levels: list[StackStatistics]) -> tuple[float | None, Finding]:
             "background_c in session.toml narrows it."
         )
         return None, Finding(None, sentence)
-    middle, apart = float(np.mean(stated)), float(np.ptp(stated))
+    middle, span_k = float(np.mean(stated)), float(np.ptp(stated))
     sentence = f"Background {middle:.1f} °C ({middle + ZERO_C:.1f} K)."
-    if apart <= INFRARED.background_k:
+    if span_k <= INFRARED.background_k:
         return middle + ZERO_C, Finding(None, sentence)
     effect = (
-        f"stated backgrounds differ by {apart:.2g} K; the value holds at their mean, "
+        f"stated backgrounds differ by {span_k:.2g} K; the value holds at their mean, "
         f"{middle:.1f} °C"
     )
     return middle + ZERO_C, with_remedy("unlike-conditions", effect, "levels of one background_c")
@@ -482,10 +489,11 @@ def _fit_findings(levels: list[StackStatistics], transfer: SignalTransfer) -> li
     _, _, (low, high) = intervals_of(transfer.sitf)
     freedom, worst = len(levels) - 2, float(np.abs(transfer.residual_dn).max()) / slope
     if freedom and chdtrc(freedom, transfer.chi2) < INFRARED.false_alarm:
-        away = f"levels depart from the law ({transfer.likeliest.name}) by up to {worst:.2g} K"
+        departure = f"levels depart from the law ({transfer.likeliest.name}) by up to {worst:.2g} K"
         if transfer.chi2 - transfer.parabola_chi2 > INFRARED.bend_share * transfer.chi2:
             effect = (
-                f"{away}, along a bend that changes SiTF by {100.0 * transfer.parabola_slope:.2g} %"
+                f"{departure}, along a bend that changes SiTF by "
+                f"{100.0 * transfer.parabola_slope:.2g} %"
             )
             out.append(
                 with_remedy(
@@ -498,17 +506,19 @@ def _fit_findings(levels: list[StackStatistics], transfer: SignalTransfer) -> li
             remedy = (
                 "a shutter correction before every level, levels up and down, a settled black body"
             )
-            out.append(with_remedy("drift", f"{away}: the offset changed between them", remedy))
+            out.append(
+                with_remedy("drift", f"{departure}: the offset changed between them", remedy)
+            )
     drifts = [
-        one.cube.means.drift_dn
-        for one in levels
-        if one.cube is not None and one.cube.means.drift_seen
+        black_body.cube.means.drift_dn
+        for black_body in levels
+        if black_body.cube is not None and black_body.cube.means.drift_seen
     ]
-    moved = float(np.sum(np.abs(drifts)))
-    if moved > 0.5 * (high - low) * float(np.ptp(kelvin)):
+    drift_dn = float(np.sum(np.abs(drifts)))
+    if drift_dn > 0.5 * (high - low) * float(np.ptp(kelvin)):
         effect = (
-            f"the mean drifts by {moved / slope:.2g} K within the stacks, more between them, "
-            f"which may change SiTF by {100.0 * moved / middle / float(np.ptp(kelvin)):.2g} %"
+            f"the mean drifts by {drift_dn / slope:.2g} K within the stacks, more between them, "
+            f"which may change SiTF by {100.0 * drift_dn / middle / float(np.ptp(kelvin)):.2g} %"
         )
         out.append(
             with_remedy("drift", effect, "levels up and down, or each after a shutter correction")
@@ -548,15 +558,18 @@ def _gain_findings(levels: list[StackStatistics]) -> list[Finding]:
             )
         ]
     known = [
-        one
-        for one in levels
-        if one.cube is not None and one.cube.components["tvh"].variance_dn2 > QUANTISED_DN2
+        black_body
+        for black_body in levels
+        if black_body.cube is not None
+        and black_body.cube.components["tvh"].variance_dn2 > QUANTISED_DN2
     ]
     if len(known) < 2:
         return []
     rng = np.random.default_rng(45)
     draws = [_draws(level, "tvh", rng) for level in known]
-    faint, loud = (int(of([np.median(one) for one in draws])) for of in (np.argmin, np.argmax))
+    faint, loud = (
+        int(of([np.median(black_body) for black_body in draws])) for of in (np.argmin, np.argmax)
+    )
     ratio = np.sqrt(np.maximum(draws[loud], 0.0) / np.maximum(draws[faint], 1e-12))
     ends = [float(WORST.radiance(_kelvin(known[i]))) for i in (0, -1)]
     allowed = (1.0 + INFRARED.noise_change) * np.sqrt(ends[1] / ends[0])

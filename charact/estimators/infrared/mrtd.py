@@ -115,9 +115,9 @@ def add_mrtd(
     else:
         return result + Result(
             measurements=tuple(
-                one
+                measurement
                 for m, curve in edges
-                for one in _of_edge(netd, m, curve, rate, context=context, **fields)
+                for measurement in _of_edge(netd, m, curve, rate, context=context, **fields)
             )
         )
     return result + Result(
@@ -171,17 +171,17 @@ def _of_edge(
     where = {"stack": edge.stack, "region": edge.region, "orientation_deg": edge.orientation_deg}
     flags = (*netd.flags, *edge.flags)
     for frequency in FREQUENCIES:
-        own = {**fields, **where, "frequency_cy_per_px": frequency}
+        labels = {**fields, **where, "frequency_cy_per_px": frequency}
         mtf = _mtf_draws(curve, frequency, len(netd_k), rng)
         if np.quantile(mtf, 0.025) < INFRARED.min_mtf:
             reason = (
                 f"the MTF of {np.median(mtf):.2g} at {frequency:g} cy/px is not "
                 f"distinguished from zero"
             )
-            yield make_refusal("mrtd", "K", reason, **own)
+            yield make_refusal("mrtd", "K", reason, **labels)
             continue
         draws = mrtd(frequency, mtf, netd_k, frame_rate_hz=frame_rate_hz, footprint=footprint)
-        yield measurement_from_draws("mrtd", "K", draws, flags=flags, notes=notes, **own)
+        yield measurement_from_draws("mrtd", "K", draws, flags=flags, notes=notes, **labels)
 
 
 def _mtf_draws(curve: Curve, frequency: float, count: int, rng: np.random.Generator) -> Array:
@@ -191,7 +191,7 @@ def _mtf_draws(curve: Curve, frequency: float, count: int, rng: np.random.Genera
     known = curve.frequency_cy_per_px
     if curve.draws is not None:
         drawn = curve.draws[rng.integers(len(curve.draws), size=count)]
-        return np.array([np.interp(frequency, known, one) for one in drawn])
+        return np.array([np.interp(frequency, known, mtf) for mtf in drawn])
     ends = np.array([curve.value, curve.value]) if curve.interval68 is None else curve.interval68
     value, low, high = (float(np.interp(frequency, known, line)) for line in (curve.value, *ends))
     return value + 0.5 * (high - low) * rng.standard_normal(count)

@@ -37,9 +37,14 @@ def scan_directions(
         return
     fields = 2 if context.interlaced else 1
     scanner = replace(imager.scanner, lines_per_field=max(imager.scanner.lines_per_field // 2, 1))
-    own = replace(context, camera=replace(imager, scanner=scanner))
+    direction_context = replace(context, camera=replace(imager, scanner=scanner))
     rows = 2 * fields * (stack.shape[1] // (2 * fields))
     cut = None if region is None else (region[0] // 2, region[1], region[2] // 2, region[3])
     for number, direction in enumerate(DIRECTIONS):
         sets = stack.data[:, :rows].reshape(len(stack), -1, 2, fields, stack.shape[2])[:, :, number]
-        yield direction, replace(stack, data=sets.reshape(len(stack), -1, stack.shape[2])), cut, own
+        yield (
+            direction,
+            replace(stack, data=sets.reshape(len(stack), -1, stack.shape[2])),
+            cut,
+            direction_context,
+        )

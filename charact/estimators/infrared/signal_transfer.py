@@ -103,7 +103,7 @@ class SignalTransfer:
     """
 
     responses: tuple[Response, ...]
-    share: Array  # probability of each response, shape (response,)
+    probability: Array  # of each response, shape (response,)
     choice: NDArray[np.intp]  # response of each draw, shape (draw,)
     slope_dn_per_k: Array  # slope at the reference, shape (draw,), DN/K
     reference_k: float
@@ -120,8 +120,10 @@ class SignalTransfer:
         kelvin = np.broadcast_to(np.asarray(temperature_k, np.float64), self.choice.shape)
         ratio = np.empty(len(kelvin))
         for number, response in enumerate(self.responses):
-            own = self.choice == number
-            ratio[own] = response.derivative(kelvin[own]) / response.derivative(self.reference_k)
+            is_response = self.choice == number
+            ratio[is_response] = response.derivative(kelvin[is_response]) / response.derivative(
+                self.reference_k
+            )
         return self.slope_dn_per_k * ratio
 
     def law_dn(self, temperature_k: Array) -> Array:
@@ -136,7 +138,7 @@ class SignalTransfer:
     @property
     def likeliest(self) -> Response:
         """The most probable response."""
-        return self.responses[int(np.argmax(self.share))]
+        return self.responses[int(np.argmax(self.probability))]
 
 
 def fit_signal_transfer(
@@ -198,36 +200,36 @@ def fit_signal_transfer(
     crude = float(np.polyfit(temperature_k - reference, mean_dn, 1)[0])
     sd = np.hypot(sd_dn, crude * INFRARED.blackbody_sd_k)
     candidates = responses(band_um)
-    places = [_place(one, temperature_k, reference) for one in candidates]
-    fits = [linear_fit([np.ones(levels), place], mean_dn, sd) for place in places]
+    axes = [_place(response, temperature_k, reference) for response in candidates]
+    fits = [linear_fit([np.ones(levels), radiance], mean_dn, sd) for radiance in axes]
     freedom = INFRARED.scatter_freedom + levels - 2
     sums = np.array([INFRARED.scatter_freedom + fit.chi2 for fit in fits])
     logs = 0.5 * np.log([np.linalg.det(fit.covariance) for fit in fits]) - 0.5 * freedom * np.log(
         sums
     )
-    share = np.exp(logs - logs.max())
-    share /= share.sum()
+    probability = np.exp(logs - logs.max())
+    probability /= probability.sum()
     draws = INFRARED.draws
-    choice = rng.choice(len(candidates), draws, p=share)
+    choice = rng.choice(len(candidates), draws, p=probability)
     scale = np.sqrt(sums[choice] / rng.chisquare(freedom, draws))
     best, error = (np.array(values) for values in zip(*(_slope(fit) for fit in fits), strict=True))
     slope = best[choice] + error[choice] * scale * rng.standard_normal(draws)
-    between = rng.uniform(temperature_k.min(), temperature_k.max(), draws)
-    background = between if background_k is None else np.full(draws, background_k)
-    top = int(np.argmax(share))
+    any_background = rng.uniform(temperature_k.min(), temperature_k.max(), draws)
+    background = any_background if background_k is None else np.full(draws, background_k)
+    top = int(np.argmax(probability))
     bent, change = _parabola(
-        places[top], mean_dn, sd, candidates[top], reference, float(np.mean(background))
+        axes[top], mean_dn, sd, candidates[top], reference, float(np.mean(background))
     )
     law = fits[top].best
     return SignalTransfer(
         responses=candidates,
-        share=share,
+        probability=probability,
         choice=choice,
         slope_dn_per_k=slope,
         reference_k=reference,
         background_k=background,
         law=law,
-        residual_dn=mean_dn - law[0] - law[1] * places[top],
+        residual_dn=mean_dn - law[0] - law[1] * axes[top],
         chi2=fits[top].chi2,
         parabola_chi2=bent,
         parabola_slope=change,
@@ -247,15 +249,20 @@ def _slope(fit) -> tuple[float, float]:
 
 
 def _parabola(
-    place: Array, mean_dn: Array, sd: Array, response: Response, reference: float, background: float
+    radiance: Array,
+    mean_dn: Array,
+    sd: Array,
+    response: Response,
+    reference: float,
+    background: float,
 ) -> tuple[float, float]:
     """Return chi squared of the law with a quadratic term, and the relative change of the slope at
     the background.
     """
-    if len(place) < 4:
+    if len(radiance) < 4:
         return np.inf, 0.0
-    fit = linear_fit([np.ones(len(place)), place, place**2], mean_dn, sd)
-    plain = linear_fit([np.ones(len(place)), place], mean_dn, sd)
+    fit = linear_fit([np.ones(len(radiance)), radiance, radiance**2], mean_dn, sd)
+    plain = linear_fit([np.ones(len(radiance)), radiance], mean_dn, sd)
     at = float(_place(response, background, reference))
     return fit.chi2, float((fit.best[1] + 2.0 * fit.best[2] * at) / plain.best[1] - 1.0)
 
@@ -266,7 +273,7 @@ def band_note(band_um: Sequence[float] | None, transfer: SignalTransfer) -> str:
     """
     middle = float(np.median(transfer.background_k))
     if band_um is not None:
-        energy = next(one for one in transfer.responses if not one.photons)
+        energy = next(response for response in transfer.responses if not response.photons)
         per = float(np.median(transfer.sitf)) / float(energy.derivative(middle))
         return (
             f"Fitted against band radiance of {energy.name}: {per:.4g} DN per W m-2 sr-1, dL/dT "
@@ -274,8 +281,8 @@ def band_note(band_um: Sequence[float] | None, transfer: SignalTransfer) -> str:
         )
     bands = [Response(low_um=low, high_um=high) for low, high in ((8.0, 12.0), (3.0, 5.0))]
     growth = [
-        100.0 * (float(one.derivative(middle + 5.0) / one.derivative(middle)) - 1.0)
-        for one in bands
+        100.0 * (float(response.derivative(middle + 5.0) / response.derivative(middle)) - 1.0)
+        for response in bands
     ]
     return (
         "The band is unknown, so both windows and a signal linear in temperature were fitted "

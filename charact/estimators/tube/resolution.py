@@ -88,14 +88,16 @@ def highest_resolved(threshold: Array, frequency: Array) -> Array:
     `threshold`: shape (draw, frequency); `frequency`: shape (draw, frequency), increasing. NaN
     where no bars of the lowest frequency are resolved.
     """
-    beyond = threshold > 1.0
-    first = np.where(beyond.any(axis=1), beyond.argmax(axis=1), threshold.shape[1] - 1)
+    unresolved = threshold > 1.0
+    first = np.where(unresolved.any(axis=1), unresolved.argmax(axis=1), threshold.shape[1] - 1)
     rows = np.arange(len(threshold))
     before = np.maximum(first - 1, 0)
     high, low = np.log(threshold[rows, first]), np.log(threshold[rows, before])
-    share = np.where(high > 0, -low / np.maximum(high - low, 1e-12), 1.0)
-    found = frequency[rows, before] + share * (frequency[rows, first] - frequency[rows, before])
-    return np.where(first > 0, found, np.nan)
+    fraction = np.where(high > 0, -low / np.maximum(high - low, 1e-12), 1.0)
+    crossing = frequency[rows, before] + fraction * (
+        frequency[rows, first] - frequency[rows, before]
+    )
+    return np.where(first > 0, crossing, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,18 +157,18 @@ def add_resolution(
         missing = "it needs the MTF: an edge, bars or a point source in the session"
         return result + Result(measurements=tuple(_refused(missing, fields)))
     noise_flags = _flags(result.find("covariance_gain"))
-    found = [_in_bright_light(curve, fields) for curve in curves]
-    found.append(_figure_of_merit(curves[0], result, fields, rng))
+    measurements = [_in_bright_light(curve, fields) for curve in curves]
+    measurements.append(_figure_of_merit(curves[0], result, fields, rng))
     if missing:
-        found += _refused(missing, fields)[:2]
-        return result + Result(measurements=tuple(found))
+        measurements += _refused(missing, fields)[:2]
+        return result + Result(measurements=tuple(measurements))
     figure: dict[str, Any] = {
         "figure": "limiting-resolution",
         "illuminance_lux": [level.illuminance_lux for level in levels],
         "directions": [],
     }
     for curve in curves:
-        own = {
+        curve_fields = {
             **fields,
             "orientation_deg": curve.orientation_deg,
             "flags": tuple(dict.fromkeys((*curve.flags, *noise_flags))),
@@ -178,14 +180,16 @@ def add_resolution(
             for level in levels
         ]
         limits = [
-            _limiting(level, threshold, curve, own)
+            _limiting(level, threshold, curve, curve_fields)
             for level, threshold in zip(levels, thresholds, strict=True)
         ]
-        found += limits
+        measurements += limits
         for level, threshold in zip(levels, thresholds, strict=True):
-            found += _contrasts(level, threshold, curve, own)
+            measurements += _contrasts(level, threshold, curve, curve_fields)
         figure["directions"].append(_figure_data(curve, thresholds, limits))
-    return result + Result(measurements=tuple(found), evidence={"limiting resolution": figure})
+    return result + Result(
+        measurements=tuple(measurements), evidence={"limiting resolution": figure}
+    )
 
 
 def _figure_data(
@@ -194,9 +198,9 @@ def _figure_data(
     """Return limiting resolutions and median least contrasts of one direction."""
     return {
         "orientation_deg": curve.orientation_deg,
-        "limit_lp_per_mm": [one.value for one in limits],
+        "limit_lp_per_mm": [limit.value for limit in limits],
         "limit_interval95": [
-            None if one.interval95 is None else list(one.interval95) for one in limits
+            None if limit.interval95 is None else list(limit.interval95) for limit in limits
         ],
         "frequency_lp_per_mm": np.median(curve.frequency_lp_per_mm, axis=0).tolist(),
         "contrast": [np.median(threshold, axis=0).tolist() for threshold in thresholds],
@@ -221,7 +225,7 @@ def _flags(measurements: tuple[Measurement, ...]) -> tuple[str, ...]:
 
 def _curves(result: Result, sensor: Camera, rng: np.random.Generator) -> list[MtfDraws]:
     """Return the MTF along rows and columns, as far as it was measured."""
-    found = []
+    curves = []
     for orientation, names in CURVES.items():
         curve, m = _best_curve(result, names, orientation)
         if curve is None:
@@ -230,7 +234,7 @@ def _curves(result: Result, sensor: Camera, rng: np.random.Generator) -> list[Mt
         demagnification = lognormal_draws(sensor.taper.demagnification, rng, DETECTION.draws)
         at_cathode_um = pitch_um * demagnification / float(sensor.tube.magnification)
         shown = curve.frequency_cy_per_px > 0.0
-        found.append(
+        curves.append(
             MtfDraws(
                 orientation_deg=orientation,
                 frequency_cy_per_px=curve.frequency_cy_per_px[shown],
@@ -239,7 +243,7 @@ def _curves(result: Result, sensor: Camera, rng: np.random.Generator) -> list[Mt
                 flags=_flags(m),
             )
         )
-    return found
+    return curves
 
 
 def _best_curve(
@@ -251,11 +255,11 @@ def _best_curve(
             kind, _, label = key.partition(":")
             if kind != name and not (kind == "mtf" and orientation):
                 continue
-            own = [
+            candidates = [
                 m for m in result.find("mtf50") if m.value is not None and (m.stack or "") == label
             ]
-            own = [m for m in own if kind != "mtf_joint" or m.method == "joint"]
-            along = tuple(m for m in own if _is_along(m.orientation_deg, orientation))
+            candidates = [m for m in candidates if kind != "mtf_joint" or m.method == "joint"]
+            along = tuple(m for m in candidates if _is_along(m.orientation_deg, orientation))
             if along and curve.interval68 is not None:
                 return curve, along[:1]
     return None, ()
@@ -297,9 +301,14 @@ def _levels(
                 "px and more"
             ),
         )
-    lit = [label for label, used in zip(transfer["label"], transfer["fitted"], strict=True) if used]
+    lit = [
+        label for label, fitted in zip(transfer["label"], transfer["fitted"], strict=True) if fitted
+    ]
     known = {label: conditions[label] for label in lit if label in conditions}
-    if not all(one.illuminance_lux and gathering_s(one) for one in known.values()) or not known:
+    if (
+        not all(light.illuminance_lux and gathering_s(light) for light in known.values())
+        or not known
+    ):
         return [], "it needs the light: illuminance_lux and exposure_s or gate_ns of every flat"
     relative_sd, _ = relative_sd_of(list(known.values()), "lux")
     # The light may be brighter than stated; the noise at the stated light is then higher.
@@ -318,7 +327,7 @@ def _levels(
         ),
         strict=True,
     )
-    found = []
+    levels = []
     for label, signal, variance, sd, dark in rows:
         if label not in known or not signal > 0:
             continue
@@ -327,7 +336,7 @@ def _levels(
         )
         seconds, lux = gathering_s(known[label]), known[label].illuminance_lux
         assert seconds is not None and lux is not None
-        found.append(
+        levels.append(
             NoiseLevel(
                 label=label,
                 illuminance_lux=lux,
@@ -335,8 +344,8 @@ def _levels(
             )
         )
     return sorted(
-        found, key=lambda level: level.illuminance_lux
-    ), "" if found else "no flat is brighter than its dark"
+        levels, key=lambda level: level.illuminance_lux
+    ), "" if levels else "no flat is brighter than its dark"
 
 
 def _in_bright_light(curve: MtfDraws, fields: dict[str, Any]) -> Measurement:
@@ -347,8 +356,13 @@ def _in_bright_light(curve: MtfDraws, fields: dict[str, Any]) -> Measurement:
         f"modulation of {100 * DETECTION.modulation:g} %",
         *_sampling_note(limit, curve),
     )
-    own = {**fields, "flags": curve.flags, "orientation_deg": curve.orientation_deg, "notes": notes}
-    return measurement_from_draws("limiting_resolution", "lp/mm", limit, **own)
+    curve_fields = {
+        **fields,
+        "flags": curve.flags,
+        "orientation_deg": curve.orientation_deg,
+        "notes": notes,
+    }
+    return measurement_from_draws("limiting_resolution", "lp/mm", limit, **curve_fields)
 
 
 def _sampling_note(limit: Array, curve: MtfDraws) -> tuple[str, ...]:
@@ -360,7 +374,7 @@ def _sampling_note(limit: Array, curve: MtfDraws) -> tuple[str, ...]:
 
 
 def _limiting(
-    level: NoiseLevel, threshold: Array, curve: MtfDraws, own: dict[str, Any]
+    level: NoiseLevel, threshold: Array, curve: MtfDraws, curve_fields: dict[str, Any]
 ) -> Measurement:
     """Return the limiting resolution at the light of one flat, or a refusal."""
     limit = highest_resolved(threshold, curve.frequency_lp_per_mm)
@@ -374,31 +388,31 @@ def _limiting(
         reason = (
             f"at {level.illuminance_lux:.3g} lux not even bars of {lowest:.2g} lp/mm are resolved"
         )
-        fields = {key: value for key, value in own.items() if key != "flags"}
+        fields = {key: value for key, value in curve_fields.items() if key != "flags"}
         return make_refusal("limiting_resolution", "lp/mm", reason, stack=level.label, **fields)
     return measurement_from_draws(
-        "limiting_resolution", "lp/mm", limit, stack=level.label, **{**own, "notes": notes}
+        "limiting_resolution", "lp/mm", limit, stack=level.label, **{**curve_fields, "notes": notes}
     )
 
 
 def _contrasts(
-    level: NoiseLevel, threshold: Array, curve: MtfDraws, own: dict[str, Any]
+    level: NoiseLevel, threshold: Array, curve: MtfDraws, curve_fields: dict[str, Any]
 ) -> list[Measurement]:
     """Return the minimum resolvable contrast at the light of one flat."""
-    found = []
-    for share in DETECTION.shares_of_nyquist:
-        index = int(np.abs(curve.frequency_cy_per_px - share * NYQUIST).argmin())
+    contrasts = []
+    for nyquist_fraction in DETECTION.shares_of_nyquist:
+        index = int(np.abs(curve.frequency_cy_per_px - nyquist_fraction * NYQUIST).argmin())
         frequency = float(curve.frequency_cy_per_px[index])
-        place = {"stack": level.label, "frequency_cy_per_px": frequency}
+        point = {"stack": level.label, "frequency_cy_per_px": frequency}
         draws = threshold[:, index]
         if np.median(draws) > 1.0:
             reason = (
                 f"not resolved at {level.illuminance_lux:.3g} lux: a contrast of "
                 f"{np.median(draws):.2g} is needed"
             )
-            fields = {key: value for key, value in own.items() if key != "flags"}
-            found.append(
-                make_refusal("mrc", "1", reason, refusal="not-applicable", **place, **fields)
+            fields = {key: value for key, value in curve_fields.items() if key != "flags"}
+            contrasts.append(
+                make_refusal("mrc", "1", reason, refusal="not-applicable", **point, **fields)
             )
             continue
         lp_per_mm = float(np.median(curve.lp_per_mm)) * frequency
@@ -408,8 +422,10 @@ def _contrasts(
                 f"there"
             ),
         )
-        found.append(measurement_from_draws("mrc", "1", draws, **place, **{**own, "notes": notes}))
-    return found
+        contrasts.append(
+            measurement_from_draws("mrc", "1", draws, **point, **{**curve_fields, "notes": notes})
+        )
+    return contrasts
 
 
 def _figure_of_merit(
@@ -451,5 +467,10 @@ def _figure_of_merit(
         *notes_of(findings),
     )
     flags = tuple(dict.fromkeys((*curve.flags, *best.flags, *flags_of(findings))))
-    own = {**fields, "flags": flags, "notes": notes, "orientation_deg": curve.orientation_deg}
-    return measurement_from_draws("figure_of_merit", "lp/mm", draws, **own)
+    curve_fields = {
+        **fields,
+        "flags": flags,
+        "notes": notes,
+        "orientation_deg": curve.orientation_deg,
+    }
+    return measurement_from_draws("figure_of_merit", "lp/mm", draws, **curve_fields)
