@@ -59,7 +59,9 @@ def measure(
     ):
         chosen = choose("flats", "variance")
     result = add_event_gains(chosen.function(session, context=context), session, context=context)
-    return ready.in_dn(result) + defect_pixels(session, ready.surveys, ready.found, context=context)
+    return ready.in_dn(result) + defect_pixels(
+        session, ready.surveys, ready.defects, context=context
+    )
 
 
 def _has_small_white_frames(session: Session, context: Context) -> bool:

@@ -78,7 +78,7 @@ def spectrum_figure_data(summary: PooledNoise, fit: Fit) -> dict[str, Any]:
         "power_dn": summary.power_dn[order].tolist(),
         "power_sd_dn": summary.power_sd_dn[order].tolist(),
         "model_dn": fit.model_dn[order].tolist(),
-        "used": fit.used[order].tolist(),
+        "used": fit.in_band[order].tolist(),
         "variance_over_signal_dn": summary.variance_dn,
         "chi2": fit.chi2,
         "freedom": fit.freedom,
@@ -133,7 +133,7 @@ def _of_electrons(
         f"{100 * (1 - low / right):.2g} % low"
     )
     remedy = f"the covariance sum, which gives {right:.4g} DN/e- (covariance_gain)"
-    own, why = [*slope, with_remedy("correlated-noise", effect, remedy)], covariance
+    gain_findings, why = [*slope, with_remedy("correlated-noise", effect, remedy)], covariance
     blur = float(np.median(pooled.posterior["blur_factor"]))
     if blur < GAIN.min_blur_factor:
         effect = (
@@ -142,7 +142,7 @@ def _of_electrons(
         )
         remedy = "a sensor in session.toml that describes the blur"
         why = [*covariance, with_remedy("correlated-noise", effect, remedy)]
-    out = electron_quantities(pooled.series, gains, (own, why), context, fields)
+    out = electron_quantities(pooled.series, gains, (gain_findings, why), context, fields)
     if blur >= GAIN.min_blur_factor:
         return out
     floor = floor_of(pooled.series, pooled.posterior, context=context)
@@ -213,11 +213,12 @@ def _measure_levels(
 
 def image_size_obstacle(bins: list[Bins]) -> str | None:
     """Return why images have too few low frequencies for a covariance sum, or None."""
-    least = min(bins, key=lambda one: len(one.modes), default=None)
-    if least is None or len(least.modes) >= GAIN.min_bins:
+    smallest = min(bins, key=lambda stack_bins: len(stack_bins.modes), default=None)
+    if smallest is None or len(smallest.modes) >= GAIN.min_bins:
         return None
     return (
-        f"images of {least.window.size} px have too few low spatial frequencies for a covariance "
+        f"images of {smallest.window.size} px have too few low spatial frequencies for a "
+        "covariance "
         "sum; about 100 x 100 px are needed at least; the method variance works on any size"
     )
 
@@ -258,9 +259,9 @@ def _measure_series(
         pooled.departures() if tube or pooled.white else []
     )
     slope, plain, flags = common + bent + lagging + misfits, flags_of(common), flags_of(findings)
-    own = {"flags": flags, "notes": notes_of(findings), "posterior": posterior, **fields}
+    labels = {"flags": flags, "notes": notes_of(findings), "posterior": posterior, **fields}
     out = [
-        measurement_from_draws(name, unit, posterior[name], **own)
+        measurement_from_draws(name, unit, posterior[name], **labels)
         for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))
     ]
     if gains is not None:
@@ -290,12 +291,12 @@ def _figure_data(
 ) -> dict[str, Any]:
     """Return the figure data."""
     series, summary, posterior = pooled.series, pooled.summary, pooled.posterior
-    spectra = "many" if summary.lag.is_detected else "few"
+    spectra = "many_lags" if summary.lag.is_detected else "few_lags"
     middle = {
         name: float(np.median(posterior[name]))
         for name in ("covariance_gain", "blur_factor", "lag_factor")
     }
-    found = {
+    figures = {
         "photon-transfer": transfer_figure_data(
             series,
             gain=None if gain is None else float(np.median(gain)),
@@ -311,7 +312,7 @@ def _figure_data(
         "noise-spectrum": spectrum_figure_data(summary, pooled.fit),
         "autocorrelation": correlation_figure_data(series, summary),
     }
-    return found | ({"predictive-frames": predictive_figure_data(residuals)} if residuals else {})
+    return figures | ({"predictive-frames": predictive_figure_data(residuals)} if residuals else {})
 
 
 def _blur_of_darks(
@@ -325,21 +326,26 @@ def _blur_of_darks(
                 make_refusal("blur_factor", "1", f"{dark.label} does not change", **fields),
             )
         )
-    few, many = (
-        replace(one, power_dn2=0.0 * one.power_dn2, variance_dn2=0.0)
-        for one in (dark.few, dark.many)
+    few_lags, many_lags = (
+        replace(spectrum, power_dn2=0.0 * spectrum.power_dn2, variance_dn2=0.0)
+        for spectrum in (dark.few_lags, dark.many_lags)
     )
     nothing = replace(
-        dark, label="nothing", variance_dn2=0.0, variance_sd_dn2=0.0, few=few, many=many
+        dark,
+        label="nothing",
+        variance_dn2=0.0,
+        variance_sd_dn2=0.0,
+        few_lags=few_lags,
+        many_lags=many_lags,
     )
-    one = np.ones(1)
+    unit = np.ones(1)
     series = FlatSeries(
         flats=(dark,),
         darks=(nothing,),
         all_darks=(dark,),
-        signal_dn=one,
-        variance_dn2=one * dark.variance_dn2,
-        variance_sd_dn2=one * dark.variance_sd_dn2,
+        signal_dn=unit,
+        variance_dn2=unit * dark.variance_dn2,
+        variance_sd_dn2=unit * dark.variance_sd_dn2,
         fitted=np.ones(1, bool),
         peak=None,
         reference="dark",
@@ -351,7 +357,7 @@ def _blur_of_darks(
     flags = ("model-misfit",) if blur.chance < 1e-4 else ()
     flags += dark_clipping_flags(dark) + flags_of_rounding(dark.variance_dn2) + blur.posterior.flags
     note = ("from the darks alone: includes the white noise of the electronics",)
-    found = measurement_from_draws(
+    blur_factor = measurement_from_draws(
         "blur_factor",
         "1",
         blur.posterior["blur_factor"],
@@ -361,5 +367,6 @@ def _blur_of_darks(
         **fields,
     )
     return Result(
-        measurements=(found,), evidence={"noise-spectrum": spectrum_figure_data(summary, blur)}
+        measurements=(blur_factor,),
+        evidence={"noise-spectrum": spectrum_figure_data(summary, blur)},
     )

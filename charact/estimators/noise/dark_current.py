@@ -47,7 +47,9 @@ def dark_current(darks: list[StackStatistics], result: Result, *, context: Conte
         return Result()
     fields = fields_of(METHOD, context)
     rng = np.random.default_rng([context.seed, 11])
-    slopes = [found for group in _groups(darks) if (found := _slope(group, rng)) is not None]
+    slopes = [
+        group_slope for group in _groups(darks) if (group_slope := _slope(group, rng)) is not None
+    ]
     if not slopes:
         known = sorted(
             {d.conditions.exposure_s for d in darks if d.conditions.exposure_s is not None}
@@ -88,14 +90,14 @@ def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
     last = None
     for dark in sorted(
         max(group_by_gain(usable), key=len, default=[]),
-        key=lambda one: one.conditions.temperature_c or 0.0,
+        key=lambda level: level.conditions.temperature_c or 0.0,
     ):
-        here = dark.conditions.temperature_c
-        far = abs((here or 0.0) - (last or 0.0)) >= DARK_CURRENT.same_temperature_k
-        if not groups or (last is None) != (here is None) or far:
+        temperature_c = dark.conditions.temperature_c
+        differs = abs((temperature_c or 0.0) - (last or 0.0)) >= DARK_CURRENT.same_temperature_k
+        if not groups or (last is None) != (temperature_c is None) or differs:
             groups.append([])
         groups[-1].append(dark)
-        last = here
+        last = temperature_c
     return groups
 
 
@@ -130,9 +132,9 @@ def _findings(
     darks: list[StackStatistics], time: Array, mean: Array, sd: Array, slope: float
 ) -> list[Finding]:
     """Return the findings of an exposure series."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     if len(np.unique(time)) == 2:
-        found.append(
+        findings.append(
             Finding("too-few-frames", "from two exposures: proportionality cannot be checked")
         )
     if len(np.unique(time)) > 3:
@@ -142,10 +144,12 @@ def _findings(
         if bend > max(
             DARK_CURRENT.curvature * abs(slope) * time.max(), DARK_CURRENT.curvature_sd * error
         ):
-            found.append(Finding("nonlinear", "the level of darks is not linear in the exposure"))
+            findings.append(
+                Finding("nonlinear", "the level of darks is not linear in the exposure")
+            )
     if any(d.variance_dn2 < QUANTISED_DN2 for d in darks):
         words = "the noise of darks is smaller than the quantisation step, which biases their level"
-        found.append(Finding("quantised", words))
+        findings.append(Finding("quantised", words))
     rise = abs(slope) * float(np.ptp(time))
     for dark in darks:
         drift = abs(drift_and_flicker(dark)[0])
@@ -154,12 +158,12 @@ def _findings(
                 f"{dark.label} drifts by {drift:.3g} DN, compared with {rise:.3g} DN between "
                 f"exposures"
             )
-            found.append(Finding("drift", words))
+            findings.append(Finding("drift", words))
     if any((d.conditions.mcp_v or 0.0) > 0 for d in darks):
-        found.append(
+        findings.append(
             Finding(None, "with the tube on: includes the tube's background illumination (EBI)")
         )
-    return found
+    return findings
 
 
 def _current(
@@ -227,8 +231,8 @@ def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) 
     )
     spread = np.hypot(log2.std(axis=1), law_sd)
     log2 = log2 + law_sd * rng.standard_normal(log2.shape)
-    away = warm - np.average(warm, weights=spread**-2)
-    rise = (away / spread**2) @ log2 / ((away / spread**2) @ warm)
+    centred_k = warm - np.average(warm, weights=spread**-2)
+    rise = (centred_k / spread**2) @ log2 / ((centred_k / spread**2) @ warm)
     if np.quantile(rise, 0.025) <= 0:
         reason = (
             f"the dark current does not rise between {warm.min():.1f} and {warm.max():.1f} "
@@ -237,8 +241,8 @@ def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) 
         return make_refusal(*name, reason, **fields)
     findings = [finding for slope in known for finding in slope.findings]
     middle = np.median(log2, axis=1)
-    rest = middle - np.average(middle, weights=spread**-2) - np.median(rise) * away
-    if np.any(np.abs(rest) > DARK_CURRENT.curvature_sd * spread):
+    residual = middle - np.average(middle, weights=spread**-2) - np.median(rise) * centred_k
+    if np.any(np.abs(residual) > DARK_CURRENT.curvature_sd * spread):
         findings.append(
             Finding("model-misfit", "the dark current does not double at equal temperature steps")
         )

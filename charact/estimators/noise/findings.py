@@ -29,16 +29,16 @@ def with_remedy(flag: str, effect: str, remedy: str) -> Finding:
 
 def flags_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Return the flags without repetition."""
-    return tuple(dict.fromkeys(one.flag for one in findings if one.flag))
+    return tuple(dict.fromkeys(finding.flag for finding in findings if finding.flag))
 
 
 def notes_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Return the notes without repetition; that of a flag begins with it."""
     named = (
-        f"{one.flag}: {one.note}"
-        if one.flag and one.note and not one.note.startswith(f"{one.flag}: ")
-        else one.note
-        for one in findings
+        f"{finding.flag}: {finding.note}"
+        if finding.flag and finding.note and not finding.note.startswith(f"{finding.flag}: ")
+        else finding.note
+        for finding in findings
     )
     return tuple(dict.fromkeys(named))
 
@@ -69,9 +69,9 @@ class Cause:
     stage: str
     remedy: str
 
-    def finding(self, flag: str, seen: str) -> flags.Finding:
+    def finding(self, flag: str, evidence: str) -> flags.Finding:
         """Return the finding of a flag by what was seen."""
-        return flags.Finding(flag=flag, effect=f"{self.stage}: {seen}", remedy=self.remedy)
+        return flags.Finding(flag=flag, effect=f"{self.stage}: {evidence}", remedy=self.remedy)
 
 
 AVERAGED = Cause(

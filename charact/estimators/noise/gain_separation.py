@@ -118,9 +118,9 @@ def separate_gains(
     low, high = np.quantile(electrons, [0.025, 0.975])
     if (high - low) / np.median(posterior["covariance_gain"]) <= GAIN.max_floor_range:
         note = (f"covariance_gain less K, which is {floor.source}",)
-        kept = posterior_of("pulse_gain", "DN", pulses, seed)
+        draws = posterior_of("pulse_gain", "DN", pulses, seed)
         out.append(
-            measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=kept, **noisy)
+            measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=draws, **noisy)
         )
     else:
         reason = (
@@ -143,10 +143,12 @@ def separate_gains(
         response.note,
         "the interval includes the uncertainty of the photocathode's sensitivity",
     )
-    kept = posterior_of("photoelectron_gain", "DN/pe", gain, seed)
+    draws = posterior_of("photoelectron_gain", "DN/pe", gain, seed)
     # k does not take the flags of the covariance gain.
-    own = {**fields, "flags": flags, "notes": notes}
-    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", gain, posterior=kept, **own))
+    gain_fields = {**fields, "flags": flags, "notes": notes}
+    out.append(
+        measurement_from_draws("photoelectron_gain", "DN/pe", gain, posterior=draws, **gain_fields)
+    )
     if pulses is None:
         out.append(
             make_refusal("excess_noise_factor", "1", "k F2 is not known; see pulse_gain", **fields)
@@ -237,29 +239,29 @@ def add_event_gains(result: Result, session: Session, *, context: Context) -> Re
     their posteriors; without either it is returned unchanged; `session`: the session, with the gain
     of the dark stack.
     """
-    flats = [one for one in result.find("pulse_gain") if one.posterior is not None]
-    darks = [one for one in result.find("detected_photoelectron_gain") if one.posterior is not None]
+    flats = [m for m in result.find("pulse_gain") if m.posterior is not None]
+    darks = [m for m in result.find("detected_photoelectron_gain") if m.posterior is not None]
     if not flats or not darks or not _same_gain(session, darks[0]):
         return result
     parted = _event_gains(result, flats[0], darks[0], context)
-    better = {one.quantity for one in result.find("tube_snr") if one.value is not None}
-    new = tuple(one for one in parted if one.quantity not in better)
-    named = {one.quantity for one in new}
+    better = {m.quantity for m in result.find("tube_snr") if m.value is not None}
+    new = tuple(m for m in parted if m.quantity not in better)
+    named = {m.quantity for m in new}
     return replace(
         result,
-        measurements=(*(one for one in result.measurements if one.quantity not in named), *new),
+        measurements=(*(m for m in result.measurements if m.quantity not in named), *new),
     )
 
 
 def _same_gain(session: Session, dark: Measurement) -> bool:
     """Return whether a dark stack was taken at the gain of most flats."""
-    (most, _), *_ = Counter(
+    (main_gain, _), *_ = Counter(
         gain_of(entry.conditions) for entry in session.of_kind("flat")
     ).most_common()
-    here = [
+    dark_gains = [
         gain_of(entry.conditions) for entry in session.of_kind("dark") if entry.label == dark.stack
     ]
-    return most in here
+    return main_gain in dark_gains
 
 
 def _event_gains(
@@ -272,56 +274,54 @@ def _event_gains(
     rng = np.random.default_rng([context.seed, 41])
     pulses = rng.choice(flats.posterior["pulse_gain"], SNR.separation_draws)
     height = rng.choice(darks.posterior["height_dn"], SNR.separation_draws)
-    share, note = detection(context, rng, SNR.separation_draws)
-    gain, agreement = _gain(result, flats.method, height, share, rng)
+    detected, note = detection(context, rng, SNR.separation_draws)
+    gain, agreement = _gain(result, flats.method, height, detected, rng)
     flags = tuple(dict.fromkeys((*flats.flags, *darks.flags)))
-    own: dict[str, Any] = {
+    labels: dict[str, Any] = {
         "method": f"{flats.method} + {darks.method}",
         "provenance": flats.provenance,
         "flags": flags,
     }
-    out = [measurement_from_draws("pulse_height_factor", "1", pulses / height, **own)]
-    own["flags"] += ("model-misfit",) if agreement < SNR.min_agreement else ()
+    out = [measurement_from_draws("pulse_height_factor", "1", pulses / height, **labels)]
+    labels["flags"] += ("model-misfit",) if agreement < SNR.min_agreement else ()
     notes = (
         note,
         "from the light and single photoelectrons"
         if agreement < 1.0
         else "from single photoelectrons of the dark frames",
     )
-    kept = posterior_of("photoelectron_gain", "DN/pe", gain, context.seed)
+    gain_posterior = posterior_of("photoelectron_gain", "DN/pe", gain, context.seed)
     out.append(
         measurement_from_draws(
-            "photoelectron_gain", "DN/pe", gain, notes=notes, posterior=kept, **own
+            "photoelectron_gain", "DN/pe", gain, notes=notes, posterior=gain_posterior, **labels
         )
     )
     factor = pulses / gain
-    out.append(measurement_from_draws("excess_noise_factor", "1", factor, notes=notes, **own))
+    out.append(measurement_from_draws("excess_noise_factor", "1", factor, notes=notes, **labels))
     if has_tube(context.camera):
         sensitivity = context.camera.photocathode.luminous_sensitivity_ua_per_lm
         draws = snr_from_specification(
             lognormal_draws(sensitivity, rng, SNR.separation_draws), factor
         )
         notes = (*notes, "luminous sensitivity from the sensor description")
-        out.append(measurement_from_draws("tube_snr", "1", draws, notes=notes, **own))
+        out.append(measurement_from_draws("tube_snr", "1", draws, notes=notes, **labels))
     return out
 
 
 def _gain(
-    result: Result, method: str, height: Array, share: Array, rng: np.random.Generator
+    result: Result, method: str, height: Array, detected: Array, rng: np.random.Generator
 ) -> tuple[Array, float]:
     """Return draws of k, and the effective fraction consistent with light and pulses; 1 without a
     known light.
     """
-    lit = [
-        one for one in result.find("photoelectron_gain", method=method) if one.posterior is not None
-    ]
+    lit = [m for m in result.find("photoelectron_gain", method=method) if m.posterior is not None]
     if not lit or lit[0].posterior is None:
-        return share * height, 1.0
+        return detected * height, 1.0
     gain = rng.choice(lit[0].posterior["photoelectron_gain"], SNR.separation_draws)
-    density, edges = np.histogram(np.log(share), bins=SNR.bins, density=True)
-    place = np.searchsorted(edges, np.log(gain / height)) - 1
-    inside = (place >= 0) & (place < SNR.bins)
-    weight = np.where(inside, density[np.clip(place, 0, SNR.bins - 1)], 0.0)
+    density, edges = np.histogram(np.log(detected), bins=SNR.bins, density=True)
+    cell = np.searchsorted(edges, np.log(gain / height)) - 1
+    is_inside = (cell >= 0) & (cell < SNR.bins)
+    weight = np.where(is_inside, density[np.clip(cell, 0, SNR.bins - 1)], 0.0)
     if not weight.any():
         return gain, 0.0
     agreement = float(weight.sum() ** 2 / (weight**2).sum() / SNR.separation_draws)

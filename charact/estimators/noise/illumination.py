@@ -143,8 +143,8 @@ class StatedIllumination:
         from scipy.special import ndtri
 
         # Every quantile once, in random order, leaves the median of a product unchanged.
-        place = np.random.default_rng([seed, 21]).permutation(count)
-        return np.exp(self.relative_sd * ndtri((place + 0.5) / count))
+        rank = np.random.default_rng([seed, 21]).permutation(count)
+        return np.exp(self.relative_sd * ndtri((rank + 0.5) / count))
 
     @property
     def note(self) -> str:
@@ -192,10 +192,10 @@ def light_of_series(flats: Sequence[StackStatistics]) -> StatedIllumination:
         if any(times) and not all(times):
             raise Unmeasurable("either all flats must state exposure_s or gate_ns, or none")
         longest = max((time for time in times if time), default=None)
-        share = np.array(
+        relative_time = np.array(
             [1.0 if time is None or longest is None else time / longest for time in times]
         )
-        amount, unit = np.array(lux, float) * share, "lux"
+        amount, unit = np.array(lux, float) * relative_time, "lux"
         relative_sd, stated = relative_sd_of(known, unit)
         return StatedIllumination(
             amount=amount, unit=unit, seconds=longest, relative_sd=relative_sd, stated=stated
@@ -246,9 +246,9 @@ def response_draws(
     """
     from scipy.special import softmax
 
-    ratio, own = np.log(signal / amount), sd / signal
+    ratio, relative_sd = np.log(signal / amount), sd / signal
     departure = np.geomspace(*SNR.departure_range, SNR.departures)
-    weight = 1.0 / (own**2 + departure[:, None] ** 2)
+    weight = 1.0 / (relative_sd**2 + departure[:, None] ** 2)
     total = weight.sum(axis=1)
     mean = (weight * ratio).sum(axis=1) / total
     misfit = (weight * (ratio - mean[:, None]) ** 2).sum(axis=1)

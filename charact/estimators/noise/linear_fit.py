@@ -42,8 +42,8 @@ def linear_fit(
         weight = np.linalg.pinv(np.diag(np.maximum(sd, 1e-12) ** 2) + np.outer(shared, shared))
     covariance = np.asarray(np.linalg.pinv(design @ weight @ design.T), np.float64)
     best = covariance @ (design @ weight @ y)
-    rest = y - best @ design
-    return LinearFit(best, covariance, float(rest @ weight @ rest))
+    residual = y - best @ design
+    return LinearFit(best, covariance, float(residual @ weight @ residual))
 
 
 def weighted_mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -73,8 +73,10 @@ def draw_posterior(
     """
 
     def inside_bounds(points: Array) -> Array:
-        inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
-        return np.where(inside, log_probability(np.where(inside[:, None], points, start)), -np.inf)
+        is_inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
+        return np.where(
+            is_inside, log_probability(np.where(is_inside[:, None], points, start)), -np.inf
+        )
 
     point, covariance = find_maximum(inside_bounds, start, bounds)
     drawn = method(

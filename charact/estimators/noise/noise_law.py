@@ -108,7 +108,7 @@ def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference:
     """
     design, data, sd = _equations(levels)
     best, covariance, chi2 = linear_fit(list(design.T), data, sd)
-    rest = data - design @ best
+    residual = data - design @ best
     freedom = int(levels.fitted.sum()) - 1
     stretch = max(1.0, chi2 / freedom) if freedom else 1.0
     drawn = _positive(rng, best, covariance * stretch, (reference, len(best) - 2))
@@ -118,7 +118,7 @@ def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference:
         [drawn[:, reference], drawn[:, -2], drawn[:, -1] / brightest**2, pattern], axis=1
     )
     posterior = Posterior(names=NAMES, units=UNITS, draws=draws, sampler="laplace")
-    return NoiseLaw(posterior=posterior, misfit=_misfit(rest, levels, chi2, freedom))
+    return NoiseLaw(posterior=posterior, misfit=_misfit(residual, levels, chi2, freedom))
 
 
 def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
@@ -127,7 +127,7 @@ def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
     """
     chosen = np.flatnonzero(levels.fitted)
     darks, signal = len(levels.dark_variance_dn2), levels.signal_dn[chosen]
-    own = np.eye(darks)[levels.dark[chosen]]
+    dark_columns = np.eye(darks)[levels.dark[chosen]]
     bend = (signal / signal.max()) ** 2
     shot = levels.variance_dn2[chosen] - levels.dark_variance_dn2[levels.dark[chosen]]
     brightest = max(
@@ -136,7 +136,7 @@ def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
     design = np.vstack(
         [
             np.hstack([np.eye(darks), np.zeros((darks, 2))]),
-            np.column_stack([own, signal, bend]),
+            np.column_stack([dark_columns, signal, bend]),
             np.eye(darks + 2)[-1:],
         ]
     )
@@ -149,11 +149,11 @@ def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
     return design, data, np.maximum(np.concatenate(sd), 1e-12)
 
 
-def _misfit(rest: Array, levels: SignalNoiseSeries, chi2: float, freedom: int) -> str | None:
+def _misfit(residual: Array, levels: SignalNoiseSeries, chi2: float, freedom: int) -> str | None:
     """Return the note on a significant deviation of the levels from the law, or None."""
     from scipy.special import chdtrc
 
-    flats = rest[len(levels.dark_variance_dn2) : -1] / levels.variance_dn2[levels.fitted]
+    flats = residual[len(levels.dark_variance_dn2) : -1] / levels.variance_dn2[levels.fitted]
     if (
         freedom < 1
         or chdtrc(freedom, chi2) > SNR.min_p_value
@@ -171,9 +171,9 @@ def _positive(
 ) -> Array:
     """Return normal draws with some parameters not negative."""
     drawn = rng.multivariate_normal(mean, covariance, 4 * SNR.draws, method="eigh")
-    good = drawn[(drawn[:, which] >= 0).all(axis=1)]
-    if len(good) >= SNR.draws:
-        return good[: SNR.draws]
+    positive = drawn[(drawn[:, which] >= 0).all(axis=1)]
+    if len(positive) >= SNR.draws:
+        return positive[: SNR.draws]
     drawn[:, which] = np.abs(drawn[:, which])
     return drawn[: SNR.draws]
 
@@ -208,7 +208,7 @@ def area_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
     shares = shares_of(series.flats[0].bins)
 
     def of(level: StackStatistics) -> tuple[float, float]:
-        spectrum = level.many if lag.is_detected else level.few
+        spectrum = level.many_lags if lag.is_detected else level.few_lags
         correlation = lag.correlation if lag.is_detected else np.empty(0)
         count = level.runs * n_effective_samples(
             level.time, level.parity, spectrum.lags, correlation
@@ -222,8 +222,10 @@ def flats_without_clipping(series: FlatSeries) -> NDArray[np.bool_]:
     """Return which flats have unclipped noise: neither at full scale nor beyond the variance
     peak.
     """
-    whole = np.array([flat.high_fraction <= CLIPPED_SHARE for flat in series.flats])
-    return whole & (np.arange(len(whole)) <= (len(whole) if series.peak is None else series.peak))
+    is_unclipped = np.array([flat.high_fraction <= CLIPPED_SHARE for flat in series.flats])
+    return is_unclipped & (
+        np.arange(len(is_unclipped)) <= (len(is_unclipped) if series.peak is None else series.peak)
+    )
 
 
 def pattern_of(series: FlatSeries) -> tuple[float, float]:
@@ -273,10 +275,10 @@ def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
     if not lag.is_detected:
         return level.variance_dn2, float(np.hypot(level.variance_sd_dn2, steps))
     correlation = lag.correlation
-    same = same_row_lags(level.many.lags, level.parity)
+    same = same_row_lags(level.many_lags.lags, level.parity)
     known, plain = (
         n_effective_samples(level.time, level.parity, lags, correlation, within_parity=True)
         for lags in (same, same[:1])
     )
     stretch = np.sqrt(max(1.0, plain / known))
-    return level.many.variance_dn2, float(np.hypot(level.variance_sd_dn2 * stretch, steps))
+    return level.many_lags.variance_dn2, float(np.hypot(level.variance_sd_dn2 * stretch, steps))

@@ -30,12 +30,12 @@ def step_of(values: NDArray[np.float64]) -> float | None:
     real = gaps[gaps > noise]
     if not len(real):
         return None
-    least = float(real.min())
-    step = float(np.mean(real[real < 1.5 * least]))
-    whole = gaps / step
+    smallest = float(real.min())
+    step = float(np.mean(real[real < 1.5 * smallest]))
+    multiples = gaps / step
     return (
         step
-        if np.all(np.abs(whole - np.rint(whole)) < SURVEY.step_tolerance + noise / step)
+        if np.all(np.abs(multiples - np.rint(multiples)) < SURVEY.step_tolerance + noise / step)
         else 0.0
     )
 
@@ -81,10 +81,10 @@ class PixelSurvey:
     bright: Places = field(default_factory=_no_places)
     faint: Places = field(default_factory=_no_places)
     threshold_dn: float = 0.0  # distance threshold, DN
-    # least, most: their numbers if each mean were 1 and 1.96 standard errors closer to the
-    # surrounding ones, or farther
-    least: tuple[int, int] = (0, 0)
-    most: tuple[int, int] = (0, 0)
+    # lower_counts, upper_counts: their numbers if each mean were 1 and 1.96 standard errors closer
+    # to the surrounding ones, or farther
+    lower_counts: tuple[int, int] = (0, 0)
+    upper_counts: tuple[int, int] = (0, 0)
     # positions of pixels with outliers in some frames
     sudden: Places = field(default_factory=_no_places)
     # departure_dn, times, frame: for each such pixel the largest deviation, DN, the number of
@@ -108,12 +108,15 @@ class PixelSurvey:
 
     def tail_dn(self, without: NDArray[np.bool_]) -> float:
         """Return the extrapolated limit of the stack's tail, without some pixels, DN."""
-        kept = np.abs(self.sample[~without[self.sample_place]])
-        if kept.size < 100:
+        sizes = np.abs(self.sample[~without[self.sample_place]])
+        if sizes.size < 100:
             return np.inf
-        places = [int(kept.size * (1.0 - chance)) for chance in (1e-2, 1e-3)]
-        near, far = np.partition(kept, places)[places]
-        return max(float(far + SURVEY.tail_decades * (far - near)), SURVEY.sudden_sd * self.sd_dn)
+        ranks = [int(sizes.size * (1.0 - chance)) for chance in (1e-2, 1e-3)]
+        hundredth, thousandth = np.partition(sizes, ranks)[ranks]
+        return max(
+            float(thousandth + SURVEY.tail_decades * (thousandth - hundredth)),
+            SURVEY.sudden_sd * self.sd_dn,
+        )
 
 
 def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
@@ -125,8 +128,8 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     frames, rows, cols = stack.shape
     first = _pixel_rows(stack.frames(0, min(frames, 2)), entry)
     every = max(1, rows * cols // SURVEY.sample) | 1
-    place = np.arange(0, rows * cols, every)
-    values = first[:, place].astype(np.float64)
+    pixel = np.arange(0, rows * cols, every)
+    values = first[:, pixel].astype(np.float64)
     change = values[-1] - values[0]
     change -= np.median(change)
     step = step_of(values)
@@ -140,7 +143,7 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
         "step_dn": step,
         "sd_dn": sd,
         "sample": (change / np.sqrt(2.0)).astype(np.float32),
-        "sample_place": place,
+        "sample_place": pixel,
     }
     if (
         frames < 2
@@ -154,22 +157,24 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
         for at in range(0, frames, STACK.block_frames)
     )
     if frames == 2:
-        found = _sudden_in_pair(first, SURVEY.sudden_sd * sd)
+        outliers = _sudden_in_pair(first, SURVEY.sudden_sd * sd)
         highest, lowest = np.float32(np.maximum(*first)), np.float32(np.minimum(*first))
         total = highest + lowest
     else:
         extremes = _Extremes(rows * cols)
         for at, block in blocks:
             _extend(block, at, *extremes.arrays)
-        found = extremes.sudden(frames, SURVEY.sudden_sd * sd)
+        outliers = extremes.sudden(frames, SURVEY.sudden_sd * sd)
         total, highest, lowest = extremes.total, extremes.high, extremes.low
     if means:
         # Means without their extreme value: one struck frame makes no bright pixel.
-        rest = [(total - top) / np.float32(frames - 1) for top in (highest, lowest)]
+        trimmed_means = [(total - top) / np.float32(frames - 1) for top in (highest, lowest)]
         common |= _outlying_means(
-            rest[0].reshape(rows, cols), rest[1].reshape(rows, cols), sd / np.sqrt(frames)
+            trimmed_means[0].reshape(rows, cols),
+            trimmed_means[1].reshape(rows, cols),
+            sd / np.sqrt(frames),
         )
-    return PixelSurvey(**common, **found)
+    return PixelSurvey(**common, **outliers)
 
 
 def _pixel_rows(data: NDArray, entry: StackEntry) -> NDArray:
@@ -189,10 +194,10 @@ def _pixel_rows(data: NDArray, entry: StackEntry) -> NDArray:
 def _robust_sd(change: Array, step: float | None) -> float:
     """Return a robust standard deviation, at least that of rounding."""
     size = np.abs(change)
-    half, most = np.quantile(size, [0.5, 0.95])
-    if most <= 0:
+    half, quantile95 = np.quantile(size, [0.5, 0.95])
+    if quantile95 <= 0:
         return 0.0
-    return float(max(half / 0.6745, most / 1.96, (step or 0.0) / np.sqrt(6.0)))
+    return float(max(half / 0.6745, quantile95 / 1.96, (step or 0.0) / np.sqrt(6.0)))
 
 
 @njit(cache=True)
@@ -213,13 +218,13 @@ def _sudden_in_pair(pair: NDArray, limit: float) -> dict:
     middle = float(np.median(pair[1, ::7].astype(np.float64) - pair[0, ::7]))
     out = np.empty(int(SURVEY.max_fraction * pair.shape[1]) + 1, np.int64)
     count = _pair_departs(pair[0], pair[1], middle, limit * np.sqrt(2.0), out)
-    places = out[: min(count, len(out))]
-    departure = np.abs(pair[1, places].astype(float) - pair[0, places] - middle) / np.sqrt(2.0)
+    pixels = out[: min(count, len(out))]
+    departure = np.abs(pair[1, pixels].astype(float) - pair[0, pixels] - middle) / np.sqrt(2.0)
     return {
-        "sudden": places,
+        "sudden": pixels,
         "departure_dn": departure,
-        "times": np.ones(len(places), np.int64),
-        "frame": np.full(len(places), -1),
+        "times": np.ones(len(pixels), np.int64),
+        "frame": np.full(len(pixels), -1),
     }
 
 
@@ -250,17 +255,17 @@ class _Extremes:
         middle = (self.total - self.high - self.low) / np.float32(frames - 2)
         limit *= float(np.sqrt(1.0 + 1.0 / (frames - 2)))
         up, down = self.high - middle, middle - self.low
-        places = np.flatnonzero((up > limit) | (down > limit))[
+        pixels = np.flatnonzero((up > limit) | (down > limit))[
             : int(SURVEY.max_fraction * len(middle)) + 1
         ]
         times = sum(
-            (np.abs(one[places] - middle[places]) > limit).astype(np.int64)
-            for one in (self.high, self.next_high, self.low, self.next_low)
+            (np.abs(extreme[pixels] - middle[pixels]) > limit).astype(np.int64)
+            for extreme in (self.high, self.next_high, self.low, self.next_low)
         )
-        where = np.where(up[places] > down[places], self.high_at[places], self.low_at[places])
+        where = np.where(up[pixels] > down[pixels], self.high_at[pixels], self.low_at[pixels])
         return {
-            "sudden": places,
-            "departure_dn": np.maximum(up[places], down[places]).astype(float),
+            "sudden": pixels,
+            "departure_dn": np.maximum(up[pixels], down[pixels]).astype(float),
             "times": np.asarray(times),
             "frame": where.astype(np.int64),
         }
@@ -293,25 +298,25 @@ def _outlying_means(
     """Return the pixels whose mean is far from the surrounding median, row and column offsets
     removed.
     """
-    above, below = _high_pass(without_top), _high_pass(without_low)
-    size = 0.5 * (above + below).ravel()[::3]
+    with_low, with_top = _high_pass(without_top), _high_pass(without_low)
+    size = 0.5 * (with_low + with_top).ravel()[::3]
     threshold = SURVEY.outlying_sd * max(
         1.4826 * float(np.median(np.abs(size - np.median(size)))), error
     )
 
-    def beyond(nearer_dn: float) -> int:
+    def outliers_of(nearer_dn: float) -> int:
         limit = max(threshold + nearer_dn, 0.0)
-        return int(np.count_nonzero((above > limit) | (below < -limit)))
+        return int(np.count_nonzero((with_low > limit) | (with_top < -limit)))
 
-    bright, faint = np.flatnonzero(above > threshold), np.flatnonzero(below < -threshold)
-    if len(bright) + len(faint) > SURVEY.max_fraction * above.size:
+    bright, faint = np.flatnonzero(with_low > threshold), np.flatnonzero(with_top < -threshold)
+    if len(bright) + len(faint) > SURVEY.max_fraction * with_low.size:
         bright = faint = _no_places()
     return {
         "bright": bright,
         "faint": faint,
         "threshold_dn": threshold,
-        "least": (beyond(error), beyond(1.96 * error)),
-        "most": (beyond(-error), beyond(-1.96 * error)),
+        "lower_counts": (outliers_of(error), outliers_of(1.96 * error)),
+        "upper_counts": (outliers_of(-error), outliers_of(-1.96 * error)),
     }
 
 
@@ -319,7 +324,7 @@ def _high_pass(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return an image without shading and row and column offsets."""
     from cv2 import medianBlur
 
-    rest = image - medianBlur(np.ascontiguousarray(image), 5)
-    rest -= np.median(rest, axis=0, keepdims=True)
-    rest -= np.median(rest, axis=1, keepdims=True)
-    return rest
+    residual = image - medianBlur(np.ascontiguousarray(image), 5)
+    residual -= np.median(residual, axis=0, keepdims=True)
+    residual -= np.median(residual, axis=1, keepdims=True)
+    return residual

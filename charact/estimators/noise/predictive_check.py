@@ -38,7 +38,7 @@ class LightNoise:
     # parameters of `charact.estimators.noise.gain.model.transfer`; None: no blur
     blur: NDArray[np.float64] | None = None
     reading: PixelReadoutModel = field(default_factory=PixelReadoutModel)  # pixel readout
-    kept: float = 0.0  # fraction of the light left one exposure later, dimensionless
+    retained: float = 0.0  # fraction of the light left one exposure later, dimensionless
 
     def frames(self, light_dn: Array, count: int, every: int, rng: np.random.Generator) -> Array:
         """Draw every `every`-th of successive exposures, shape (count, row, col), DN above the
@@ -51,7 +51,7 @@ class LightNoise:
         glow = self._pulses(light_dn, np.inf, rng)
         out = [glow]
         for _ in range(count - 1):
-            glow = self.kept**every * glow + self._pulses(light_dn, every, rng)
+            glow = self.retained**every * glow + self._pulses(light_dn, every, rng)
             out.append(glow)
         light, blur = np.array(out), self._blur(light_dn.shape)
         if blur is not None:
@@ -64,16 +64,21 @@ class LightNoise:
         Of i exposures ago the fraction (1 - r) r^i is left. Pulses of one height law replace those
         of all exposures: their sum has the same mean, variance and third cumulant.
         """
-        one, two, three = (
-            (1.0 - self.kept) ** k * (1.0 - self.kept ** (k * exposures)) / (1.0 - self.kept**k)
+        first, squared, cubed = (
+            (1.0 - self.retained) ** k
+            * (1.0 - self.retained ** (k * exposures))
+            / (1.0 - self.retained**k)
             for k in (1, 2, 3)
         )
         # Second over first moment of the heights, and third over second.
-        second = self.pulse_dn * (1.0 + self.height_variance) * two / one
-        third = self.pulse_dn * (1.0 + 2.0 * self.height_variance) * three / two
-        third = min(third, PREDICTIVE.max_skewness * second)
-        height, variance = 2.0 * second - third, (third - second) / (2.0 * second - third)
-        number = rng.poisson(one * light_dn / height)
+        mean_height = self.pulse_dn * (1.0 + self.height_variance) * squared / first
+        skewed_height = self.pulse_dn * (1.0 + 2.0 * self.height_variance) * cubed / squared
+        skewed_height = min(skewed_height, PREDICTIVE.max_skewness * mean_height)
+        height, variance = (
+            2.0 * mean_height - skewed_height,
+            (skewed_height - mean_height) / (2.0 * mean_height - skewed_height),
+        )
+        number = rng.poisson(first * light_dn / height)
         if variance < 1e-9:
             return number * height
         return height * variance * rng.standard_gamma(number / variance)
@@ -103,15 +108,15 @@ class LightNoise:
 def pulse_noise(
     posterior: Posterior,
     index: int,
-    share: float,
+    level_factor: float,
     reading: PixelReadoutModel,
     rng: np.random.Generator,
 ) -> LightNoise:
     """Return the noise of an intensified camera for one draw of the noise-spectrum model.
 
     `posterior`, `index`: draws of `charact.estimators.noise.gain.model`, and the index of one;
-    `share`: covariance over signal of this level over the pooled one, dimensionless; `reading`:
-    pixel readout; `rng`: generator for the pulse-height variance.
+    `level_factor`: covariance over signal of this level over the pooled one, dimensionless;
+    `reading`: pixel readout; `rng`: generator for the pulse-height variance.
 
     The spectrum gives k F^2; the relative variance of heights is drawn from its prior. Image lag
     that leaves the fraction r per exposure lowers the covariance of one exposure by (1 - r) / (1 +
@@ -122,12 +127,12 @@ def pulse_noise(
     spread = float(rng.uniform(*PREDICTIVE.height_variances))
     factor = max(at["lag_factor"], 1.0)
     return LightNoise(
-        pulse_dn=share * at["power"] * factor * (1.0 - electrons) / (1.0 + spread),
+        pulse_dn=level_factor * at["power"] * factor * (1.0 - electrons) / (1.0 + spread),
         height_variance=spread,
-        electron_gain_dn=share * at["power"] * electrons,
+        electron_gain_dn=level_factor * at["power"] * electrons,
         blur=np.array([at[name] for name in model.NAMES]),
         reading=reading,
-        kept=(factor - 1.0) / (factor + 1.0),
+        retained=(factor - 1.0) / (factor + 1.0),
     )
 
 
@@ -198,10 +203,10 @@ def summary_statistics(frames: Array) -> dict[str, float]:
         axis=(2, 4)
     )
     change = squares - squares.mean(axis=0)
-    whole = change.mean(axis=(1, 2))
-    change -= whole[:, None, None]
+    frame_change = change.mean(axis=(1, 2))
+    change -= frame_change[:, None, None]
     power = max(float(np.mean(change**2)), 1e-30)
-    found = {
+    statistics = {
         "variance": np.log(power),
         "row_neighbours": np.mean(change[:, :, 1:] * change[:, :, :-1]) / power,
         "below": np.mean(change[:, 1:] * change[:, :-1]) / power,
@@ -212,9 +217,9 @@ def summary_statistics(frames: Array) -> dict[str, float]:
         "columns": _log_variance(change.mean(axis=1)),
     }
     if count >= PREDICTIVE.min_exposures:
-        found["flicker"] = _log_variance(whole)
-        found["successive"] = np.mean(change[1:] * change[:-1]) / power
-    return {name: float(value) for name, value in found.items()}
+        statistics["flicker"] = _log_variance(frame_change)
+        statistics["successive"] = np.mean(change[1:] * change[:-1]) / power
+    return {name: float(value) for name, value in statistics.items()}
 
 
 def _patches(square: Array) -> Array:
@@ -283,16 +288,21 @@ def predictive_residuals(
 
 def findings_of(residuals: list[PredictiveResidual]) -> list[Finding]:
     """Return findings of significant deviations from frames drawn from the posterior."""
-    odd = [one for one in residuals if one.chance * len(residuals) < PREDICTIVE.false_alarm]
-    worst = sorted(odd, key=lambda one: one.chance)[:3]
+    odd = [
+        residual
+        for residual in residuals
+        if residual.chance * len(residuals) < PREDICTIVE.false_alarm
+    ]
+    worst = sorted(odd, key=lambda residual: residual.chance)[:3]
     return [
         Finding(
             "model-misfit",
-            f"{one.stack} differs from frames drawn from the posterior: "
-            f"{STATISTICS[one.sign].words} is {one.measured:.3g}, expected {one.expected:.3g} ± "
-            f"{one.sd:.2g}",
+            f"{residual.stack} differs from frames drawn from the posterior: "
+            f"{STATISTICS[residual.sign].words} is {residual.measured:.3g}, expected "
+            f"{residual.expected:.3g} ± "
+            f"{residual.sd:.2g}",
         )
-        for one in worst
+        for residual in worst
     ]
 
 
@@ -301,8 +311,8 @@ def predictive_figure_data(residuals: list[PredictiveResidual]) -> dict[str, Any
     names = ("stack", "sign", "measured", "expected", "sd", "chance")
     return {
         "figure": "predictive-frames",
-        **{name: [getattr(one, name) for one in residuals] for name in names},
-        "harmless": [STATISTICS[one.sign].harmless for one in residuals],
+        **{name: [getattr(residual, name) for residual in residuals] for name in names},
+        "harmless": [STATISTICS[residual.sign].harmless for residual in residuals],
     }
 
 
@@ -318,8 +328,8 @@ def _middle(entry: StackEntry, context: Context) -> Array | None:
     )
     if min(rows, cols) < PREDICTIVE.min_side_px or len(field) < 2:
         return None
-    top, left = (field.shape[1] - rows) // 2, (field.shape[2] - cols) // 2
-    return field[:, top : top + rows, left : left + cols].astype(np.float64)
+    first_row, first_col = (field.shape[1] - rows) // 2, (field.shape[2] - cols) // 2
+    return field[:, first_row : first_row + rows, first_col : first_col + cols].astype(np.float64)
 
 
 def _noise_source(
@@ -334,9 +344,9 @@ def _noise_source(
         factor = excess_of(pooled.series.flats[0].conditions, context).factor
         return lambda: electron_noise(float(rng.choice(gain_dn)), factor)
     posterior, reading = pooled.posterior, pooled.summary.reading
-    share = pooled.level_share(index)
+    level_factor = pooled.level_share(index)
     return lambda: pulse_noise(
-        posterior, int(rng.integers(len(posterior.draws))), share, reading, rng
+        posterior, int(rng.integers(len(posterior.draws))), level_factor, reading, rng
     )
 
 
@@ -369,7 +379,7 @@ def _stack_residuals(
     ]
     ours = summary_statistics(frames)
     return [
-        _residual(label, name, value, np.array([one[name] for one in drawn]))
+        _residual(label, name, value, np.array([statistics[name] for statistics in drawn]))
         for name, value in ours.items()
     ]
 
@@ -397,10 +407,12 @@ def _residual(label: str, name: str, measured: float, drawn: Array) -> Predictiv
     from scipy.special import stdtr
 
     expected, sd = float(drawn.mean()), max(float(drawn.std(ddof=1)), 1e-12)
-    away = measured - expected if STATISTICS[name].upwards else abs(measured - expected)
-    beyond = max(away - STATISTICS[name].harmless, 0.0) / (sd * np.sqrt(1.0 + 1.0 / len(drawn)))
+    departure = measured - expected if STATISTICS[name].upwards else abs(measured - expected)
+    excess = max(departure - STATISTICS[name].harmless, 0.0) / (
+        sd * np.sqrt(1.0 + 1.0 / len(drawn))
+    )
     sides = 1.0 if STATISTICS[name].upwards else 2.0
-    chance = min(1.0, sides * float(stdtr(len(drawn) - 1, -beyond))) if beyond > 0 else 1.0
+    chance = min(1.0, sides * float(stdtr(len(drawn) - 1, -excess))) if excess > 0 else 1.0
     return PredictiveResidual(
         stack=label, sign=name, measured=measured, expected=expected, sd=sd, chance=chance
     )

@@ -16,9 +16,9 @@ from charact.estimators.noise.pixel_survey import PixelSurvey, common_step, surv
 from charact.estimators.noise.stack.stack_statistics import WHOLE_BYTES
 from charact.estimators.noise.thresholds import SURVEY
 from charact.method import Context
-from labdata.frames import FrameStack, LazyStack
+from labdata.frames import LazyStack
 from labdata.measurement import Measurement, Result, make_measurement, make_refusal
-from labdata.session import Session, StackEntry
+from labdata.session import LoadedStackEntry, Session, StackEntry
 
 Places = NDArray[np.int64]
 
@@ -27,7 +27,7 @@ Places = NDArray[np.int64]
 class DefectivePixels:
     """Excluded pixels of a session; positions are row times columns plus column."""
 
-    places: Places  # pixels that are defective in all frames
+    pixels: Places  # pixels that are defective in all frames
     blinking: Places  # those that blink
     # by stack label, positions and frames of struck values; frame -1 for all frames of the stack
     struck: dict[str, tuple[Places, Places]] = field(default_factory=dict)
@@ -35,8 +35,8 @@ class DefectivePixels:
     @property
     def note(self) -> str | None:
         """Note on the excluded pixels; None for none."""
-        hits = sum(len(places) for places, _ in self.struck.values())
-        parts = [f"{len(self.places)} defective pixels of the session"] if len(self.places) else []
+        hits = sum(len(hit_pixels) for hit_pixels, _ in self.struck.values())
+        parts = [f"{len(self.pixels)} defective pixels of the session"] if len(self.pixels) else []
         parts += [f"{hits} outliers of single frames (cosmic rays, ion feedback)"] if hits else []
         return f"excludes {' and '.join(parts)}" if parts else None
 
@@ -48,68 +48,77 @@ def find_defective_pixels(surveys: Sequence[PixelSurvey], *, multiplies: bool) -
     multiplies electrons; its pulses are valid outliers.
     """
     pixels = surveys[0].pixels
-    wrong = np.zeros(pixels, bool)
-    for one in surveys:
-        wrong[one.bright] = wrong[one.faint] = True
-    if np.count_nonzero(wrong) > SURVEY.max_fraction * pixels:
-        wrong[:] = False
-    least = SURVEY.max_pulse * _slope(surveys) if multiplies else 0.0
-    blinks = _blinking_mask(surveys, wrong)
-    away = wrong | blinks
+    outlying = np.zeros(pixels, bool)
+    for survey in surveys:
+        outlying[survey.bright] = outlying[survey.faint] = True
+    if np.count_nonzero(outlying) > SURVEY.max_fraction * pixels:
+        outlying[:] = False
+    min_departure_dn = SURVEY.max_pulse * _slope(surveys) if multiplies else 0.0
+    blinks = _blinking_mask(surveys, outlying)
+    defective = outlying | blinks
     struck = {
-        one.label: hits for one in surveys if len((hits := _outlying_values(one, away, least))[0])
+        survey.label: hits
+        for survey in surveys
+        if len((hits := _outlying_values(survey, defective, min_departure_dn))[0])
     }
     return DefectivePixels(
-        places=np.flatnonzero(away), blinking=np.flatnonzero(blinks), struck=struck
+        pixels=np.flatnonzero(defective), blinking=np.flatnonzero(blinks), struck=struck
     )
 
 
 def _slope(surveys: Sequence[PixelSurvey]) -> float:
     """Return variance over signal of the flats by robust statistics, DN; 0 without flats."""
-    darks = [one for one in surveys if one.kind == "dark"]
+    darks = [survey for survey in surveys if survey.kind == "dark"]
     dark, noise = (
-        min((getattr(one, name) for one in darks), default=0.0) for name in ("level_dn", "sd_dn")
+        min((getattr(survey, name) for survey in darks), default=0.0)
+        for name in ("level_dn", "sd_dn")
     )
-    flats = [one for one in surveys if one.kind == "flat" and one.level_dn > dark]
-    slopes = [(one.sd_dn**2 - noise**2) / (one.level_dn - dark) for one in flats]
+    flats = [survey for survey in surveys if survey.kind == "flat" and survey.level_dn > dark]
+    slopes = [(survey.sd_dn**2 - noise**2) / (survey.level_dn - dark) for survey in flats]
     return max(float(np.median(slopes)), 0.0) if slopes else 0.0
 
 
-def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _blinking_mask(
+    surveys: Sequence[PixelSurvey], outlying: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Return the pixels that are outliers more often than chance allows."""
     from scipy.special import bdtrc
 
-    counts, trials = np.zeros(len(wrong), np.int64), 0
-    for one in surveys:
-        if len(one.sudden) <= SURVEY.max_fraction * one.pixels:
-            counts[one.sudden] += one.times
-            trials += one.trials
+    counts, trials = np.zeros(len(outlying), np.int64), 0
+    for survey in surveys:
+        if len(survey.sudden) <= SURVEY.max_fraction * survey.pixels:
+            counts[survey.sudden] += survey.times
+            trials += survey.trials
     if not trials:
-        return np.zeros(len(wrong), bool)
-    never = float(np.mean(counts[~wrong] == 0))
+        return np.zeros(len(outlying), bool)
+    never = float(np.mean(counts[~outlying] == 0))
     rate = min(SURVEY.rate_variation * (1.0 - max(never, 1e-9) ** (1.0 / trials)), 1.0)
     needed = np.arange(2, trials + 2)
-    enough = needed[bdtrc(needed - 1, trials, rate) * len(wrong) < SURVEY.false_alarm]
+    enough = needed[bdtrc(needed - 1, trials, rate) * len(outlying) < SURVEY.false_alarm]
     blinks = counts >= (enough[0] if len(enough) else trials + 1)
     return (
         blinks
-        if np.count_nonzero(blinks) <= SURVEY.max_fraction * len(wrong)
-        else np.zeros(len(wrong), bool)
+        if np.count_nonzero(blinks) <= SURVEY.max_fraction * len(outlying)
+        else np.zeros(len(outlying), bool)
     )
 
 
 def _outlying_values(
-    one: PixelSurvey, away: NDArray[np.bool_], least: float
+    survey: PixelSurvey, defective: NDArray[np.bool_], min_departure_dn: float
 ) -> tuple[Places, Places]:
     """Return the values far beyond the tail of their stack."""
-    rest = ~away[one.sudden]
-    own = (
-        one.kind == "flat"
-        or least > 0
-        or np.count_nonzero(rest) > SURVEY.blinking_fraction * one.pixels
+    is_sound = ~defective[survey.sudden]
+    uses_tail = (
+        survey.kind == "flat"
+        or min_departure_dn > 0
+        or np.count_nonzero(is_sound) > SURVEY.blinking_fraction * survey.pixels
     )
-    far = rest & (one.departure_dn > max(least, one.tail_dn(away) if own else 0.0))
-    return one.sudden[far], np.where(one.times[far] > 1, -1, one.frame[far])
+    is_outlier = is_sound & (
+        survey.departure_dn > max(min_departure_dn, survey.tail_dn(defective) if uses_tail else 0.0)
+    )
+    return survey.sudden[is_outlier], np.where(
+        survey.times[is_outlier] > 1, -1, survey.frame[is_outlier]
+    )
 
 
 METHOD = "outlying-pixels"
@@ -118,7 +127,7 @@ METHOD = "outlying-pixels"
 def defect_pixels(
     session: Session,
     surveys: Sequence[PixelSurvey],
-    found: DefectivePixels | None,
+    defects: DefectivePixels | None,
     *,
     context: Context,
 ) -> Result:
@@ -126,46 +135,59 @@ def defect_pixels(
     brightest flat.
     """
     fields = fields_of(METHOD, context)
-    known = [one for one in surveys if one.threshold_dn > 0]
-    if found is None or not known:
+    known = [survey for survey in surveys if survey.threshold_dn > 0]
+    if defects is None or not known:
         reason = (
             "defective pixels need stacks of two frames and of 32 x 32 px at least that "
             "change from frame to frame"
         )
         return Result(measurements=(make_refusal("defect_pixels", "px", reason, **fields),))
     exposure = {entry.label: entry.conditions.exposure_s or 0.0 for entry in session.stacks}
-    darks = [one for one in known if one.kind == "dark"]
-    flats = [one for one in known if one.kind == "flat"]
-    chosen = [max(darks, key=lambda one: (exposure[one.label], one.frames))] if darks else []
-    chosen += [max(flats, key=lambda one: one.level_dn)] if flats else []
-    return Result(measurements=tuple(_defect_count(one, found, fields) for one in chosen))
+    darks = [survey for survey in known if survey.kind == "dark"]
+    flats = [survey for survey in known if survey.kind == "flat"]
+    chosen = (
+        [max(darks, key=lambda survey: (exposure[survey.label], survey.frames))] if darks else []
+    )
+    chosen += [max(flats, key=lambda survey: survey.level_dn)] if flats else []
+    return Result(measurements=tuple(_defect_count(survey, defects, fields) for survey in chosen))
 
 
-def _defect_count(one: PixelSurvey, found: DefectivePixels, fields: dict[str, Any]) -> Measurement:
+def _defect_count(
+    survey: PixelSurvey, defects: DefectivePixels, fields: dict[str, Any]
+) -> Measurement:
     """Return the number of defective pixels of a stack."""
-    blinking = np.intersect1d(found.blinking, one.sudden)
-    bright, faint = (np.setdiff1d(places, blinking) for places in (one.bright, one.faint))
-    each = f"{len(bright)} bright, {len(faint)} faint, {len(blinking)} blinking"
-    far = (
-        f"a mean more than {one.threshold_dn:.3g} DN ({SURVEY.outlying_sd:g} robust standard "
+    blinking = np.intersect1d(defects.blinking, survey.sudden)
+    bright, faint = (np.setdiff1d(pixels, blinking) for pixels in (survey.bright, survey.faint))
+    counts = f"{len(bright)} bright, {len(faint)} faint, {len(blinking)} blinking"
+    criterion = (
+        f"a mean more than {survey.threshold_dn:.3g} DN ({SURVEY.outlying_sd:g} robust standard "
         f"deviations) off"
     )
-    notes = [f"{each}; {far} the surrounding ones, or outliers in more frames than chance allows"]
-    places = np.concatenate([bright, faint, blinking])
-    count = len(np.unique(places))
+    notes = [
+        f"{counts}; {criterion} the surrounding ones, or outliers in more frames than chance allows"
+    ]
+    pixels = np.concatenate([bright, faint, blinking])
+    count = len(np.unique(pixels))
     if count:
-        rows, cols = np.divmod(places[: SURVEY.listed], one.size[1])
+        rows, cols = np.divmod(pixels[: SURVEY.listed], survey.size[1])
         shown = ", ".join(
             f"({row}, {col})"
             for row, col in dict.fromkeys(zip(rows.tolist(), cols.tolist(), strict=True))
         )
         notes.append(f"row and column of the first: {shown}")
-    least, most = (
-        [number + len(blinking) for number in bounds] for bounds in (one.least, one.most)
+    lower, upper = (
+        [number + len(blinking) for number in bounds]
+        for bounds in (survey.lower_counts, survey.upper_counts)
     )
-    around = [(float(min(least[i], count)), float(max(most[i], count))) for i in (0, 1)]
+    around = [(float(min(lower[i], count)), float(max(upper[i], count))) for i in (0, 1)]
     return make_measurement(
-        "defect_pixels", "px", float(count), *around, notes=tuple(notes), stack=one.label, **fields
+        "defect_pixels",
+        "px",
+        float(count),
+        *around,
+        notes=tuple(notes),
+        stack=survey.label,
+        **fields,
     )
 
 
@@ -180,9 +202,9 @@ class FrameView:
     """
 
     unit_dn: float  # divisor of the values, DN
-    whole: bool  # whether the values are integers then
-    # places, donors: replaced pixels, and their replacements
-    places: Places
+    integral: bool  # whether the values are integers then
+    # pixels, donors: replaced pixels, and their replacements
+    pixels: Places
     donors: Places
     # struck, frame, struck_donors: values replaced in single frames, the frames, and the
     # replacements
@@ -192,23 +214,23 @@ class FrameView:
 
     def through(self, stack: LazyStack) -> LazyStack:
         """Return the transformed stack."""
-        if self.unit_dn == 1.0 and not len(self.places) and not len(self.struck):
+        if self.unit_dn == 1.0 and not len(self.pixels) and not len(self.struck):
             return stack
-        place, donor = (
-            np.concatenate([self.places, self.struck]),
+        pixel, donor = (
+            np.concatenate([self.pixels, self.struck]),
             np.concatenate([self.donors, self.struck_donors]),
         )
         first = stack.frames(0, min(len(stack), 2)).mean(axis=0, dtype=np.float64)
-        shift = _surrounding_median(first, place) - _surrounding_median(first, donor)
-        exact = stack.dtype.kind in "ui" or self.whole
+        shift = _surrounding_median(first, pixel) - _surrounding_median(first, donor)
+        exact = stack.dtype.kind in "ui" or self.integral
         shift = np.rint(shift / self.unit_dn) * self.unit_dn if exact else shift
-        throughout = len(self.places)
+        throughout = len(self.pixels)
 
         def block(start: int, stop: int) -> NDArray:
             data = np.array(stack.frames(start, stop))
             flat = data.reshape(len(data), -1)
             if throughout:
-                write_values(flat, np.s_[:], self.places, flat[:, self.donors], shift[:throughout])
+                write_values(flat, np.s_[:], self.pixels, flat[:, self.donors], shift[:throughout])
             for at, frame, source, change in zip(
                 self.struck, self.frame, self.struck_donors, shift[throughout:], strict=True
             ):
@@ -226,78 +248,80 @@ class FrameView:
         if self.unit_dn == 1.0:
             return data
         scaled = data / self.unit_dn
-        return (np.rint(scaled) if self.whole else scaled).astype(np.float32)
+        return (np.rint(scaled) if self.integral else scaled).astype(np.float32)
 
 
-def write_values(flat: NDArray, frames, places, values: NDArray, shift) -> None:
+def write_values(flat: NDArray, frames, pixels, values: NDArray, shift) -> None:
     """Write shifted values, clipped to the range of an integer type."""
-    moved = values.astype(np.float64) + shift
+    shifted = values.astype(np.float64) + shift
     if flat.dtype.kind in "ui":
         limits = np.iinfo(flat.dtype)
-        moved = np.clip(moved, limits.min, limits.max)
-    flat[frames, places] = moved.astype(flat.dtype)
+        shifted = np.clip(shifted, limits.min, limits.max)
+    flat[frames, pixels] = shifted.astype(flat.dtype)
 
 
-def _surrounding_median(image: NDArray[np.float64], places: Places) -> NDArray[np.float64]:
+def _surrounding_median(image: NDArray[np.float64], pixels: Places) -> NDArray[np.float64]:
     """Return the median of the 24 pixels around each position, DN."""
     rows, cols = image.shape
-    row, col = np.divmod(places, cols)
+    row, col = np.divmod(pixels, cols)
     step = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if i or j])
     near_row = np.clip(row[:, None] + step[:, 0], 0, rows - 1)
     near_col = np.clip(col[:, None] + step[:, 1], 0, cols - 1)
-    return np.median(image[near_row, near_col], axis=1) if len(places) else np.empty(0)
+    return np.median(image[near_row, near_col], axis=1) if len(pixels) else np.empty(0)
 
 
 def choose_donors(
-    places: Places, unsound: NDArray[np.bool_], size: tuple[int, int], rng: np.random.Generator
+    pixels: Places, unsound: NDArray[np.bool_], size: tuple[int, int], rng: np.random.Generator
 ) -> Places:
     """Return a valid pixel near each position."""
     rows, cols = size
-    found = np.full(len(places), -1)
-    while (left := np.flatnonzero(found < 0)).size:
-        row, col = np.divmod(places[left], cols)
+    donors = np.full(len(pixels), -1)
+    while (missing := np.flatnonzero(donors < 0)).size:
+        row, col = np.divmod(pixels[missing], cols)
         row = _mirror_inside(
-            row + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), rows
+            row + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(missing)),
+            rows,
         )
         col = _mirror_inside(
-            col + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), cols
+            col + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(missing)),
+            cols,
         )
         pixel = row * cols + col
-        found[left] = np.where(unsound[pixel], -1, pixel)
-    return found
+        donors[missing] = np.where(unsound[pixel], -1, pixel)
+    return donors
 
 
-def _mirror_inside(place: NDArray, length: int) -> NDArray:
+def _mirror_inside(position: NDArray, length: int) -> NDArray:
     """Return positions mirrored into the image."""
-    place = np.abs(place) % (2 * length)
-    return np.where(place < length, place, 2 * length - 1 - place)
+    position = np.abs(position) % (2 * length)
+    return np.where(position < length, position, 2 * length - 1 - position)
 
 
 def frame_view(
     label: str,
-    found: DefectivePixels | None,
+    defects: DefectivePixels | None,
     size: tuple[int, int],
     *,
     unit_dn: float,
-    whole: bool,
+    integral: bool,
     seed: int,
 ) -> FrameView:
     """Return the view of one stack."""
     none = np.empty(0, np.int64)
-    places, struck, frame = none, none, none
-    if found is not None:
-        places, (struck, frame) = found.places, found.struck.get(label, (none, none))
-    away = np.zeros(size[0] * size[1], bool)
-    away[places] = away[struck] = True
+    pixels, struck, frame = none, none, none
+    if defects is not None:
+        pixels, (struck, frame) = defects.pixels, defects.struck.get(label, (none, none))
+    unsound = np.zeros(size[0] * size[1], bool)
+    unsound[pixels] = unsound[struck] = True
     rng = np.random.default_rng([seed, 71])
     return FrameView(
         unit_dn=unit_dn,
-        whole=whole,
-        places=places,
-        donors=choose_donors(places, away, size, rng),
+        integral=integral,
+        pixels=pixels,
+        donors=choose_donors(pixels, unsound, size, rng),
         struck=struck,
         frame=frame,
-        struck_donors=choose_donors(struck, away, size, rng),
+        struck_donors=choose_donors(struck, unsound, size, rng),
     )
 
 
@@ -305,32 +329,22 @@ def frame_view(
 MAPPED = (".npy", ".zarr")
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoadedStackEntry(StackEntry):
-    """A stack with its frames in memory."""
-
-    kept: FrameStack  # the frames
-
-    def read(self, plane: str | None = None) -> FrameStack:
-        """Return the frames; `plane` has no effect."""
-        return self.kept
-
-
 def load_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
     """Return darks and flats with their frames in memory, up to `WHOLE_BYTES`."""
-    left, out = WHOLE_BYTES, []
+    free_bytes, out = WHOLE_BYTES, []
     for entry in entries:
         plain = type(entry) is StackEntry and entry.kind in ("dark", "flat")
         paths = entry.paths if plain else ()
         if not paths or any(
-            path.suffix in MAPPED or path.is_dir() or path.stat().st_size > left for path in paths
+            path.suffix in MAPPED or path.is_dir() or path.stat().st_size > free_bytes
+            for path in paths
         ):
             out.append(entry)
             continue
         frames = entry.read()
-        left -= frames.data.nbytes
-        whole = {item.name: getattr(entry, item.name) for item in fields(StackEntry)}
-        out.append(LoadedStackEntry(**whole, kept=frames) if left >= 0 else entry)
+        free_bytes -= frames.data.nbytes
+        described = {item.name: getattr(entry, item.name) for item in fields(StackEntry)}
+        out.append(LoadedStackEntry(**described, kept=frames) if free_bytes >= 0 else entry)
     return tuple(out)
 
 
@@ -343,11 +357,11 @@ class Prepared:
     context: Context
     unit_dn: float  # unit of the values, DN
     surveys: tuple[PixelSurvey, ...]  # survey of each dark and flat of at least two frames
-    found: DefectivePixels | None  # defective pixels; None if the images are too small
+    defects: DefectivePixels | None  # defective pixels; None if the images are too small
 
     def in_dn(self, result: Result) -> Result:
         """Return a result in DN of the files, with a note on excluded pixels."""
-        unit_dn, note = self.unit_dn, None if self.found is None else self.found.note
+        unit_dn, note = self.unit_dn, None if self.defects is None else self.defects.note
         notes = () if note is None else (note,)
         if unit_dn != 1.0:
             notes += (f"DN in other notes are units of {unit_dn:.4g} of the files' values",)
@@ -383,25 +397,25 @@ def prepare(session: Session, *, context: Context) -> Prepared:
         .tolist()
     )
     surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
-    many = [one for one in surveys if one.frames > 1]
-    sizes = {one.size for one in surveys}
+    multi_frame = [survey for survey in surveys if survey.frames > 1]
+    sizes = {survey.size for survey in surveys}
     large = (
-        many
+        multi_frame
         and len(sizes) == 1
-        and many[0].pixels >= SURVEY.min_pixels
-        and min(many[0].size) >= SURVEY.min_side_px
+        and multi_frame[0].pixels >= SURVEY.min_pixels
+        and min(multi_frame[0].size) >= SURVEY.min_side_px
     )
-    found = (
-        find_defective_pixels(many, multiplies=has_multiplication(session, context))
+    defects = (
+        find_defective_pixels(multi_frame, multiplies=has_multiplication(session, context))
         if large
         else None
     )
-    unit, whole = _unit(surveys)
+    unit, integral = _unit(surveys)
     views = {
-        one.label: frame_view(
-            one.label, found, one.size, unit_dn=unit, whole=whole, seed=context.seed
+        survey.label: frame_view(
+            survey.label, defects, survey.size, unit_dn=unit, integral=integral, seed=context.seed
         )
-        for one in surveys
+        for survey in surveys
     }
     stacks = tuple(replace(entry, view=views.get(entry.label)) for entry in session.stacks)
     full = None if context.full_scale_dn is None else context.full_scale_dn / unit
@@ -409,19 +423,19 @@ def prepare(session: Session, *, context: Context) -> Prepared:
         session=replace(session, stacks=stacks),
         context=replace(context, full_scale_dn=full),
         unit_dn=unit,
-        surveys=tuple(many),
-        found=found,
+        surveys=tuple(multi_frame),
+        defects=defects,
     )
 
 
 def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
     """Return the unit of the values, DN, and whether they are integers of it."""
-    step = common_step([one.step_dn for one in surveys])
+    step = common_step([survey.step_dn for survey in surveys])
     if step is None:
         return 1.0, False
     if step > 0:
         return step, True
-    noise = [one.sd_dn for one in surveys if one.sd_dn > 0]
+    noise = [survey.sd_dn for survey in surveys if survey.sd_dn > 0]
     return (
         (2.0 ** np.floor(np.log2(min(noise) / SURVEY.fine_units)), False) if noise else (1.0, False)
     )
@@ -429,9 +443,9 @@ def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
 
 def power_of_dn(unit: str) -> int:
     """Return the power of DN in a unit: 2 for DN2, 1 for DN or DN/e-, -1 for 1/DN, 0 for others."""
-    above, _, below = unit.partition("/")
+    numerator, _, denominator = unit.partition("/")
     powers = {"DN": 1, "DN2": 2}
-    return powers.get(above, 0) - powers.get(below, 0)
+    return powers.get(numerator, 0) - powers.get(denominator, 0)
 
 
 def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
@@ -441,19 +455,19 @@ def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
         None if pair is None else (pair[0] * factor, pair[1] * factor)
         for pair in (measurement.interval68, measurement.interval95)
     ]
-    kept = measurement.posterior
-    if kept is not None:
-        draws = kept.draws.copy()
-        for column, unit in enumerate(kept.units):
+    posterior = measurement.posterior
+    if posterior is not None:
+        draws = posterior.draws.copy()
+        for column, unit in enumerate(posterior.units):
             power = power_of_dn(unit.removeprefix("log "))
             if unit.startswith("log "):
                 draws[:, column] += power * np.log(unit_dn)
             else:
                 draws[:, column] *= unit_dn**power
-        kept = replace(kept, draws=draws)
+        posterior = replace(posterior, draws=draws)
     value = None if measurement.value is None else measurement.value * factor
     return replace(
-        measurement, value=value, interval68=around[0], interval95=around[1], posterior=kept
+        measurement, value=value, interval68=around[0], interval95=around[1], posterior=posterior
     )
 
 

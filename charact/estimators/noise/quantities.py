@@ -86,13 +86,13 @@ def saturation_level(series: FlatSeries, *, flags: tuple[str, ...], **fields: An
         )
         return make_refusal("saturation", "DN", reason, **fields)
     level = np.array([flat.mean_dn for flat in series.flats])
-    near = level[max(0, series.peak - 1) : series.peak + 2]
+    peak_levels = level[max(0, series.peak - 1) : series.peak + 2]
     # The peak lies between the neighbouring levels: triangular distribution.
     return measurement_from_sd(
         "saturation",
         "DN",
         level[series.peak],
-        float(np.ptp(near)) / np.sqrt(24.0),
+        float(np.ptp(peak_levels)) / np.sqrt(24.0),
         flags=flags,
         **fields,
     )
@@ -224,7 +224,7 @@ def electron_quantities(
     `gains`: slope of the standard, and gain per electron of the derived quantities. `findings`:
     those of each.
     """
-    (plain, gain), (own, why) = gains, findings
+    (plain, gain), (gain_findings, why) = gains, findings
     excess = emva1288.excess_of(series.flats[0].conditions, context)
     notes = () if excess.note is None else (excess.note,)
     out = [
@@ -232,8 +232,8 @@ def electron_quantities(
             "system_gain",
             "DN/e-",
             plain.slope,
-            flags=flags_of(own) + plain.posterior.flags,
-            notes=notes_of(own) + notes,
+            flags=flags_of(gain_findings) + plain.posterior.flags,
+            notes=notes_of(gain_findings) + notes,
             posterior=plain.posterior,
             **fields,
         )
@@ -283,9 +283,9 @@ def electron_quantities(
     if efficiency is not None and photons is not None and not light:
         capacity = efficiency * photons[series.peak]
     factor = excess.factor
-    least = emva1288.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
+    threshold_photons = emva1288.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
     # The peak is resolved to the spacing of the levels.
-    draws = (capacity, np.sqrt(capacity / factor), capacity / least)
+    draws = (capacity, np.sqrt(capacity / factor), capacity / threshold_photons)
     return out + [
         measurement_from_draws(*name, d, **flagged) for name, d in zip(names, draws, strict=True)
     ]
@@ -299,18 +299,18 @@ def _linearity(
     """
     chosen = np.flatnonzero(series.fitted)
     value = np.median(response.slope) * photons[chosen]
-    inside = value > 0.05 * (
+    is_tested = value > 0.05 * (
         series.signal_dn[series.peak] if series.peak is not None else value.max()
     )
-    if not inside.any():
+    if not is_tested.any():
         reason = "no fitted flat lies between 5 and 70 % of saturation; add levels there"
         return make_refusal("linearity_error", "%", reason, **fields)
     error = np.array(
         [np.sqrt(series.flats[i].variance_dn2 / series.flats[i].pixels) for i in chosen]
     )
-    departure = np.abs(response.residual[inside] / value[inside])
+    departure = np.abs(response.residual[is_tested] / value[is_tested])
     sd = np.hypot(
-        float(np.sqrt(np.sum((error / value)[inside] ** 2))) / inside.sum(),
+        float(np.sqrt(np.sum((error / value)[is_tested] ** 2))) / is_tested.sum(),
         float(np.std(response.slope) / np.median(response.slope)),
     )
     return measurement_from_sd(
@@ -336,10 +336,10 @@ def without_flats(
     else:
         reason = "there are no flats"
     out = [make_refusal(quantity[0], quantity[1], reason, refusal="missing", **fields)]
-    wrong = [] if series is None or not len(series.flats) else dark_findings(series)
+    findings = [] if series is None or not len(series.flats) else dark_findings(series)
     dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
-    notes = notes_of(wrong)
-    return out + [one.with_(flags=flags_of(wrong), notes=(*one.notes, *notes)) for one in dark]
+    notes = notes_of(findings)
+    return out + [m.with_(flags=flags_of(findings), notes=(*m.notes, *notes)) for m in dark]
 
 
 def transfer_figure_data(

@@ -52,7 +52,7 @@ def variance_range_before_rounding(variance_dn2: float) -> tuple[float, float]:
     )
 
 
-def _variance_before_rounding(variance_dn2: float, place: float) -> float:
+def _variance_before_rounding(variance_dn2: float, position_dn: float) -> float:
     """Return the variance of normal noise about a position between two grey values, given that
     after rounding.
     """
@@ -62,7 +62,7 @@ def _variance_before_rounding(variance_dn2: float, place: float) -> float:
     codes = np.arange(-8.0, 9.0)
 
     def excess(sd: float) -> float:
-        chance = np.diff(ndtr((np.append(codes - 0.5, codes[-1] + 0.5) - place) / sd))
+        chance = np.diff(ndtr((np.append(codes - 0.5, codes[-1] + 0.5) - position_dn) / sd))
         return float(chance @ codes**2 - (chance @ codes) ** 2) - variance_dn2
 
     return 0.0 if excess(1e-4) >= 0.0 else root_scalar(excess, bracket=(1e-4, 1.0)).root ** 2
@@ -97,13 +97,13 @@ def step_finding(session: Session) -> Finding | None:
     )
     if not pairs:
         return None
-    least = min(float(np.var(pair[1] - pair[0])) / 2.0 for pair in pairs)
+    variance_dn2 = min(float(np.var(pair[1] - pair[0])) / 2.0 for pair in pairs)
     added = (step**2 - 1.0) * QUANTISATION_DN2
-    if added <= SWEEP.max_quantisation * least:
+    if added <= SWEEP.max_quantisation * variance_dn2:
         return None
     return COARSE.finding(
         "quantised",
         f"all grey values are multiples of {step} DN: rounding adds {added:.3g} DN2 to a least "
-        f"variance of {least:.3g} DN2, and levels of a digitiser that cuts off are "
+        f"variance of {variance_dn2:.3g} DN2, and levels of a digitiser that cuts off are "
         f"{(step - 1.0) / 2.0:g} DN low",
     )

@@ -98,7 +98,7 @@ def minimum_illumination(
         return make_refusal(name, light.unit, str(reason), **fields)
     scale = light.scale(seed, len(amount))
     misfit = [] if scope.law.misfit is None else [Finding("model-misfit", scope.law.misfit)]
-    found = [*findings, *farther, *misfit]
+    causes = [*findings, *farther, *misfit]
     unequal = ", unequal pixels counted" if scope.levels.pattern_sd else ""
     time = "" if light.seconds is None else f", light gathered for {light.seconds:.3g} s"
     sentence = f"signal-to-noise ratio {LEAST_SNR:g} {scope.sentence}{unequal}{time}"
@@ -113,9 +113,9 @@ def minimum_illumination(
         name,
         light.unit,
         amount * scale,
-        flags=flags_of(found),
+        flags=flags_of(causes),
         posterior=posterior,
-        notes=(sentence, light.note, *notes_of(found)),
+        notes=(sentence, light.note, *notes_of(causes)),
         **fields,
     )
 
@@ -156,7 +156,7 @@ def setting_figure_data(
     words: str,
     lit: tuple[StatedIllumination, Array] | None,
     scopes: list[Scope],
-    found: list[Measurement],
+    measurements: list[Measurement],
 ) -> dict[str, Any]:
     """Return levels, noise laws and minima of one gain; without light the signal is the abscissa.
 
@@ -172,7 +172,7 @@ def setting_figure_data(
         "label": [flat.label for flat in series.flats],
         "amount": amount[shown].tolist(),
         "fitted": series.fitted[shown].tolist(),
-        "scopes": [_scope(scope, shown, amount, per_amount, found) for scope in scopes],
+        "scopes": [_scope(scope, shown, amount, per_amount, measurements) for scope in scopes],
     }
 
 
@@ -181,12 +181,12 @@ def _scope(
     shown: NDArray[np.bool_],
     amount: Array,
     per_amount: float,
-    found: list[Measurement],
+    measurements: list[Measurement],
 ) -> dict[str, Any]:
     """Return levels, noise law and minimum of a pixel or an area."""
-    least = [
+    minima = [
         m
-        for m in found
+        for m in measurements
         if m.quantity == f"minimum_illumination{scope.suffix}" and m.value is not None
     ]
     middle = float(np.median(scope.law.signal_at(LEAST_SNR))) / per_amount
@@ -205,8 +205,8 @@ def _scope(
         "law_with_pattern": np.median(
             scope.law.snr(grid * per_amount, pattern=True), axis=0
         ).tolist(),
-        "minimum": least[0].value if least else None,
-        "minimum_interval95": list(least[0].interval95 or ()) if least else None,
+        "minimum": minima[0].value if minima else None,
+        "minimum_interval95": list(minima[0].interval95 or ()) if minima else None,
     }
 
 
@@ -240,7 +240,7 @@ def snr_against_light(
         _measure_setting(series_of(group, darks, single), len(groups) > 1, context)
         for group in groups
     ]
-    measurements = tuple(one for found, _ in parts for one in found)
+    measurements = tuple(m for of_gain, _ in parts for m in of_gain)
     gains = [evidence for _, evidence in parts if evidence is not None]
     units = {gain["unit"] for gain in gains}
     unit = units.pop() if len(units) == 1 else ""
@@ -304,15 +304,15 @@ def _measure_setting(
     reference = int(np.argmax([gathering_s(flat.conditions) or 0.0 for flat in series.flats]))
     parts = [("", PIXEL, pixel)]
     if small is None:
-        whole = all(level.cube is not None for level in (*series.flats, *series.darks))
-        sentence = AREA if whole else f"{AREA}; {AXES}"
+        has_cubes = all(level.cube is not None for level in (*series.flats, *series.darks))
+        sentence = AREA if has_cubes else f"{AREA}; {AXES}"
         parts.append(("_area", sentence, area_levels(series, lag)))
     scopes = []
     for suffix, sentence, levels in parts:
         rng = np.random.default_rng([context.seed, 23, len(suffix)])
         law = noise_law(levels, rng, reference=int(levels.dark[reference]))
         scopes.append(Scope(suffix=suffix, sentence=sentence, levels=levels, law=law))
-    out = [one for scope in scopes for one in _ratios(series, scope, findings, fields)]
+    out = [m for scope in scopes for m in _ratios(series, scope, findings, fields)]
     if lit is None:
         out += [
             make_refusal(
@@ -363,29 +363,29 @@ def _ratios(
     series: FlatSeries, scope: Scope, findings: list[Finding], fields: dict[str, Any]
 ) -> list[Measurement]:
     """Return the SNR at every level."""
-    whole, out, levels = flats_without_clipping(series), [], scope.levels
+    is_unclipped, out, levels = flats_without_clipping(series), [], scope.levels
     flags, notes = flags_of(findings), (scope.sentence, *notes_of(findings))
     for index, (flat, dark) in enumerate(zip(series.flats, series.darks, strict=True)):
-        name, own = f"snr{scope.suffix}", {**fields, "stack": flat.label}
-        if not whole[index]:
+        name, stack_fields = f"snr{scope.suffix}", {**fields, "stack": flat.label}
+        if not is_unclipped[index]:
             out.append(
                 make_refusal(
                     name,
                     "1",
                     f"{flat.label} is saturated: clipping lowers the noise",
                     refusal="not-applicable",
-                    **own,
+                    **stack_fields,
                 )
             )
         elif not levels.is_illuminated[index]:
             reason = f"{flat.label} is not brighter than its dark by {SNR.lit_sd:g} standard errors"
-            out.append(make_refusal(name, "1", reason, **own))
+            out.append(make_refusal(name, "1", reason, **stack_fields))
         else:
             limited = is_quantisation_limited(dark, float(series.signal_dn[index]))
-            own |= {"flags": (*flags, *("quantised",) * limited), "notes": notes}
+            stack_fields |= {"flags": (*flags, *("quantised",) * limited), "notes": notes}
             out.append(
                 measurement_from_sd(
-                    name, "1", float(levels.snr[index]), float(levels.snr_sd[index]), **own
+                    name, "1", float(levels.snr[index]), float(levels.snr_sd[index]), **stack_fields
                 )
             )
     return out

@@ -35,11 +35,11 @@ def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Res
             result += _measure_stack(level, level.cube, context, {**fields, "stack": level.label})
     if result.measurements:
         return result
-    most = max((level.frames for level in levels), default=1)
+    longest = max((level.frames for level in levels), default=1)
     reason = (
         f"3-D noise needs a stack of at least {CUBE.min_frames} frames, and {CUBE.min_pixels} "
-        f"rows and columns in each field; the longest stack has {most} "
-        f"{'frame' if most == 1 else 'frames'}"
+        f"rows and columns in each field; the longest stack has {longest} "
+        f"{'frame' if longest == 1 else 'frames'}"
     )
     return Result(measurements=_refusals(reason, fields))
 
@@ -90,9 +90,12 @@ def _measurement(
     notes = notes_of(findings)
     if np.quantile(draws, CUBE.false_alarm) <= 0:
         low = 0.0
-        seen = f"no {name} noise detected (unbiased variance {part.variance_dn2:.2g} DN2)"
-        notes = (*notes, f"{seen}: at most {high:.3g} DN")
-    around = [(min(one, value), max(two, value)) for one, two in (interval68, (low, high))]
+        absence = f"no {name} noise detected (unbiased variance {part.variance_dn2:.2g} DN2)"
+        notes = (*notes, f"{absence}: at most {high:.3g} DN")
+    around = [
+        (min(low_edge, value), max(high_edge, value))
+        for low_edge, high_edge in (interval68, (low, high))
+    ]
     return make_measurement(
         f"noise_{name}", "DN", value, *around, flags=flags_of(findings), notes=notes, **fields
     )
@@ -109,11 +112,21 @@ def _common_findings(level: StackStatistics, cube: Cube, draws: Array) -> list[F
         )
         out.append(Finding(None, f"{of} form separate cubes; their variances are averaged"))
     variance, half = cube.components["tvh"].variance_dn2, _half(draws)
-    for share, which in ((level.low_fraction, "0"), (level.high_fraction, "the highest")):
+    for clipped_fraction, which in (
+        (level.low_fraction, "0"),
+        (level.high_fraction, "the highest"),
+    ):
         # Clipping a fraction of a normal distribution lowers its variance by about twice that
         # fraction.
-        if share > CHECKS.max_clipped_fraction or 2.0 * share * variance > 0.5 * half:
-            out.append(Finding("clipped", f"{100 * share:.2g} % of the values are at code {which}"))
+        if (
+            clipped_fraction > CHECKS.max_clipped_fraction
+            or 2.0 * clipped_fraction * variance > 0.5 * half
+        ):
+            out.append(
+                Finding(
+                    "clipped", f"{100 * clipped_fraction:.2g} % of the values are at code {which}"
+                )
+            )
     if variance < QUANTISED_DN2:
         out.append(
             Finding(
@@ -157,11 +170,11 @@ def _frame_mean_findings(means: FrameMeans) -> list[Finding]:
             Finding("drift", f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame")
         )
     if means.line is not None:
-        place = f"{means.frequency_cy_per_exposure[means.line]:.3g} cycles per exposure"
+        period = f"{means.frequency_cy_per_exposure[means.line]:.3g} cycles per exposure"
         if means.line_hz is not None:
-            place = f"{means.line_hz:.3g} Hz, or an alias of a higher frequency"
+            period = f"{means.line_hz:.3g} Hz, or an alias of a higher frequency"
         out.append(
-            Finding("flicker", f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {place}")
+            Finding("flicker", f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {period}")
         )
     return out
 

@@ -184,7 +184,9 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
     flats = [flat for flat, _, _ in chosen.pairs]
     lag, still_open = _lag(flats)
     # A flat's signal over the square of its power, times its exposures.
-    mean = [max(float(flat.few.power_dn2[:, 0].mean()), ACCURACY.min_power_dn2) for flat in flats]
+    mean = [
+        max(float(flat.few_lags.power_dn2[:, 0].mean()), ACCURACY.min_power_dn2) for flat in flats
+    ]
     gain = np.array(
         [
             m if signal is None else signal
@@ -234,12 +236,14 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
 
 def _power(stack: StackStatistics, lag: Array) -> Array:
     """Return the power of each cell, with all lags if image lag is detected, DN^2."""
-    return (stack.many if len(lag) else stack.few).power_dn2[:, 0]
+    return (stack.many_lags if len(lag) else stack.few_lags).power_dn2[:, 0]
 
 
 def _independent(stack: StackStatistics, lag: Array) -> float:
     """Return the number of independent exposures for a correlation in time."""
-    row_lags = same_row_lags(stack.many.lags, stack.parity) if len(lag) else np.zeros(1, np.int64)
+    row_lags = (
+        same_row_lags(stack.many_lags.lags, stack.parity) if len(lag) else np.zeros(1, np.int64)
+    )
     return stack.runs * n_effective_samples(
         stack.time, stack.parity, row_lags, lag, within_parity=True
     )
@@ -251,7 +255,7 @@ def _quantisation_noise_dn2(dark: StackStatistics, dark_weight: float) -> tuple[
     A few pulses in the dark have most of the variance, but not of the pixels; the remaining noise
     is that at the frequencies beyond their blur.
     """
-    power = dark.few.power_dn2[:, 0]
+    power = dark.few_lags.power_dn2[:, 0]
     mean_dn2 = float(np.average(power, weights=dark.bins.modes))
     hidden = [
         noise + QUANTISATION_DN2 - variance
@@ -265,25 +269,26 @@ def _lag(flats: list[StackStatistics]) -> tuple[Array, bool]:
     """Return the correlation in time, empty if not detected, and whether it extends beyond the last
     lag.
     """
-    count = min(len(flat.many.lags) for flat in flats)
+    count = min(len(flat.many_lags.lags) for flat in flats)
     if count < 2:
         return np.empty(0), False
     value, square = np.zeros(count - 1), np.zeros(count - 1)
     low = [_low_frequency_weights(flat.bins) for flat in flats]
     low_powers = [
-        weight @ flat.many.power_dn2[:, :count] for weight, flat in zip(low, flats, strict=True)
+        weight @ flat.many_lags.power_dn2[:, :count]
+        for weight, flat in zip(low, flats, strict=True)
     ]
     total = sum(part[0] for part in low_powers)
     for flat, weight, part in zip(flats, low, low_powers, strict=True):
         modes = flat.bins.efficiency * float(flat.bins.modes[weight > 0].sum()) * flat.runs
         distance = np.abs(flat.time[:, None] - flat.time)
-        pairs = np.array([np.sum(distance == lag) / 2.0 for lag in flat.many.lags[1:count]])
+        pairs = np.array([np.sum(distance == lag) / 2.0 for lag in flat.many_lags.lags[1:count]])
         value += part[1:] / total
         square += (part[0] / total) ** 2 / (2.0 * modes * np.maximum(pairs, 1.0))
     sd = 1.2 * np.sqrt(square)
     if not (value[:3] > THRESHOLDS.lag_sd * sd[:3]).any():
         return np.empty(0), False
-    lags = flats[0].many.lags[1:count]
+    lags = flats[0].many_lags.lags[1:count]
     full = np.zeros(int(lags[-1]))
     full[lags - 1] = value
     return full, bool(np.mean(value[-3:]) > max(0.05, THRESHOLDS.lag_sd * float(sd[-3:].mean())))

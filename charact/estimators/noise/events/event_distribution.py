@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 class PulseDecay:
     """Phosphor decay of a pulse: two exponentials."""
 
-    share: float = 0.0  # fraction of slow light, dimensionless
+    slow_fraction: float = 0.0  # fraction of slow light, dimensionless
     # slow_exposures, fast_exposures: decay times of slow and fast light, exposures
     slow_exposures: float = 1.0
     fast_exposures: float = 0.0
@@ -37,7 +37,7 @@ class PulseDecay:
     @property
     def lasts(self) -> bool:
         """Whether any light falls into later exposures."""
-        return self.share > 0.0 or self.fast_exposures > 0.0
+        return self.slow_fraction > 0.0 or self.fast_exposures > 0.0
 
     @lru_cache(maxsize=256)  # noqa: B019
     def by_exposure(self) -> tuple[Array, Array]:
@@ -51,12 +51,12 @@ class PulseDecay:
             return np.ones((1, 1)), np.ones(1)
         start, weight = _moments()
         start = self.open_share * start
-        share = np.array([self.share, 1.0 - self.share])
+        fractions = np.array([self.slow_fraction, 1.0 - self.slow_fraction])
         time = np.maximum([self.slow_exposures, self.fast_exposures], 1e-9)
-        last = float(np.max(time * np.log(np.maximum(share / EVENT_ACCURACY.min_decay, 1.0))))
+        last = float(np.max(time * np.log(np.maximum(fractions / EVENT_ACCURACY.min_decay, 1.0))))
         end = np.arange(int(np.clip(np.ceil(last), 1, EVENT_ACCURACY.max_exposures)) + 1) + 1.0
-        left = np.exp(-(end[None, :, None] - start[:, None, None]) / time) @ share
-        return -np.diff(left, axis=1, prepend=1.0), weight
+        remaining = np.exp(-(end[None, :, None] - start[:, None, None]) / time) @ fractions
+        return -np.diff(remaining, axis=1, prepend=1.0), weight
 
 
 @lru_cache(maxsize=1)
@@ -98,7 +98,7 @@ class PulsePopulation:
     row_pitch: float = 1.0  # row pitch of an exposure, column pitches
     open_share: float = 1.0  # as in `PulseDecay`
 
-    def log_characteristic(self, one: Filter, frequency: Array) -> NDArray[np.complex128]:
+    def log_characteristic(self, matched: Filter, frequency: Array) -> NDArray[np.complex128]:
         """Return ln E exp(i t y) of filtered pixels y at frequencies t, shape (t,), 1/DN.
 
         rate * integral over positions of [E exp(i t h a(x)) - 1] - t^2 var / 2, with a(x) the
@@ -106,13 +106,13 @@ class PulsePopulation:
         gamma distribution of mean G and relative variance v (Campbell's theorem). The output
         includes the subtracted temporal mean.
         """
-        amplitude, area = pulse_outputs(one, self.spot, self.line, self.screen)
+        amplitude, area = pulse_outputs(matched, self.spot, self.line, self.screen)
         pulse = height_transform(
             np.multiply.outer(frequency * self.height_dn, amplitude), self.relative_variance
         )
         return (
             self.density * (pulse @ area)
-            - 0.5 * frequency**2 * one.noise(self.line) * self.noise_dn2
+            - 0.5 * frequency**2 * matched.noise(self.line) * self.noise_dn2
         )
 
     @property
@@ -135,7 +135,7 @@ class PulsePopulation:
     def screen(self) -> PulseDecay:
         """Phosphor decay."""
         return PulseDecay(
-            share=self.glow,
+            slow_fraction=self.glow,
             slow_exposures=self.glow_exposures,
             fast_exposures=self.fast_exposures,
             open_share=self.open_share,
@@ -152,59 +152,61 @@ def height_transform(z: Array, relative_variance: float) -> NDArray[np.complex12
 
 @lru_cache(maxsize=512)
 def pulse_outputs(
-    one: Filter, spot: PulseSpread, line: tuple[float, ...], screen: PulseDecay
+    matched: Filter, spot: PulseSpread, line: tuple[float, ...], screen: PulseDecay
 ) -> tuple[Array, Array]:
     """Return the outputs for pulses of unit light at all positions and ages: amplitudes, and px
     exposures of each.
     """
-    amplitude, area = responses(one, spot, line)
-    share, number = age_amplitudes(one, screen)
+    amplitude, area = responses(matched, spot, line)
+    factor, number = age_amplitudes(matched, screen)
     value, weight = (
-        np.multiply.outer(share, amplitude).ravel(),
+        np.multiply.outer(factor, amplitude).ravel(),
         np.multiply.outer(number, area).ravel(),
     )
     return quantise_amplitudes(value, weight) if screen.lasts else (value, weight)
 
 
 @lru_cache(maxsize=512)
-def age_amplitudes(one: Filter, screen: PulseDecay) -> tuple[Array, Array]:
+def age_amplitudes(matched: Filter, screen: PulseDecay) -> tuple[Array, Array]:
     """Return the output of a temporal filter for pulses of every age: amplitudes and their numbers.
 
     A pulse begins at any time of any exposure; the subtracted temporal mean contains its light too.
     """
     light, chance = screen.by_exposure()
-    amplitude = amplitudes_by_age(one, light)
-    taken = sum_by_phase(one, light)
-    rest = np.maximum(
-        one.exposures
-        - np.bincount(np.arange(amplitude.shape[1]) % one.stride, minlength=one.stride),
+    amplitude = amplitudes_by_age(matched, light)
+    mean_part = sum_by_phase(matched, light)
+    mean_exposures = np.maximum(
+        matched.exposures
+        - np.bincount(np.arange(amplitude.shape[1]) % matched.stride, minlength=matched.stride),
         0,
     )
     number = np.broadcast_to(chance[:, None], amplitude.shape)
-    value = np.concatenate([amplitude.ravel(), -taken.ravel()])
-    return value, np.concatenate([number.ravel(), np.multiply.outer(chance, rest).ravel()])
+    value = np.concatenate([amplitude.ravel(), -mean_part.ravel()])
+    return value, np.concatenate(
+        [number.ravel(), np.multiply.outer(chance, mean_exposures).ravel()]
+    )
 
 
-def amplitudes_by_age(one: Filter, light: Array) -> Array:
+def amplitudes_by_age(matched: Filter, light: Array) -> Array:
     """Return the amplitude of pulses of every age, shape (moment, age), for their light, shape
     (moment, exposure).
     """
     moments, count = light.shape
-    width = (len(one.times) - 1) * one.stride
+    width = (len(matched.times) - 1) * matched.stride
     out = np.zeros((moments, count + width))
-    for place, weight in enumerate(reversed(one.times)):
-        out[:, place * one.stride : place * one.stride + count] += weight * light
-    return out - sum_by_phase(one, light)[:, np.arange(out.shape[1]) % one.stride]
+    for exposure, weight in enumerate(reversed(matched.times)):
+        out[:, exposure * matched.stride : exposure * matched.stride + count] += weight * light
+    return out - sum_by_phase(matched, light)[:, np.arange(out.shape[1]) % matched.stride]
 
 
-def sum_by_phase(one: Filter, light: Array) -> Array:
+def sum_by_phase(matched: Filter, light: Array) -> Array:
     """Return the part of a pulse removed with the temporal mean, by the parity of its start, shape
     (moment, phase).
     """
     total = np.stack(
-        [light[:, phase :: one.stride].sum(axis=1) for phase in range(one.stride)], axis=1
+        [light[:, phase :: matched.stride].sum(axis=1) for phase in range(matched.stride)], axis=1
     )
-    return total * sum(one.times) / one.exposures
+    return total * sum(matched.times) / matched.exposures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,7 +225,9 @@ class CharacteristicFunctionData:
         """Return the model of pulses, shape (2 filter t,)."""
         pairs = zip(self.filters, self.frequency, strict=True)
         return real_and_imaginary(
-            np.stack([pulses.log_characteristic(one, frequency) for one, frequency in pairs])
+            np.stack(
+                [pulses.log_characteristic(matched, frequency) for matched, frequency in pairs]
+            )
         )
 
 
@@ -249,7 +253,7 @@ def observe(
     """
     scales: list[Array] = []
     parts = [
-        _sums(change, good, filters, scales) for change, good in zip(changes, usable, strict=True)
+        _sums(change, mask, filters, scales) for change, mask in zip(changes, usable, strict=True)
     ]
     sums, levels, count = (np.concatenate([part[i] for part in parts]) for i in range(3))
     frequency = np.stack(scales)
@@ -276,21 +280,22 @@ def _sums(
 
     The first parity also sets the frequencies of every filter.
     """
-    reach = common_reach(filters)
-    length = len(change) - max(len(one.times) for one in filters) + 1
-    good = usable[
-        :length, reach[0] : change.shape[1] - reach[0], reach[1] : change.shape[2] - reach[1]
+    margin = common_reach(filters)
+    length = len(change) - max(len(matched.times) for matched in filters) + 1
+    inner = usable[
+        :length, margin[0] : change.shape[1] - margin[0], margin[1] : change.shape[2] - margin[1]
     ]
     blocks = _Blocks.of(
-        good, EVENT_ACCURACY.block_exposures if any(len(one.times) > 1 for one in filters) else 1
+        inner,
+        EVENT_ACCURACY.block_exposures if any(len(matched.times) > 1 for matched in filters) else 1,
     )
     still = {}
     out, known = [], len(scales) == len(filters)
-    for index, one in enumerate(filters):
-        key = one.high, one.broad
+    for index, matched in enumerate(filters):
+        key = matched.high, matched.broad
         if key not in still:
-            still[key] = Filter(high=one.high, broad=one.broad).within(change, reach)
-        values = one.through_time(still[key])[:length]
+            still[key] = Filter(high=matched.high, broad=matched.broad).within(change, margin)
+        values = matched.through_time(still[key])[:length]
         if not known:
             scales.append(frequencies(values))
         out.append(blocks.sums(values, scales[index]))
@@ -306,11 +311,11 @@ def frequencies(values: Images) -> Array:
     1/DN.
     """
     sample = values.ravel()[:: max(1, values.size // EVENT_ACCURACY.sample)]
-    places = (np.array([0.25, 0.5, 0.999]) * (len(sample) - 1)).astype(int)
-    sample = np.partition(sample, places)
-    low, middle = sample[places[:2]]
+    ranks = (np.array([0.25, 0.5, 0.999]) * (len(sample) - 1)).astype(int)
+    sample = np.partition(sample, ranks)
+    low, middle = sample[ranks[:2]]
     # Noise without pulses, and mean of the brightest thousandth.
-    noise, bright = max(float(middle - low) / 0.6745, 1e-9), float(sample[places[2] :].mean())
+    noise, bright = max(float(middle - low) / 0.6745, 1e-9), float(sample[ranks[2] :].mean())
     high = EVENT_ACCURACY.highest_frequency / noise
     low = min(EVENT_ACCURACY.lowest_frequency / max(bright, 1e-12), 0.25 * high)
     return np.geomspace(low, high, EVENT_ACCURACY.frequencies)
@@ -323,41 +328,41 @@ class _Blocks:
     """
 
     first: NDArray[np.int64]
-    good: NDArray[np.bool_] | None
+    usable: NDArray[np.bool_] | None
     count: Array
 
     @classmethod
-    def of(cls, good: NDArray[np.bool_], least_depth: int) -> "_Blocks":
+    def of(cls, usable: NDArray[np.bool_], least_depth: int) -> "_Blocks":
         block = EVENT_ACCURACY.block_px
-        high, wide = (
-            np.minimum(np.arange(n) // block, max(n // block, 1) - 1) for n in good.shape[1:]
+        block_row, block_col = (
+            np.minimum(np.arange(n) // block, max(n // block, 1) - 1) for n in usable.shape[1:]
         )
-        across = int(wide[-1]) + 1
-        place = high[:, None] * across + wide
-        images = int(place[-1, -1]) + 1
-        depth = max(least_depth, -(-len(good) * images // EVENT_ACCURACY.max_blocks))
-        time = np.arange(len(good)) // depth
-        first = (time[:, None, None] * images + place) * EVENT_ACCURACY.bins
-        chosen = None if good.all() else good
-        inside = np.bincount(
-            (first if chosen is None else first[good]).ravel() // EVENT_ACCURACY.bins,
+        across = int(block_col[-1]) + 1
+        block_of_pixel = block_row[:, None] * across + block_col
+        images = int(block_of_pixel[-1, -1]) + 1
+        depth = max(least_depth, -(-len(usable) * images // EVENT_ACCURACY.max_blocks))
+        time = np.arange(len(usable)) // depth
+        first = (time[:, None, None] * images + block_of_pixel) * EVENT_ACCURACY.bins
+        chosen = None if usable.all() else usable
+        block_count = np.bincount(
+            (first if chosen is None else first[usable]).ravel() // EVENT_ACCURACY.bins,
             minlength=(int(time[-1]) + 1) * images,
         )
-        return cls(first=first, good=chosen, count=inside.astype(float))
+        return cls(first=first, usable=chosen, count=block_count.astype(float))
 
     def sums(self, values: Images, frequency: Array) -> tuple[NDArray[np.complex128], Array]:
         """Return sums of exp(i t y) over blocks, shape (block, t), and of y, shape (block,)."""
         bins = EVENT_ACCURACY.bins
         step, half = EVENT_ACCURACY.bin_width / frequency[-1], bins // 2
-        place = values * np.float32(1.0 / step)
-        place += np.float32(half + 0.5)
+        position = values * np.float32(1.0 / step)
+        position += np.float32(half + 0.5)
         # The first and the last bin are summed individually.
-        np.clip(place, 0.0, bins - 0.5, out=place)
-        index = place.astype(np.intp)
-        far = (index == 0) | (index == bins - 1)
+        np.clip(position, 0.0, bins - 0.5, out=position)
+        index = position.astype(np.intp)
+        is_outer = (index == 0) | (index == bins - 1)
         index += self.first
-        if self.good is not None:
-            index, far = index[self.good], far & self.good
+        if self.usable is not None:
+            index, is_outer = index[self.usable], is_outer & self.usable
         count = np.bincount(index.ravel(), minlength=len(self.count) * bins).reshape(-1, bins)
         count[:, [0, -1]] = 0
         centre = step * (np.arange(bins) - half)
@@ -367,7 +372,7 @@ class _Blocks:
         )
         number = count.astype(np.float64)
         total, level = np.asarray(number @ waves, np.complex128), number @ centre
-        y, block = values[far].astype(np.float64), self.first[far] // bins
+        y, block = values[is_outer].astype(np.float64), self.first[is_outer] // bins
         np.add.at(total, block, np.exp(1j * np.multiply.outer(y, frequency)))
         np.add.at(level, block, y)
         return total, level
@@ -388,13 +393,13 @@ def scatter(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> Ar
 def _by_pulses(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> Array:
     height, chance = _heights(pulses.relative_variance)
     added = np.empty((len(height), *observed.frequency.shape), np.complex128)
-    for index, (one, frequency) in enumerate(
+    for index, (matched, frequency) in enumerate(
         zip(observed.filters, observed.frequency, strict=True)
     ):
-        amplitude, area = pulse_outputs(one, pulses.spot, pulses.line, pulses.screen)
+        amplitude, area = pulse_outputs(matched, pulses.spot, pulses.line, pulses.screen)
         z = np.multiply.outer(np.multiply.outer(height * pulses.height_dn, frequency), amplitude)
         added[:, index] = np.expm1(1j * z) @ area
-    vector = np.stack([real_and_imaginary(np.asarray(one)) for one in added])
+    vector = np.stack([real_and_imaginary(np.asarray(matched)) for matched in added])
     return pulses.density * (vector.T * chance) @ vector
 
 
@@ -413,29 +418,31 @@ def _heights(relative_variance: float) -> tuple[Array, Array]:
 def _by_noise(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> Array:
     filters, frequency = observed.filters, observed.frequency
     count, times = frequency.shape
-    even, odd = np.zeros((2, count, times, count, times))
-    for a, one in enumerate(filters):
+    cosines, sines = np.zeros((2, count, times, count, times))
+    for a, matched in enumerate(filters):
         for b, other in enumerate(filters):
             if b < a:
-                even[a, :, b], odd[a, :, b] = even[b, :, a].T, odd[b, :, a].T
+                cosines[a, :, b], sines[a, :, b] = cosines[b, :, a].T, sines[b, :, a].T
                 continue
-            shared = _output_covariance(one, other, pulses.line) * pulses.noise_dn2
+            shared = _output_covariance(matched, other, pulses.line) * pulses.noise_dn2
             x = np.multiply.outer(np.multiply.outer(frequency[a], frequency[b]), shared)
-            even[a, :, b] = (np.cosh(x) - 1.0).sum(axis=-1)
-            odd[a, :, b] = np.sinh(x).sum(axis=-1)
+            cosines[a, :, b] = (np.cosh(x) - 1.0).sum(axis=-1)
+            sines[a, :, b] = np.sinh(x).sum(axis=-1)
     out = np.zeros((2 * count * times, 2 * count * times))
     half = count * times
-    out[:half, :half], out[half:, half:] = even.reshape(half, half), odd.reshape(half, half)
+    out[:half, :half], out[half:, half:] = cosines.reshape(half, half), sines.reshape(half, half)
     return out
 
 
-def _output_covariance(one: Filter, other: Filter, line: tuple[float, ...]) -> Array:
+def _output_covariance(first: Filter, second: Filter, line: tuple[float, ...]) -> Array:
     """Return the covariances of two filters' outputs at all separations, for noise of unit
     variance.
     """
-    across = np.correlate(np.convolve(one.columns, line), np.convolve(other.columns, line), "full")
-    down = np.correlate(np.ones(one.high), np.ones(other.high), "full")
-    time = np.correlate(one.times, other.times, "full")
+    across = np.correlate(
+        np.convolve(first.columns, line), np.convolve(second.columns, line), "full"
+    )
+    down = np.correlate(np.ones(first.high), np.ones(second.high), "full")
+    time = np.correlate(first.times, second.times, "full")
     return np.multiply.outer(np.multiply.outer(time, down), across).ravel()
 
 
@@ -451,6 +458,6 @@ def blend_covariances(computed: Array, counted: Array) -> Array:
     power, direction = np.linalg.eigh(computed / np.outer(unit, unit))
     strong = direction[:, power > EVENT_ACCURACY.strong_direction]
     weak = np.eye(len(unit)) - strong @ strong.T
-    rest = weak @ (counted / np.outer(unit, unit)) @ weak
-    kept = (strong * power[power > EVENT_ACCURACY.strong_direction]) @ strong.T
-    return (kept + EVENT_ACCURACY.block_loss * rest) * np.outer(unit, unit)
+    weak_part = weak @ (counted / np.outer(unit, unit)) @ weak
+    strong_part = (strong * power[power > EVENT_ACCURACY.strong_direction]) @ strong.T
+    return (strong_part + EVENT_ACCURACY.block_loss * weak_part) * np.outer(unit, unit)

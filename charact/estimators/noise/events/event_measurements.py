@@ -28,41 +28,41 @@ from labdata.session import Session, StackEntry
 Array = NDArray[np.float64]
 
 
-def pulse_figure_data(found: PulseFit) -> dict[str, Any]:
+def pulse_figure_data(pulse_fit: PulseFit) -> dict[str, Any]:
     """Return measured and fitted distributions of filtered pixels, and the fit parameters."""
-    best, one = found.peak.pulses, found.observed.filters[MIDDLE]
-    noise = float(np.sqrt(one.noise(best.line) * best.noise_dn2))
+    best, matched = pulse_fit.peak.pulses, pulse_fit.observed.filters[MIDDLE]
+    noise = float(np.sqrt(matched.noise(best.line) * best.noise_dn2))
     low, high = (
         -EVENT_ACCURACY.figure_noise_sd * noise,
-        EVENT_ACCURACY.figure_heights * found.signal_to_noise * noise,
+        EVENT_ACCURACY.figure_heights * pulse_fit.signal_to_noise * noise,
     )
     edges = np.linspace(low, high, EVENT_ACCURACY.figure_bins + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     value = [
-        one.within(change, one.reach)[
-            good[
+        matched.within(change, matched.reach)[
+            mask[
                 :,
-                one.reach[0] : good.shape[1] - one.reach[0],
-                one.reach[1] : good.shape[2] - one.reach[1],
+                matched.reach[0] : mask.shape[1] - matched.reach[0],
+                matched.reach[1] : mask.shape[2] - matched.reach[1],
             ]
         ]
-        for change, good in zip(found.frames.changes, found.usable, strict=True)
+        for change, mask in zip(pulse_fit.frames.changes, pulse_fit.usable, strict=True)
     ]
     pixels = sum(part.size for part in value)
     count = sum(np.histogram(part, edges)[0] for part in value)
-    spread = found.posterior["relative_variance"]
+    spread = pulse_fit.posterior["relative_variance"]
     return {
         "figure": "pulse-heights",
         "edge_dn": edges.tolist(),
         "density_per_dn": (np.asarray(count) / pixels / np.diff(edges)).tolist(),
         "value_dn": middle.tolist(),
-        "law_per_dn": _density(found, middle, float(high - low)).tolist(),
+        "law_per_dn": _density(pulse_fit, middle, float(high - low)).tolist(),
         "noise_per_dn": (
             np.exp(-0.5 * (middle / noise) ** 2) / noise / np.sqrt(2.0 * np.pi)
         ).tolist(),
         "values": pixels,
-        "filter_px": [one.high, one.broad],
-        "response_to_mean_pulse_dn": found.signal_to_noise * noise,
+        "filter_px": [matched.high, matched.broad],
+        "response_to_mean_pulse_dn": pulse_fit.signal_to_noise * noise,
         "density_per_px": best.density,
         "mean_height_dn": best.height_dn,
         "relative_variance": best.relative_variance,
@@ -72,20 +72,20 @@ def pulse_figure_data(found: PulseFit) -> dict[str, Any]:
         "glow": best.glow,
         "glow_exposures": best.glow_exposures,
         "fast_exposures": best.fast_exposures,
-        "signal_to_noise": found.signal_to_noise,
-        "ion_events": len(found.ion_height_dn),
-        "ion_events_per_px": len(found.ion_height_dn)
-        / sum(change.size for change in found.frames.changes),
-        "ion_mean_height_dn": float(np.mean(found.ion_height_dn))
-        if len(found.ion_height_dn)
+        "signal_to_noise": pulse_fit.signal_to_noise,
+        "ion_events": len(pulse_fit.ion_height_dn),
+        "ion_events_per_px": len(pulse_fit.ion_height_dn)
+        / sum(change.size for change in pulse_fit.frames.changes),
+        "ion_mean_height_dn": float(np.mean(pulse_fit.ion_height_dn))
+        if len(pulse_fit.ion_height_dn)
         else None,
-        "chi2": found.peak.chi2,
-        "freedom": found.peak.freedom,
-        "chance": found.peak.chance,
+        "chi2": pulse_fit.peak.chi2,
+        "freedom": pulse_fit.peak.freedom,
+        "chance": pulse_fit.peak.chance,
     }
 
 
-def _density(found: PulseFit, value: Array, span_dn: float) -> Array:
+def _density(pulse_fit: PulseFit, value: Array, span_dn: float) -> Array:
     """Return the fitted probability density of filtered pixels per DN, from its characteristic
     function.
     """
@@ -93,14 +93,14 @@ def _density(found: PulseFit, value: Array, span_dn: float) -> Array:
     frequency = np.asarray(
         2.0 * np.pi * np.fft.rfftfreq(EVENT_ACCURACY.figure_points, step), np.float64
     )
-    log = found.peak.pulses.log_characteristic(found.observed.filters[MIDDLE], frequency)
+    log = pulse_fit.peak.pulses.log_characteristic(pulse_fit.observed.filters[MIDDLE], frequency)
     # NumPy's transform uses exp(-i t y).
     density = np.fft.irfft(np.exp(np.conj(log)), EVENT_ACCURACY.figure_points) / step
-    place = np.fft.fftfreq(
+    heights_dn = np.fft.fftfreq(
         EVENT_ACCURACY.figure_points, 1.0 / (EVENT_ACCURACY.figure_points * step)
     )
-    order = np.argsort(place)
-    return np.interp(value, place[order], np.maximum(density[order], 0.0))
+    order = np.argsort(heights_dn)
+    return np.interp(value, heights_dn[order], np.maximum(density[order], 0.0))
 
 
 METHOD = "pulse-law"
@@ -145,17 +145,17 @@ def measure_events(dark: StackEntry, *, context: Context) -> Result:
         full_scale_dn=stack.full_scale_dn,
     )
     try:
-        found = _fit_dark_frames(frames, dark.conditions, context)
+        pulse_fit = _fit_dark_frames(frames, dark.conditions, context)
     except Unmeasurable as reason:
         out = [
             make_refusal(name, unit, str(reason), **fields)
             for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))
         ]
         return Result(measurements=tuple(out))
-    findings = pulse_findings(found)
+    findings = pulse_findings(pulse_fit)
     fields |= {"flags": flags_of(findings), "notes": notes_of(findings)}
-    out = _measurements(found, dark.conditions, context, fields)
-    return Result(measurements=tuple(out), evidence={"pulse-heights": pulse_figure_data(found)})
+    out = _measurements(pulse_fit, dark.conditions, context, fields)
+    return Result(measurements=tuple(out), evidence={"pulse-heights": pulse_figure_data(pulse_fit)})
 
 
 def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context) -> PulseFit:
@@ -180,26 +180,27 @@ def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context
             "mean"
         )
     period_s, open_s = conditions.exposure_s, _open_s(conditions)
-    share = min(1.0, open_s / period_s) if open_s and period_s else 1.0
+    open_share = min(1.0, open_s / period_s) if open_s and period_s else 1.0
     try:
-        found = fit_pulses(
-            look, dark_frames(stack, context), context, period_s=period_s, open_share=share
+        pulse_fit = fit_pulses(
+            look, dark_frames(stack, context), context, period_s=period_s, open_share=open_share
         )
     except np.linalg.LinAlgError:
         raise Unmeasurable(
             "no pulse-height distribution fits the darks: their bright pixels are not single "
             "photoelectrons"
         ) from None
-    chi2, error = found.peak.chi2 / found.peak.freedom, _relative_sd(found.posterior)
-    for wrong, reason in (
+    chi2, error = pulse_fit.peak.chi2 / pulse_fit.peak.freedom, _relative_sd(pulse_fit.posterior)
+    for is_refused, reason in (
         (
-            found.gain_of_pulses < EVENTS.min_chi2_gain,
+            pulse_fit.gain_of_pulses < EVENTS.min_chi2_gain,
             "no single-photoelectron events detected: chi2 improvement "
-            f"{found.gain_of_pulses:.0f}, at least {EVENTS.min_chi2_gain} required",
+            f"{pulse_fit.gain_of_pulses:.0f}, at least {EVENTS.min_chi2_gain} required",
         ),
         (
-            found.signal_to_noise < EVENTS.min_snr,
-            f"pulses are hidden by noise: a mean pulse is {found.signal_to_noise:.2g} times the "
+            pulse_fit.signal_to_noise < EVENTS.min_snr,
+            f"pulses are hidden by noise: a mean pulse is {pulse_fit.signal_to_noise:.2g} times "
+            "the "
             f"noise of a matched filter, at least {EVENTS.min_snr:g} required",
         ),
         (
@@ -215,9 +216,9 @@ def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context
             ),
         ),
     ):
-        if wrong:
+        if is_refused:
             raise Unmeasurable(reason)
-    return found
+    return pulse_fit
 
 
 def _relative_sd(posterior: Posterior) -> float:
@@ -225,18 +226,18 @@ def _relative_sd(posterior: Posterior) -> float:
     return max(float(np.std(np.log(posterior[name]))) for name in ("density", "height_dn"))
 
 
-def pulse_findings(found: PulseFit) -> list[Finding]:
+def pulse_findings(pulse_fit: PulseFit) -> list[Finding]:
     """Return the findings of a pulse fit."""
-    best, frames, ions = found.peak.pulses, found.frames, found.ion_height_dn
-    count, error = best.density * found.observed.pixels, _relative_sd(found.posterior)
+    best, frames, ions = pulse_fit.peak.pulses, pulse_fit.frames, pulse_fit.ion_height_dn
+    count, error = best.density * pulse_fit.observed.pixels, _relative_sd(pulse_fit.posterior)
     size = float(np.mean(ions)) / best.height_dn if len(ions) else 0.0
     rate = len(ions) / sum(change.size for change in frames.changes)
     checks = (
         (True, None, f"the detection probability p is not measurable in darks: {_HOW_P}"),
         (
-            found.signal_to_noise < EVENTS.low_snr,
+            pulse_fit.signal_to_noise < EVENTS.low_snr,
             "low-signal",
-            f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise",
+            f"a mean pulse is {pulse_fit.signal_to_noise:.2g} times the filtered noise",
         ),
         (
             count < EVENTS.few_events or error > EVENTS.high_relative_sd,
@@ -259,14 +260,16 @@ def pulse_findings(found: PulseFit) -> list[Finding]:
             f"{100 * frames.defects:.1f} % of the pixels are blinking",
         ),
         (
-            found.peak.chance < EVENTS.min_p_value,
+            pulse_fit.peak.chance < EVENTS.min_p_value,
             "model-misfit",
-            f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}",
+            f"residuals of the pulse fit have chi2 {pulse_fit.peak.chi2:.0f} of "
+            f"{pulse_fit.peak.freedom}",
         ),
         (
-            found.fraction_contaminated > EVENTS.contaminated_fraction,
+            pulse_fit.fraction_contaminated > EVENTS.contaminated_fraction,
             "model-misfit",
-            f"{100 * found.fraction_contaminated:.0f} % of the values are near ion feedback events",
+            f"{100 * pulse_fit.fraction_contaminated:.0f} % of the values are near ion feedback "
+            "events",
         ),
         (
             len(ions) > 0,
@@ -275,20 +278,20 @@ def pulse_findings(found: PulseFit) -> list[Finding]:
             "mean pulses each, are excluded",
         ),
     )
-    out = [Finding(flag, note) for seen, flag, note in checks if seen]
-    return out + [Finding(flag, "see the posterior") for flag in found.posterior.flags]
+    out = [Finding(flag, note) for applies, flag, note in checks if applies]
+    return out + [Finding(flag, "see the posterior") for flag in pulse_fit.posterior.flags]
 
 
 _HOW_P = "take a flat at known illuminance: it gives k, and p = k / pulse height"
 
 
 def _measurements(
-    found: PulseFit, conditions: Conditions, context: Context, fields: dict[str, Any]
+    pulse_fit: PulseFit, conditions: Conditions, context: Context, fields: dict[str, Any]
 ) -> list[Measurement]:
     """Return the quantities of a pulse fit, with the EBI: dark photoelectrons per second and pixel,
     and equivalent illumination.
     """
-    posterior = found.posterior
+    posterior = pulse_fit.posterior
     rng = np.random.default_rng([context.seed, 7])
     height, spread = posterior["height_dn"], posterior["relative_variance"]
     detected, note = detection(context, rng, len(height))
@@ -297,22 +300,26 @@ def _measurements(
             "detected_photoelectron_gain", "DN", height, posterior=posterior, **fields
         )
     ]
-    own = {**fields, "notes": (*fields["notes"], note)}
-    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", detected * height, **own))
-    out.append(measurement_from_draws("excess_noise_factor", "1", (1.0 + spread) / detected, **own))
+    gain_fields = {**fields, "notes": (*fields["notes"], note)}
+    out.append(
+        measurement_from_draws("photoelectron_gain", "DN/pe", detected * height, **gain_fields)
+    )
+    out.append(
+        measurement_from_draws("excess_noise_factor", "1", (1.0 + spread) / detected, **gain_fields)
+    )
     density, open_s = posterior["density"] / detected, _open_s(conditions)
     if not open_s:
         reason = (
             f"{np.median(density):.3g} photoelectrons per pixel and exposure: their rate needs "
             "the exposure_s or gate_ns of the darks"
         )
-        del own["flags"]
-        return [*out, make_refusal("ebi", "pe/s/px", reason, **own)]
+        del gain_fields["flags"]
+        return [*out, make_refusal("ebi", "pe/s/px", reason, **gain_fields)]
     rate = density / open_s
-    out.append(measurement_from_draws("ebi", "pe/s/px", rate, **own))
+    out.append(measurement_from_draws("ebi", "pe/s/px", rate, **gain_fields))
     if has_tube(context.camera):
         lux = rate / photoelectrons_per_lux_s(context, rng, len(rate))
-        out.append(measurement_from_draws("ebi", "lm/cm2", 1e-4 * lux, **own))
+        out.append(measurement_from_draws("ebi", "lm/cm2", 1e-4 * lux, **gain_fields))
     return out
 
 

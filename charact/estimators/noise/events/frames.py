@@ -33,8 +33,8 @@ class Filter:
     @cached_property
     def columns(self) -> NDArray[np.float64]:
         """Weights along a row; their sum is zero."""
-        far, gap = EVENT_ACCURACY.background_px, np.zeros(EVENT_ACCURACY.gap_px)
-        side = np.full(far, -self.broad / (2.0 * far))
+        side_px, gap = EVENT_ACCURACY.background_px, np.zeros(EVENT_ACCURACY.gap_px)
+        side = np.full(side_px, -self.broad / (2.0 * side_px))
         return np.concatenate([side, gap, np.ones(self.broad), gap, side])
 
     @property
@@ -51,30 +51,33 @@ class Filter:
             (across @ across) * self.high * (time @ time - time.sum() ** 2 / self.exposures)
         )
 
-    def within(self, change: Images, reach: tuple[int, int]) -> Images:
-        """Return the filtered images at all pixels with a margin of `reach` rows and columns.
+    def within(self, change: Images, margin: tuple[int, int]) -> Images:
+        """Return the filtered images at all pixels with a margin of `margin` rows and columns.
 
-        `change`: images, shape (exposure, row, col); `reach`: margin in rows and columns, at least
+        `change`: images, shape (exposure, row, col); `margin`: margin in rows and columns, at least
         that of the filter; the output is smaller by twice as many.
         """
-        rows, cols = change.shape[1] - 2 * reach[0], change.shape[2] - 2 * reach[1]
-        top, left = reach[0] - self.reach[0], reach[1] - self.reach[1]
-        strip = change[:, top : top + rows]
+        rows, cols = change.shape[1] - 2 * margin[0], change.shape[2] - 2 * margin[1]
+        first_row, first_col = margin[0] - self.reach[0], margin[1] - self.reach[1]
+        strip = change[:, first_row : first_row + rows]
         for shift in range(1, self.high):
-            strip = strip + change[:, top + shift : top + shift + rows]
+            strip = strip + change[:, first_row + shift : first_row + shift + rows]
         total = np.zeros((*strip.shape[:2], strip.shape[2] + 1), np.float32)
         np.cumsum(strip, axis=2, out=total[..., 1:])
-        far, gap = EVENT_ACCURACY.background_px, EVENT_ACCURACY.gap_px
+        side_px, gap = EVENT_ACCURACY.background_px, EVENT_ACCURACY.gap_px
 
-        out = total[..., left + far : left + far + cols] - total[..., left : left + cols]
+        out = (
+            total[..., first_col + side_px : first_col + side_px + cols]
+            - total[..., first_col : first_col + cols]
+        )
 
         def add(start: int, width: int) -> None:
             np.add(out, total[..., start + width : start + width + cols], out=out)
             np.subtract(out, total[..., start : start + cols], out=out)
 
-        add(left + far + 2 * gap + self.broad, far)
-        out *= np.float32(-self.broad / (2.0 * far))
-        add(left + far + gap, self.broad)
+        add(first_col + side_px + 2 * gap + self.broad, side_px)
+        out *= np.float32(-self.broad / (2.0 * side_px))
+        add(first_col + side_px + gap, self.broad)
         return out if len(self.times) == 1 else self.through_time(out)
 
     def through_time(self, still: Images) -> Images:
@@ -85,7 +88,9 @@ class Filter:
 
 def common_reach(filters: Sequence[Filter]) -> tuple[int, int]:
     """Return the margin in rows and columns of all filters."""
-    return max(one.reach[0] for one in filters), max(one.reach[1] for one in filters)
+    return max(matched.reach[0] for matched in filters), max(
+        matched.reach[1] for matched in filters
+    )
 
 
 def boxes(step: int, *, stride: int, exposures: int, lag: bool) -> tuple[Filter, ...]:
@@ -94,13 +99,22 @@ def boxes(step: int, *, stride: int, exposures: int, lag: bool) -> tuple[Filter,
     `step`: half width of the matched filter, px; `stride`, `exposures`: as in `Filter`; `lag`:
     whether to include filters across exposures.
     """
-    near, wide = 2 * step + 1, 6 * step + 1
+    core_px, glow_px = 2 * step + 1, 6 * step + 1
 
     def box(high: int, broad: int, times: tuple[float, ...] = (1.0,)) -> Filter:
         return Filter(high=high, broad=broad, times=times, stride=stride, exposures=exposures)
 
-    plain = (box(1, 1), box(1, near), box(near, 1), box(near, near), box(wide, wide))
-    return plain + (box(near, near, (1.0, -1.0)), box(near, near, (1.0, 1.0, 1.0, 1.0))) * lag
+    plain = (
+        box(1, 1),
+        box(1, core_px),
+        box(core_px, 1),
+        box(core_px, core_px),
+        box(glow_px, glow_px),
+    )
+    return (
+        plain
+        + (box(core_px, core_px, (1.0, -1.0)), box(core_px, core_px, (1.0, 1.0, 1.0, 1.0))) * lag
+    )
 
 
 # Reference frequency of the wings, cycles per pixel.
@@ -128,10 +142,11 @@ class PulseSpread:
         )
 
 
-def _sides(one: Filter) -> tuple[int, int]:
+def _sides(matched: Filter) -> tuple[int, int]:
     """Return rows and columns of the positions around a filter, px."""
     rows, cols = (
-        -(-(size + EVENT_ACCURACY.spot_px) // 8) * 8 for size in (one.high, len(one.columns))
+        -(-(size + EVENT_ACCURACY.spot_px) // 8) * 8
+        for size in (matched.high, len(matched.columns))
     )
     return rows, cols
 
@@ -170,42 +185,44 @@ def _frequencies(sides: tuple[int, int]) -> tuple[Array, Array]:
 
 def _comb(kernel: NDArray[np.float64], frequency: Array) -> NDArray[np.complex128]:
     """Return the transfer of weights on the pixel lattice, about the centre."""
-    place = np.arange(len(kernel)) - len(kernel) // 2
+    position = np.arange(len(kernel)) - len(kernel) // 2
     return np.asarray(
-        np.exp(-2j * np.pi * np.multiply.outer(frequency.ravel(), place)) @ kernel, np.complex128
+        np.exp(-2j * np.pi * np.multiply.outer(frequency.ravel(), position)) @ kernel, np.complex128
     )
 
 
 @lru_cache(maxsize=64)
-def _weights(one: Filter, line: tuple[float, ...]) -> NDArray[np.complex128]:
+def _weights(matched: Filter, line: tuple[float, ...]) -> NDArray[np.complex128]:
     """Return the transfer of the filter and the video filter."""
-    fy, fx = _frequencies(_sides(one))
-    return _comb(np.ones(one.high), fy).real[:, None] * _comb(np.convolve(one.columns, line), fx)
+    fy, fx = _frequencies(_sides(matched))
+    return _comb(np.ones(matched.high), fy).real[:, None] * _comb(
+        np.convolve(matched.columns, line), fx
+    )
 
 
 def responses(
-    one: Filter, spot: PulseSpread, line: tuple[float, ...] = (1.0,)
+    matched: Filter, spot: PulseSpread, line: tuple[float, ...] = (1.0,)
 ) -> tuple[Array, Array]:
     """Return the filter outputs of unit pulses at all positions: amplitudes, and the area in px of
     each.
 
     Thousands of positions are reduced to few amplitudes with equal area, mean and mean square.
     """
-    return _responses(Filter(high=one.high, broad=one.broad), spot, line)
+    return _responses(Filter(high=matched.high, broad=matched.broad), spot, line)
 
 
 @lru_cache(maxsize=512)
-def _responses(one: Filter, spot: PulseSpread, line: tuple[float, ...]) -> tuple[Array, Array]:
-    sides, fine = _sides(one), EVENT_ACCURACY.steps_per_px
+def _responses(matched: Filter, spot: PulseSpread, line: tuple[float, ...]) -> tuple[Array, Array]:
+    sides, fine = _sides(matched), EVENT_ACCURACY.steps_per_px
     # Filters and spots are symmetric along columns: one half counts twice, its borders once.
     half = fine * sides[0] // 2 + 1
-    whole = np.fft.irfft2(
-        _transfer(spot, sides) * _weights(one, line), s=(fine * sides[0], fine * sides[1])
+    response = np.fft.irfft2(
+        _transfer(spot, sides) * _weights(matched, line), s=(fine * sides[0], fine * sides[1])
     )[:half]
     once = np.full(half, 2.0)
     once[[0, -1]] = 1.0
-    weight = np.broadcast_to(once[:, None], whole.shape) / fine**2
-    return quantise_amplitudes(whole.ravel() * fine**2, weight.ravel())
+    weight = np.broadcast_to(once[:, None], response.shape) / fine**2
+    return quantise_amplitudes(response.ravel() * fine**2, weight.ravel())
 
 
 def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
@@ -215,11 +232,11 @@ def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
     negative). Nodes are proportional to squared integers; small values use the three around zero.
     """
     top, count = float(np.abs(value).max()), EVENT_ACCURACY.nodes
-    place = np.sqrt(np.abs(value) / top) * count
+    position = np.sqrt(np.abs(value) / top) * count
     grid = np.arange(-count - 1, count + 2)
     nodes = top * (grid / count) ** 2 * np.sign(grid)
-    far = place > 1.5
-    small, small_weight = value[~far], weight[~far]
+    is_outer = position > 1.5
+    small, small_weight = value[~is_outer], weight[~is_outer]
     zero, unit = count + 1, nodes[count + 2]
     out = np.zeros(len(nodes))
     first, second = float(small_weight @ small) / unit, float(small_weight @ small**2) / unit**2
@@ -228,16 +245,16 @@ def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
         float(small_weight.sum()) - second,
         0.5 * (second + first),
     )
-    large, large_weight = value[far], weight[far]
-    middle = np.rint(np.copysign(place[far], large)).astype(np.int64) + zero
+    large, large_weight = value[is_outer], weight[is_outer]
+    middle = np.rint(np.copysign(position[is_outer], large)).astype(np.int64) + zero
     middle = np.clip(middle, 1, len(nodes) - 2)
     a, b, c = nodes[middle - 1], nodes[middle], nodes[middle + 1]
     to_a, to_b, to_c = large - a, large - b, large - c
     out += np.bincount(middle - 1, to_b * to_c / ((a - b) * (a - c)) * large_weight, len(nodes))
     out += np.bincount(middle, to_a * to_c / ((b - a) * (b - c)) * large_weight, len(nodes))
     out += np.bincount(middle + 1, to_a * to_b / ((c - a) * (c - b)) * large_weight, len(nodes))
-    used = out != 0.0
-    return nodes[used], out[used]
+    is_weighted = out != 0.0
+    return nodes[is_weighted], out[is_weighted]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,10 +277,10 @@ class DarkFrames:
     def without_mean(self, usable: list[NDArray[np.bool_]]) -> "DarkFrames":
         """Return a copy with each pixel's mean computed from the usable values."""
         changes = []
-        for change, good in zip(self.changes, usable, strict=True):
-            count = np.maximum(good.sum(axis=0), 1)
+        for change, mask in zip(self.changes, usable, strict=True):
+            count = np.maximum(mask.sum(axis=0), 1)
             changes.append(
-                change - (np.where(good, change, 0.0).sum(axis=0) / count).astype(np.float32)
+                change - (np.where(mask, change, 0.0).sum(axis=0) / count).astype(np.float32)
             )
         return replace(self, changes=tuple(changes))
 
@@ -301,11 +318,11 @@ def dark_frames(
 def _middle(stack: FrameStack, frames: int, most_values: int) -> FrameStack:
     """Return the first frames, cropped to the centre at an even row, which preserves the fields."""
     rows, cols = stack.data.shape[1:]
-    share = min(1.0, np.sqrt(most_values / (frames * rows * cols)))
-    high, wide = max(1, int(share * rows)), max(1, int(share * cols))
-    row, col = (rows - high) // 4 * 2, (cols - wide) // 2
+    side_fraction = min(1.0, np.sqrt(most_values / (frames * rows * cols)))
+    height, width = max(1, int(side_fraction * rows)), max(1, int(side_fraction * cols))
+    row, col = (rows - height) // 4 * 2, (cols - width) // 2
     return FrameStack(
-        data=stack.data[:frames, row : row + high, col : col + wide],
+        data=stack.data[:frames, row : row + height, col : col + width],
         frame_number=stack.frame_number[:frames],
     )
 
@@ -338,8 +355,8 @@ def _flickering(change: Images) -> NDArray[np.bool_]:
 
 def filter_exposures(frames: DarkFrames) -> list[Array]:
     """Return the exposures of each parity filtered for a small spot."""
-    one = frames.filters(1, lag=False)[MIDDLE]
-    return [one.within(change, one.reach).astype(np.float64) for change in frames.changes]
+    matched = frames.filters(1, lag=False)[MIDDLE]
+    return [matched.within(change, matched.reach).astype(np.float64) for change in frames.changes]
 
 
 def has_pulses(frames: DarkFrames) -> bool:
@@ -370,21 +387,24 @@ class ImageLagCorrelation:
 
 def image_lag_correlation(frames: DarkFrames) -> ImageLagCorrelation:
     """Return in which later exposures image lag is detected."""
-    one, values = frames.filters(1, lag=False)[MIDDLE], filter_exposures(frames)
+    matched, values = frames.filters(1, lag=False)[MIDDLE], filter_exposures(frames)
     if frames.stride == 1:
         return ImageLagCorrelation(
-            across=False, later=_is_correlated(values[0][:-2], values[0][2:], one)
+            across=False, later=_is_correlated(values[0][:-2], values[0][2:], matched)
         )
-    even, odd = values
+    even_fields, odd_fields = values
     across = any(
-        _is_correlated(*pair, one, lowered=0.0) for pair in ((even, odd), (odd[:-1], even[1:]))
+        _is_correlated(*pair, matched, lowered=0.0)
+        for pair in ((even_fields, odd_fields), (odd_fields[:-1], even_fields[1:]))
     )
     return ImageLagCorrelation(
-        across=across, later=any(_is_correlated(value[:-1], value[1:], one) for value in values)
+        across=across, later=any(_is_correlated(value[:-1], value[1:], matched) for value in values)
     )
 
 
-def _is_correlated(before: Array, after: Array, one: Filter, lowered: float | None = None) -> bool:
+def _is_correlated(
+    before: Array, after: Array, matched: Filter, lowered: float | None = None
+) -> bool:
     """Return whether pixels are correlated between two sets of exposures.
 
     `lowered` is the bias of the correlation by the subtracted mean; None: one over the number of
@@ -397,7 +417,7 @@ def _is_correlated(before: Array, after: Array, one: Filter, lowered: float | No
     product = before * after
     power = float(np.mean(before**2))
     # Values within the filter box and its video neighbours are correlated.
-    area = 2.0 * one.high * one.broad
+    area = 2.0 * matched.high * matched.broad
     sd = float(np.sqrt(np.mean(product**2) / (product.size / area))) / power
     correlation = float(np.mean(product)) / power + (
         1.0 / len(before) if lowered is None else lowered
@@ -406,39 +426,39 @@ def _is_correlated(before: Array, after: Array, one: Filter, lowered: float | No
 
 
 def usable_values(
-    change: Images, one: Filter, limit_dn: float, after: int
+    change: Images, matched: Filter, limit_dn: float, after: int
 ) -> tuple[NDArray[np.bool_], Array]:
     """Return which values are far from every pulse above a limit, and the heights of these pulses.
 
     Starting with the brightest value, each pulse claims its surroundings.
 
-    `one`: filter whose output is compared with the limit, DN; `after`: exposures after such a pulse
-    that are excluded too.
+    `matched`: filter whose output is compared with the limit, DN; `after`: exposures after such a
+    pulse that are excluded too.
     """
-    value = one.within(change, one.reach)
+    value = matched.within(change, matched.reach)
     usable, heights = np.ones(change.shape, bool), []
-    places = np.argwhere(value > limit_dn)
-    bright = value[tuple(places.T)]
+    pulses = np.argwhere(value > limit_dn)
+    bright = value[tuple(pulses.T)]
     for index in np.argsort(-bright):
-        frame, row, col = places[index] + (0, *one.reach)
+        frame, row, col = pulses[index] + (0, *matched.reach)
         if not usable[frame, row, col]:
             continue
         heights.append(float(bright[index]))
         area = (
             slice(max(frame - after, 0), frame + after + 1),
-            slice(max(row - 2 * one.high, 0), row + 2 * one.high + 1),
-            slice(max(col - len(one.columns), 0), col + len(one.columns) + 1),
+            slice(max(row - 2 * matched.high, 0), row + 2 * matched.high + 1),
+            slice(max(col - len(matched.columns), 0), col + len(matched.columns) + 1),
         )
         usable[area] = False
     return usable, np.array(heights)
 
 
-def fits_filters(frames: DarkFrames, least: int) -> bool:
+def fits_filters(frames: DarkFrames, min_px: int) -> bool:
     """Return whether images have enough rows and columns inside the margin of the widest
     filters.
     """
-    reach = common_reach(boxes(3, stride=1, exposures=2, lag=False))
+    margins = common_reach(boxes(3, stride=1, exposures=2, lag=False))
     return all(
-        size - 2 * far >= least
-        for size, far in zip(frames.changes[0].shape[1:], reach, strict=True)
+        size - 2 * margin >= min_px
+        for size, margin in zip(frames.changes[0].shape[1:], margins, strict=True)
     )

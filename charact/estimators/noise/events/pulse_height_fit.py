@@ -145,9 +145,9 @@ class PulseLikelihood:
         for index in range(len(point)):
             size = EVENT_ACCURACY.derivative_step
             step = size if point[index] + size < self.walls[index, 1] else -size
-            moved = point.copy()
-            moved[index] += step
-            columns.append((self.model(moved) - at) / step)
+            stepped = point.copy()
+            stepped[index] += step
+            columns.append((self.model(stepped) - at) / step)
         return np.stack(columns, axis=1)
 
     def noise_alone(self) -> Array:
@@ -163,9 +163,9 @@ def whitening(observed: CharacteristicFunctionData, covariance: Array) -> Array:
     """
     count, times = observed.frequency.shape
     real, imaginary = np.abs(observed.value).reshape(2, count, times)
-    balanced = np.array([abs(sum(one.times)) < 1e-9 for one in observed.filters])[:, None]
-    share = EVENT_ACCURACY.model_relative_sd
-    unknown = np.stack([share * real, np.where(balanced, real, share * imaginary)])
+    balanced = np.array([abs(sum(matched.times)) < 1e-9 for matched in observed.filters])[:, None]
+    model_sd = EVENT_ACCURACY.model_relative_sd
+    unknown = np.stack([model_sd * real, np.where(balanced, real, model_sd * imaginary)])
     covariance = covariance + np.diag(unknown.ravel() ** 2 + 1e-24)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)
 
@@ -174,8 +174,8 @@ def noise_only_chi2(problem: PulseLikelihood, covariance: Array) -> float:
     """Return the smallest chi2 of noise alone."""
     root = whitening(problem.observed, covariance)
     white, target = root @ problem.noise_alone(), root @ problem.observed.value
-    rest = target - max(float(white @ target / (white @ white)), 0.0) * white
-    return float(rest @ rest)
+    residual = target - max(float(white @ target / (white @ white)), 0.0) * white
+    return float(residual @ residual)
 
 
 def best_guess(
@@ -235,15 +235,21 @@ def optimise_pulses(
     for _ in range(EVENT_ACCURACY.max_iterations):
         slope = np.concatenate([root @ derivative, np.diag(precision)])
         step = _step(slope, at, damping, point, problem.walls)
-        moved = np.clip(point + np.clip(step, -1.0, 1.0), problem.walls[:, 0], problem.walls[:, 1])
-        reached, way = problem.model(moved), moved - point
-        there = residual(moved, reached)
-        gain = float(at @ at - there @ there)
+        trial = np.clip(point + np.clip(step, -1.0, 1.0), problem.walls[:, 0], problem.walls[:, 1])
+        reached, way = problem.model(trial), trial - point
+        trial_residual = residual(trial, reached)
+        gain = float(at @ at - trial_residual @ trial_residual)
         if gain > EVENT_ACCURACY.chi2_tolerance:
             derivative = derivative + np.outer(reached - predicted - derivative @ way, way) / (
                 way @ way
             )
-            point, predicted, at, damping, fresh = moved, reached, there, damping / 5.0, False
+            point, predicted, at, damping, fresh = (
+                trial,
+                reached,
+                trial_residual,
+                damping / 5.0,
+                False,
+            )
         elif not fresh and not (rough and abs(gain) < enough):
             derivative, fresh = problem.derivative(point, predicted), True
         elif abs(gain) <= enough or damping > 1e4:
@@ -267,17 +273,17 @@ def _step(slope: Array, at: Array, damping: float, point: Array, walls: Array) -
     """Return a damped step that keeps parameters inside their bounds."""
     free = np.ones(len(point), bool)
     while True:
-        step, own = np.zeros(len(point)), slope[:, free]
-        curvature = own.T @ own
+        step, free_slope = np.zeros(len(point)), slope[:, free]
+        curvature = free_slope.T @ free_slope
         step[free] = np.linalg.solve(
-            curvature + damping * np.diag(np.diag(curvature) + 1e-12), -own.T @ at
+            curvature + damping * np.diag(np.diag(curvature) + 1e-12), -free_slope.T @ at
         )
-        held = free & (
+        blocked = free & (
             ((point <= walls[:, 0]) & (step < 0.0)) | ((point >= walls[:, 1]) & (step > 0.0))
         )
-        if not held.any():
+        if not blocked.any():
             return step
-        free &= ~held
+        free &= ~blocked
 
 
 def laplace_draws(problem: PulseLikelihood, peak: PulseOptimum, *, seed: int) -> Posterior:
@@ -286,7 +292,7 @@ def laplace_draws(problem: PulseLikelihood, peak: PulseOptimum, *, seed: int) ->
     For the coverage of its intervals see `benchmarks.studies.dark_events_coverage`.
     """
     units = tuple(UNITS[name] for name in problem.names)
-    found = laplace(
+    posterior = laplace(
         None,  # pyright: ignore[reportArgumentType]
         names=problem.names,
         units=units,
@@ -295,13 +301,13 @@ def laplace_draws(problem: PulseLikelihood, peak: PulseOptimum, *, seed: int) ->
         seed=seed,
         bounds=problem.walls,
     )
-    draws = found.draws.copy()
+    draws = posterior.draws.copy()
     for index, name in enumerate(problem.names):
         if name in LOGARITHMIC:
             draws[:, index] = np.exp(draws[:, index])
     # Absent wings and an unmeasurable phosphor decay lie at their bounds and are harmless.
-    flags = tuple(flag for flag in found.flags if flag != "prior-bound")
-    return replace(found, draws=draws, flags=flags)
+    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
+    return replace(posterior, draws=draws, flags=flags)
 
 
 # Half width of the matched filter, px, below each spot width.
@@ -380,9 +386,9 @@ def fit_pulses(
     `period_s`: exposure period, s; None: unknown; `open_share`: fraction of the period, from its
     start, in which photoelectrons arrive.
     """
-    seen, fast = image_lag_correlation(frames), fast_prior(context, period_s, frames.stride)
+    correlation, fast = image_lag_correlation(frames), fast_prior(context, period_s, frames.stride)
     known = has_tube(context.camera) and period_s is not None
-    if seen.across and not seen.later and not known:
+    if correlation.across and not correlation.later and not known:
         raise Unmeasurable(
             "image lag reaches the next field, whose amount is not measurable from one field "
             "alone: name the sensor, with its phosphor decay, and state the exposure_s of the "
@@ -390,7 +396,13 @@ def fit_pulses(
         )
     # Free parameters of the decay. Frames always measure light in the next frame; fields only
     # detect it.
-    screen = (*SLOW, *FAST) if seen.later else FAST if seen.across or frames.stride == 1 else ()
+    screen = (
+        (*SLOW, *FAST)
+        if correlation.later
+        else FAST
+        if correlation.across or frames.stride == 1
+        else ()
+    )
     priors = spot_priors(context) | fast
     setup = _Setup(
         priors=priors,
@@ -424,14 +436,14 @@ def _from_elsewhere(fit: _Fit, stride: int) -> PulseOptimum:
     """Return the best optimum from several decay start values, because few frames constrain it
     poorly.
     """
-    near = [
-        replace(fit.peak.pulses, glow=share, glow_exposures=EVENTS.start_decay * stride)
-        for share in EVENTS.restart_fractions
+    starts = [
+        replace(fit.peak.pulses, glow=glow, glow_exposures=EVENTS.start_decay * stride)
+        for glow in EVENTS.restart_fractions
     ]
     return min(
         [
             fit.peak,
-            *(optimise_pulses(fit.problem, fit.covariance, one, rough=False) for one in near),
+            *(optimise_pulses(fit.problem, fit.covariance, start, rough=False) for start in starts),
         ],
         key=lambda peak: peak.chi2,
     )
@@ -462,23 +474,29 @@ def _from_scratch(frames: DarkFrames, setup: _Setup) -> _Fit:
 
 
 def _again(
-    frames: DarkFrames, usable: list[NDArray[np.bool_]], ions_dn: Array, near: _Fit, setup: _Setup
+    frames: DarkFrames,
+    usable: list[NDArray[np.bool_]],
+    ions_dn: Array,
+    last_fit: _Fit,
+    setup: _Setup,
 ) -> _Fit:
     """Return a fit that starts from another, with the covariance of its pulses."""
     problem = setup.problem(
-        observe(frames.changes, usable, frames.filters(near.step, lag=setup.lag))
+        observe(frames.changes, usable, frames.filters(last_fit.step, lag=setup.lag))
     )
-    peak, covariance = near.peak, near.covariance
-    for left in reversed(range(EVENTS.rounds)):
+    peak, covariance = last_fit.peak, last_fit.covariance
+    for round_left in reversed(range(EVENTS.rounds)):
         covariance = blend_covariances(
             scatter(peak.pulses, problem.observed), problem.observed.covariance
         )
-        peak = optimise_pulses(problem, covariance, peak.pulses, peak.derivative, rough=left > 0)
+        peak = optimise_pulses(
+            problem, covariance, peak.pulses, peak.derivative, rough=round_left > 0
+        )
     return _Fit(
         problem=problem,
         covariance=covariance,
         peak=peak,
-        step=near.step,
+        step=last_fit.step,
         frames=frames,
         usable=usable,
         ions_dn=ions_dn,
@@ -494,7 +512,7 @@ def _without_ions(frames: DarkFrames, fit: _Fit, setup: _Setup, known: int) -> _
         parts = [usable_values(change, fit.middle, limit, after) for change in frames.changes]
         heights, usable = (
             np.concatenate([height for _, height in parts]),
-            [good for good, _ in parts],
+            [mask for mask, _ in parts],
         )
         if len(heights) <= known:
             return fit
@@ -563,12 +581,12 @@ def _guess(
 
 def _filter_step(guess: PulsePopulation) -> int:
     width = max(guess.column_px, guess.row_px)
-    return next(step for most, step in STEPS if width < most)
+    return next(step for limit_px, step in STEPS if width < limit_px)
 
 
-def _response(one: Filter, pulses: PulsePopulation) -> float:
+def _response(matched: Filter, pulses: PulsePopulation) -> float:
     """Return the output for a pulse of unit light at a pixel centre, in its own exposure."""
-    amplitude, _ = responses(one, pulses.spot, pulses.line)
+    amplitude, _ = responses(matched, pulses.spot, pulses.line)
     light, weight = pulses.screen.by_exposure()
     return float(amplitude.max() * (weight @ light[:, 0]))
 

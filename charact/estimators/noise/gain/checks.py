@@ -34,47 +34,50 @@ ALIKE = {
 
 def series_findings(series: FlatSeries) -> list[Finding]:
     """Return the findings that concern every quantity of the series."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     if series.reference != "dark":
         words = f"no darks of two frames or more: signals are measured from the {series.reference}"
-        found.append(Finding("no-darks", words))
+        findings.append(Finding("no-darks", words))
     if series.left_out:
-        found.append(Finding(None, f"excluded (different gain): {', '.join(series.left_out)}"))
-        here = series.flats[0].conditions
+        findings.append(Finding(None, f"excluded (different gain): {', '.join(series.left_out)}"))
+        conditions = series.flats[0].conditions
         known = [
-            f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None
+            f"{name} {getattr(conditions, name):.4g}"
+            for name in GAINS
+            if getattr(conditions, name) is not None
         ]
         words = "the gain with most flats, or the brightest of equally many"
-        found += [Finding(None, f"measured at {', '.join(known)}: {words}")] if known else []
+        findings += [Finding(None, f"measured at {', '.join(known)}: {words}")] if known else []
     if series.single:
-        found.append(Finding(None, without_noise(series.single)))
-    found += (
+        findings.append(Finding(None, without_noise(series.single)))
+    findings += (
         _stationarity_findings(series)
         + _proportionality_findings(series)
         + _clipping_findings(series)
     )
-    found += _condition_findings(series) + processing_findings(series) + dark_findings(series)
-    left = int(series.fitted.sum())
-    if left < CHECKS.min_levels:
-        word = "level" if left == 1 else "levels"
-        found.append(
+    findings += _condition_findings(series) + processing_findings(series) + dark_findings(series)
+    linear_levels = int(series.fitted.sum())
+    if linear_levels < CHECKS.min_levels:
+        word = "level" if linear_levels == 1 else "levels"
+        findings.append(
             Finding(
                 None,
-                f"only {left} {word} inside the linear range: linearity not testable; {ALLOWED}",
+                f"only {linear_levels} {word} inside the linear range: linearity not testable; "
+                f"{ALLOWED}",
             )
         )
-    return found
+    return findings
 
 
 def dark_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of a dark brighter than flats by more than the noise of a pixel."""
     noise = [max(dark.variance_dn2, 0.0) ** 0.5 for dark in series.darks]
-    below = [
+    negative = [
         i for i, sd in enumerate(noise) if series.reference == "dark" and series.signal_dn[i] < -sd
     ]
-    if not below:
+    if not negative:
         return []
-    lowest = min(below, key=lambda i: series.signal_dn[i])
+    lowest = min(negative, key=lambda i: series.signal_dn[i])
     flat, dark = series.flats[lowest], series.darks[lowest]
     high = noise[lowest] - max(flat.variance_dn2, 0.0) ** 0.5
     effect = (
@@ -89,19 +92,23 @@ def _condition_findings(series: FlatSeries) -> list[Finding]:
     """Return differences between flat and dark in conditions that set dark level or gain."""
     if series.reference != "dark":
         return []
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for flat, dark in zip(series.flats, series.darks, strict=True):
-        for name, (share, least) in ALIKE.items():
-            here, there = getattr(flat.conditions, name), getattr(dark.conditions, name)
-            if here is None or there is None or abs(here - there) <= max(least, share * abs(here)):
+        for name, (relative, absolute) in ALIKE.items():
+            of_flat, of_dark = getattr(flat.conditions, name), getattr(dark.conditions, name)
+            if (
+                of_flat is None
+                or of_dark is None
+                or abs(of_flat - of_dark) <= max(absolute, relative * abs(of_flat))
+            ):
                 continue
             word = name.rsplit("_", 1)
             effect = (
-                f"{flat.label} and its dark {dark.label} differ in {word[0]}: {here:.4g} and "
-                f"{there:.4g} {word[1]}, so that level and noise of the dark may be others"
+                f"{flat.label} and its dark {dark.label} differ in {word[0]}: {of_flat:.4g} and "
+                f"{of_dark:.4g} {word[1]}, so that level and noise of the dark may be others"
             )
-            found.append(with_remedy("unlike-conditions", effect, f"darks of the flats' {name}"))
-    return found
+            findings.append(with_remedy("unlike-conditions", effect, f"darks of the flats' {name}"))
+    return findings
 
 
 def light_findings(series: FlatSeries) -> list[Finding]:
@@ -119,11 +126,15 @@ def _dark_current_findings(series: FlatSeries) -> list[Finding]:
         (f.conditions.exposure_s, d.conditions.exposure_s)
         for f, d in zip(series.flats, series.darks, strict=True)
     ]
-    gaps = [(here - there, here) for here, there in times if here is not None and there is not None]
-    apart = [gap for gap, here in gaps if here and gap > CHECKS.exposure_tolerance * here]
-    if not apart or series.reference != "dark":
+    gaps = [
+        (flat_s - dark_s, flat_s)
+        for flat_s, dark_s in times
+        if flat_s is not None and dark_s is not None
+    ]
+    unequal = [gap for gap, flat_s in gaps if flat_s and gap > CHECKS.exposure_tolerance * flat_s]
+    if not unequal or series.reference != "dark":
         return []
-    effect = f"signals include the dark current of up to {max(apart):.3g} s"
+    effect = f"signals include the dark current of up to {max(unequal):.3g} s"
     return [with_remedy("unlike-conditions", effect, "darks of the flats' exposure_s")]
 
 
@@ -202,10 +213,10 @@ def _trend(series: FlatSeries) -> _Trend | None:
         return None
     sd, common = errors_of(series)
     sd, shared, gain = sd[chosen] / signal, common / signal, series.variance_dn2[chosen] / signal
-    one = np.ones_like(signal)
+    ones = np.ones_like(signal)
     line, mean = (
         linear_fit(columns, gain, sd, shared=shared)
-        for columns in ([one, signal / signal.max()], [one])
+        for columns in ([ones, signal / signal.max()], [ones])
     )
     return _Trend(
         signal=signal,
@@ -227,16 +238,20 @@ def bend_allowance(series: FlatSeries) -> float:
     equally likely.
     """
     trend = _trend(series)
-    share, sd = (
+    curvature, sd = (
         (0.0, np.inf)
         if trend is None
         else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
     )
     if series.fitted.sum() >= CHECKS.min_levels:
-        return min(abs(share), CHECKS.curvature) if abs(share) > CHECKS.curvature_sd * sd else 0.0
+        return (
+            min(abs(curvature), CHECKS.curvature)
+            if abs(curvature) > CHECKS.curvature_sd * sd
+            else 0.0
+        )
     shrinkage = CHECKS.curvature**2 / (CHECKS.curvature**2 + sd**2)
     return UndetectedEffect(
-        share=shrinkage * share, sd=CHECKS.curvature * float(np.sqrt(1.0 - shrinkage))
+        fraction=shrinkage * curvature, sd=CHECKS.curvature * float(np.sqrt(1.0 - shrinkage))
     ).posterior_rms
 
 
@@ -260,16 +275,16 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
     if not deviates and abs(slope) <= CHECKS.curvature * middle + CHECKS.curvature_sd * error:
         more = "the gain is the slope over all levels, and its interval includes the change"
         return [Finding(None, f"{sentence}; {more}")]
-    found = [with_remedy("nonlinear", sentence, "flats of the linear range only")]
-    own = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / trend.signal
-    return found + gamma_of_noise(trend.signal, own, trend.sd)
+    findings = [with_remedy("nonlinear", sentence, "flats of the linear range only")]
+    variance = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / trend.signal
+    return findings + gamma_of_noise(trend.signal, variance, trend.sd)
 
 
 def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:
     """Return findings of correlation between successive exposures, detected or untestable."""
     if exposures.is_detected:
-        share = 100 * exposures.share
-        return [Finding("lag", f"noise of successive exposures is correlated ({share:.3g} %)")]
+        percent = 100 * exposures.fraction
+        return [Finding("lag", f"noise of successive exposures is correlated ({percent:.3g} %)")]
     if exposures.is_untestable:
         return [Finding(None, f"too few frames to test temporal correlation; {ALLOWED}")]
     return []
@@ -279,35 +294,35 @@ def correlation_findings(
     neighbours: UndetectedEffect, exposures: UndetectedEffect
 ) -> list[Finding]:
     """Return findings of correlations that lower the variance."""
-    found = exposure_findings(exposures)
+    findings = exposure_findings(exposures)
     if neighbours.is_detected:
-        low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.share, 0.0)))
+        low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.fraction, 0.0)))
         effect = (
             f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is "
             f"{low:.2g} % low"
         )
-        found.append(with_remedy("correlated-noise", effect, "--method covariance-sum"))
+        findings.append(with_remedy("correlated-noise", effect, "--method covariance-sum"))
     elif neighbours.is_untestable:
-        found.append(
+        findings.append(
             Finding(
                 None, f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"
             )
         )
-    return found
+    return findings
 
 
 def _stationarity_findings(series: FlatSeries) -> list[Finding]:
     """Return findings of drift and flicker."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for flat, signal in zip(series.flats, np.abs(series.signal_dn), strict=True):
         drift, flicker = drift_and_flicker(flat)
         if abs(drift) > CHECKS.drift_fraction * signal:
-            found.append(
+            findings.append(
                 Finding("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame")
             )
         if flicker > CHECKS.flicker_fraction * signal:
-            found.append(Finding("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
-    return found
+            findings.append(Finding("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
+    return findings
 
 
 def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
@@ -322,14 +337,14 @@ def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
     if len(level.bins.modes):
         # Noise power of the lowest frequency bins, summed over lags.
         low = np.argsort(np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px))[:8]
-        lags = level.many.power_dn2[low].mean(axis=0)
+        lags = level.many_lags.power_dn2[low].mean(axis=0)
         power = float(lags[0] + 2.0 * np.clip(lags[1:], 0, None).sum())
     noise = np.sqrt(max(power, level.variance_dn2) / level.pixels)
     time = np.linspace(-0.5, 0.5, len(means))
     slope = float(time @ means / (time @ time))
     slope_sd = noise / np.sqrt(time @ time)
-    rest = means - means.mean() - slope * time
-    rms = float(np.sqrt(rest @ rest / (len(means) - 2)))
+    residual = means - means.mean() - slope * time
+    rms = float(np.sqrt(residual @ residual / (len(means) - 2)))
     significant = rms > noise * (1 + CHECKS.significant_sd / np.sqrt(2 * len(means)))
     # A step in the middle, as of automatic gain, leaves a residual of its own about a line.
     scatter = min([rms, *_scatter_about_steps(means)])
@@ -347,8 +362,8 @@ def _scatter_about_steps(means: Array) -> list[float]:
     """
     parts = [(means[:at], means[at:]) for at in range(3, len(means) - 2)]
     return [
-        float(np.sqrt(sum(len(part) * part.var() for part in both) / (len(means) - 3)))
-        for both in parts
+        float(np.sqrt(sum(len(part) * part.var() for part in halves) / (len(means) - 3)))
+        for halves in parts
     ]
 
 
@@ -400,7 +415,7 @@ def _proportionality_findings(series: FlatSeries) -> list[Finding]:
 
 
 def _clipping_findings(series: FlatSeries) -> list[Finding]:
-    found = [
+    findings = [
         Finding(
             "clipped",
             f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at 0 DN",
@@ -410,5 +425,5 @@ def _clipping_findings(series: FlatSeries) -> list[Finding]:
     ]
     over = [flat.label for flat in series.flats if flat.high_fraction > CLIPPED_SHARE]
     if over and not series.fitted.any():
-        found.append(Finding("saturated", f"pixels of {', '.join(over)} are at full scale"))
-    return found
+        findings.append(Finding("saturated", f"pixels of {', '.join(over)} are at full scale"))
+    return findings

@@ -55,10 +55,12 @@ def excess_of(conditions: Conditions, context: Context) -> Excess:
     if gain is None or gain <= 1.0:
         return Excess()
     # Between many equal stages and exponential pulse heights, which differ by 1 or 2 %.
-    least = excess_noise_factor(gain, GAIN.min_stages if register is None else register.stages)
-    factor, half = 0.5 * (2.0 + least), 0.5 * (2.0 - least)
+    stage_factor = excess_noise_factor(
+        gain, GAIN.min_stages if register is None else register.stages
+    )
+    factor, half = 0.5 * (2.0 + stage_factor), 0.5 * (2.0 - stage_factor)
     if gain < GAIN.exponential_gain:
-        factor, half = excess_noise_factor(gain), excess_noise_factor(gain) - least
+        factor, half = excess_noise_factor(gain), excess_noise_factor(gain) - stage_factor
     note = (
         "per electron before the multiplying register: variance over signal is K F2, and F2 = "
         f"{factor:.4g} ({source}; Robbins & Hadwen 2003) is divided out"
@@ -98,27 +100,29 @@ def line(
     fit of the standard with an interval from the residuals, else the weighted fit. The prior of the
     departure is uniform in its logarithm from 1e-5 to 1 of the largest y.
     """
-    given = x, y
+    all_levels = x, y
     x, y, sd = pool_equal_levels(x, y, sd)
     scale = float(np.abs(y).max())
     first = float((x @ y) / (x @ x))
-    rest = y - first * x
+    residual = y - first * x
     floor, ceiling = np.log(1e-5 * scale), np.log(scale)
     start = np.array(
         [
             first,
-            np.clip(np.log(max(float(np.sqrt(np.mean(rest**2))), 1e-4 * scale)), floor, ceiling),
+            np.clip(
+                np.log(max(float(np.sqrt(np.mean(residual**2))), 1e-4 * scale)), floor, ceiling
+            ),
         ]
     )
     bounds = np.array([[-np.inf, np.inf], [floor, ceiling]])
 
     def log_probability(points: Array) -> Array:
         variance = sd**2 + np.exp(2.0 * points[:, 1:2])
-        rest = y - points[:, :1] * x
-        value = -0.5 * (rest**2 / variance + np.log(variance)).sum(axis=1)
+        residual = y - points[:, :1] * x
+        value = -0.5 * (residual**2 / variance + np.log(variance)).sum(axis=1)
         if shared_sd:
             known = 1.0 / shared_sd**2 + (1.0 / variance).sum(axis=1)
-            value += 0.5 * ((rest / variance).sum(axis=1) ** 2 / known - np.log(known))
+            value += 0.5 * ((residual / variance).sum(axis=1) ** 2 / known - np.log(known))
         return value
 
     posterior = draw_posterior(
@@ -132,7 +136,9 @@ def line(
     )
     slope = posterior[names[0]]
     return GainLine(
-        posterior=posterior, slope=slope, residual=given[1] - float(np.median(slope)) * given[0]
+        posterior=posterior,
+        slope=slope,
+        residual=all_levels[1] - float(np.median(slope)) * all_levels[0],
     )
 
 
@@ -159,7 +165,7 @@ def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -
     """
     chosen = series.fitted
     sd, shared = errors_of(series)
-    found = line(
+    fitted = line(
         series.signal_dn[chosen],
         series.variance_dn2[chosen],
         sd[chosen],
@@ -171,8 +177,8 @@ def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -
     )
     excess = excess_of(series.flats[0].conditions, context)
     if not allowance and excess.note is None:
-        return found
-    posterior = found.posterior
+        return fitted
+    posterior = fitted.posterior
     if allowance:
         posterior = with_relative_error(
             posterior, "system_gain", allowance, np.random.default_rng([context.seed, 5])
@@ -180,7 +186,7 @@ def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -
     draws = posterior.draws.copy()
     draws[:, 0] = excess.divide(draws[:, 0], context.seed)
     posterior = replace(posterior, draws=draws)
-    return replace(found, posterior=posterior, slope=posterior["system_gain"])
+    return replace(fitted, posterior=posterior, slope=posterior["system_gain"])
 
 
 def errors_of(series: FlatSeries) -> tuple[Array, float]:
@@ -190,13 +196,13 @@ def errors_of(series: FlatSeries) -> tuple[Array, float]:
     Flats of one dark have its error in common, and the rounding of its variance; see
     `charact.estimators.noise.rounding`.
     """
-    own = np.array([flat.variance_sd_dn2 for flat in series.flats])
+    sd = np.array([flat.variance_sd_dn2 for flat in series.flats])
     dark = np.array(
         [np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]) for dark in series.darks]
     )
     if len({level.label for level in series.darks}) == 1:
-        return own, float(dark[0])
-    return np.hypot(own, dark), 0.0
+        return sd, float(dark[0])
+    return np.hypot(sd, dark), 0.0
 
 
 def with_relative_error(

@@ -45,73 +45,73 @@ class SpectrumData:
         ln of the determinant of the root.
     """
 
-    def __init__(self, summary: PooledNoise, used: NDArray[np.bool_]) -> None:
-        self.summary, self.used = summary, used
-        self.column, self.row = summary.column_cy_per_px[used], summary.row_cy_per_px[used]
-        self.measured = summary.power_dn[used]
-        if summary.beyond is not None:
-            self.measured = np.concatenate([self.measured, summary.beyond.value_dn])
+    def __init__(self, summary: PooledNoise, in_band: NDArray[np.bool_]) -> None:
+        self.summary, self.in_band = summary, in_band
+        self.column, self.row = summary.column_cy_per_px[in_band], summary.row_cy_per_px[in_band]
+        self.measured = summary.power_dn[in_band]
+        if summary.outer is not None:
+            self.measured = np.concatenate([self.measured, summary.outer.value_dn])
         self.leak = np.ones(len(self.column))
 
     def start(self, exponent: float) -> Array:
         """Return start values of all parameters by a linear fit of the logarithm above the
         floor.
         """
-        summary, used, beyond = self.summary, self.used, self.summary.beyond
-        highest = summary.power_dn[used].max()
+        summary, in_band, outer = self.summary, self.in_band, self.summary.outer
+        highest = summary.power_dn[in_band].max()
         floor = (
             0.0
-            if beyond is None
-            else 0.8 * float(np.clip(beyond.value_dn[0] / beyond.share.sum(), 0.0, highest))
+            if outer is None
+            else 0.8 * float(np.clip(outer.value_dn[0] / outer.mode_fraction.sum(), 0.0, highest))
         )
         x, y = (f / GAIN_PRIORS.reference_cy_per_px for f in (self.column, self.row))
-        power = np.maximum(summary.power_dn[used] - floor, 1e-3 * highest)
+        power = np.maximum(summary.power_dn[in_band] - floor, 1e-3 * highest)
         design = np.stack([np.ones_like(x), -(np.hypot(x, y) ** exponent), -(x**2), -(y**2)])
-        root = np.sqrt(summary.modes[used])
+        root = np.sqrt(summary.modes[in_band])
         level, strength, columns, rows = np.linalg.lstsq(
             (design * root).T, np.log(power) * root, rcond=None
         )[0]
         falls = np.clip([columns + strength, rows + strength, strength], -0.8, 5.0)
-        whole = np.exp(level) + floor
+        zero_power = np.exp(level) + floor
         return np.array(
             [
-                whole,
+                zero_power,
                 *falls,
                 exponent,
-                floor / whole if floor else GAIN_PRIORS.few_electrons[0],
+                floor / zero_power if floor else GAIN_PRIORS.few_electrons[0],
                 *BEGIN,
             ]
         )
 
     def model_values(self, points: Array) -> Array:
         """Return the model of the data, shape (draw, datum), DN."""
-        reading, beyond = self.summary.reading, self.summary.beyond
-        inside = self.leak * spectrum_at(points, self.column, self.row, reading)
-        if beyond is None:
-            return inside
+        reading, outer = self.summary.reading, self.summary.outer
+        band_power = self.leak * spectrum_at(points, self.column, self.row, reading)
+        if outer is None:
+            return band_power
         return np.concatenate(
-            [inside, integrals(beyond, partial(spectrum_at, points, reading=reading))], axis=1
+            [band_power, integrals(outer, partial(spectrum_at, points, reading=reading))], axis=1
         )
 
     def weigh(self, point: Array) -> None:
         """Compute leakage and errors at the parameters (1, parameter)."""
-        summary, beyond = self.summary, self.summary.beyond
+        summary, outer = self.summary, self.summary.outer
         self.leak = leakage_ratio(
             point, self.column, self.row, summary.reading, summary.leak_cy2_per_px2
         )
         model, bins = self.model_values(point)[0], len(self.column)
         covariance = np.zeros((len(model), len(model)))
-        own = (
-            summary.power_sd_dn[self.used]
+        bin_sd = (
+            summary.power_sd_dn[self.in_band]
             * model[:bins]
             / np.maximum(self.measured[:bins], 0.2 * model[:bins])
         )
-        covariance[np.arange(bins), np.arange(bins)] = own**2
-        if beyond is not None:
+        covariance[np.arange(bins), np.arange(bins)] = bin_sd**2
+        if outer is not None:
             power = spectrum_at(
-                point, beyond.column_cy_per_px, beyond.row_cy_per_px, summary.reading
+                point, outer.column_cy_per_px, outer.row_cy_per_px, summary.reading
             )[0]
-            covariance[bins:, bins:] = beyond.covariance(power)
+            covariance[bins:, bins:] = outer.covariance(power)
         self.whitened = _inverse_root(covariance)
         self.root = _inverse_root(covariance + summary.height_sd**2 * np.outer(model, model))
         self.log_volume = float(np.linalg.slogdet(self.root)[1])
@@ -131,7 +131,7 @@ class Fit:
     """Posterior of the noise model and its fit."""
 
     posterior: Posterior  # draws of `NAMES`
-    used: NDArray[np.bool_]  # bins fitted, shape (bin,)
+    in_band: NDArray[np.bool_]  # bins fitted, shape (bin,)
     model_dn: Array  # power of the best model in every bin, shape (bin,), DN
     # chi2, freedom, chance: squared residuals over their variance, degrees of freedom, and p-value
     chi2: float
@@ -174,8 +174,10 @@ def form_optima(data: SpectrumData, forms: Sequence[GainBlurModel]) -> list[Gain
     at = int(np.argmax([peak.log_evidence for peak in peaks]))
     best = peaks[at]
     if "spread_share" in best.form.names:
-        place = best.form.names.index("spread_share")
-        if best.point[place] > GAIN_PRIORS.spread_sd * np.sqrt(best.covariance[place, place]):
+        parameter = best.form.names.index("spread_share")
+        if best.point[parameter] > GAIN_PRIORS.spread_sd * np.sqrt(
+            best.covariance[parameter, parameter]
+        ):
             peaks[at] = _form_optimum(
                 data, best.form.with_free_spread, best.form.whole(best.point[None])[0]
             )
@@ -188,8 +190,8 @@ def _form_optimum(data: SpectrumData, form: GainBlurModel, begin: Array) -> Gain
 
     log_probability = _log_probability(data, form)
     point, covariance = find_maximum(log_probability, form.part(begin), form.bounds)
-    rest = (data.measured - data.model_values(form.whole(point[None]))[0]) @ data.whitened
-    chi2, freedom = float(rest @ rest), len(rest) - len(point)
+    residual = (data.measured - data.model_values(form.whole(point[None]))[0]) @ data.whitened
+    chi2, freedom = float(residual @ residual), len(residual) - len(point)
     evidence = ln_evidence(float(log_probability(point[None])[0]), covariance)
     return GainSpectrumOptimum(
         form=form,
@@ -209,11 +211,11 @@ def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array
     centre = np.where(np.isfinite(bounds[:, 1]), bounds.mean(axis=1), 1.0)
 
     def log_probability(points: Array) -> Array:
-        inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
-        safe = np.where(inside[:, None], points, centre)
+        is_inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
+        safe = np.where(is_inside[:, None], points, centre)
         residual = (measured - data.model_values(form.whole(safe))) @ root
         return np.where(
-            inside, volume - 0.5 * (residual**2).sum(axis=1) + form.log_prior(safe), -np.inf
+            is_inside, volume - 0.5 * (residual**2).sum(axis=1) + form.log_prior(safe), -np.inf
         )
 
     return log_probability
@@ -224,10 +226,10 @@ def fit_spectrum(
 ) -> Fit:
     """Fit the blur models to the pooled spectrum, variance and temporal correlation."""
     radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
-    for reach in GAIN.band_limits_cy_per_px:
-        used = radius <= reach
-        peaks = form_optima(SpectrumData(summary, used), forms)
-        if max(peak.chance for peak in peaks) > GAIN.min_p_value or used.sum() < 24:
+    for limit_cy_per_px in GAIN.band_limits_cy_per_px:
+        in_band = radius <= limit_cy_per_px
+        peaks = form_optima(SpectrumData(summary, in_band), forms)
+        if max(peak.chance for peak in peaks) > GAIN.min_p_value or in_band.sum() < 24:
             break
     best = max(peaks, key=lambda peak: peak.log_evidence)
     posterior = _with_gain(
@@ -240,7 +242,7 @@ def fit_spectrum(
     )
     return Fit(
         posterior=posterior,
-        used=used,
+        in_band=in_band,
         model_dn=model,
         chi2=best.chi2,
         freedom=best.freedom,
@@ -251,27 +253,31 @@ def fit_spectrum(
 def _mixture_draws(peaks: Sequence[GainSpectrumOptimum], seed: int, quick: bool) -> Posterior:
     """Return draws from the posteriors of all blur models, weighted by the root of the evidence."""
     height = np.array([peak.log_evidence for peak in peaks])
-    share = np.exp(GAIN.evidence_power * (height - height.max()))
-    share = np.where(share < GAIN.min_weight * share.sum(), 0.0, share) / share.sum()
+    weight = np.exp(GAIN.evidence_power * (height - height.max()))
+    weight = np.where(weight < GAIN.min_weight * weight.sum(), 0.0, weight) / weight.sum()
     # Rounding cumulative sums keeps the total number of draws.
-    numbers = np.diff(np.rint(np.cumsum(share / share.sum()) * GAIN.draws).astype(int), prepend=0)
-    own = [
+    numbers = np.diff(np.rint(np.cumsum(weight / weight.sum()) * GAIN.draws).astype(int), prepend=0)
+    drawn_forms = [
         (peak, _form_draws(peak, int(n), seed, quick))
         for peak, n in zip(peaks, numbers, strict=True)
         if n
     ]
-    draws = np.concatenate([peak.form.whole(drawn.draws) for peak, drawn in own])
+    draws = np.concatenate([peak.form.whole(drawn.draws) for peak, drawn in drawn_forms])
     # A parameter that a model does not need, such as a tail, may lie at its bound if another model
     # omits it.
     harmless = {"prior-bound"} if len(peaks) > 1 else set()
-    known = [drawn.effective_sample_size[0] for _, drawn in own if len(drawn.effective_sample_size)]
+    known = [
+        drawn.effective_sample_size[0]
+        for _, drawn in drawn_forms
+        if len(drawn.effective_sample_size)
+    ]
     return replace(
-        own[0][1],
+        drawn_forms[0][1],
         names=NAMES,
         units=UNITS,
         draws=draws,
         effective_sample_size=np.full(len(NAMES), min(known)) if known else np.empty(0),
-        flags=tuple({flag for _, drawn in own for flag in drawn.flags} - harmless),
+        flags=tuple({flag for _, drawn in drawn_forms for flag in drawn.flags} - harmless),
     )
 
 

@@ -62,30 +62,30 @@ class PixelReadoutModel:
         pixel is aliased: the nearest order, and the rest as the second order. Light without blur
         stays white. The gain of an aliased order over the baseband is limited to 2.
         """
-        own = ln_power(column, row)
+        ln_baseband = ln_power(column, row)
         if not self.described:
-            return np.exp(own)
-        out = np.zeros_like(own)
+            return np.exp(ln_baseband)
+        out = np.zeros_like(ln_baseband)
         for x, across in _orders(column, 1.0):
             for y, down in _orders(row, self.row_pitch):
-                out = out + _exponential_with_limit(ln_power(x, y) - own) * across * down
-        out = out * np.exp(own)
+                out = out + _exponential_with_limit(ln_power(x, y) - ln_baseband) * across * down
+        out = out * np.exp(ln_baseband)
         return out if self.video is None else out * np.abs(self.video(column)) ** 2
 
 
 def _exponential_with_limit(difference: Array) -> Array:
     """Return exp of negative values, continued smoothly to a limit of 2 for positive ones."""
-    beyond = np.exp(-np.abs(difference))
-    return np.where(difference < 0.0, beyond, 2.0 - beyond)
+    decay = np.exp(-np.abs(difference))
+    return np.where(difference < 0.0, decay, 2.0 - decay)
 
 
 def _orders(frequency: Array, pitch: float) -> list[tuple[Array, Array]]:
     """Return the frequencies aliased to one, cycles per column pitch, and the aperture transfer of
     each.
     """
-    near, far = (1.0 / pitch + sign * np.abs(frequency) for sign in (-1.0, 1.0))
-    own, adjacent = np.sinc(frequency * pitch) ** 2, np.sinc(near * pitch) ** 2
-    return [(frequency, own), (near, adjacent), (far, 1.0 - own - adjacent)]
+    lower, upper = (1.0 / pitch + sign * np.abs(frequency) for sign in (-1.0, 1.0))
+    baseband, adjacent = np.sinc(frequency * pitch) ** 2, np.sinc(lower * pitch) ** 2
+    return [(frequency, baseband), (lower, adjacent), (upper, 1.0 - baseband - adjacent)]
 
 
 NAMES = (
@@ -110,7 +110,7 @@ def transfer(parameters: Array, column: Array, row: Array, reading: PixelReadout
     the falls b + cx and b + cy, b, n, t and q.
     """
     columns, rows, strength, exponent = (parameters[:, i, None] for i in range(1, 5))
-    tail, share = np.maximum(parameters[:, 6, None], GAIN_PRIORS.min_tail), parameters[:, 7, None]
+    tail, spread = np.maximum(parameters[:, 6, None], GAIN_PRIORS.min_tail), parameters[:, 7, None]
     known_columns, known_rows = (
         GAIN_PRIORS.reference_cy_per_px**2 * fall for fall in reading.falls
     )
@@ -119,9 +119,9 @@ def transfer(parameters: Array, column: Array, row: Array, reading: PixelReadout
         x, y = column / GAIN_PRIORS.reference_cy_per_px, row / GAIN_PRIORS.reference_cy_per_px
         gauss = (columns - strength - known_columns) * x**2 + (rows - strength - known_rows) * y**2
         core = -np.log1p(tail * strength * np.hypot(x, y) ** exponent) / tail
-        if np.any(share < 1.0):
+        if np.any(spread < 1.0):
             core = 2.0 * np.log1p(
-                np.maximum(share * np.expm1(0.5 * core), GAIN_PRIORS.min_transfer - 1.0)
+                np.maximum(spread * np.expm1(0.5 * core), GAIN_PRIORS.min_transfer - 1.0)
             )
         return np.minimum(core - gauss, GAIN_PRIORS.max_log_transfer)
 
@@ -130,8 +130,8 @@ def transfer(parameters: Array, column: Array, row: Array, reading: PixelReadout
 
 def spectrum_at(parameters: Array, column: Array, row: Array, reading: PixelReadoutModel) -> Array:
     """Return the power over signal at temporal lag 0, shape (draw, bin), DN."""
-    share = parameters[:, 5:6]
-    return parameters[:, :1] * ((1.0 - share) * transfer(parameters, column, row, reading) + share)
+    white = parameters[:, 5:6]
+    return parameters[:, :1] * ((1.0 - white) * transfer(parameters, column, row, reading) + white)
 
 
 def leakage_ratio(
@@ -195,10 +195,10 @@ class GainBlurModel:
 
     def whole(self, points: Array) -> Array:
         """Return all parameters of the model, shape (point, parameter)."""
-        place = {name: points[:, i] for i, name in enumerate(self.priors)}
+        columns = {name: points[:, i] for i, name in enumerate(self.priors)}
         fixed = NONE | {"strength": self.strength}
         out = np.stack(
-            [place.get(name, np.full(len(points), fixed[name])) for name in NAMES], axis=1
+            [columns.get(name, np.full(len(points), fixed[name])) for name in NAMES], axis=1
         )
         if self.split:
             out[:, 1:3] += out[:, 3:4]
@@ -214,10 +214,10 @@ class GainBlurModel:
 
     def part(self, point: Array) -> Array:
         """Return the free parameters out of all (parameter,), inside their bounds."""
-        own = point.copy()
+        parameters = point.copy()
         if self.split:
-            own[1:3] -= own[3] if "strength" in self.priors else 0.0
-        chosen = np.array([own[NAMES.index(name)] for name in self.priors])
+            parameters[1:3] -= parameters[3] if "strength" in self.priors else 0.0
+        chosen = np.array([parameters[NAMES.index(name)] for name in self.priors])
         bounds = self.bounds
         return np.clip(
             chosen, np.maximum(bounds[:, 0], -1e9) + 1e-6, np.minimum(bounds[:, 1], 1e9) - 1e-6
@@ -234,7 +234,7 @@ def blur_models(
     can be measured.
     """
     power = ((0.0, np.inf), None)
-    share = (
+    white = (
         GAIN_PRIORS.electron_bounds,
         GAIN_PRIORS.electron_fraction if floor else GAIN_PRIORS.few_electrons,
     )
@@ -248,12 +248,12 @@ def blur_models(
             **falls,
             "strength": (GAIN_PRIORS.strength_bounds, None),
             "exponent": (GAIN_PRIORS.exponent_bounds, exponent or GAIN_PRIORS.exponent),
-            "electron_share": share,
+            "electron_share": white,
         }
     )
     if exponent is not None or not blurred:
         return (tube,)
-    gaussian = {**falls, "electron_share": share}
+    gaussian = {**falls, "electron_share": white}
     tailed = GainBlurModel(
         priors={
             **gaussian,
@@ -263,10 +263,10 @@ def blur_models(
         split=True,
     )
     spread = {**gaussian, "spread_share": (GAIN_PRIORS.spread_bounds, None)}
-    wide = [
+    spread_models = [
         GainBlurModel(
             priors=spread, strength=fall, odds=1.0 / len(GAIN_PRIORS.spread_falls), split=True
         )
         for fall in GAIN_PRIORS.spread_falls
     ]
-    return (tube, GainBlurModel(priors=gaussian), tailed, *wide)
+    return (tube, GainBlurModel(priors=gaussian), tailed, *spread_models)

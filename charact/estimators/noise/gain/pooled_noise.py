@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from charact.estimators.noise.gain.model import PixelReadoutModel
 from charact.estimators.noise.gain.series import FlatSeries, dark_shares
-from charact.estimators.noise.gain.white_floor import Beyond, beyond_of
+from charact.estimators.noise.gain.white_floor import OuterBand, outer_band_of
 from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.stack.temporal import (
     error_correlation,
@@ -27,7 +27,7 @@ KEPT = np.linspace(0.02, 0.9, 45)
 
 def lag_sum_correction(
     flats: Sequence[StackStatistics],
-    share: Array,
+    flat_weight: Array,
     lags: NDArray[np.int64],
     correlation: Array,
     covariance: Array,
@@ -35,9 +35,9 @@ def lag_sum_correction(
     """Return the missing part of the correlation sum over all lags, and its derivative by the
     correlations.
 
-    `flats`: the pooled levels; `share`: weight of each flat in the pooled covariances, sum 1, shape
-    (flat,); `lags`: common lags from 0, exposures, shape (lag + 1,); `correlation`, `covariance`:
-    correlation at the lags from 1, shape (lag,), and the covariance of its errors.
+    `flats`: the pooled levels; `flat_weight`: weight of each flat in the pooled covariances, sum
+    1, shape (flat,); `lags`: common lags from 0, exposures, shape (lag + 1,); `correlation`,
+    `covariance`: correlation at the lags from 1, shape (lag,), and the covariance of its errors.
 
     Beyond the first lag the correlation is b r^(lag - 2), r the fraction of the light left one
     exposure later; centring lowers it at each lag, see `truncation_bias`. The result is the mean
@@ -49,18 +49,18 @@ def lag_sum_correction(
     use = lags[1:] >= GAIN.first_lag
     if use.sum() < GAIN.min_decay_lags:
         return 0.0, none
-    last, taken = KEPT ** (lags[-1] - GAIN.first_lag), _truncation_biases(flats, share, lags)
-    form = (KEPT[:, None] ** (lags[1:] - GAIN.first_lag) + last[:, None] * taken[:, 1:])[:, use]
-    lacking = last * (2.0 * KEPT / (1.0 - KEPT) - taken[:, 0] - 2.0 * taken[:, 1:].sum(axis=1))
+    last, biases = KEPT ** (lags[-1] - GAIN.first_lag), _truncation_biases(flats, flat_weight, lags)
+    form = (KEPT[:, None] ** (lags[1:] - GAIN.first_lag) + last[:, None] * biases[:, 1:])[:, use]
+    lacking = last * (2.0 * KEPT / (1.0 - KEPT) - biases[:, 0] - 2.0 * biases[:, 1:].sum(axis=1))
     precision = np.asarray(np.linalg.inv(covariance[np.ix_(use, use)]), np.float64)
     measured = correlation[use]
     heights, step = _heights(form, measured, precision)
-    rest = measured - heights[:, :, None] * form
-    chi2 = np.einsum("brk,kl,brl->br", rest, precision, rest)
+    residual = measured - heights[:, :, None] * form
+    chi2 = np.einsum("brk,kl,brl->br", residual, precision, residual)
     chi2_none = measured @ precision @ measured
-    least = min(chi2.min(), chi2_none)
-    likely = np.exp(-0.5 * (chi2 - least)) * step / len(KEPT)
-    likely /= likely.sum() + np.exp(-0.5 * (chi2_none - least))
+    lowest = min(chi2.min(), chi2_none)
+    likely = np.exp(-0.5 * (chi2 - lowest)) * step / len(KEPT)
+    likely /= likely.sum() + np.exp(-0.5 * (chi2_none - lowest))
     value = heights * lacking
     mean = float(np.sum(likely * value))
     change = none.copy()
@@ -85,14 +85,14 @@ def _heights(form: Array, correlation: Array, precision: Array) -> tuple[Array, 
 
 
 def _truncation_biases(
-    flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64]
+    flats: Sequence[StackStatistics], flat_weight: Array, lags: NDArray[np.int64]
 ) -> Array:
     """Return the bias of each pooled covariance per covariance at the last lag, shape (kept, lag +
     1); negative.
     """
     out = np.zeros((len(KEPT), len(lags)))
-    for weight, flat in zip(share, flats, strict=True):
-        distance, added = truncation_bias(flat.time, flat.parity, flat.many.lags)
+    for weight, flat in zip(flat_weight, flats, strict=True):
+        distance, added = truncation_bias(flat.time, flat.parity, flat.many_lags.lags)
         out += weight * KEPT[:, None] ** (distance - lags[-1]) @ added[: len(lags)].T
     return out
 
@@ -150,7 +150,7 @@ class PooledNoise:
     variance_sd_dn: float
     height_sd: float  # common relative standard error of all bins by the pulse-height distribution
     lag: ImageLag  # temporal correlation
-    beyond: Beyond | None = None  # integrals beyond the band; None if no white floor is possible
+    outer: OuterBand | None = None  # integrals beyond the band; None if no white floor is possible
 
 
 def pool_noise(series: FlatSeries, sensor: Camera | None, *, floor: bool = False) -> PooledNoise:
@@ -164,10 +164,12 @@ def pool_noise(series: FlatSeries, sensor: Camera | None, *, floor: bool = False
     pairs = [(series.flats[i], series.darks[i]) for i in chosen]
     exposures = np.array([_exposures(flat) for flat, _ in pairs])
     bins = pairs[0][0].bins
-    dark = weight @ np.array([d.many.power_dn2[:, 0] for _, d in pairs])
-    share = weight * series.signal_dn[chosen]
-    lag = lag_of(*_power(pairs, weight, "many"), dark, [flat for flat, _ in pairs], share)
-    name = "many" if lag.is_detected else "few"
+    dark = weight @ np.array([d.many_lags.power_dn2[:, 0] for _, d in pairs])
+    flat_weight = weight * series.signal_dn[chosen]
+    lag = lag_of(
+        *_power(pairs, weight, "many_lags"), dark, [flat for flat, _ in pairs], flat_weight
+    )
+    name = "many_lags" if lag.is_detected else "few_lags"
     power, _ = _power(pairs, weight, name)
     variance = np.array(
         [getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs]
@@ -188,7 +190,7 @@ def pool_noise(series: FlatSeries, sensor: Camera | None, *, floor: bool = False
         variance_sd_dn=_variance_sd(pairs, weight, exposures / known[:, 1]),
         height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)),
         lag=lag,
-        beyond=beyond_of(pairs, weight, series.signal_dn[chosen], known[:, 0], name)
+        outer=outer_band_of(pairs, weight, series.signal_dn[chosen], known[:, 0], name)
         if floor
         else None,
     )
@@ -219,24 +221,24 @@ def _by_heights(flat: StackStatistics, exposures: float) -> float:
     """
     pixels, power, modes = (
         flat.pixels / len(np.unique(flat.parity)),
-        flat.few.power_dn2[:, 0],
+        flat.few_lags.power_dn2[:, 0],
         2.0 * flat.bins.modes,
     )
-    beyond = max(pixels * flat.variance_dn2 - float(modes @ power), 0.0) ** 2 / (
+    outer_power2 = max(pixels * flat.variance_dn2 - float(modes @ power), 0.0) ** 2 / (
         pixels - modes.sum()
     )
-    normal = 2.0 * (float(modes @ power**2) + beyond) / pixels**2 / exposures
+    normal = 2.0 * (float(modes @ power**2) + outer_power2) / pixels**2 / exposures
     return max(flat.variance_sd_dn2**2 - normal, 0.0)
 
 
 def _power(pairs, weight: Array, name: str) -> tuple[Array, NDArray[np.int64]]:
     """Return the pooled spectrum above the dark's, shape (bin, lag), and its lags."""
     lags = min((getattr(level, name).lags for pair in pairs for level in pair), key=len)
-    above = [
+    excess = [
         getattr(f, name).power_dn2[:, : len(lags)] - getattr(d, name).power_dn2[:, : len(lags)]
         for f, d in pairs
     ]
-    return np.tensordot(weight, np.array(above), 1), lags
+    return np.tensordot(weight, np.array(excess), 1), lags
 
 
 def _independent(level: StackStatistics, name: str, lag: ImageLag) -> tuple[float, float]:
@@ -257,7 +259,9 @@ def _power_sd(pairs, weight: Array, name: str, known: Array, lag: ImageLag) -> A
         (dark, w, _independent(dark, name, lag)[0])
         for dark, w in dark_shares([d for _, d in pairs], weight)
     ]
-    square = sum((w * getattr(one, name).power_dn2[:, 0]) ** 2 / count for one, w, count in parts)
+    square = sum(
+        (w * getattr(level, name).power_dn2[:, 0]) ** 2 / count for level, w, count in parts
+    )
     return np.sqrt(square / (bins.modes * bins.efficiency))
 
 
@@ -267,11 +271,15 @@ def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
     """
     parts = [(flat, w, more) for w, (flat, _), more in zip(weight, pairs, inflation, strict=True)]
     parts += [(dark, w, 1.0) for dark, w in dark_shares([d for _, d in pairs], weight)]
-    return float(np.sqrt(sum((w * one.variance_sd_dn2) ** 2 * more for one, w, more in parts)))
+    return float(np.sqrt(sum((w * level.variance_sd_dn2) ** 2 * more for level, w, more in parts)))
 
 
 def lag_of(
-    power: Array, lags: NDArray[np.int64], dark: Array, flats: list[StackStatistics], share: Array
+    power: Array,
+    lags: NDArray[np.int64],
+    dark: Array,
+    flats: list[StackStatistics],
+    flat_weight: Array,
 ) -> ImageLag:
     """Return the temporal correlation, pooled over bins by information; errors from their scatter.
 
@@ -295,37 +303,39 @@ def lag_of(
     value = (weight * relative[:, 1:]).sum(axis=0) / height
     square = (weight**2).sum(axis=0)
     # Residuals about a weighted mean underestimate the errors, more so for few bins.
-    rest = (
+    residual = (
         weight
         * (relative[:, 1:] - value * relative[:, :1])
         / height
         / np.sqrt(np.maximum(1.0 - square, 0.1))
     )
-    sd = np.sqrt((rest**2).sum(axis=0))
+    sd = np.sqrt((residual**2).sum(axis=0))
     freedom = max(2.0, float(1.0 / square.max() - 1.0))
-    seen = bool((value[:3] > -stdtrit(freedom, GAIN.lag_false_alarm) * sd[:3]).any())
-    reach = len(value) if seen else min(2, len(value))
-    left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
+    is_detected = bool((value[:3] > -stdtrit(freedom, GAIN.lag_false_alarm) * sd[:3]).any())
+    summed_lags = len(value) if is_detected else min(2, len(value))
+    last_correlation = (
+        abs(float(value[max(0, summed_lags - 3) : summed_lags].mean())) if is_detected else 0.0
+    )
     errors = error_correlation(flats[0].time, flats[0].parity, lags)[1:, 1:] * np.outer(sd, sd)
     errors *= weight.T @ weight / np.sqrt(np.outer(square, square))
     lacking, change = (
-        lag_sum_correction(flats, share, lags, value, errors)
-        if seen
+        lag_sum_correction(flats, flat_weight, lags, value, errors)
+        if is_detected
         else (0.0, np.zeros(len(value)))
     )
-    summed = 2.0 * (np.arange(len(value)) < reach)
-    own = float(np.sqrt(np.sum((rest @ (summed + change)) ** 2)))
+    summed = 2.0 * (np.arange(len(value)) < summed_lags)
+    scatter_sd = float(np.sqrt(np.sum((residual @ (summed + change)) ** 2)))
     factor = float(1.0 + summed @ value + lacking)
     return ImageLag(
         lag=lags[1:],
         correlation=value,
         correlation_sd=sd,
-        is_detected=seen,
+        is_detected=is_detected,
         factor=factor,
-        factor_sd=float(np.hypot(own, 2.0 * left)),
-        freedom=max(2.0, float(1.0 / square[:reach].max() - 1.0)),
+        factor_sd=float(np.hypot(scatter_sd, 2.0 * last_correlation)),
+        freedom=max(2.0, float(1.0 / square[:summed_lags].max() - 1.0)),
         tested=True,
-        open=seen and left > GAIN.open_lag,
+        open=is_detected and last_correlation > GAIN.open_lag,
     )
 
 
@@ -336,8 +346,10 @@ def smooth_power(power: Array, radius: Array, modes: Array) -> Array:
     count = np.bincount(where, modes)
     mean = np.bincount(where, modes * power) / count
     centre = np.bincount(where, modes * radius) / count
-    good = mean > 0
-    if good.sum() < 4:
+    positive = mean > 0
+    if positive.sum() < 4:
         return np.full_like(power, max(float(np.average(power, weights=modes)), 1e-12))
-    fit = np.polynomial.Polynomial.fit(centre[good], np.log(mean[good]), 3, w=np.sqrt(count[good]))
+    fit = np.polynomial.Polynomial.fit(
+        centre[positive], np.log(mean[positive]), 3, w=np.sqrt(count[positive])
+    )
     return np.exp(fit(radius))

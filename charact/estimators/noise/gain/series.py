@@ -105,8 +105,8 @@ def series_of(
 ) -> FlatSeries:
     """Return the series of the most frequent gain."""
     chosen = longest_series(flats)
-    here = {flat.label for flat in chosen}
-    left_out = tuple(flat.label for flat in flats if flat.label not in here)
+    chosen_labels = {flat.label for flat in chosen}
+    left_out = tuple(flat.label for flat in flats if flat.label not in chosen_labels)
     return replace(series_of_one_gain(chosen, darks), left_out=left_out, single=tuple(single))
 
 
@@ -153,15 +153,15 @@ def _dark_of(flat: StackStatistics, darks: list[StackStatistics]) -> StackStatis
     """
 
     def unlike(dark: StackStatistics) -> tuple[int, float, int]:
-        here, there = flat.conditions, dark.conditions
+        of_flat, of_dark = flat.conditions, dark.conditions
         same = sum(
-            getattr(here, name) is not None and getattr(here, name) == getattr(there, name)
+            getattr(of_flat, name) is not None and getattr(of_flat, name) == getattr(of_dark, name)
             for name in (*GAINS, "exposure_s", "gate_ns", "temperature_c")
         )
-        known = here.exposure_s is not None and there.exposure_s is not None
+        known = of_flat.exposure_s is not None and of_dark.exposure_s is not None
         return (
             -same,
-            abs((here.exposure_s or 0) - (there.exposure_s or 0)) if known else 0.0,
+            abs((of_flat.exposure_s or 0) - (of_dark.exposure_s or 0)) if known else 0.0,
             -dark.frames,
         )
 
@@ -174,9 +174,9 @@ def _peak(flats: list[StackStatistics], signal: Array) -> int | None:
         return None
     variance = np.array([flat.variance_dn2 for flat in flats])
     top = int(np.argmax(variance))
-    beyond = variance[top + 1 :]
+    falling = variance[top + 1 :]
     rose = signal.min() < GAIN.fit_fraction * signal[top]
-    return top if rose and len(beyond) and beyond.min() < 0.9 * variance[top] else None
+    return top if rose and len(falling) and falling.min() < 0.9 * variance[top] else None
 
 
 def dark_shares(
@@ -186,9 +186,9 @@ def dark_shares(
     common.
     """
     shares: dict[str, tuple[StackStatistics, float]] = {}
-    for dark, own in zip(darks, weight, strict=True):
+    for dark, flat_weight in zip(darks, weight, strict=True):
         if dark is not None:
-            shares[dark.label] = dark, shares.get(dark.label, (dark, 0.0))[1] + float(own)
+            shares[dark.label] = dark, shares.get(dark.label, (dark, 0.0))[1] + float(flat_weight)
     return list(shares.values())
 
 
@@ -223,7 +223,7 @@ OF_TUBES = ("mcp_v", "gain_control", "luminous_gain", "brightness_control")
 def has_intensifier(conditions: Iterable[Conditions], context: Context) -> bool:
     """Return whether an intensifier is described, or one of its settings stated."""
     return has_tube(context.camera) or any(
-        getattr(one, name) is not None for one in conditions for name in OF_TUBES
+        getattr(stated, name) is not None for stated in conditions for name in OF_TUBES
     )
 
 

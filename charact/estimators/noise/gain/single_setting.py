@@ -122,20 +122,20 @@ class SingleSetting:
 
     def findings(self) -> list[Finding]:
         """Return the findings of spectrum and image lag."""
-        fit, lag, posterior, found = self.fit, self.summary.lag, self.posterior, list[Finding]()
+        fit, lag, posterior, findings = self.fit, self.summary.lag, self.posterior, list[Finding]()
         if fit.chance < 1e-4:
             words = f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"
-            found.append(Finding("model-misfit", words))
+            findings.append(Finding("model-misfit", words))
         blur = float(np.median(posterior["blur_factor"]))
         if blur < 0.9:
-            found.append(
+            findings.append(
                 Finding(
                     None,
                     f"noise is correlated between pixels (blur factor {blur:.3g}); accounted for",
                 )
             )
         if lag.is_detected:
-            found.append(
+            findings.append(
                 Finding(None, f"image lag (lag factor {lag.factor:.3g}); all lags were summed")
             )
         low, middle, high = np.quantile(posterior["covariance_gain"], [0.16, 0.5, 0.84])
@@ -144,16 +144,16 @@ class SingleSetting:
                 "the relative uncertainty of the power at frequency 0 exceeds a third; take "
                 "more frames or pixels"
             )
-            found.append(Finding("too-few-frames", words))
-        found += [Finding(flag, "see the posterior") for flag in posterior.flags]
+            findings.append(Finding("too-few-frames", words))
+        findings += [Finding(flag, "see the posterior") for flag in posterior.flags]
         if not lag.is_detected:
-            return found + exposure_findings(self.exposures)
+            return findings + exposure_findings(self.exposures)
         if lag.open:
             words = (
                 f"image lag has not decayed after {lag.lag[-1]} exposures, the end of the lag sum"
             )
-            found.append(Finding("lag", words))
-        return found
+            findings.append(Finding("lag", words))
+        return findings
 
     def departures(self) -> list[Finding]:
         """Return findings of levels whose covariance over signal deviates or rises.
@@ -162,7 +162,7 @@ class SingleSetting:
         """
         levels, chosen = self.levels_dn, np.flatnonzero(self.series.fitted)
         middle = float(np.median(levels[chosen]))
-        found = [
+        findings = [
             Finding(
                 "model-misfit",
                 f"covariance over signal of {self.series.flats[i].label} is {levels[i]:.3g} DN, "
@@ -179,8 +179,8 @@ class SingleSetting:
                 "brightest flat; MCP saturation would make it fall: check for gamma or a wrong "
                 "dark"
             )
-            found.append(Finding("nonlinear", words))
-        return found
+            findings.append(Finding("nonlinear", words))
+        return findings
 
 
 def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> SingleSetting:
@@ -190,19 +190,20 @@ def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> 
         series, context.camera, floor=neighbours.is_detected and not has_analogue_chain(context)
     )
     forms = blur_models(
-        blur_exponent(context), blurred=neighbours.is_detected, floor=summary.beyond is not None
+        blur_exponent(context), blurred=neighbours.is_detected, floor=summary.outer is not None
     )
-    found = fit_spectrum(summary, seed=context.seed, quick=quick, forms=forms)
-    if share := quantisation_fraction(series, summary):
-        found = replace(
-            found, posterior=_with_steps(found.posterior, share * summary.variance_dn, context)
+    fit = fit_spectrum(summary, seed=context.seed, quick=quick, forms=forms)
+    if rounding_fraction := quantisation_fraction(series, summary):
+        fit = replace(
+            fit,
+            posterior=_with_steps(fit.posterior, rounding_fraction * summary.variance_dn, context),
         )
-    levels, spread = _level_gains(series, summary, found)
+    levels, spread = _level_gains(series, summary, fit)
     exposures = temporally_correlated_fraction(series)
     pooled = SingleSetting(
         series=series,
         summary=summary,
-        fit=found,
+        fit=fit,
         levels_dn=levels,
         levels_sd_dn=spread,
         neighbours=neighbours,
@@ -259,16 +260,16 @@ def _level_gains(series: FlatSeries, summary: PooledNoise, fit: Fit) -> tuple[Ar
     DN.
     """
     shape = fit.model_dn / float(np.median(fit.posterior["power"]))
-    name, use = "many" if summary.lag.is_detected else "few", fit.used
+    name, use = "many_lags" if summary.lag.is_detected else "few_lags", fit.in_band
     gains, errors = [], []
     for flat, dark, signal in zip(series.flats, series.darks, series.signal_dn, strict=True):
         power = getattr(flat, name).power_dn2[use, 0] - getattr(dark, name).power_dn2[use, 0]
         modes = flat.bins.modes[use] * flat.bins.efficiency
         weight, scaled = modes / modes.sum(), power / shape[use] / signal
         gain = float(weight @ scaled)
-        own = np.sqrt(weight**2 @ (scaled - gain) ** 2)
+        scatter_sd = np.sqrt(weight**2 @ (scaled - gain) ** 2)
         gains.append(gain)
         errors.append(
-            float(np.hypot(own, gain * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12)))
+            float(np.hypot(scatter_sd, gain * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12)))
         )
     return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor

@@ -23,14 +23,15 @@ Array = NDArray[np.float64]
 class UndetectedEffect:
     """Relative loss of gain by a correlation."""
 
-    # share, sd: the loss and its standard error, dimensionless; the error is infinite if untestable
-    share: float
+    # fraction, sd: the loss and its standard error, dimensionless; the error is infinite if
+    # untestable
+    fraction: float
     sd: float
 
     @property
     def is_detected(self) -> bool:
         """Whether the effect exceeds its noise and matters."""
-        return abs(self.share) > CORRELATION.min_effect + CORRELATION.significant_sd * self.sd
+        return abs(self.fraction) > CORRELATION.min_effect + CORRELATION.significant_sd * self.sd
 
     @property
     def is_untestable(self) -> bool:
@@ -46,7 +47,8 @@ class UndetectedEffect:
             return 0.0
         return float(
             np.hypot(
-                min(abs(self.share), CORRELATION.untestable), min(self.sd, CORRELATION.untestable)
+                min(abs(self.fraction), CORRELATION.untestable),
+                min(self.sd, CORRELATION.untestable),
             )
         )
 
@@ -56,16 +58,16 @@ class UndetectedEffect:
         distribution up to `CORRELATION.max_fraction`.
         """
         if not self.sd > 0:
-            return min(abs(self.share), CORRELATION.untestable)
+            return min(abs(self.fraction), CORRELATION.untestable)
         none = (
-            np.exp(-0.5 * (self.share / self.sd) ** 2)
+            np.exp(-0.5 * (self.fraction / self.sd) ** 2)
             * CORRELATION.max_fraction
             / (self.sd * np.sqrt(2.0 * np.pi))
         )
         return float(
             np.sqrt(
                 np.hypot(
-                    min(abs(self.share), CORRELATION.untestable),
+                    min(abs(self.fraction), CORRELATION.untestable),
                     min(self.sd, CORRELATION.untestable),
                 )
                 ** 2
@@ -79,7 +81,9 @@ def allowance_of(neighbours: UndetectedEffect, exposures: UndetectedEffect, *, t
 
     Behind a tube, correlations are expected, so everything a test cannot exclude counts.
     """
-    parts = [one.allowance if tube else one.posterior_rms for one in (neighbours, exposures)]
+    parts = [
+        effect.allowance if tube else effect.posterior_rms for effect in (neighbours, exposures)
+    ]
     return float(np.hypot(parts[0], parts[1]))
 
 
@@ -93,10 +97,10 @@ def spatially_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     right, right_sd = weighted_mean(
         [light_correlation(series, int(i), "neighbour") for i in chosen]
     )
-    below, below_sd = weighted_mean([light_correlation(series, int(i), "below") for i in chosen])
+    lower, lower_sd = weighted_mean([light_correlation(series, int(i), "below") for i in chosen])
     return UndetectedEffect(
-        share=2.0 * (right + below + 2.0 * right * below),
-        sd=2.0 * float(np.hypot(right_sd, below_sd)),
+        fraction=2.0 * (right + lower + 2.0 * right * lower),
+        sd=2.0 * float(np.hypot(right_sd, lower_sd)),
     )
 
 
@@ -122,25 +126,29 @@ def temporally_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
     known = [(level.successor_correlation, level.successor_sd) for level in levels]
     value, sd = weighted_mean(known)
-    most = max(level.frames for level in levels)
+    longest = max(level.frames for level in levels)
     # Image lag lowers the variance by two correlations, earlier and later; subtracting the mean of
     # few frames by more.
-    taken = 2.0 + 2.0 / most
-    near = UndetectedEffect(share=taken * value, sd=taken * sd)
-    if most > CORRELATION.few_frames:
-        return near
-    common = _common_variance_fraction(series, taken)
-    return common if near.is_untestable or (common.is_detected and not near.is_detected) else near
+    loss = 2.0 + 2.0 / longest
+    successors = UndetectedEffect(fraction=loss * value, sd=loss * sd)
+    if longest > CORRELATION.few_frames:
+        return successors
+    common = _common_variance_fraction(series, loss)
+    return (
+        common
+        if successors.is_untestable or (common.is_detected and not successors.is_detected)
+        else successors
+    )
 
 
-def _common_variance_fraction(series: FlatSeries, taken: float) -> UndetectedEffect:
+def _common_variance_fraction(series: FlatSeries, loss: float) -> UndetectedEffect:
     """Return the linear part of the covariance of different frames over that of the temporal
     variance.
     """
     chosen = np.flatnonzero(series.fitted)
     signal = series.signal_dn[chosen]
     if len(np.unique(np.round(np.log(signal) / 0.05))) < 3:
-        return UndetectedEffect(share=0.0, sd=np.inf)
+        return UndetectedEffect(fraction=0.0, sd=np.inf)
     common = np.array(
         [
             series.flats[i].spatial_variance_dn2 - series.darks[i].spatial_variance_dn2
@@ -152,13 +160,15 @@ def _common_variance_fraction(series: FlatSeries, taken: float) -> UndetectedEff
     )
     columns = [signal, signal**2 / signal.max()]
     if np.linalg.cond(np.stack(columns) / np.maximum(sd, 1e-12)) ** 2 > CORRELATION.max_condition:
-        return UndetectedEffect(share=0.0, sd=np.inf)
+        return UndetectedEffect(fraction=0.0, sd=np.inf)
     fit = linear_fit(columns, common, sd)
     slope = float(series.variance_dn2[chosen] @ signal / (signal @ signal))
     # Dark and illuminated patterns may be correlated, which adds a linear part that is no image
     # lag.
     error = fit.stretch(len(chosen)) * float(np.sqrt(fit.covariance[0, 0]))
-    return UndetectedEffect(share=taken * float(fit.best[0]) / slope, sd=taken * error / abs(slope))
+    return UndetectedEffect(
+        fraction=loss * float(fit.best[0]) / slope, sd=loss * error / abs(slope)
+    )
 
 
 def processing_findings(series: FlatSeries) -> list[Finding]:
@@ -175,13 +185,13 @@ def _sharpening_findings(levels: list[StackStatistics]) -> list[Finding]:
     """Return findings of noise that is stronger at high than at low frequency, which blur cannot
     cause.
     """
-    for place, correlations in (
+    for direction, correlations in (
         ("in a row", [(level.neighbour_correlation, level.neighbour_sd) for level in levels]),
         ("in a column", [(level.below_correlation, level.below_sd) for level in levels]),
     ):
         value, sd = weighted_mean(correlations)
         if value < -CORRELATION.min_correlation - CORRELATION.processing_sd * sd:
-            word = f"the noise of neighbours {place} is anticorrelated ({100 * value:.2g} %)"
+            word = f"the noise of neighbours {direction} is anticorrelated ({100 * value:.2g} %)"
             return [
                 Finding(
                     "processed",
@@ -205,7 +215,7 @@ def _rise(level: StackStatistics) -> tuple[float, float]:
         if not ring.any():
             return 0.0, np.inf
         power.append(
-            float(np.average(level.few.power_dn2[ring, 0], weights=level.bins.modes[ring]))
+            float(np.average(level.few_lags.power_dn2[ring, 0], weights=level.bins.modes[ring]))
         )
         modes.append(float(level.bins.modes[ring].sum()) * level.bins.efficiency * exposures)
     if min(power) <= 0:
@@ -245,13 +255,15 @@ def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
         return []
     span = np.log(series.signal_dn[chosen])
     span = (span - span.min()) / max(float(np.ptp(span)), 1e-12)
-    for place, name in (("in a row", "neighbour"), ("in a column", "below")):
-        share, sd = np.array([light_correlation(series, int(i), name) for i in chosen]).T
-        (low, high), covariance, _ = linear_fit([1.0 - span, span], share, np.maximum(sd, 1e-9))
+    for direction, name in (("in a row", "neighbour"), ("in a column", "below")):
+        correlation, sd = np.array([light_correlation(series, int(i), name) for i in chosen]).T
+        (low, high), covariance, _ = linear_fit(
+            [1.0 - span, span], correlation, np.maximum(sd, 1e-9)
+        )
         error = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
         if abs(high - low) > CORRELATION.min_change + CORRELATION.processing_sd * error:
             word = (
-                f"noise of neighbours {place} is correlated by {100 * low:.2g} % in the "
+                f"noise of neighbours {direction} is correlated by {100 * low:.2g} % in the "
                 f"dimmest flat"
             )
             return [
@@ -271,9 +283,9 @@ def gamma_of_light(light: Array, signal: Array) -> list[Finding]:
     if len(light) < CORRELATION.min_power_law_levels or signal.min() <= 0:
         return []
     power, off = _power(light, signal)
-    straight = CORRELATION.linear_exponents[0] < power < CORRELATION.linear_exponents[1]
+    is_linear = CORRELATION.linear_exponents[0] < power < CORRELATION.linear_exponents[1]
     if (
-        straight
+        is_linear
         or not CORRELATION.gamma_exponents[0] < power < CORRELATION.gamma_exponents[1]
         or off > CORRELATION.power_law_tolerance
     ):

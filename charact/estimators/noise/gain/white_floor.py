@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Beyond:
+class OuterBand:
     """Integrals beyond the band of noise power over signal."""
 
     value_dn: Array  # integrals with 1, cos(2 pi x) and cos(2 pi y), shape (3,), DN
@@ -37,7 +37,7 @@ class Beyond:
     column_cy_per_px: Array
     row_cy_per_px: Array
     cosines: Array  # weights of their power in the integrals, shape (3, point)
-    share: Array  # fraction of all modes per point, shape (point,)
+    mode_fraction: Array  # fraction of all modes per point, shape (point,)
 
     def covariance(self, power: Array) -> Array:
         """Return the covariance of the integrals under a power (point,), DN, shape (3, 3), DN^2.
@@ -46,24 +46,24 @@ class Beyond:
         adds the relative error `STACK.binning_sd` of the part inside.
         """
         none, once, twice = self.noise
-        density = (none + once * power + twice * power**2) / self.share
+        density = (none + once * power + twice * power**2) / self.mode_fraction
         return self.cosines * density @ self.cosines.T + np.diag(
             (STACK.binning_sd * self.inside_dn) ** 2
         )
 
 
-def beyond_of(
+def outer_band_of(
     pairs: Sequence[tuple[StackStatistics, StackStatistics]],
     weight: Array,
     signal: Array,
     known: Array,
     name: str,
-) -> Beyond:
+) -> OuterBand:
     """Return the integrals beyond the band from variance and neighbour covariances.
 
     `pairs`: pooled levels with their darks. `weight`: of each flat above its dark, shape (flat,),
     1/DN; weights times signals sum to 1. `signal`: of each, DN. `known`: independent exposures of
-    each flat. `name`: "few" or "many": the spectra with few or many temporal lags.
+    each flat. `name`: "few_lags" or "many_lags": the spectra with few or many temporal lags.
     """
     flats, darks = zip(*pairs, strict=True)
     bins = flats[0].bins
@@ -73,22 +73,22 @@ def beyond_of(
 
     def of(level: StackStatistics) -> tuple[Array, Array]:
         spectrum = getattr(level, name)
-        whole = spectrum.variance_dn2 * np.array(
+        total_power = spectrum.variance_dn2 * np.array(
             [1.0, level.neighbour_correlation, level.below_correlation]
         )
-        return whole, cosines @ spectrum.power_dn2[:, 0]
+        return total_power, cosines @ spectrum.power_dn2[:, 0]
 
-    above = [np.subtract(of(flat), of(dark)) for flat, dark in pairs]
-    whole, inside = np.tensordot(weight, np.array(above), 1)
+    excess = [np.subtract(of(flat), of(dark)) for flat, dark in pairs]
+    total, in_band = np.tensordot(weight, np.array(excess), 1)
     pixels = flats[0].pixels / len(np.unique(flats[0].parity))
     none, once, twice = 0.0, 0.0, 0.0
     for w, dark, light, count in zip(weight, darks, signal, known, strict=True):
-        each = w**2 * 2.0 / (pixels * count)
-        none += each * dark.variance_dn2**2
-        once += each * 2.0 * light * dark.variance_dn2
-        twice += each * light**2
+        variance_factor = w**2 * 2.0 / (pixels * count)
+        none += variance_factor * dark.variance_dn2**2
+        once += variance_factor * 2.0 * light * dark.variance_dn2
+        twice += variance_factor * light**2
     none += sum((shared * dark.variance_sd_dn2) ** 2 for dark, shared in dark_shares(darks, weight))
-    column, row, share = points_beyond(bins.row_pitch)
+    column, row, mode_fraction = outer_points(bins.row_pitch)
     waves = np.stack(
         [
             np.ones_like(column),
@@ -96,18 +96,18 @@ def beyond_of(
             np.cos(2.0 * np.pi * row * bins.row_pitch),
         ]
     )
-    return Beyond(
-        value_dn=whole - inside,
-        inside_dn=inside,
+    return OuterBand(
+        value_dn=total - in_band,
+        inside_dn=in_band,
         noise=(float(none), float(once), float(twice)),
         column_cy_per_px=column,
         row_cy_per_px=row,
-        cosines=waves * share,
-        share=share,
+        cosines=waves * mode_fraction,
+        mode_fraction=mode_fraction,
     )
 
 
-def points_beyond(row_pitch: float) -> tuple[Array, Array, Array]:
+def outer_points(row_pitch: float) -> tuple[Array, Array, Array]:
     """Return frequencies beyond the band along rows and columns, cycles per column pitch, and the
     fraction of modes of each.
     """
@@ -129,11 +129,11 @@ def points_beyond(row_pitch: float) -> tuple[Array, Array, Array]:
     )
 
 
-def integrals(beyond: Beyond, power: Callable[[Array, Array], Array]) -> Array:
+def integrals(outer: OuterBand, power: Callable[[Array, Array], Array]) -> Array:
     """Return the integrals of a power, of frequencies along rows and columns -> (draw, point),
     shape (draw, 3), DN.
     """
-    return power(beyond.column_cy_per_px, beyond.row_cy_per_px) @ beyond.cosines.T
+    return power(outer.column_cy_per_px, outer.row_cy_per_px) @ outer.cosines.T
 
 
 HIDDEN = (
@@ -167,7 +167,7 @@ def floor_of(series: FlatSeries, posterior: Posterior, *, context: Context) -> F
     white = not has_electronic_smoothing(series, context)
     draws = posterior["power"] * posterior["electron_share"]
     if white:
-        pulses = float(np.median(posterior["power"] - draws)) * _transfer_beyond(
+        pulses = float(np.median(posterior["power"] - draws)) * _outer_transfer(
             series, posterior, context
         )
         draws = draws + GAIN.beyond_band_sd * pulses * rng.standard_normal(len(draws))
@@ -197,16 +197,16 @@ def floor_of(series: FlatSeries, posterior: Posterior, *, context: Context) -> F
     return Floor(draws=draws, is_detected=False, source=source, refusal_reason=why)
 
 
-def _transfer_beyond(series: FlatSeries, posterior: Posterior, context: Context) -> float:
+def _outer_transfer(series: FlatSeries, posterior: Posterior, context: Context) -> float:
     """Return the mean of |H|^2 of the fitted blur over the modes beyond the band."""
     row_pitch = series.flats[0].bins.row_pitch
-    column, row, share = points_beyond(row_pitch)
+    column, row, mode_fraction = outer_points(row_pitch)
     step = max(1, len(posterior.draws) // GAIN.floor_draws)
     some = np.column_stack([posterior[name][::step] for name in NAMES])
     passed = np.minimum(
         transfer(some, column, row, PixelReadoutModel.of(row_pitch, context.camera)), 1.0
     )
-    return float(np.median(passed @ share)) / float(share.sum())
+    return float(np.median(passed @ mode_fraction)) / float(mode_fraction.sum())
 
 
 def has_analogue_chain(context: Context) -> bool:

@@ -81,9 +81,9 @@ def contrasts(
         frames = stack.frames(first, min(first + CUBE.chunk_frames, len(stack)))
         for part in parts:
             part.take(frames, first)
-    found = [part.contrasts() for part in parts]
+    field_contrasts = [part.contrasts() for part in parts]
     by_row, by_col, by_pixel, power, pairs = (
-        np.stack([part[i] for part in found]) for i in range(5)
+        np.stack([part[i] for part in field_contrasts]) for i in range(5)
     )
     return Contrasts(by_row=by_row, by_col=by_col, by_pixel=by_pixel, power_dn2=power, pairs=pairs)
 
@@ -109,15 +109,15 @@ class _Pass:
     def take(self, frames: NDArray, first: int) -> None:
         """Add the next frames."""
         change = self._from_first(frames[:, self.field])
-        here = slice(first, first + len(change))
-        in_time = np.ascontiguousarray(self.along[0][:, here].T)
+        block = slice(first, first + len(change))
+        in_time = np.ascontiguousarray(self.along[0][:, block].T)
         self.power += _add(
             change,
             in_time,
             self.along[1],
             self.along[2],
-            self.by_row[here],
-            self.by_col[here],
+            self.by_row[block],
+            self.by_col[block],
             self.by_pixel,
         )
         for start in (
@@ -162,13 +162,13 @@ def _add(change, in_time, along_rows, along_cols, by_row, by_col, by_pixel):
             for wave in range(along_cols.shape[0]):
                 by_row[t, row, wave] = dot(line, along_cols[wave])
             for wave in range(along_rows.shape[0]):
-                out, share = by_col[t, wave], along_rows[wave, row]
+                out, weight = by_col[t, wave], along_rows[wave, row]
                 for col in range(len(line)):
-                    out[col] += share * line[col]
+                    out[col] += weight * line[col]
             for wave in range(in_time.shape[1]):
-                out, share = by_pixel[wave, row], in_time[t, wave]
+                out, weight = by_pixel[wave, row], in_time[t, wave]
                 for col in range(len(line)):
-                    out[col] += share * line[col]
+                    out[col] += weight * line[col]
     return power
 
 
@@ -188,16 +188,16 @@ class MeanSquare:
         return self.value_dn2 * self.freedom / rng.chisquare(self.freedom, count)
 
 
-def subtract_means(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArray:
+def subtract_means(part: NDArray, axes: tuple[int, ...], *, fixed: bool) -> NDArray:
     """Return contrasts without their means along the given axes, and without smooth shading of a
     fixed pattern.
     """
-    for axis in own:
+    for axis in axes:
         part = part - part.mean(axis=axis, keepdims=True)
     if not fixed:
         return part
     smooth = part
-    bases = {axis: shading(part.shape[axis]) for axis in own}
+    bases = {axis: shading(part.shape[axis]) for axis in axes}
     for axis, base in bases.items():
         smooth = np.moveaxis(np.moveaxis(smooth, axis, -1) @ base, -1, axis)
     for axis, base in bases.items():
@@ -207,12 +207,12 @@ def subtract_means(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArr
 
 def shading(length: int) -> Array:
     """Return orthonormal polynomials along an axis without the constant, shape (length, order)."""
-    place = np.linspace(-1.0, 1.0, length)
+    position = np.linspace(-1.0, 1.0, length)
     order = min(CUBE.shading_order, length // CUBE.pixels_per_order)
-    return np.linalg.qr(np.polynomial.legendre.legvander(place, order))[0][:, 1:]
+    return np.linalg.qr(np.polynomial.legendre.legvander(position, order))[0][:, 1:]
 
 
-def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
+def mean_square(centred: NDArray, axes: tuple[int, ...], *, fixed: bool) -> MeanSquare:
     """Return the mean square of centred contrasts.
 
     For a stationary normal process with mode powers P the sum of n squares is approximately
@@ -221,35 +221,37 @@ def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSqua
     count k / (1 + (k - 1) r^2) times. Each of the three is measured and corrected for its own
     error.
     """
-    count = degrees_of_freedom(rest.shape, own, fixed=fixed)
-    total = float(np.sum(rest**2))
+    count = degrees_of_freedom(centred.shape, axes, fixed=fixed)
+    total = float(np.sum(centred**2))
     if total <= 0:
         return MeanSquare(value_dn2=0.0, freedom=count)
-    unit = rest / np.sqrt(total / rest.size)
-    spread = correlation_factor(unit, own, count) + 0.5 * excess_kurtosis(unit, count)
+    unit = centred / np.sqrt(total / centred.size)
+    spread = correlation_factor(unit, axes, count) + 0.5 * excess_kurtosis(unit, count)
     return MeanSquare(
         value_dn2=total / count,
         freedom=max(1.0, count / spread / (1.0 + field_correlation_square(unit, count))),
     )
 
 
-def degrees_of_freedom(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> float:
+def degrees_of_freedom(shape: tuple[int, ...], axes: tuple[int, ...], *, fixed: bool) -> float:
     """Return the degrees of freedom of white noise in contrasts of a shape."""
-    averaged = np.prod([length for axis, length in enumerate(shape) if axis not in own])
-    free = np.prod([shape[axis] - 1 for axis in own])
-    taken = np.prod([shading(shape[axis]).shape[1] for axis in own]) if fixed else 0
-    return float(averaged * (free - taken))
+    averaged = np.prod([length for axis, length in enumerate(shape) if axis not in axes])
+    free = np.prod([shape[axis] - 1 for axis in axes])
+    smooth = np.prod([shading(shape[axis]).shape[1] for axis in axes]) if fixed else 0
+    return float(averaged * (free - smooth))
 
 
-def correlation_factor(unit: NDArray, own: tuple[int, ...], count: float) -> float:
+def correlation_factor(unit: NDArray, axes: tuple[int, ...], count: float) -> float:
     """Return the number of values per independent value, from the spread of power over modes."""
     from scipy import fft
 
-    modes = np.asarray(fft.rfftn(unit, axes=own))
+    modes = np.asarray(fft.rfftn(unit, axes=axes))
     power = (
         np.abs(
             modes[
-                np.ix_(*(np.arange(axis in own, length) for axis, length in enumerate(modes.shape)))
+                np.ix_(
+                    *(np.arange(axis in axes, length) for axis, length in enumerate(modes.shape))
+                )
             ]
         )
         ** 2
@@ -273,26 +275,26 @@ def field_correlation_square(unit: NDArray, count: float) -> float:
     """Return the sum of the squared correlations of a field with the others; 0 for one field."""
     fields = len(unit)
     product = unit.reshape(fields, -1) @ unit.reshape(fields, -1).T
-    own = np.diag(product)
-    if fields < 2 or not np.all(own > 0):
+    power = np.diag(product)
+    if fields < 2 or not np.all(power > 0):
         return 0.0
-    square = float(np.sum(product**2 / np.outer(own, own))) / fields - 1.0
+    square = float(np.sum(product**2 / np.outer(power, power))) / fields - 1.0
     return max(0.0, square - (fields - 1) * fields / count)
 
 
-def strata(values: Array, own: tuple[int, ...]) -> list[tuple[int, list[int], Array]]:
+def strata(values: Array, axes: tuple[int, ...]) -> list[tuple[int, list[int], Array]]:
     """Return the parts of the contrasts of a component, each with its sign and its axes of waves.
 
     Along every other axis the mean (index 0) is compared with the slowest waves (all others), which
     contain the same noise without the component: sign -1 for each axis of waves.
     """
-    others = [axis for axis in (TIME, ROW, COL) if axis not in own]
+    averaged = [axis for axis in (TIME, ROW, COL) if axis not in axes]
     out = []
-    for choice in product((0, 1), repeat=len(others)):
+    for choice in product((0, 1), repeat=len(averaged)):
         index = [slice(None)] * values.ndim
-        for axis, slow in zip(others, choice, strict=True):
+        for axis, slow in zip(averaged, choice, strict=True):
             index[axis] = slice(1, None) if slow else slice(0, 1)
-        waving = [axis for axis, slow in zip(others, choice, strict=True) if slow]
+        waving = [axis for axis, slow in zip(averaged, choice, strict=True) if slow]
         out.append(((-1) ** len(waving), waving, values[tuple(index)]))
     return out
 
@@ -316,7 +318,7 @@ class LowFrequencyExcess:
     # of one, DN^2
     dn2: float
     sd_dn2: float
-    share: float  # the excess over the power of these waves, dimensionless
+    relative: float  # the excess over the power of these waves, dimensionless
     drawn: bool = True  # whether the excess is shrunk towards zero (James and Stein)
 
     @property
@@ -338,7 +340,7 @@ class LowFrequencyExcess:
     def min_fraction(self) -> float:
         """Lower limit of the relative excess by its error, dimensionless."""
         return (
-            abs(self.share) * max(0.0, 1.0 - CUBE.significant_sd * abs(self.sd_dn2 / self.dn2))
+            abs(self.relative) * max(0.0, 1.0 - CUBE.significant_sd * abs(self.sd_dn2 / self.dn2))
             if self.dn2
             else 0.0
         )
@@ -377,7 +379,7 @@ class Component:
         return out
 
 
-def components(found: Contrasts) -> dict[str, Component]:
+def components(measured: Contrasts) -> dict[str, Component]:
     """Return the seven variance components of a stack.
 
     U(t,v,h) = S + N_t + N_v + N_h + N_tv + N_th + N_vh + N_tvh. An orthonormal mean along an axis
@@ -393,111 +395,114 @@ def components(found: Contrasts) -> dict[str, Component]:
     of each give draws of their sum and the generalized confidence interval (Weerahandi, J. Am.
     Stat. Assoc. 88, 899 (1993)).
     """
-    arrays = _arrays(found)
-    parts = {name: _component(arrays[name], OWN[name], found.size) for name in OWN}
-    return parts | {"tvh": _random_component(found, parts)}
+    arrays = _arrays(measured)
+    parts = {name: _component(arrays[name], OWN[name], measured.size) for name in OWN}
+    return parts | {"tvh": _random_component(measured, parts)}
 
 
-def _arrays(found: Contrasts) -> dict[str, Array]:
+def _arrays(measured: Contrasts) -> dict[str, Array]:
     """Return the contrasts of each component, shape (field, time, row, col) with waves on the
     averaged axes.
     """
-    frames, rows, _ = (waves(length) for length in found.size)
+    frames, rows, _ = (waves(length) for length in measured.size)
     return {
-        "t": np.einsum("wv,ftvx->ftwx", rows, found.by_row),
-        "v": np.einsum("wt,ftvx->fwvx", frames, found.by_row),
-        "h": np.einsum("wt,ftxh->fwxh", frames, found.by_col),
-        "tv": found.by_row,
-        "th": found.by_col,
-        "vh": found.by_pixel,
+        "t": np.einsum("wv,ftvx->ftwx", rows, measured.by_row),
+        "v": np.einsum("wt,ftvx->fwvx", frames, measured.by_row),
+        "h": np.einsum("wt,ftxh->fwxh", frames, measured.by_col),
+        "tv": measured.by_row,
+        "th": measured.by_col,
+        "vh": measured.by_pixel,
     }
 
 
-def _component(values: Array, own: tuple[int, ...], size: tuple[int, int, int]) -> Component:
+def _component(values: Array, axes: tuple[int, ...], size: tuple[int, int, int]) -> Component:
     """Return one component: mean squares of means less those of slow waves, over the number of
     averaged pixels.
     """
-    fixed = TIME not in own
-    averaged = float(np.prod([size[axis - 1] for axis in (TIME, ROW, COL) if axis not in own]))
-    terms, excess = [], {axis: [] for axis in (TIME, ROW, COL) if axis not in own}
-    for sign, slow, part in strata(values, own):
-        rest = subtract_means(part, own, fixed=fixed)
-        square = mean_square(rest, own, fixed=fixed)
+    fixed = TIME not in axes
+    averaged = float(np.prod([size[axis - 1] for axis in (TIME, ROW, COL) if axis not in axes]))
+    terms, excess = [], {axis: [] for axis in (TIME, ROW, COL) if axis not in axes}
+    for sign, slow, part in strata(values, axes):
+        centred = subtract_means(part, axes, fixed=fixed)
+        square = mean_square(centred, axes, fixed=fixed)
         terms.append((sign / averaged, square))
         for axis in slow:
-            excess[axis].append((-sign / averaged, square, _excess(rest, axis, square)))
+            excess[axis].append((-sign / averaged, square, _excess(centred, axis, square)))
     return Component(
-        terms=tuple(terms), slopes={axis: _slope(found) for axis, found in excess.items()}
+        terms=tuple(terms),
+        slopes={axis: _slope(terms_of_axis) for axis, terms_of_axis in excess.items()},
     )
 
 
-def _excess(rest: Array, axis: int, square: MeanSquare) -> float:
+def _excess(centred: Array, axis: int, square: MeanSquare) -> float:
     """Return the power at frequency 0 less that of the waves of one and two periods, by a
     parabola.
     """
-    if rest.shape[axis] < 4 or square.value_dn2 <= 0:
+    if centred.shape[axis] < 4 or square.value_dn2 <= 0:
         return 0.0
-    one, two = (float(np.mean(np.take(rest, pair, axis=axis) ** 2)) for pair in ((0, 1), (2, 3)))
-    return 5.0 / 6.0 * (one - two) / float(np.mean(rest**2)) * square.value_dn2
+    slowest, second = (
+        float(np.mean(np.take(centred, pair, axis=axis) ** 2)) for pair in ((0, 1), (2, 3))
+    )
+    return 5.0 / 6.0 * (slowest - second) / float(np.mean(centred**2)) * square.value_dn2
 
 
-def _slope(found: list[tuple[float, MeanSquare, float]]) -> LowFrequencyExcess:
+def _slope(terms: list[tuple[float, MeanSquare, float]]) -> LowFrequencyExcess:
     """Return the excess along an axis of all its terms: factor, mean square and excess of each."""
-    value = sum(factor * excess for factor, _, excess in found)
+    value = sum(factor * excess for factor, _, excess in terms)
     sd = [
         factor * square.value_dn2 * 5.0 / 6.0 * np.sqrt(8.0 / square.freedom)
-        for factor, square, _ in found
+        for factor, square, _ in terms
     ]
-    power = sum(abs(factor) * square.value_dn2 for factor, square, _ in found)
+    power = sum(abs(factor) * square.value_dn2 for factor, square, _ in terms)
     return LowFrequencyExcess(
-        dn2=value, sd_dn2=float(np.linalg.norm(sd)), share=value / power if power > 0 else 0.0
+        dn2=value, sd_dn2=float(np.linalg.norm(sd)), relative=value / power if power > 0 else 0.0
     )
 
 
-def _random_component(found: Contrasts, parts: dict[str, Component]) -> Component:
+def _random_component(measured: Contrasts, parts: dict[str, Component]) -> Component:
     """Return the component that varies along all axes: residual power, and its scatter from pairs
     of frames.
     """
-    length = np.array(found.size)
-    count = len(found.by_row) * float(np.prod(length - 1))
-    means = (found.by_row[..., 0], found.by_col[:, :, 0], _arrays(found)["t"][:, :, 0, 0])
+    length = np.array(measured.size)
+    count = len(measured.by_row) * float(np.prod(length - 1))
+    means = (measured.by_row[..., 0], measured.by_col[:, :, 0], _arrays(measured)["t"][:, :, 0, 0])
     rows, cols, frames = (
         float(np.sum((mean - mean.mean(axis=1, keepdims=True)) ** 2)) for mean in means
     )
-    power = max(float(found.power_dn2.sum()) - rows - cols + frames, 0.0) / count
+    power = max(float(measured.power_dn2.sum()) - rows - cols + frames, 0.0) / count
     # Correlated noise has a different power in the planes removed with the means.
     slow = np.array([parts[name].terms[1][1].value_dn2 for name in ("vh", "th", "tv")])
     factor = float(np.prod(1.0 + (slow / power - 1.0) / length)) if power > 0 else 1.0
-    square = MeanSquare(value_dn2=power, freedom=_freedom(found.pairs, power, count))
+    square = MeanSquare(value_dn2=power, freedom=_freedom(measured.pairs, power, count))
     slopes = {
         axis: parts[name].slopes[axis] for axis, name in ((TIME, "vh"), (ROW, "th"), (COL, "tv"))
     }
     # The correction is small relative to this component, so its error matters less than a bias.
-    taken = {
-        axis: replace(slope, dn2=-slope.dn2, share=-slope.share, drawn=False)
+    negative_slopes = {
+        axis: replace(slope, dn2=-slope.dn2, relative=-slope.relative, drawn=False)
         for axis, slope in slopes.items()
     }
-    return Component(terms=((factor, square),), slopes=taken)
+    return Component(terms=((factor, square),), slopes=negative_slopes)
 
 
 def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
     """Return the degrees of freedom of the random component; correlations and pulses reduce
     them.
     """
-    rest = subtract_means(pairs, (2, 3), fixed=False)
-    square = float(np.mean(rest**2, dtype=np.float64))
+    centred = subtract_means(pairs, (2, 3), fixed=False)
+    square = float(np.mean(centred**2, dtype=np.float64))
     if power <= 0 or square <= 0:
         return count
-    unit = rest / np.float32(np.sqrt(square))
-    size = degrees_of_freedom(rest.shape, (2, 3), fixed=False)
+    unit = centred / np.float32(np.sqrt(square))
+    size = degrees_of_freedom(centred.shape, (2, 3), fixed=False)
     blocks = _blocks(unit**2)
-    pixels = rest[0, 0].size / blocks.shape[2]
+    pixels = centred[0, 0].size / blocks.shape[2]
     normal = 2.0 * correlation_factor(unit[:, : CUBE.spectra], (2, 3), size) / pixels
     # A difference of two frames halves the fourth cumulant.
     pulses = 2.0 * max(_scatter(blocks) - normal, 0.5 * excess_kurtosis(unit, size) / pixels)
     lag = float(np.clip(1.0 - square / power, 0.0, 0.95))
-    alike = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + field_correlation_square(unit, size))
-    return max(1.0, 2.0 * count / ((normal + pulses) * pixels * alike))
+    repetition = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + field_correlation_square(unit, size))
+    return max(1.0, 2.0 * count / ((normal + pulses) * pixels * repetition))
 
 
 def _scatter(blocks: Array) -> float:
@@ -512,8 +517,8 @@ def _scatter(blocks: Array) -> float:
 def _blocks(image: NDArray) -> Array:
     """Return means over blocks of the last two axes, shape (field, pair, block)."""
     rows, cols = (
-        np.linspace(0, length, min(most, length // 2) + 1).astype(int)
-        for length, most in zip(image.shape[2:], CUBE.blocks, strict=True)
+        np.linspace(0, length, min(max_blocks, length // 2) + 1).astype(int)
+        for length, max_blocks in zip(image.shape[2:], CUBE.blocks, strict=True)
     )
     total = np.add.reduceat(np.add.reduceat(image, rows[:-1], axis=2), cols[:-1], axis=3)
     return (total / np.outer(np.diff(rows), np.diff(cols))).reshape(*image.shape[:2], -1)

@@ -24,10 +24,10 @@ from labdata.camera.description import is_thermal
 from labdata.frames import LazyStack
 
 
-def shading_findings(found: Contrasts) -> list[Finding]:
+def shading_findings(measured: Contrasts) -> list[Finding]:
     """Return the note on the removed smooth shading."""
-    image = found.by_pixel[:, 0] / np.sqrt(found.size[0])
-    rows, cols = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in found.size[1:])
+    image = measured.by_pixel[:, 0] / np.sqrt(measured.size[0])
+    rows, cols = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in measured.size[1:])
     smooth = rows.T @ image @ cols
     smooth[:, 0, 0] = 0.0
     rms = float(np.sqrt(np.sum(smooth**2) / image.size))
@@ -39,22 +39,24 @@ def shading_findings(found: Contrasts) -> list[Finding]:
     ]
 
 
-def row_parity_findings(found: Contrasts, *, fixed: bool) -> list[Finding]:
+def row_parity_findings(measured: Contrasts, *, fixed: bool) -> list[Finding]:
     """Return the finding of different even and odd rows: fields not separated."""
-    rows = subtract_means(found.by_row[..., :1], (TIME, ROW), fixed=False)
+    rows = subtract_means(measured.by_row[..., :1], (TIME, ROW), fixed=False)
     if fixed:
-        rows = subtract_means(found.by_row[..., :1].mean(axis=1, keepdims=True), (ROW,), fixed=True)
+        rows = subtract_means(
+            measured.by_row[..., :1].mean(axis=1, keepdims=True), (ROW,), fixed=True
+        )
     sign = (-1.0) ** np.arange(rows.shape[2]) / np.sqrt(rows.shape[2])
     alternating = np.einsum("ftvx,v->ft", rows, sign)
     power = float(np.mean(alternating**2) / np.mean(rows**2)) if np.any(rows) else 0.0
     limit = (
         CUBE.alternating_power
         if fixed
-        else 1.0 + CUBE.alternating_sd * np.sqrt(2.0 / (found.size[0] - 1))
+        else 1.0 + CUBE.alternating_sd * np.sqrt(2.0 / (measured.size[0] - 1))
     )
     if power <= limit:
         return []
-    rms = float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / found.size[2]))
+    rms = float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / measured.size[2]))
     sentence = f"even and odd rows differ by {2.0 * rms:.3g} DN: interlaced fields, not separated?"
     return [Finding("interlace-motion", sentence)]
 
@@ -102,11 +104,11 @@ def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
     """
     fields = len(field_mean_dn)
     series = (field_mean_dn - field_mean_dn.mean(axis=1, keepdims=True)).T.ravel()
-    drift, seen, rest = _drift(series, fields)
-    power = 2.0 * np.abs(np.fft.rfft(rest)[1:]) ** 2 / len(rest) ** 2
-    if len(rest) % 2 == 0:
+    drift, is_significant, residual = _drift(series, fields)
+    power = 2.0 * np.abs(np.fft.rfft(residual)[1:]) ** 2 / len(residual) ** 2
+    if len(residual) % 2 == 0:
         power[-1] /= 2.0
-    frequency = np.asarray(np.fft.rfftfreq(len(rest))[1:], np.float64)
+    frequency = np.asarray(np.fft.rfftfreq(len(residual))[1:], np.float64)
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
     return FrameMeans(
         mean_dn=series,
@@ -114,23 +116,23 @@ def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
         power_dn2=power,
         exposure_period_s=step / fields if step > 0 else None,
         drift_dn=drift,
-        drift_seen=seen,
+        drift_seen=is_significant,
         line=_line(power),
     )
 
 
-def _drift(series: Array, taken: int) -> tuple[float, bool, Array]:
+def _drift(series: Array, constraints: int) -> tuple[float, bool, Array]:
     """Return the linear change from first to last, whether it is significant, and the residual."""
     from scipy.special import fdtrc
 
-    place = np.linspace(-0.5, 0.5, len(series))
-    slope = float(place @ series / (place @ place))
-    rest = series - slope * place
-    free = len(series) - taken - 1
-    explained, left = slope**2 * float(place @ place), float(rest @ rest) / free
-    if left <= 0:
-        return slope, slope != 0, rest
-    return slope, bool(fdtrc(1, free, explained / left) < STACK.false_alarm), rest
+    time = np.linspace(-0.5, 0.5, len(series))
+    slope = float(time @ series / (time @ time))
+    residual = series - slope * time
+    free = len(series) - constraints - 1
+    explained, residual_variance = slope**2 * float(time @ time), float(residual @ residual) / free
+    if residual_variance <= 0:
+        return slope, slope != 0, residual
+    return slope, bool(fdtrc(1, free, explained / residual_variance) < STACK.false_alarm), residual
 
 
 def _line(power: Array) -> int | None:
@@ -138,8 +140,10 @@ def _line(power: Array) -> int | None:
     if power.sum() <= 0:
         return None
     strongest = int(np.argmax(power))
-    share = float(power[strongest] / power.sum())
-    return strongest if len(power) * (1.0 - share) ** (len(power) - 1) < STACK.false_alarm else None
+    fraction = float(power[strongest] / power.sum())
+    return (
+        strongest if len(power) * (1.0 - fraction) ** (len(power) - 1) < STACK.false_alarm else None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,24 +169,26 @@ def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
     if frames < CUBE.min_frames or min(rows // sets, cols) < CUBE.min_pixels:
         return None
     watch = Stopwatch()
-    found = contrasts(stack, interlaced=context.interlaced, two_way=two_way)
-    parts = components(found)
-    shaded = tuple(shading_findings(found))
+    measured = contrasts(stack, interlaced=context.interlaced, two_way=two_way)
+    parts = components(measured)
+    shaded = tuple(shading_findings(measured))
     split, fields = sets > 1, 2 if context.interlaced else 1
     # Lines of both directions of one field have one exposure.
-    mean_dn = found.frame_mean_dn.reshape(sets // fields, fields, frames).mean(axis=0)
+    mean_dn = measured.frame_mean_dn.reshape(sets // fields, fields, frames).mean(axis=0)
     findings = {
-        "v": shaded + (() if split else tuple(row_parity_findings(found, fixed=True))),
+        "v": shaded + (() if split else tuple(row_parity_findings(measured, fixed=True))),
         "h": shaded,
         "vh": shaded,
-        "tv": () if split else tuple(row_parity_findings(found, fixed=False)),
+        "tv": () if split else tuple(row_parity_findings(measured, fixed=False)),
     }
     return Cube(
         components=parts,
         findings=findings,
         means=frame_means(mean_dn, stack.time_s),
-        row_mean_dn=(found.by_row[..., 0].mean(axis=1) / np.sqrt(found.size[2])).T.ravel(),
-        column_mean_dn=(found.by_col[:, :, 0].mean(axis=1) / np.sqrt(found.size[1])).mean(axis=0),
-        fields=len(found.by_row),
+        row_mean_dn=(measured.by_row[..., 0].mean(axis=1) / np.sqrt(measured.size[2])).T.ravel(),
+        column_mean_dn=(measured.by_col[:, :, 0].mean(axis=1) / np.sqrt(measured.size[1])).mean(
+            axis=0
+        ),
+        fields=len(measured.by_row),
         seconds=watch.seconds(),
     )

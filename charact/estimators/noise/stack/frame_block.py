@@ -42,12 +42,12 @@ class ClippedCounts:
     # low, full: values at 0 DN, and at or above full scale if stated
     low: int
     full: int
-    # largest, held: the largest value and its count
+    # largest, largest_count: the largest value and its count
     largest: float
-    held: int
-    # next_largest, next_held: the next largest value and its count; 0 if the largest is rare
+    largest_count: int
+    # next_largest, next_count: the next largest value and its count; 0 if the largest is rare
     next_largest: float
-    next_held: int
+    next_count: int
 
     @property
     def low_fraction(self) -> float:
@@ -61,23 +61,27 @@ class ClippedCounts:
         A smooth distribution falls towards its largest value; grey values need not be consecutive
         integers.
         """
-        likely = self.next_held + STACK.accumulated_sd * np.sqrt(self.next_held)
+        likely = self.next_count + STACK.accumulated_sd * np.sqrt(self.next_count)
         piled = (
-            self.next_held
-            and self.held >= max(STACK.accumulated * self.frames, 2 * STACK.accumulated)
-            and self.held >= likely
+            self.next_count
+            and self.largest_count >= max(STACK.accumulated * self.frames, 2 * STACK.accumulated)
+            and self.largest_count >= likely
         )
-        shown = float(self.largest).is_integer() and ends_at(int(self.largest), self.held)
-        return max(self.full, self.held if piled or shown else 0) / self.values
+        shown = float(self.largest).is_integer() and ends_at(int(self.largest), self.largest_count)
+        return max(self.full, self.largest_count if piled or shown else 0) / self.values
 
 
 def count_clipped(data: NDArray, full_scale_dn: float | None) -> ClippedCounts:
     """Count the clipped values of frames."""
     flat = data.reshape(-1)
-    largest, held, next_largest, next_held = _top(flat)
+    largest, largest_count, next_largest, next_count = _top(flat)
     full = 0
     if full_scale_dn is not None and largest >= full_scale_dn:
-        full = held if largest == full_scale_dn else int(np.count_nonzero(flat >= full_scale_dn))
+        full = (
+            largest_count
+            if largest == full_scale_dn
+            else int(np.count_nonzero(flat >= full_scale_dn))
+        )
     # With negative values, 0 is not the lower limit.
     low = int(np.count_nonzero(flat == 0)) if flat.min() == 0 else 0
     return ClippedCounts(
@@ -86,42 +90,42 @@ def count_clipped(data: NDArray, full_scale_dn: float | None) -> ClippedCounts:
         low=low,
         full=full,
         largest=float(largest),
-        held=int(held),
+        largest_count=int(largest_count),
         next_largest=float(next_largest),
-        next_held=int(next_held),
+        next_count=int(next_count),
     )
 
 
 def sum_counts(parts: list[ClippedCounts]) -> ClippedCounts:
     """Return the sum of the counts."""
-    held: dict[float, int] = {}
-    for value, count in [(p.largest, p.held) for p in parts] + [
-        (p.next_largest, p.next_held) for p in parts
+    counts: dict[float, int] = {}
+    for value, count in [(p.largest, p.largest_count) for p in parts] + [
+        (p.next_largest, p.next_count) for p in parts
     ]:
-        held[value] = held.get(value, 0) + count
-    first, *others = sorted(held, reverse=True)
-    second = others[0] if others else first
+        counts[value] = counts.get(value, 0) + count
+    first, *lower = sorted(counts, reverse=True)
+    second = lower[0] if lower else first
     return ClippedCounts(
         values=sum(p.values for p in parts),
         frames=sum(p.frames for p in parts),
         low=sum(p.low for p in parts),
         full=sum(p.full for p in parts),
         largest=first,
-        held=held[first],
+        largest_count=counts[first],
         next_largest=second,
-        next_held=held[second] if others else 0,
+        next_count=counts[second] if lower else 0,
     )
 
 
 def _top(flat: NDArray) -> tuple[float, int, float, int]:
     """Return the largest value and its count, and if it is frequent the next largest."""
     largest = flat.max()
-    held = int(np.count_nonzero(flat == largest))
-    less = flat[flat < largest] if held >= 2 * STACK.accumulated else flat[:0]
+    largest_count = int(np.count_nonzero(flat == largest))
+    less = flat[flat < largest] if largest_count >= 2 * STACK.accumulated else flat[:0]
     if not less.size:
-        return largest, held, largest, 0
+        return largest, largest_count, largest, 0
     following = less.max()
-    return largest, held, following, int(np.count_nonzero(less == following))
+    return largest, largest_count, following, int(np.count_nonzero(less == following))
 
 
 Array = NDArray[np.float64]
@@ -139,17 +143,20 @@ class Pattern:
     settled: bool
 
 
-def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
+def measure_fixed_pattern(order: Order, sums: PixelSums, min_separation: int) -> Pattern:
     """Return the spatial variance of the fixed pattern.
 
-    `order`: order of the exposures; `sums`: products of their pixels; `least`: smallest separation
-    of compared exposures.
+    `order`: order of the exposures; `sums`: products of their pixels; `min_separation`: smallest
+    separation of compared exposures.
 
     The estimate is the mean covariance over the image of two exposures of the same rows, whose
     temporal noise is independent. Image lag correlates exposures near in time, so the separation is
     doubled until the covariance no longer falls.
     """
-    parts = [_field_pattern(order, sums, int(parity), least) for parity in np.unique(order.parity)]
+    parts = [
+        _field_pattern(order, sums, int(parity), min_separation)
+        for parity in np.unique(order.parity)
+    ]
     return Pattern(
         variance_dn2=float(np.mean([part.variance_dn2 for part in parts])),
         sd_dn2=float(np.sqrt(np.sum([part.sd_dn2**2 for part in parts])) / len(parts)),
@@ -157,46 +164,51 @@ def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
     )
 
 
-def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pattern:
+def _field_pattern(order: Order, sums: PixelSums, parity: int, min_separation: int) -> Pattern:
     """Return the pattern of the exposures of one parity."""
     same = np.flatnonzero(order.parity == parity)
     cross = sums.with_mean[same]
     products = sums.mean_square[parity] + cross[:, None] + cross + sums.products[np.ix_(same, same)]
     distance = np.abs(order.time[same][:, None] - order.time[same])
     spread = _spread(sums, parity)
-    apart, excess = int(distance[distance > 0].min()), [0.0]
+    separation, excess = int(distance[distance > 0].min()), [0.0]
     while True:
-        found, sd = _mean(products, distance >= apart, spread)
-        further = distance >= 2 * apart
+        covariance, sd = _mean(products, distance >= separation, spread)
+        further = distance >= 2 * separation
         if not further.any():
-            rest = _remaining_correlation(excess)
+            slow_part = _remaining_correlation(excess)
             return Pattern(
-                variance_dn2=found,
-                sd_dn2=float(np.hypot(sd, rest)),
-                settled=rest <= STACK.max_slow_noise * abs(found),
+                variance_dn2=covariance,
+                sd_dn2=float(np.hypot(sd, slow_part)),
+                settled=slow_part <= STACK.max_slow_noise * abs(covariance),
             )
-        near_pairs = (distance >= apart) & ~further
+        near_pairs = (distance >= separation) & ~further
         if not near_pairs.any():
-            apart *= 2
+            separation *= 2
             continue
-        near, near_sd = _mean(products, near_pairs, spread)
-        far, far_sd = _mean(products, further, spread)
+        near_covariance, near_sd = _mean(products, near_pairs, spread)
+        far_covariance, far_sd = _mean(products, further, spread)
         noise = float(np.hypot(near_sd, far_sd))
-        alike = near - far <= STACK.slow_noise_sd * noise + 0.5 * STACK.slow_noise_fraction * abs(
-            far
+        has_settled = (
+            near_covariance - far_covariance
+            <= STACK.slow_noise_sd * noise + 0.5 * STACK.slow_noise_fraction * abs(far_covariance)
         )
         # A possible excess of near pairs adds to the error in proportion to their number.
-        unseen = (max(near - far, 0.0) + noise) * float(
-            near_pairs.sum() / (distance >= apart).sum()
+        unseen = (max(near_covariance - far_covariance, 0.0) + noise) * float(
+            near_pairs.sum() / (distance >= separation).sum()
         )
         if (
-            alike
-            and apart >= least
-            and (not any(excess) or unseen <= STACK.max_slow_noise * abs(found))
+            has_settled
+            and separation >= min_separation
+            and (not any(excess) or unseen <= STACK.max_slow_noise * abs(covariance))
         ):
-            return Pattern(variance_dn2=found, sd_dn2=float(np.hypot(sd, unseen)), settled=True)
-        excess.append(0.0 if alike and not any(excess) else max(near - far, noise))
-        apart *= 2
+            return Pattern(
+                variance_dn2=covariance, sd_dn2=float(np.hypot(sd, unseen)), settled=True
+            )
+        excess.append(
+            0.0 if has_settled and not any(excess) else max(near_covariance - far_covariance, noise)
+        )
+        separation *= 2
 
 
 def _remaining_correlation(excess: list[float]) -> float:
@@ -216,10 +228,10 @@ def _mean(
     weight = chosen / chosen.sum()
     common = float((weight * products).sum())
     noise = products - common
-    both = weight @ noise
+    weighted_noise = weight @ noise
     twice, crossed = spread
-    square = 2.0 * max(float(np.trace(both @ both)), 0.0) * twice
-    square += 4.0 * max(common, 0.0) * max(float((both @ weight).sum()), 0.0) * crossed
+    square = 2.0 * max(float(np.trace(weighted_noise @ weighted_noise)), 0.0) * twice
+    square += 4.0 * max(common, 0.0) * max(float((weighted_noise @ weight).sum()), 0.0) * crossed
     return common, float(np.sqrt(square))
 
 
@@ -244,19 +256,19 @@ def _spread(sums: PixelSums, parity: int) -> tuple[float, float]:
         noise[
             np.ix_(
                 *(
-                    [0, min(1, n - 1), -1][:most]
-                    for n, most in zip(noise.shape, (3, 2), strict=True)
+                    [0, min(1, n - 1), -1][:corner_count]
+                    for n, corner_count in zip(noise.shape, (3, 2), strict=True)
                 )
             )
         ],
         0,
     )
-    own = float(mean.mean()) / middle[0].size
-    shading = max(sums.mean_square[parity] - own, 0.0)
-    alike = own * float(np.mean(mean * noise)) / max(float(mean.mean()), 1e-30) + shading * float(
-        lowest.mean()
-    )
-    return twice / pixels, alike / max((own + shading) * level, 1e-30) / pixels
+    noise_square = float(mean.mean()) / middle[0].size
+    shading = max(sums.mean_square[parity] - noise_square, 0.0)
+    crossed = noise_square * float(np.mean(mean * noise)) / max(
+        float(mean.mean()), 1e-30
+    ) + shading * float(lowest.mean())
+    return twice / pixels, crossed / max((noise_square + shading) * level, 1e-30) / pixels
 
 
 def _power(image: NDArray[np.float32]) -> Array:
@@ -297,11 +309,11 @@ class FrameBlock:
     parity: NDArray[np.int64]
     variance: tuple[float, float]
     neighbour: tuple[float, float]
-    below: tuple[float, float]
+    lower: tuple[float, float]
     successor: tuple[float, float]
     pattern: Pattern
-    few: BlockSpectrum
-    many: BlockSpectrum
+    few_lags: BlockSpectrum
+    many_lags: BlockSpectrum
 
     @property
     def fixed_pattern(self) -> tuple[float, float]:
@@ -330,14 +342,14 @@ def run_of(frames: FrameStack, *, context: Context, spectra: Spectra) -> FrameBl
     variance = float(
         autocovariance(sums.products, order.time, order.parity, plain, within_parity=True)[0]
     )
-    few, many = NO_SPECTRUM, NO_SPECTRUM
+    few_lags, many_lags = NO_SPECTRUM, NO_SPECTRUM
     if spectra:
-        few = _spectrum(sums, order, STACK.few_lags if spectra is True else 0)
-        many = _spectrum(sums, order, STACK.max_lags)
+        few_lags = _spectrum(sums, order, STACK.few_lags if spectra is True else 0)
+        many_lags = _spectrum(sums, order, STACK.max_lags)
     rows, cols = line_errors(sums, order)
     lines = np.hypot(rows, cols)
     scale = max(variance, np.finfo(float).tiny)
-    (right, right_sd), (below, below_sd) = right_neighbour(sums), lower_neighbour(sums)
+    (right, right_sd), (lower, lower_sd) = right_neighbour(sums), lower_neighbour(sums)
     return FrameBlock(
         codes=count_clipped(frames.data, full_scale_dn),
         frame_mean_dn=sums.mean_dn.reshape(len(frames), -1).mean(axis=1),
@@ -345,13 +357,13 @@ def run_of(frames: FrameStack, *, context: Context, spectra: Spectra) -> FrameBl
         parity=order.parity,
         variance=(variance, float(np.hypot(variance_error(sums, variance), lines))),
         neighbour=(right, float(np.hypot(right_sd, rows / scale))),
-        below=(below, float(np.hypot(below_sd, cols / scale))),
+        lower=(lower, float(np.hypot(lower_sd, cols / scale))),
         successor=successor_correlation(sums, order.parity),
         pattern=measure_fixed_pattern(
             order, sums, STACK.decay_exposures if context.interlaced else 1
         ),
-        few=few,
-        many=many,
+        few_lags=few_lags,
+        many_lags=many_lags,
     )
 
 
@@ -381,9 +393,9 @@ def _check(frames: FrameStack, context: Context) -> None:
         raise BadInput(f"pixel values must lie below {STACK.max_dn:.0e} DN, got {largest:.3g}")
 
 
-def _spectrum(sums: PixelSums, order: Order, most: int) -> BlockSpectrum:
+def _spectrum(sums: PixelSums, order: Order, max_lag: int) -> BlockSpectrum:
     """Return the unbiased temporal autocovariance up to a lag."""
-    lags = usable_lags(order.time, order.parity, most)
+    lags = usable_lags(order.time, order.parity, max_lag)
     same = same_row_lags(lags, order.parity)
     variance = autocovariance(sums.products, order.time, order.parity, same, within_parity=True)[0]
     power = autocovariance(sums.spectra, order.time, order.parity, lags)

@@ -21,7 +21,7 @@ from charact.estimators.noise.thresholds import STACK
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 # Sums of each block, in this order.
-SUMS = ("power", "right", "below", "near", "level")
+SUMS = ("power", "right", "lower", "nearest", "level")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,15 +43,15 @@ class PixelSums:
     # shape (exposure, row, col), and of the mean image, shape (row, col), DN
     middle: tuple[NDArray[np.float32], ...]
     mean_middle: tuple[NDArray[np.float32], ...]
-    # power, right, below: block means of the sum over exposures of the square, and of the product
+    # power, right, lower: block means of the sum over exposures of the square, and of the product
     # with the next pixel of the row and of the column, shape (block,), DN^2; NaN for a block
     # without such pairs
     power: Array
     right: Array
-    below: Array
-    # near, pairs: block means of the summed products of the exposures nearest in time, shape
+    lower: Array
+    # nearest, pairs: block means of the summed products of the exposures nearest in time, shape
     # (block,), DN^2, and the number of these pairs
-    near: Array
+    nearest: Array
     pairs: int
     level: Array  # mean of the pixels of a block, shape (block,), DN
     # mean product of the modes of exposures, see
@@ -76,21 +76,21 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     for parity, field in enumerate(fields):
         same = np.flatnonzero(order.parity == parity)
         level[same] = [_mean(image) for image in field]
-        found = _Pass(
+        field_pass = _Pass(
             field, level[same], _nearest(order.time[same]), row_cuts, col_cuts, total, bins
         )
         products[np.ix_(same, same)], with_mean[same] = (
-            found.products / (rows * cols),
-            found.with_mean / (rows * cols),
+            field_pass.products / (rows * cols),
+            field_pass.with_mean / (rows * cols),
         )
-        modes += [modes_of(along, parity, bins) for along in found.along]
-        passes.append(found)
-    high, wide = np.diff(row_cuts), np.diff(col_cuts)
-    right, below = wide.copy(), high.copy()
+        modes += [modes_of(along, parity, bins) for along in field_pass.along]
+        passes.append(field_pass)
+    heights, widths = np.diff(row_cuts), np.diff(col_cuts)
+    right, lower = widths.copy(), heights.copy()
     right[-1] -= 1
-    below[0] -= 1
-    plain = np.outer(high, wide)
-    number = (plain, np.outer(high, right), np.outer(below, wide), plain, plain * len(fields))
+    lower[0] -= 1
+    plain = np.outer(heights, widths)
+    number = (plain, np.outer(heights, right), np.outer(lower, widths), plain, plain * len(fields))
     mean = {
         name: np.where(n > 0, part / np.maximum(n, 1), np.nan).ravel()
         for name, part, n in zip(SUMS, total, number, strict=True)
@@ -101,10 +101,10 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
         mean_dn=level,
         products=products,
         with_mean=with_mean,
-        mean_square=np.array([found.mean_square for found in passes]) / (rows * cols),
-        middle=tuple(found.middle for found in passes),
-        mean_middle=tuple(found.mean_middle for found in passes),
-        pairs=sum(len(found.first) for found in passes),
+        mean_square=np.array([field_pass.mean_square for field_pass in passes]) / (rows * cols),
+        middle=tuple(field_pass.middle for field_pass in passes),
+        mean_middle=tuple(field_pass.mean_middle for field_pass in passes),
+        pairs=sum(len(field_pass.first) for field_pass in passes),
         spectra=_complete_products(products_of(np.array(modes), bins), order.parity),
         **mean,
     )
@@ -117,14 +117,14 @@ class _Pass:
         self,
         field: NDArray,
         level: Array,
-        near: tuple[Whole, Whole],
+        nearest_pairs: tuple[Whole, Whole],
         row_cuts: Whole,
         col_cuts: Whole,
         total: Array,
         bins: Bins,
     ) -> None:
         count, rows, cols = field.shape
-        self.first, self.second = near
+        self.first, self.second = nearest_pairs
         self.bins = bins
         self.products, self.with_mean, self.mean_square = (
             np.zeros((count, count)),
@@ -138,7 +138,7 @@ class _Pass:
         self.middle = np.empty((len(self.some), *side), np.float32)
         self.mean_middle = np.empty(side, np.float32)
         self.along = np.empty((count - 1, bins.window.shape[0], bins.columns), np.complex64)
-        above = np.zeros((count, cols), np.float32)
+        previous_row = np.zeros((count, cols), np.float32)
         # White noise loses the fraction 1/N with the mean of N pixels; it is restored.
         back = np.float32(np.sqrt(rows * cols / max(rows * cols - 1, 1)))
         step = max(1, STACK.band_pixels // (count * cols))
@@ -148,28 +148,28 @@ class _Pass:
             self.mean_square += _add(
                 band,
                 mean,
-                above,
+                previous_row,
                 start,
                 row_cuts,
                 col_cuts,
-                *near,
+                *nearest_pairs,
                 self.products,
                 self.with_mean,
                 total,
             )
-            above = band[:, -1].copy()
+            previous_row = band[:, -1].copy()
             self._keep(band, mean, start)
 
     def _keep(self, band: NDArray[np.float32], mean: NDArray[np.float32], start: int) -> None:
         """Store the data of the spectra."""
         low, high = max(start, self.rows.start), min(start + len(mean), self.rows.stop)
         if low < high:
-            here, there = (
+            from_band, to_middle = (
                 np.s_[low - start : high - start],
                 np.s_[low - self.rows.start : high - self.rows.start],
             )
-            self.middle[:, there] = band[self.some, here, self.cols]
-            self.mean_middle[there] = mean[here, self.cols]
+            self.middle[:, to_middle] = band[self.some, from_band, self.cols]
+            self.mean_middle[to_middle] = mean[from_band, self.cols]
         stop = min(start + len(mean), self.along.shape[1])
         if start < stop:
             self.along[:, start:stop] = along_rows(band[:-1, : stop - start], start, self.bins)
@@ -186,9 +186,9 @@ def _complete_products(products: Array, parity: Whole) -> Array:
     # The others are ordered by parity.
     for value in np.unique(parity):
         same = np.flatnonzero(parity == value)
-        here = first + np.arange(len(same) - 1)
-        made[same[:-1], here], made[same[-1], here] = 1.0, -1.0
-        first += len(here)
+        columns = first + np.arange(len(same) - 1)
+        made[same[:-1], columns], made[same[-1], columns] = 1.0, -1.0
+        first += len(columns)
     return made @ products @ made.T
 
 
@@ -209,11 +209,11 @@ def _mean(image):
 
 
 @njit(cache=True, fastmath=True)
-def dot(one, two):
+def dot(first, second):
     """Return the sum of products, added in a fixed order."""
     total = np.float32(0.0)
-    for i in range(len(one)):
-        total += one[i] * two[i]
+    for i in range(len(first)):
+        total += first[i] * second[i]
     return total
 
 
@@ -222,16 +222,16 @@ def _centre(band, level, back):
     """Replace a band of exposures by its fluctuations, and return its mean over the exposures."""
     count, rows, cols = band.shape
     mean = np.zeros((rows, cols), np.float32)
-    share = np.float32(1.0 / count)
+    reciprocal = np.float32(1.0 / count)
     for row in range(rows):
         middle = mean[row]
         for t in range(count):
-            line, own = band[t, row], np.float32(level[t])
+            line, frame_level = band[t, row], np.float32(level[t])
             for col in range(cols):
-                line[col] -= own
+                line[col] -= frame_level
                 middle[col] += line[col]
         for col in range(cols):
-            middle[col] *= share
+            middle[col] *= reciprocal
         for t in range(count):
             line = band[t, row]
             for col in range(cols):
@@ -240,9 +240,11 @@ def _centre(band, level, back):
 
 
 @njit(cache=True, fastmath=True)
-def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, with_mean, total):
-    """Add the products of a band that starts at row `start`, below the row `above`; return those of
-    its mean.
+def _add(
+    band, mean, previous_row, start, row_cuts, col_cuts, first, second, products, with_mean, total
+):
+    """Add the products of a band that starts at row `start`, below the row `previous_row`; return
+    those of its mean.
     """
     count, rows, cols = band.shape
     mean_square, high = 0.0, 0
@@ -264,7 +266,7 @@ def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, 
             line = band[t, row]
             _add_products(line, line, sums[0])
             _add_products(line[:-1], line[1:], sums[1])
-            _add_products(line, band[t, row - 1] if row else above[t], sums[2])
+            _add_products(line, band[t, row - 1] if row else previous_row[t], sums[2])
         for pair in range(len(first)):
             _add_products(band[first[pair], row], band[second[pair], row], sums[3])
         for col in range(cols):
@@ -274,21 +276,21 @@ def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, 
 
 
 @njit(cache=True, fastmath=True)
-def _add_products(one, two, sums):
+def _add_products(first, second, sums):
     """Add the products of two rows, column for column."""
-    for col in range(len(one)):
-        sums[col] += one[col] * two[col]
+    for col in range(len(first)):
+        sums[col] += first[col] * second[col]
 
 
 @njit(cache=True, fastmath=True)
 def _flush(sums, total, col_cuts):
     """Add the column sums to the block sums, and reset them."""
     for kind in range(len(sums)):
-        for wide in range(len(col_cuts) - 1):
+        for block_col in range(len(col_cuts) - 1):
             block = 0.0
-            for col in range(col_cuts[wide], col_cuts[wide + 1]):
+            for col in range(col_cuts[block_col], col_cuts[block_col + 1]):
                 block += sums[kind, col]
-            total[kind, wide] += block
+            total[kind, block_col] += block
     sums[:] = 0.0
 
 
@@ -298,10 +300,12 @@ def variance_error(sums: PixelSums, variance: float) -> float:
     """
     # Shot noise is lower in darker blocks.
     bright = sums.level.min() > 0.5 * sums.level.mean()
-    even = sums.power * (sums.level.mean() / sums.level if bright else 1.0)
-    if even.size < 2:
+    scaled = sums.power * (sums.level.mean() / sums.level if bright else 1.0)
+    if scaled.size < 2:
         return variance
-    return float(variance * even.std(ddof=1) / max(float(even.mean()), 1e-12) / np.sqrt(even.size))
+    return float(
+        variance * scaled.std(ddof=1) / max(float(scaled.mean()), 1e-12) / np.sqrt(scaled.size)
+    )
 
 
 def line_errors(sums: PixelSums, order: Order) -> tuple[float, float]:
@@ -345,18 +349,18 @@ def lower_neighbour(sums: PixelSums) -> tuple[float, float]:
     """Return the correlation of neighbouring pixels of a column of one exposure, and its standard
     error.
     """
-    return _correlation(sums, sums.below) if sums.size[0] > 1 else (0.0, 0.0)
+    return _correlation(sums, sums.lower) if sums.size[0] > 1 else (0.0, 0.0)
 
 
 def _correlation(sums: PixelSums, products: Array) -> tuple[float, float]:
     """Return products over squares, and the standard error from the scatter of blocks."""
-    there = np.isfinite(products)
-    products, power = products[there], sums.power[there]
+    is_known = np.isfinite(products)
+    products, power = products[is_known], sums.power[is_known]
     ratio = products / np.maximum(power, 1e-12)
     error = ratio.std(ddof=1) / np.sqrt(ratio.size) if ratio.size > 1 else 1.0
     # Subtracting the mean of N pixels anticorrelates white noise by 1/(N - 1).
-    own = 1.0 / max(sums.size[0] * sums.size[1] - 1, 1)
-    return float(products.mean() / max(float(power.mean()), 1e-12)) + own, float(error)
+    mean_loss = 1.0 / max(sums.size[0] * sums.size[1] - 1, 1)
+    return float(products.mean() / max(float(power.mean()), 1e-12)) + mean_loss, float(error)
 
 
 def successor_correlation(sums: PixelSums, parity: Whole) -> tuple[float, float]:
@@ -368,12 +372,12 @@ def successor_correlation(sums: PixelSums, parity: Whole) -> tuple[float, float]
     two exposures of one parity the error is infinite.
     """
     count = np.bincount(parity)
-    others = int((count * (count - 1) // 2).sum()) - sums.pairs
+    other_pairs = int((count * (count - 1) // 2).sum()) - sums.pairs
     freedom = len(parity) - np.count_nonzero(count)
-    if not others or sums.power.mean() <= 0 or sums.power.size < 2:
+    if not other_pairs or sums.power.mean() <= 0 or sums.power.size < 2:
         return 0.0, np.inf
     contrast = (
-        (sums.near / sums.pairs + (0.5 * sums.power + sums.near) / others)
+        (sums.nearest / sums.pairs + (0.5 * sums.power + sums.nearest) / other_pairs)
         * freedom
         / sums.power.mean()
     )

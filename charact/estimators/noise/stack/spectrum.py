@@ -91,11 +91,11 @@ NO_BINS = Bins(
 def smooth_length(length: int) -> int:
     """Return the longest length up to this one without prime factors above 7 (fast transform)."""
     for number in range(length, 0, -1):
-        rest = number
+        cofactor = number
         for prime in (2, 3, 5, 7):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
+            while cofactor % prime == 0:
+                cofactor //= prime
+        if cofactor == 1:
             return number
     raise ValueError(f"an image must have at least one pixel along each axis, got {length}")
 
@@ -123,14 +123,14 @@ def bins_of(rows: int, cols: int, row_pitch: float) -> Bins:
     nyquist = (along_rows == 0.5) if cols % 2 == 0 else np.zeros_like(ring, bool)
     aliased = np.abs(along_cols) * row_pitch > ROW_LIMIT_CY
     cell[(ring >= STACK.rings) | (along_rows == 0) | (along_cols == 0) | nyquist | aliased] = -1
-    kept, position, modes = np.unique(cell, return_inverse=True, return_counts=True)
+    cells, position, modes = np.unique(cell, return_inverse=True, return_counts=True)
     position = position.reshape(cell.shape)
     size = [
         np.sqrt(np.bincount(position.ravel(), (f**2).ravel()) / modes)
         for f in (along_rows, along_cols)
     ]
     merged = np.bincount(position.ravel(), sparse.ravel()) > 0
-    full = (kept >= 0) & (modes >= np.where(merged, STACK.min_ring_modes, STACK.min_modes))
+    full = (cells >= 0) & (modes >= np.where(merged, STACK.min_ring_modes, STACK.min_modes))
     renumber = np.where(full, np.cumsum(full) - 1, -1)
     window = np.outer(_fade(rows), _fade(cols)).astype(np.float32)
     efficiency = float(
@@ -149,8 +149,8 @@ def bins_of(rows: int, cols: int, row_pitch: float) -> Bins:
 
 def _fade(length: int) -> Array:
     """Return a window with raised-cosine ends."""
-    place = (np.arange(length) + 0.5) / length
-    edge = np.minimum(place, 1 - place) / STACK.taper
+    position = (np.arange(length) + 0.5) / length
+    edge = np.minimum(position, 1 - position) / STACK.taper
     return np.where(edge < 1, 0.5 - 0.5 * np.cos(np.pi * np.minimum(edge, 1)), 1.0)
 
 

@@ -69,8 +69,8 @@ class StackStatistics:
     low_fraction: float
     high_fraction: float
     # few, many: spectra with few and with many temporal lags
-    few: BlockSpectrum
-    many: BlockSpectrum
+    few_lags: BlockSpectrum
+    many_lags: BlockSpectrum
     # runs, time, parity: number of blocks of frames, and the exposures of one of them
     runs: int
     time: NDArray[np.int64]
@@ -89,7 +89,7 @@ class Part:
 
     entry: StackEntry
     runs: tuple[tuple[int, int], ...]  # first and last-plus-one frame of each block
-    whole: bool  # whether to read the complete stack at once
+    at_once: bool  # whether to read the complete stack at once
     cube: bool  # whether to compute 3-D noise
     spectra: Spectra
     context: Context
@@ -102,25 +102,29 @@ PartStatistics = tuple[tuple[FrameBlock, ...], Cube | None]
 _POOLED = {
     "variance": ("variance_dn2", "variance_sd_dn2"),
     "neighbour": ("neighbour_correlation", "neighbour_sd"),
-    "below": ("below_correlation", "below_sd"),
+    "lower": ("below_correlation", "below_sd"),
     "successor": ("successor_correlation", "successor_sd"),
     "fixed_pattern": ("spatial_variance_dn2", "spatial_sd_dn2"),
 }
 
 
 def _join(
-    entry: StackEntry, found: list[PartStatistics], *, shape: tuple[int, int, int], bins: Bins
+    entry: StackEntry,
+    part_statistics: list[PartStatistics],
+    *,
+    shape: tuple[int, int, int],
+    bins: Bins,
 ) -> StackStatistics | None:
     """Return the statistics of a stack from those of its parts; None for a single frame."""
-    runs = [run for part in found for run in part[0]]
+    runs = [run for part in part_statistics for run in part[0]]
     if not runs:
         return None
     weight = np.array([len(run.time) for run in runs], float)
-    share = weight / weight.sum()
+    weights = weight / weight.sum()
     pooled: dict[str, float] = {}
     for name, (value, error) in _POOLED.items():
         values, errors = np.array([getattr(run, name) for run in runs]).T
-        pooled |= {value: float(share @ values), error: float(np.sqrt(share**2 @ errors**2))}
+        pooled |= {value: float(weights @ values), error: float(np.sqrt(weights**2 @ errors**2))}
     codes = sum_counts([run.codes for run in runs])
     frame_mean = np.concatenate([run.frame_mean_dn for run in runs])
     return StackStatistics(
@@ -136,13 +140,13 @@ def _join(
         settled=all(run.pattern.settled for run in runs),
         low_fraction=codes.low_fraction,
         high_fraction=codes.high_fraction,
-        few=_mean_spectrum([run.few for run in runs], weight),
-        many=_mean_spectrum([run.many for run in runs], weight),
+        few_lags=_mean_spectrum([run.few_lags for run in runs], weight),
+        many_lags=_mean_spectrum([run.many_lags for run in runs], weight),
         runs=len(runs),
         time=runs[0].time,
         parity=runs[0].parity,
         bins=bins,
-        cube=next((cube for _, cube in found if cube is not None), None),
+        cube=next((cube for _, cube in part_statistics if cube is not None), None),
     )
 
 
@@ -173,20 +177,22 @@ def read_levels_of(
         _parts(entry, stack, alone, spectra, cubes)
         for entry, stack in zip(entries, stacks, strict=True)
     ]
-    found = iter(context.spread(part_statistics, [part for of_stack in parts for part in of_stack]))
+    results = iter(
+        context.spread(part_statistics, [part for of_stack in parts for part in of_stack])
+    )
     levels: list[StackStatistics | None] = []
     for entry, stack, of_stack in zip(entries, stacks, parts, strict=True):
         context.progress(f"noise of {entry.label}", len(levels) / len(entries))
-        own = list(islice(found, len(of_stack)))
-        bins = bins_of_run(stack.shape, context, spectra=spectra if own else False)
-        levels.append(_join(entry, own, shape=stack.shape, bins=bins))
+        of_entry = list(islice(results, len(of_stack)))
+        bins = bins_of_run(stack.shape, context, spectra=spectra if of_entry else False)
+        levels.append(_join(entry, of_entry, shape=stack.shape, bins=bins))
     return levels
 
 
 def part_statistics(part: Part) -> PartStatistics:
     """Read the frames of a part and return its statistics: those of its blocks, and 3-D noise."""
     stack = open_lazy_stack(part.entry)
-    if part.whole:
+    if part.at_once:
         stack = stack.in_memory()
     try:
         runs = tuple(
@@ -208,11 +214,11 @@ def _parts(
     if len(stack) < 2:
         return []
     runs = tuple(runs_of(stack))
-    every = Part(entry=entry, runs=runs, cube=cube, spectra=spectra, context=context, whole=True)
+    every = Part(entry=entry, runs=runs, cube=cube, spectra=spectra, context=context, at_once=True)
     if stack.size_bytes <= WHOLE_BYTES:
         return [every]
-    parts = [replace(every, runs=(run,), cube=False, whole=False) for run in runs]
-    return [*parts, replace(every, runs=(), whole=False)] if cube else parts
+    parts = [replace(every, runs=(run,), cube=False, at_once=False) for run in runs]
+    return [*parts, replace(every, runs=(), at_once=False)] if cube else parts
 
 
 def _frames(stack: LazyStack, first: int, last: int) -> FrameStack:
@@ -233,7 +239,7 @@ class Shares:
     """Weights of the noise spectrum in the variance of a square's mean."""
 
     bins: Array  # weight of the power of each bin, shape (bin,)
-    beyond: float  # weight of the mean power of the modes beyond all bins
+    outer: float  # weight of the mean power of the modes beyond all bins
     modes: Array  # fraction of all modes in each bin, shape (bin,)
     edge: NDArray[np.bool_]  # bins of the outermost ring, shape (bin,)
 
@@ -252,21 +258,21 @@ def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
     count = np.where((col == 0) | (col == 0.5), 1.0, 2.0) * np.ones((rows, 1)) / (rows * cols)
     weight = count * _response(row, side) * _response(col, side)
     y, x = np.broadcast_arrays(row / bins.row_pitch, col)
-    inside = (np.hypot(x, y) < BAND_CY_PER_PX) & (row <= ROW_LIMIT_CY)
-    place = np.array(bins.select)
-    lost = inside & (place < 0)
+    in_band = (np.hypot(x, y) < BAND_CY_PER_PX) & (row <= ROW_LIMIT_CY)
+    bin_index = np.array(bins.select)
+    lost = in_band & (bin_index < 0)
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     across = (x[lost][:, None] - bins.column_cy_per_px) ** 2 + (
         y[lost][:, None] - bins.row_cy_per_px
     ) ** 2
     outward = (np.hypot(x, y)[lost][:, None] - radius) ** 2
     # Power depends mainly on the radius.
-    place[lost] = (outward + 0.05 * across).argmin(axis=1)
+    bin_index[lost] = (outward + 0.05 * across).argmin(axis=1)
     number = len(bins.modes)
     return Shares(
-        bins=np.bincount(place[inside], weight[inside], number).astype(float),
-        beyond=float(weight[~inside].sum()),
-        modes=np.bincount(place[inside], count[inside], number).astype(float),
+        bins=np.bincount(bin_index[in_band], weight[in_band], number).astype(float),
+        outer=float(weight[~in_band].sum()),
+        modes=np.bincount(bin_index[in_band], count[in_band], number).astype(float),
         edge=radius > 0.9 * radius.max(),
     )
 
@@ -293,20 +299,24 @@ def area_variance(
     excluded axes and is added from the 3-D noise if available.
     """
     power = spectrum.power_dn2[:, 0]
-    rest = float(spectrum.variance_dn2 - shares.modes @ power) / max(1.0 - shares.modes.sum(), 1e-6)
+    outer_power = float(spectrum.variance_dn2 - shares.modes @ power) / max(
+        1.0 - shares.modes.sum(), 1e-6
+    )
     edge = float(np.average(power[shares.edge], weights=level.bins.modes[shares.edge]))
-    beyond = shares.beyond * 0.5 * (edge + rest)
-    variance = float(shares.bins @ power) + beyond
-    own = (shares.bins * power) ** 2 / (level.bins.modes * level.bins.efficiency * exposures)
+    outer_variance = shares.outer * 0.5 * (edge + outer_power)
+    variance = float(shares.bins @ power) + outer_variance
+    bin_variance = (shares.bins * power) ** 2 / (
+        level.bins.modes * level.bins.efficiency * exposures
+    )
     pulses = variance * level.variance_sd_dn2 / max(level.variance_dn2, 1e-12)
     parts = [
-        np.sqrt(own.sum()),
-        0.3 * shares.beyond * abs(edge - rest),
+        np.sqrt(bin_variance.sum()),
+        0.3 * shares.outer * abs(edge - outer_power),
         STACK.binning_sd * variance,
         pulses,
     ]
-    whole, whole_sd = _whole_lines(level)
-    return variance + whole, float(np.sqrt(np.sum(np.square(parts)) + whole_sd**2))
+    line_variance, line_sd = _whole_lines(level)
+    return variance + line_variance, float(np.sqrt(np.sum(np.square(parts)) + line_sd**2))
 
 
 def _whole_lines(level: StackStatistics, side: int = SIDE_PX) -> tuple[float, float]:
@@ -318,9 +328,9 @@ def _whole_lines(level: StackStatistics, side: int = SIDE_PX) -> tuple[float, fl
     rng = np.random.default_rng(8)
     parts = level.cube.components
     shares = {"t": 1.0, "tv": 1.0 / side, "th": 1.0 / side}
-    value = sum(share * parts[name].variance_dn2 for name, share in shares.items())
+    value = sum(factor * parts[name].variance_dn2 for name, factor in shares.items())
     draws = sum(
-        (share * parts[name].draws(rng, 400) for name, share in shares.items()), np.zeros(400)
+        (factor * parts[name].draws(rng, 400) for name, factor in shares.items()), np.zeros(400)
     )
     low, high = np.quantile(draws, [0.16, 0.84])
     return float(value), float(0.5 * (high - low))

@@ -63,11 +63,11 @@ def truncation_bias(time: Whole, parity: Whole, lags: Whole) -> tuple[Whole, Arr
     in common.
     """
     pairs, solve = _solution(time, parity, lags, False)
-    apart = np.abs(time[:, None] - time)
-    distance = np.unique(apart[apart > lags[-1]])
+    separation = np.abs(time[:, None] - time)
+    distance = np.unique(separation[separation > lags[-1]])
     project = centring(parity)
-    centred = [project @ (apart == one) @ project for one in distance]
-    return distance, solve @ np.array([[one[pair].mean() for one in centred] for pair in pairs])
+    centred = [project @ (separation == lag) @ project for lag in distance]
+    return distance, solve @ np.array([[lag[pair].mean() for lag in centred] for pair in pairs])
 
 
 def n_effective_samples(
@@ -80,7 +80,9 @@ def n_effective_samples(
     normal modes its relative variance is tr(P M P R P M P R).
     """
     pairs, solve = _solution(time, parity, lags, within_parity)
-    weight = sum(share * pair / pair.sum() for share, pair in zip(solve[0], pairs, strict=True))
+    weight = sum(
+        pair_weight * pair / pair.sum() for pair_weight, pair in zip(solve[0], pairs, strict=True)
+    )
     distance = np.abs(time[:, None] - time)
     known = np.concatenate(
         [[1.0], correlation, np.zeros(max(0, distance.max() - len(correlation)))]
@@ -97,17 +99,17 @@ def error_correlation(time: Whole, parity: Whole, lags: Whole) -> Array:
     """
     pairs, solve = _solution(time, parity, lags, False)
     project = centring(parity)
-    each = np.array([pair / pair.sum() for pair in pairs])
-    weights = (project @ np.tensordot(solve, each, 1) @ project).reshape(len(lags), -1)
+    pair_weights = np.array([pair / pair.sum() for pair in pairs])
+    weights = (project @ np.tensordot(solve, pair_weights, 1) @ project).reshape(len(lags), -1)
     covariance = weights @ weights.T
     return covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
 
 
-def usable_lags(time: Whole, parity: Whole, most: int) -> Whole:
+def usable_lags(time: Whole, parity: Whole, max_lag: int) -> Whole:
     """Return the lags 0..most that can be estimated from centred exposures."""
     frames = int(np.bincount(parity).min())
     fields = len(np.unique(parity))
-    longest = min(most, (frames // 2) * fields - (fields == 1)) if frames > 3 else 0
+    longest = min(max_lag, (frames // 2) * fields - (fields == 1)) if frames > 3 else 0
     gaps = set(np.abs(time[:, None] - time[None, :]).ravel().tolist())
     return np.array([lag for lag in range(longest + 1) if lag in gaps], np.int64)
 

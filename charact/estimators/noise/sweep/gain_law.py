@@ -42,10 +42,10 @@ class Axis(NamedTuple):
     x: Array  # shape (setting,), within -1/2 and 1/2
 
     @classmethod
-    def of(cls, place: Array) -> "Axis":
+    def of(cls, position: Array) -> "Axis":
         """Return the axis of positions."""
-        middle, span = 0.5 * float(place.min() + place.max()), float(np.ptp(place))
-        return cls(middle, span, (place - middle) / span)
+        middle, span = 0.5 * float(position.min() + position.max()), float(np.ptp(position))
+        return cls(middle, span, (position - middle) / span)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ def law_of(
     covariance: Values,
     variance: Values | None,
     *,
-    share: tuple[float, float] | None,
+    electron_share: tuple[float, float] | None,
     seed: int,
     quick: bool,
 ) -> GainLaw:
@@ -83,20 +83,22 @@ def law_of(
 
     `x`: positions on the axis, shape (setting,). `covariance`: ln of the covariance gain in DN, and
     its standard error. `variance`: the same of a pixel's variance over signal; None for white
-    noise, where both agree. `share`: normal prior of the electron gain over the smallest covariance
-    gain, mean and standard deviation; None if the control changes it.
+    noise, where both agree. `electron_share`: normal prior of the electron gain over the smallest
+    covariance gain, mean and standard deviation; None if the control changes it.
 
     Covariance gain is K + P and variance over signal K + S P, P the pulse part k F^2 and S the blur
     factor of pulses. At equal blur, variances give gain ratios ten times more precisely than
     covariance sums. S may differ between settings by `SWEEP.blur_relative_sd`. ln P = log_gain +
     rise x + departure.
     """
-    likelihood = _GainLikelihood(covariance, variance, x, share is not None)
+    likelihood = _GainLikelihood(covariance, variance, x, electron_share is not None)
 
     def log_probability(points: Array) -> Array:
         value = likelihood.log_likelihood(points) + departure_prior(points[:, 2])
         return (
-            value if share is None else value - 0.5 * ((points[:, -1] - share[0]) / share[1]) ** 2
+            value
+            if electron_share is None
+            else value - 0.5 * ((points[:, -1] - electron_share[0]) / electron_share[1]) ** 2
         )
 
     names, units, free = (
@@ -109,13 +111,15 @@ def law_of(
     if variance is not None:
         names, units, limits = [*names, "log_blur"], [*units, "1"], [*limits, free]
         first.append(float(np.median(variance[0] - covariance[0])))
-    if share is not None:
+    if electron_share is not None:
         names, units, limits = (
             [*names, "electron_share"],
             [*units, "1"],
             [*limits, (0.0, likelihood.most_share)],
         )
-        first.append(min(max(share[0], 0.2 * share[1]), 0.5 * likelihood.most_share))
+        first.append(
+            min(max(electron_share[0], 0.2 * electron_share[1]), 0.5 * likelihood.most_share)
+        )
     posterior = draw_posterior(
         log_probability,
         np.array(first, float),
@@ -158,14 +162,14 @@ class _GainLikelihood:
         self.x, self.has_electrons, self.observations = x, electrons, [covariance]
         if variance is not None:
             self.observations.append((variance[0], np.hypot(variance[1], SWEEP.blur_relative_sd)))
-        self.least = float(np.exp(covariance[0].min()))
+        self.smallest = float(np.exp(covariance[0].min()))
         # Electron noise is white: no variance is smaller.
-        most = float(np.exp(self.observations[-1][0].min())) / self.least
-        self.most_share = SWEEP.max_electron_fraction * min(1.0, most)
+        smallest_ratio = float(np.exp(self.observations[-1][0].min())) / self.smallest
+        self.most_share = SWEEP.max_electron_fraction * min(1.0, smallest_ratio)
 
     def electrons(self, points: Array) -> Array:
         """Return the electron gain, shape (point, 1), DN."""
-        return self.least * points[:, -1:] if self.has_electrons else np.zeros((len(points), 1))
+        return self.smallest * points[:, -1:] if self.has_electrons else np.zeros((len(points), 1))
 
     def _factors(self, points: Array) -> list[Array]:
         """Return ln of the pulse fraction in covariance and variance, shape (point, 1) each."""
@@ -177,13 +181,13 @@ class _GainLikelihood:
         log_electrons = np.log(np.maximum(self.electrons(points), 1e-300))
         square, weight, together = np.zeros_like(law), np.zeros_like(law), np.zeros_like(law)
         for (value, sd), factor in zip(self.observations, self._factors(points), strict=True):
-            whole = np.logaddexp(law + factor, log_electrons)
+            total = np.logaddexp(law + factor, log_electrons)
             # Derivative of the total by the departure of the pulses.
-            follows, left = np.exp(law + factor - whole), (value - whole) / sd
+            follows, deviation = np.exp(law + factor - total), (value - total) / sd
             square, weight, together = (
-                square + left**2,
+                square + deviation**2,
                 weight + (follows / sd) ** 2,
-                together + follows * left / sd,
+                together + follows * deviation / sd,
             )
         departure = np.exp(2.0 * points[:, 2:3])
         spread = 1.0 + departure * weight
@@ -195,17 +199,17 @@ class _GainLikelihood:
         """
         law = points[:, :1] + points[:, 1:2] * self.x
         electrons = self.electrons(points)
-        weight, own = np.zeros_like(law), np.zeros_like(law)
+        weight, log_pulses = np.zeros_like(law), np.zeros_like(law)
         for (value, sd), factor in zip(self.observations, self._factors(points), strict=True):
-            whole = np.exp(value)
-            part = np.maximum(whole - electrons, 1e-3 * whole)
-            surety = (part / (whole * np.maximum(sd, 1e-9))) ** 2
-            weight, own = weight + surety, own + surety * (np.log(part) - factor)
-        own, chance = own / weight, rng.standard_normal(law.shape)
+            total_gain = np.exp(value)
+            part = np.maximum(total_gain - electrons, 1e-3 * total_gain)
+            surety = (part / (total_gain * np.maximum(sd, 1e-9))) ** 2
+            weight, log_pulses = weight + surety, log_pulses + surety * (np.log(part) - factor)
+        log_pulses, chance = log_pulses / weight, rng.standard_normal(law.shape)
         law_weight = np.exp(-2.0 * points[:, 2:3])
         total = weight + law_weight
-        return np.exp(own + chance / np.sqrt(weight)), np.exp(
-            (own * weight + law * law_weight) / total + chance / np.sqrt(total)
+        return np.exp(log_pulses + chance / np.sqrt(weight)), np.exp(
+            (log_pulses * weight + law * law_weight) / total + chance / np.sqrt(total)
         )
 
 
@@ -240,10 +244,10 @@ class SweepResponsivity:
     # draws of the small-signal responsivity of every setting, shape (draw, setting), DN per unit of
     # light
     settings: Array
-    # own, own_sd: ln responsivity of each setting without the law, and its standard error, shape
-    # (setting,)
-    own: Array
-    own_sd: Array
+    # log_responses, log_responses_sd: ln responsivity of each setting without the law, and its
+    # standard error, shape (setting,)
+    log_responses: Array
+    log_responses_sd: Array
     brightest_dn: float  # brightest level, DN above the dark
     bendable: bool  # whether the lights of some setting differ enough to measure the gain loss
 
@@ -279,12 +283,14 @@ def response_of(
     posterior = draw_posterior(
         log_probability, start, bounds, names=NAMES, units=UNITS, seed=seed, method=_method(quick)
     )
-    responses, own, own_sd = levels.settings(posterior, np.random.default_rng([seed, 8]))
+    responses, log_responses, log_responses_sd = levels.settings(
+        posterior, np.random.default_rng([seed, 8])
+    )
     return SweepResponsivity(
         posterior=posterior,
         settings=responses,
-        own=own,
-        own_sd=own_sd,
+        log_responses=log_responses,
+        log_responses_sd=log_responses_sd,
         brightest_dn=levels.brightest_dn,
         bendable=bendable,
     )
@@ -300,7 +306,7 @@ class ResponsivityLevels:
     x: Array
     log_ratio: Array
     sd: Array
-    share: Array
+    of_brightest: Array
     member: Array
     brightest_dn: float
 
@@ -315,7 +321,7 @@ class ResponsivityLevels:
             x=x[number],
             log_ratio=np.log(signal / light),
             sd=error / signal,
-            share=signal / signal.max(),
+            of_brightest=signal / signal.max(),
             member=(number[:, None] == np.arange(len(settings))).astype(float),
             brightest_dn=float(signal.max()),
         )
@@ -335,7 +341,7 @@ class ResponsivityLevels:
     def _residuals(self, points: Array) -> Array:
         """Return the residual of ln(S/E) without law and gain loss, shape (point, level)."""
         law = points[:, :1] + points[:, 1:2] * self.x
-        return self.log_ratio - law - np.log1p(-points[:, 2:3] * self.share)
+        return self.log_ratio - law - np.log1p(-points[:, 2:3] * self.of_brightest)
 
     def settings(
         self, posterior: Posterior, rng: np.random.Generator
@@ -346,14 +352,14 @@ class ResponsivityLevels:
         points = posterior.draws
         variance = self.sd**2 + np.exp(2.0 * points[:, 3:4])
         weight = (1.0 / variance) @ self.member
-        away = (self._residuals(points) / variance) @ self.member / weight
+        residual = (self._residuals(points) / variance) @ self.member / weight
         total = weight + np.exp(-2.0 * points[:, 4:5])
-        departure = away * weight / total + rng.standard_normal(away.shape) / np.sqrt(total)
-        places = (self.x @ self.member) / self.member.sum(axis=0)
-        law = points[:, :1] + points[:, 1:2] * places
+        departure = residual * weight / total + rng.standard_normal(residual.shape) / np.sqrt(total)
+        positions = (self.x @ self.member) / self.member.sum(axis=0)
+        law = points[:, :1] + points[:, 1:2] * positions
         return (
             np.exp(law + departure),
-            np.median(law + away, axis=0),
+            np.median(law + residual, axis=0),
             np.median(1.0 / np.sqrt(weight), axis=0),
         )
 
@@ -374,13 +380,15 @@ def correct_saturation(
         return settings
 
     def with_small_signal_noise(s: SweepSetting) -> SweepSetting:
-        left = 1.0 - response.lost_per_dn * s.mean_signal_dn
+        remaining = 1.0 - response.lost_per_dn * s.mean_signal_dn
         return replace(
             s,
             gain_dn=s.gain_dn
-            / np.resize(np.random.default_rng(seed).permutation(left), len(s.gain_dn)),
-            log_variance=s.log_variance - float(np.log(np.median(left))),
-            log_variance_sd=float(np.hypot(s.log_variance_sd, np.std(left) / np.median(left))),
+            / np.resize(np.random.default_rng(seed).permutation(remaining), len(s.gain_dn)),
+            log_variance=s.log_variance - float(np.log(np.median(remaining))),
+            log_variance_sd=float(
+                np.hypot(s.log_variance_sd, np.std(remaining) / np.median(remaining))
+            ),
         )
 
     return tuple(with_small_signal_noise(s) if i in lit else s for i, s in enumerate(settings))
@@ -399,12 +407,12 @@ def relative_excess(
     cancels.
     """
     order = np.random.default_rng([seed, 10]).permutation(len(response.settings))
-    left = 1.0 - response.lost_per_dn[:, None] * np.array([s.mean_signal_dn for s in settings])
-    carried = np.median(left, axis=0) if response.bendable else 1.0
-    seen = (response.settings * left / carried)[order]
-    ratio = pulses_dn[np.resize(np.arange(len(pulses_dn)), len(order))] / seen
-    away = np.log(ratio) - np.log(ratio).mean(axis=1, keepdims=True)
-    reference = int(np.argmin(np.std(away, axis=0)))
+    remaining = 1.0 - response.lost_per_dn[:, None] * np.array([s.mean_signal_dn for s in settings])
+    carried = np.median(remaining, axis=0) if response.bendable else 1.0
+    effective = (response.settings * remaining / carried)[order]
+    ratio = pulses_dn[np.resize(np.arange(len(pulses_dn)), len(order))] / effective
+    log_ratio = np.log(ratio) - np.log(ratio).mean(axis=1, keepdims=True)
+    reference = int(np.argmin(np.std(log_ratio, axis=0)))
     return ratio / ratio[:, reference : reference + 1], reference
 
 
@@ -425,13 +433,14 @@ def saturation_limit(response: SweepResponsivity) -> str:
             "MCP saturation needs at least two lights at one setting, the brighter 1.5 times "
             "the other"
         )
-    most = float(np.quantile(response.lost_per_dn, 0.975))
-    if most <= 0:
+    lost_per_dn = float(np.quantile(response.lost_per_dn, 0.975))
+    if lost_per_dn <= 0:
         return "the signal rises faster than the light: no MCP saturation"
     return (
         f"not reached in the sweep: {response.brightest_dn:.4g} DN above the dark lower the gain "
-        f"by less than {100 * most * response.brightest_dn:.2g} %, so that the MCP saturates "
-        f"above {1 / most:.3g} DN"
+        f"by less than {100 * lost_per_dn * response.brightest_dn:.2g} %, so that the MCP "
+        "saturates "
+        f"above {1 / lost_per_dn:.3g} DN"
     )
 
 
@@ -447,24 +456,26 @@ def bending_findings(
         )
         return [Finding("nonlinear", words)]
     plate, camera = (
-        abs(fall - one) < SWEEP.agreement_sd * sd
-        for one in (SWEEP.mcp_exponent, SWEEP.camera_exponent)
+        abs(fall - exponent) < SWEEP.agreement_sd * sd
+        for exponent in (SWEEP.mcp_exponent, SWEEP.camera_exponent)
     )
-    seen = (
+    observation = (
         f"covariance over signal falls as the power {fall:.2g} +- {sd:.1g} of the relative response"
     )
     if plate and not camera:
-        return [Finding(None, f"{seen}: MCP saturation (power 1), no camera nonlinearity (3)")]
+        return [
+            Finding(None, f"{observation}: MCP saturation (power 1), no camera nonlinearity (3)")
+        ]
     if plate:
         words = (
-            f"{seen}: too uncertain to separate MCP saturation (power 1) from camera "
+            f"{observation}: too uncertain to separate MCP saturation (power 1) from camera "
             f"nonlinearity (3)"
         )
         return [Finding("nonlinear", words)]
     return [
         Finding(
             "nonlinear",
-            f"{seen}: expected is power 1 for MCP saturation, 3 for camera nonlinearity",
+            f"{observation}: expected is power 1 for MCP saturation, 3 for camera nonlinearity",
         )
     ]
 
@@ -477,12 +488,15 @@ def _fall_of_noise(settings: tuple[SweepSetting, ...], lost_per_dn: float) -> tu
     """
     bent, noise, sd = [], [], []
     for s in settings:
-        good = s.levels_dn > 3.0 * s.levels_sd_dn
-        if good.sum() < 2:
+        is_significant = s.levels_dn > 3.0 * s.levels_sd_dn
+        if is_significant.sum() < 2:
             continue
-        own, level = np.log1p(-lost_per_dn * s.signal_dn[good]), np.log(s.levels_dn[good])
-        error = s.levels_sd_dn[good] / s.levels_dn[good]
-        bent.append(own - np.average(own, weights=error**-2))
+        log_remaining, level = (
+            np.log1p(-lost_per_dn * s.signal_dn[is_significant]),
+            np.log(s.levels_dn[is_significant]),
+        )
+        error = s.levels_sd_dn[is_significant] / s.levels_dn[is_significant]
+        bent.append(log_remaining - np.average(log_remaining, weights=error**-2))
         noise.append(level - np.average(level, weights=error**-2))
         sd.append(error)
     if not bent or not np.any(np.concatenate(bent)):

@@ -48,9 +48,9 @@ class SweepJointFit:
         """Draws of the slope of ln gain per unit of the control's position."""
         return self.source.posterior["rise"] / self.axis.span
 
-    def setting_at(self, place: Array) -> Array:
+    def setting_at(self, position: Array) -> Array:
         """Return the values of the control at positions on the axis."""
-        return self.sweep.knob.value(self.axis.middle + self.axis.span * place)
+        return self.sweep.knob.value(self.axis.middle + self.axis.span * position)
 
     @property
     def source(self) -> GainLaw | SweepResponsivity:
@@ -90,19 +90,29 @@ def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
     variance = None
     if not sweep.settings[0].white:
         variance = tuple(np.array([(s.log_variance, s.log_variance_sd) for s in sweep.settings]).T)
-    share = _share(sweep, float(gains.min()), context)
-    law = law_of(axis.x, (gains, sd), variance, share=share, seed=context.seed, quick=context.quick)
+    electron_share = _share(sweep, float(gains.min()), context)
+    law = law_of(
+        axis.x,
+        (gains, sd),
+        variance,
+        electron_share=electron_share,
+        seed=context.seed,
+        quick=context.quick,
+    )
     joint = SweepJointFit(sweep=sweep, axis=axis, law=law, lit=lit, response=response)
     allowed = ALLOWED if response is None else ALLOWED + IN_THE_SCATTER
-    own = [one for s in sweep.settings for one in s.findings]
-    findings = [Finding(None if one.flag in allowed else one.flag, one.note) for one in own]
+    setting_findings = [finding for s in sweep.settings for finding in s.findings]
+    findings = [
+        Finding(None if finding.flag in allowed else finding.flag, finding.note)
+        for finding in setting_findings
+    ]
     findings += _law_findings(joint)
     return replace(
         joint, findings=(*findings, *(Finding(None, sentence) for sentence in sweep.left_out))
     )
 
 
-def _share(sweep: Sweep, least: float, context: Context) -> tuple[float, float] | None:
+def _share(sweep: Sweep, log_smallest_gain: float, context: Context) -> tuple[float, float] | None:
     """Return the prior of the electron gain over the smallest covariance gain; None if the control
     changes it.
     """
@@ -111,33 +121,33 @@ def _share(sweep: Sweep, least: float, context: Context) -> tuple[float, float] 
     if not has_tube(context.camera):
         return 0.0, SWEEP.electron_fraction
     known = context.camera.video.conversion_gain_dn_per_e
-    share = float(known) / float(np.exp(least))
+    electron_share = float(known) / float(np.exp(log_smallest_gain))
     spread = (
         0.0
         if known.low is None or known.high is None
         else (known.high - known.low) / 3.92 / float(known)
     )
-    return share, max(spread, 0.05) * share
+    return electron_share, max(spread, 0.05) * electron_share
 
 
 def _law_findings(joint: SweepJointFit) -> list[Finding]:
     """Return the findings against one law for all settings."""
     knob = joint.sweep.knob
-    found: list[Finding] = []
+    findings: list[Finding] = []
     if len(joint.sweep.settings) < 3:
-        found.append(
+        findings.append(
             Finding("too-few-frames", "only 2 settings: the law between them cannot be checked")
         )
-    found += [
+    findings += [
         Finding(flag, "see the posterior")
         for flag in joint.law.posterior.flags + joint.source.posterior.flags
     ]
-    found += _curvature_findings(joint) + _outlier_findings(joint) + _blur_findings(joint)
+    findings += _curvature_findings(joint) + _outlier_findings(joint) + _blur_findings(joint)
     if np.quantile(joint.rise, 0.975) < FOLLOWS[knob.unit]:
-        found.append(
+        findings.append(
             Finding("agc", f"the gain does not follow the {knob.words}: possible automatic control")
         )
-    return found
+    return findings
 
 
 def _curvature_findings(joint: SweepJointFit) -> list[Finding]:
@@ -160,27 +170,31 @@ def _curvature_findings(joint: SweepJointFit) -> list[Finding]:
 def _own_gains(joint: SweepJointFit) -> tuple[Array, Array, Array]:
     """Return positions of settings, ln of their gains without the law, and the errors."""
     if joint.response is not None:
-        return joint.axis.x[list(joint.lit)], joint.response.own, joint.response.own_sd
-    own = np.log(joint.law.pulses)
+        return (
+            joint.axis.x[list(joint.lit)],
+            joint.response.log_responses,
+            joint.response.log_responses_sd,
+        )
+    log_gains = np.log(joint.law.pulses)
     # Common errors of blur and electron gain leave the curvature unchanged.
-    away = own - own.mean(axis=1, keepdims=True)
-    return joint.axis.x, np.median(own, axis=0), np.std(away, axis=0)
+    centred = log_gains - log_gains.mean(axis=1, keepdims=True)
+    return joint.axis.x, np.median(log_gains, axis=0), np.std(centred, axis=0)
 
 
 def _outlier_findings(joint: SweepJointFit) -> list[Finding]:
     """Return findings of settings that deviate significantly from the law."""
-    found: list[Finding] = []
-    x, own, sd = _own_gains(joint)
+    findings: list[Finding] = []
+    x, log_gains, sd = _own_gains(joint)
     settings = joint.sweep.settings if joint.response is None else joint.responsivity_settings
-    law = np.polyval(np.polyfit(x, own, 1, w=1.0 / np.hypot(sd, STRAY)), x)
-    for value, off, error in zip([s.value for s in settings], own - law, sd, strict=True):
+    law = np.polyval(np.polyfit(x, log_gains, 1, w=1.0 / np.hypot(sd, STRAY)), x)
+    for value, off, error in zip([s.value for s in settings], log_gains - law, sd, strict=True):
         if abs(off) > SWEEP.outlier_sd * np.hypot(error, STRAY):
             text = (
                 f"the gain at {joint.sweep.knob.text(value)} is {np.exp(off):.2f} times that "
                 f"of the law"
             )
-            found.append(Finding("model-misfit", text))
-    return found
+            findings.append(Finding("model-misfit", text))
+    return findings
 
 
 def _blur_findings(joint: SweepJointFit) -> list[Finding]:
@@ -188,15 +202,15 @@ def _blur_findings(joint: SweepJointFit) -> list[Finding]:
     if joint.sweep.settings[0].white:
         return []
     settings = joint.sweep.settings
-    own = np.log([float(np.median(s.blur_factor)) for s in settings])
+    log_blur = np.log([float(np.median(s.blur_factor)) for s in settings])
     sd = np.array([float(np.std(np.log(np.maximum(s.blur_factor, 1e-6)))) for s in settings])
     unsure = [s.unsure_dn / np.exp(s.log_variance) for s in settings]
     sd = np.hypot(np.hypot(sd, unsure), SWEEP.blur_relative_sd)
     # At low gain the white noise of electrons adds to the variance.
     electrons = np.median(joint.law.electron_gain_dn[:, None] / joint.law.settings, axis=0)
-    left = np.exp(float(np.median(joint.law.posterior["log_blur"])))
-    expected = np.log1p(electrons * (1.0 - left) / left)
-    expected = expected + np.average(own - expected, weights=1.0 / sd**2)
+    blur = np.exp(float(np.median(joint.law.posterior["log_blur"])))
+    expected = np.log1p(electrons * (1.0 - blur) / blur)
+    expected = expected + np.average(log_blur - expected, weights=1.0 / sd**2)
     return [
         Finding(
             "model-misfit",
@@ -205,6 +219,6 @@ def _blur_findings(joint: SweepJointFit) -> list[Finding]:
                 f"{np.exp(e):.3g}"
             ),
         )
-        for s, o, e, error in zip(settings, own, expected, sd, strict=True)
+        for s, o, e, error in zip(settings, log_blur, expected, sd, strict=True)
         if abs(o - e) > SWEEP.outlier_sd * error
     ]

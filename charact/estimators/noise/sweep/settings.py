@@ -46,11 +46,11 @@ class GainControl:
             return np.log(value)
         return value * (np.log(10.0) / 20.0 if self.unit == "dB" else 1.0)
 
-    def value(self, place: Array) -> Array:
+    def value(self, position: Array) -> Array:
         """Return the values at positions, the inverse of `place`."""
         if self.logarithmic:
-            return np.exp(place)
-        return place / (np.log(10.0) / 20.0 if self.unit == "dB" else 1.0)
+            return np.exp(position)
+        return position / (np.log(10.0) / 20.0 if self.unit == "dB" else 1.0)
 
     def text(self, value: float) -> str:
         """Return a value with its unit."""
@@ -81,17 +81,19 @@ def setting_of(
     """Return the flats by value of a control with all other controls equal; of several groups the
     one of most values.
     """
-    others: dict[tuple, list[StackStatistics]] = {}
+    by_gains: dict[tuple, list[StackStatistics]] = {}
     for flat in flats:
         value = getattr(flat.conditions, knob.name)
         if value is not None and (value > 0 or not knob.logarithmic):
-            rest = tuple(
+            other_gains = tuple(
                 repeatable_value(flat.conditions, name) for name in GAINS if name != knob.name
             )
-            others.setdefault(rest, []).append(flat)
-    grouped = [_by_value(own, knob) for own in others.values()]
+            by_gains.setdefault(other_gains, []).append(flat)
+    grouped = [_by_value(group, knob) for group in by_gains.values()]
     return max(
-        grouped, key=lambda groups: (len(groups), sum(len(own) for _, own in groups)), default=[]
+        grouped,
+        key=lambda groups: (len(groups), sum(len(group) for _, group in groups)),
+        default=[],
     )
 
 
@@ -117,7 +119,7 @@ def _by_value(
             groups.append(([], []))
         groups[-1][0].append(value)
         groups[-1][1].append(flat)
-    return [(float(np.mean(values)), own) for values, own in groups]
+    return [(float(np.mean(values)), group) for values, group in groups]
 
 
 # Flags of a single series that do not apply to the joint fit.
@@ -194,18 +196,18 @@ def sweep_of(
     """Return the gain sweep of flats; None if no control was varied, or the images are too
     small.
     """
-    found = [(knob, setting_of(flats, knob)) for knob in KNOBS]
-    knob, groups = max(found, key=lambda entry: len(entry[1]))
+    candidates = [(knob, setting_of(flats, knob)) for knob in KNOBS]
+    knob, groups = max(candidates, key=lambda entry: len(entry[1]))
     if len(groups) < 2 or min(len(level.bins.modes) for level in (*darks, *flats)) < GAIN.min_bins:
         return None
-    here = {flat.label for _, own in groups for flat in own}
-    rest = [flat.label for flat in flats if flat.label not in here]
+    swept = {flat.label for _, group in groups for flat in group}
+    excluded = [flat.label for flat in flats if flat.label not in swept]
     gains, sentences = (
         [],
-        [f"excluded from the sweep of the {knob.words}: {', '.join(rest)}"] if rest else [],
+        [f"excluded from the sweep of the {knob.words}: {', '.join(excluded)}"] if excluded else [],
     )
-    for value, own in groups:
-        series = series_of_one_gain(sorted(own, key=lambda level: level.mean_dn), darks)
+    for value, group in groups:
+        series = series_of_one_gain(sorted(group, key=lambda level: level.mean_dn), darks)
         reason = gain_obstacle(series)
         if reason is not None:
             sentences.append(f"at {knob.text(value)}: {reason}")
@@ -213,8 +215,8 @@ def sweep_of(
         context.progress(f"noise at {knob.text(value)}", 0.9)
         gains.append((value, fit_single_setting(series, context=context, quick=True)))
     # At the lowest gains read noise may hide correlated noise.
-    white = all(one.white for _, one in gains)
-    settings = [_setting(value, one, white, knob, context) for value, one in gains]
+    white = all(setting_fit.white for _, setting_fit in gains)
+    settings = [_setting(value, setting_fit, white, knob, context) for value, setting_fit in gains]
     main = getattr(longest_series(flats)[0].conditions, knob.name)
     return Sweep(
         knob=knob, settings=tuple(settings), main=float(main or 0.0), left_out=tuple(sentences)
@@ -222,16 +224,18 @@ def sweep_of(
 
 
 def _setting(
-    value: float, one: SingleSetting, white: bool, knob: GainControl, context: Context
+    value: float, setting_fit: SingleSetting, white: bool, knob: GainControl, context: Context
 ) -> SweepSetting:
     """Return the statistics of one setting."""
-    series = one.series
+    series = setting_fit.series
     chosen = np.flatnonzero(series.fitted)
     flats = [series.flats[i] for i in chosen]
     light, unit = _light(flats) if series.reference == "dark" else (None, "")
-    carried = one.at_low_signal(context) if light is None and not white else one
-    log_carried = np.log(carried.posterior["covariance_gain"] / one.posterior["covariance_gain"])
-    covariance = one.levels_dn[chosen]
+    carried = setting_fit.at_low_signal(context) if light is None and not white else setting_fit
+    log_carried = np.log(
+        carried.posterior["covariance_gain"] / setting_fit.posterior["covariance_gain"]
+    )
+    covariance = setting_fit.levels_dn[chosen]
     signal_sd = [
         np.sqrt(max(gain * signal, 0.0) + 2.0 * series.darks[i].variance_dn2)
         / np.sqrt(flat.pixels * flat.frames)
@@ -240,26 +244,28 @@ def _setting(
         )
     ]
     # Darks of the same setting, as far as stated.
-    alike = (None, repeatable_value(flats[0].conditions, knob.name))
-    own = [
+    dark_values = (None, repeatable_value(flats[0].conditions, knob.name))
+    darks = [
         dark
         for dark in series.darks
         if series.reference == "dark"
         and dark.variance_dn2 > 0
-        and repeatable_value(dark.conditions, knob.name) in alike
+        and repeatable_value(dark.conditions, knob.name) in dark_values
     ]
-    dark = min(own, key=lambda level: level.conditions.exposure_s or 0.0) if own else None
-    found = [
+    dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0) if darks else None
+    causes = [
         entry for entry in series_findings(series) if entry.flag not in OF_ONE_SERIES
-    ] + one.findings()
+    ] + setting_fit.findings()
     findings = [
-        Finding(entry.flag, f"at {knob.text(value)}: {entry.note}") for entry in found if entry.flag
+        Finding(entry.flag, f"at {knob.text(value)}: {entry.note}")
+        for entry in causes
+        if entry.flag
     ]
     gain = carried.posterior["covariance_gain"]
     if white:
         # The slope of the photon transfer curve.
         tube = has_intensifier([flat.conditions for flat in series.flats], context)
-        allowance = allowance_of(one.neighbours, one.exposures, tube=tube)
+        allowance = allowance_of(setting_fit.neighbours, setting_fit.exposures, tube=tube)
         gain = emva1288.gain_line(
             series, context=replace(context, quick=True), allowance=allowance
         ).slope
@@ -267,14 +273,16 @@ def _setting(
         value=value,
         labels=tuple(flat.label for flat in flats),
         gain_dn=gain,
-        log_variance=float(np.log(max(one.summary.variance_dn, 1e-12)) + np.median(log_carried)),
+        log_variance=float(
+            np.log(max(setting_fit.summary.variance_dn, 1e-12)) + np.median(log_carried)
+        ),
         log_variance_sd=float(
             np.hypot(
-                one.summary.variance_sd_dn / max(one.summary.variance_dn, 1e-12),
+                setting_fit.summary.variance_sd_dn / max(setting_fit.summary.variance_dn, 1e-12),
                 np.std(log_carried),
             )
         ),
-        blur_factor=np.ones(1000) if white else one.posterior["blur_factor"],
+        blur_factor=np.ones(1000) if white else setting_fit.posterior["blur_factor"],
         white=white,
         light=light,
         light_unit=unit,
@@ -284,36 +292,40 @@ def _setting(
         signal_dn=series.signal_dn[chosen],
         signal_sd_dn=np.array(signal_sd),
         levels_dn=covariance,
-        levels_sd_dn=one.levels_sd_dn[chosen],
+        levels_sd_dn=setting_fit.levels_sd_dn[chosen],
         variance_dn2=series.variance_dn2[chosen],
         dark_variance_dn2=None if dark is None else dark.variance_dn2,
         dark_variance_sd_dn2=0.0 if dark is None else dark.variance_sd_dn2,
         dark=None if dark is None else dark.label,
         findings=tuple(findings),
     )
-    least = min(level.variance_dn2 for level in (*series.darks, *flats))
-    share = quantisation_fraction(series, one.summary)
-    return _with_quantisation(setting, share, least, knob) if share else setting
+    smallest_variance_dn2 = min(level.variance_dn2 for level in (*series.darks, *flats))
+    rounding_fraction = quantisation_fraction(series, setting_fit.summary)
+    return (
+        _with_quantisation(setting, rounding_fraction, smallest_variance_dn2, knob)
+        if rounding_fraction
+        else setting
+    )
 
 
 def _with_quantisation(
-    s: SweepSetting, share: float, least_dn2: float, knob: GainControl
+    s: SweepSetting, rounding_fraction: float, least_dn2: float, knob: GainControl
 ) -> SweepSetting:
     """Return a setting with the uncertainty and finding of quantisation noise."""
     note = (
         f"noise of {np.sqrt(least_dn2):.2g} DN is smaller than the quantisation step, which "
-        f"adds {100 * share:.2g} %"
+        f"adds {100 * rounding_fraction:.2g} %"
     )
-    found = (
+    coarse = (
         (Finding("quantised", f"at {knob.text(s.value)}: {note}"),)
-        if share > SWEEP.max_quantisation
+        if rounding_fraction > SWEEP.max_quantisation
         else ()
     )
     return replace(
         s,
-        unsure_dn=share * float(np.exp(s.log_variance)),
-        log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
-        findings=(*s.findings, *found),
+        unsure_dn=rounding_fraction * float(np.exp(s.log_variance)),
+        log_variance_sd=float(np.hypot(s.log_variance_sd, rounding_fraction)),
+        findings=(*s.findings, *coarse),
     )
 
 

@@ -43,7 +43,7 @@ class Knee:
     gain_dn: Array  # draws of the covariance gain at the knee, shape (draw,), DN
     # draws of its position on the axis of the sweep, between -1/2 and 1/2 inside the sweep, shape
     # (draw,)
-    place: Array
+    position: Array
     flags: tuple[str, ...] = ()  # flags of the read noise
 
 
@@ -55,36 +55,36 @@ def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> K
         raise Unmeasurable(
             "the knee needs darks at one setting at least: the read noise is unknown"
         )
-    own = [settings[i] for i in dark.values()]
-    floor = _floor(law.settings[:, list(dark.values())], own, rng)
+    dark_settings = [settings[i] for i in dark.values()]
+    floor = _floor(law.settings[:, list(dark.values())], dark_settings, rng)
     if np.quantile(floor, 0.025) <= 0:
         raise Unmeasurable("dark scintillation at every setting hides the read noise and the knee")
     floor = np.maximum(floor, np.quantile(floor, 0.01).clip(1e-9))
     pulses = _pulses_at(floor, law)
-    place = (np.log(pulses) - law.posterior["log_gain"]) / law.posterior["rise"]
+    position = (np.log(pulses) - law.posterior["log_gain"]) / law.posterior["rise"]
     # One dark cannot separate scintillation.
-    flags = flags_of_rounding(min(s.dark_variance_dn2 or 0.0 for s in own))
-    flags = (("unlike-conditions",) if len(own) < 2 else ()) + flags
+    flags = flags_of_rounding(min(s.dark_variance_dn2 or 0.0 for s in dark_settings))
+    flags = (("unlike-conditions",) if len(dark_settings) < 2 else ()) + flags
     return Knee(
         read_noise_dn=np.sqrt(floor),
         gain_dn=pulses + law.electron_gain_dn,
-        place=place,
+        position=position,
         flags=flags,
     )
 
 
 def _check_inside(knee: Knee) -> None:
     """Refuse a knee outside the sweep."""
-    middle = float(np.median(knee.place))
+    middle = float(np.median(knee.position))
     if abs(middle) <= 0.5:
         return
     low, high = np.quantile(knee.gain_dn, [0.025, 0.975])
-    below = middle < 0
-    larger, other = ("scintillation", "read noise") if below else ("read noise", "scintillation")
+    is_below = middle < 0
+    larger, other = ("scintillation", "read noise") if is_below else ("read noise", "scintillation")
     raise Unmeasurable(
         f"not reached in the sweep: {larger} outweighs {other} at every setting at {STATED_PE:g} "
         f"photoelectron per pixel; the knee is where the covariance gain is {low:.3g} to "
-        f"{high:.3g} DN, {'below' if below else 'above'} the sweep"
+        f"{high:.3g} DN, {'is_below' if is_below else 'above'} the sweep"
     )
 
 
@@ -92,14 +92,14 @@ def _pulses_at(floor_dn2: Array, law: GainLaw) -> Array:
     """Return draws of the pulse gain P, DN, at which (K + S P)(K + P) n is the squared read noise,
     K the electron gain.
     """
-    left = (
+    blur = (
         np.exp(law.posterior["log_blur"])
         if "log_blur" in law.posterior.names
         else np.ones(len(floor_dn2))
     )
-    half, electrons = 0.5 * (1.0 + left) * law.electron_gain_dn, law.electron_gain_dn
-    root = np.sqrt(np.maximum(half**2 - left * (electrons**2 - floor_dn2 / STATED_PE), half**2))
-    return np.maximum(root - half, 1e-6 * root) / left
+    half, electrons = 0.5 * (1.0 + blur) * law.electron_gain_dn, law.electron_gain_dn
+    root = np.sqrt(np.maximum(half**2 - blur * (electrons**2 - floor_dn2 / STATED_PE), half**2))
+    return np.maximum(root - half, 1e-6 * root) / blur
 
 
 def _floor(gain: Array, settings: list[SweepSetting], rng: np.random.Generator) -> Array:
@@ -113,8 +113,8 @@ def _floor(gain: Array, settings: list[SweepSetting], rng: np.random.Generator) 
     total, mean = weight.sum(), (drawn @ weight) / weight.sum()
     if len(settings) < 2:
         return mean
-    away = square - (square @ weight)[:, None] / total
-    slope = ((drawn * away) @ weight) / ((away**2) @ weight)
+    centred = square - (square @ weight)[:, None] / total
+    slope = ((drawn * centred) @ weight) / ((centred**2) @ weight)
     return np.where(slope > 0, mean - slope * (square @ weight) / total, mean)
 
 
@@ -129,16 +129,16 @@ def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]
     low, middle, high = np.quantile(
         pulses + law.electron_gain_dn[:, None], [0.025, 0.5, 0.975], axis=0
     )
-    left = (
+    blur = (
         np.exp(law.posterior["log_blur"])
         if "log_blur" in law.posterior.names
         else np.ones(len(pulses))
     )
     electrons = law.electron_gain_dn[:, None]
-    stated = np.sqrt((electrons + left[:, None] * pulses) * (electrons + pulses) * STATED_PE)
+    stated = np.sqrt((electrons + blur[:, None] * pulses) * (electrons + pulses) * STATED_PE)
     shrunk = np.quantile(law.settings, [0.025, 0.5, 0.975], axis=0)
     dark = [s.dark_variance_dn2 for s in sweep.settings]
-    found: dict[str, Any] = {
+    figure: dict[str, Any] = {
         "figure": "noise-against-gain",
         "knob": sweep.knob.words,
         "knob_unit": sweep.knob.unit,
@@ -158,17 +158,17 @@ def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]
         "stated_noise_dn": np.quantile(stated, [0.025, 0.5, 0.975], axis=0).tolist(),
     }
     if knee is not None:
-        places = np.quantile(knee.place, [0.025, 0.5, 0.975])
-        found["read_noise_dn"] = float(np.median(knee.read_noise_dn))
-        found["knee_gain_dn"] = float(np.median(knee.gain_dn))
-        found["knee_setting"] = joint.setting_at(places).tolist()
-    return found
+        knee_positions = np.quantile(knee.position, [0.025, 0.5, 0.975])
+        figure["read_noise_dn"] = float(np.median(knee.read_noise_dn))
+        figure["knee_gain_dn"] = float(np.median(knee.gain_dn))
+        figure["knee_setting"] = joint.setting_at(knee_positions).tolist()
+    return figure
 
 
 def levels_figure_data(joint: SweepJointFit) -> dict[str, Any]:
     """Return noise of a pixel and signal over light at every level of every setting."""
     sweep, response = joint.sweep, joint.response
-    found: dict[str, Any] = {
+    figure: dict[str, Any] = {
         "figure": "noise-by-gain",
         "knob": sweep.knob.words,
         "setting": [sweep.knob.text(s.value) for s in sweep.settings],
@@ -185,11 +185,11 @@ def levels_figure_data(joint: SweepJointFit) -> dict[str, Any]:
         "light": [None if s.light is None else s.light.tolist() for s in sweep.settings],
     }
     if response is not None:
-        found["lost_percent"] = 100.0 * float(np.median(response.posterior["lost"]))
-        found["saturation_limit_dn"] = float(
+        figure["lost_percent"] = 100.0 * float(np.median(response.posterior["lost"]))
+        figure["saturation_limit_dn"] = float(
             1.0 / max(np.quantile(response.lost_per_dn, 0.975), 1e-12)
         )
-    return found
+    return figure
 
 
 Fields = dict[str, Any]
@@ -249,9 +249,10 @@ def _rise(joint: SweepJointFit, fields: Fields) -> Measurement:
     quantity, unit = _quantity_of(joint.sweep.knob)
     departure = 100.0 * np.exp(np.quantile(joint.source.posterior["log_departure"], [0.5, 0.975]))
     on = "covariance gain" if joint.response is None else "signal over light"
-    many = len(joint.sweep.settings if joint.response is None else joint.lit)
+    settings = len(joint.sweep.settings if joint.response is None else joint.lit)
     note = (
-        f"from the {on} at {many} settings, which deviate from the law by {departure[0]:.2g} %, "
+        f"from the {on} at {settings} settings, which deviate from the law by {departure[0]:.2g} "
+        "%, "
         f"at 97.5 % by less than {departure[1]:.2g} %"
     )
     notes = (*notes_of(joint.findings), note)
@@ -289,11 +290,11 @@ def _knee(joint: SweepJointFit, seed: int, fields: Fields) -> tuple[list[Measure
         f"at {STATED_PE:g} effective photoelectron per pixel and exposure (n of unequal pulses "
         "count as n/F2); at n of them the covariance gain at the knee is smaller by the root of n"
     )
-    own = {"flags": flags_of(joint.findings) + knee.flags, "notes": (note,), **fields}
-    places = joint.setting_at(knee.place)
+    knee_fields = {"flags": flags_of(joint.findings) + knee.flags, "notes": (note,), **fields}
+    knee_settings = joint.setting_at(knee.position)
     return [
-        measurement_from_draws("gain_knee", knob.unit, places, **own),
-        measurement_from_draws("gain_knee", "DN", knee.gain_dn, **own),
+        measurement_from_draws("gain_knee", knob.unit, knee_settings, **knee_fields),
+        measurement_from_draws("gain_knee", "DN", knee.gain_dn, **knee_fields),
     ], knee
 
 
@@ -361,7 +362,7 @@ def _of_setting(
     setting.
     """
     knob = joint.sweep.knob
-    own = {
+    labels = {
         "flags": flags_of(s.findings),
         "notes": (f"at {knob.text(s.value)}: {', '.join(s.labels)}",),
         **fields,
@@ -374,7 +375,7 @@ def _of_setting(
         )
         out.append(
             measurement_from_draws(
-                "responsivity", f"DN/{s.light_unit}", draws * np.exp(meter), stack=s.stack, **own
+                "responsivity", f"DN/{s.light_unit}", draws * np.exp(meter), stack=s.stack, **labels
             )
         )
     if number == int(
@@ -388,13 +389,15 @@ def _of_setting(
             *(("system_gain", "DN/e-") if s.white else ("covariance_gain", "DN")),
             gain,
             stack=s.stack,
-            **own,
+            **labels,
         )
     )
     if not s.white:
-        out.append(measurement_from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **own))
+        out.append(
+            measurement_from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **labels)
+        )
     if s.dark_variance_dn2 is not None and s.dark_variance_dn2 > 0:
         noise = emva1288.noise_of(s.dark_variance_dn2, s.dark_variance_sd_dn2)
-        own = {**own, "flags": flags_of(s.findings) + flags_of_rounding(s.dark_variance_dn2)}
-        out.append(measurement_from_sd("read_noise", "DN", *noise, stack=s.dark, **own))
+        labels = {**labels, "flags": flags_of(s.findings) + flags_of_rounding(s.dark_variance_dn2)}
+        out.append(measurement_from_sd("read_noise", "DN", *noise, stack=s.dark, **labels))
     return out

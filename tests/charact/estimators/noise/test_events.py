@@ -82,7 +82,9 @@ def test_filters_see_neither_levels_nor_lines_nor_slopes():
 
 
 def test_glow_hands_all_light_on_and_none_twice():
-    light, chance = PulseDecay(share=0.6, slow_exposures=1.5, fast_exposures=0.1).by_exposure()
+    light, chance = PulseDecay(
+        slow_fraction=0.6, slow_exposures=1.5, fast_exposures=0.1
+    ).by_exposure()
     np.testing.assert_allclose(light.sum(axis=1), 1.0, atol=0.002)
     # A steady light that goes out leaves the glow of one exposure in the next: the shares of all
     # later ones.

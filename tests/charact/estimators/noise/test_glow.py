@@ -24,7 +24,9 @@ def order(frames: int, fields: int):
 
 
 def level(time, parity, lags, bins=None) -> Any:
-    return SimpleNamespace(time=time, parity=parity, many=SimpleNamespace(lags=lags), bins=bins)
+    return SimpleNamespace(
+        time=time, parity=parity, many_lags=SimpleNamespace(lags=lags), bins=bins
+    )
 
 
 def screen(time, first: float, kept: float):

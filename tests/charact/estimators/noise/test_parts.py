@@ -106,7 +106,7 @@ def _part(session):
         cube=False,
         spectra=False,
         context=context,
-        whole=False,
+        at_once=False,
     )
 
 

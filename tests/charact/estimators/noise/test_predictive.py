@@ -134,7 +134,7 @@ def test_light_of_decaying_pulses_has_the_cumulants_of_shot_noise(seed, kept, sp
     theorem).
     """
     light, pulse, every, pixels = 40.0, 5.0, 2, 400
-    law = LightNoise(pulse_dn=pulse, height_variance=spread, electron_gain_dn=0.0, kept=kept)
+    law = LightNoise(pulse_dn=pulse, height_variance=spread, electron_gain_dn=0.0, retained=kept)
     drawn = law.frames(np.full((pixels, pixels), light), 3, every, np.random.default_rng(seed))
     age = np.arange(200)
     left = (1.0 - kept) * kept**age
