@@ -18,6 +18,7 @@ from charact.estimators.bloom.posterior_psf import (
     radial,
     spread_of,
 )
+from charact.frames.robust import robust_sd
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.measurement import Result
@@ -189,7 +190,7 @@ def pixel_noise(image: NDArray) -> NDArray[np.float32]:
     second = np.abs(low - 2.0 * middle + high).ravel()
     groups = [group for group in np.array_split(np.argsort(light), 8) if len(group)]
     mean = np.array([max(0.0, float(light[group].mean())) for group in groups])
-    variance = np.array([(1.4826 * float(np.median(second[group]))) ** 2 / 6.0 for group in groups])
+    variance = np.array([robust_sd(second[group], 0.0) ** 2 / 6.0 for group in groups])
     # Bright groups include edges: the law passes through the darkest group and has the median
     # slope.
     rise = (variance - variance[0]) / np.maximum(mean - mean[0], 1e-3)

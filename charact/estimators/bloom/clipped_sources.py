@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.bloom.posterior_psf import FrameGrid, PosteriorPsf, profiles, radial
+from charact.frames.robust import robust_sd
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -337,7 +338,7 @@ def _fit(templates: Array, around: Surroundings) -> ClippedSourceFit:
             counted / around.sd * np.minimum(1.0, np.sqrt(2.0 / np.maximum(np.abs(pull), 1e-9)))
         )
     # Up to half of the pixels may show other content of the scene.
-    misfit = 1.4826 * float(np.median(np.abs(pull[counted])))
+    misfit = robust_sd(pull[counted], 0.0)
     rms = float(np.sqrt(np.mean(np.minimum(pull[counted] ** 2, 100.0))))
     weighted = design / scale * weight[:, None]
     # About ten pixels have correlated noise.

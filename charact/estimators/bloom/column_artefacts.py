@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import robust
 from charact.estimators.bloom.point_stack import PointStack
+from charact.frames.robust import robust_sd
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
@@ -262,9 +262,7 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     # Differences of adjacent patches exclude gradients, medians exclude other sources.
     pairs = far_patches[:-1][np.diff(far_patches) == 1]
     patch_differences = np.abs(patches[:, pairs + 1] - patches[:, pairs])
-    patch = (
-        0.5 * (1.4826 * float(np.median(patch_differences))) ** 2 if patch_differences.size else 0.0
-    )
+    patch = 0.5 * robust_sd(patch_differences, 0.0) ** 2 if patch_differences.size else 0.0
     single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far_patches])) + patch
     floor = max(single, 0.1 * (1.0 / 12.0))
     background = float(np.median(patches[:, far_patches])) - dark_dn
@@ -326,7 +324,7 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     meets = bool(len(full)) and bool(full.min() == 0 or full.max() == rows - 1)
     level = spot.image[full, round(spot.col)] - spot.dark_dn if len(full) else np.full(1, np.nan)
     value = float(np.median(level))
-    spread = robust.robust_sd(level)
+    spread = robust_sd(level)
     error = 1.25 * max(spread, 1.0 / np.sqrt(12.0 * spot.frames)) / np.sqrt(len(level))
     ends = [
         float(np.abs(columns.row_offset[side]).max()) if len(side) else 0.0

@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import robust
 from charact.estimators.bloom.thresholds import (
     DARK_DEFECT_SD,
     DEFECT_SD,
@@ -14,6 +13,7 @@ from charact.estimators.bloom.thresholds import (
     MOST_DEFECTS,
     NEIGHBOUR_SD,
 )
+from charact.frames.robust import robust_sd
 from labdata.frames import FrameStack
 from labdata.session import Session, StackEntry
 
@@ -102,7 +102,7 @@ def lone_pixels(image: Array) -> Mask:
         # Two defects may touch.
         lit = adjacent[:-1].sum()
         neighbourhood = excess[max(0, row - 3) : row + 4, max(0, col - 3) : col + 4]
-        local = 1.4826 * float(np.median(np.abs(neighbourhood)))
+        local = robust_sd(neighbourhood, 0.0)
         out[row, col] = (
             height > DEFECT_SD * local and lit < LIT_NEIGHBOURS * height + NEIGHBOUR_SD * local
         )
@@ -115,7 +115,7 @@ def _excess(image: Array) -> tuple[Array, float]:
     import cv2
 
     excess = image - cv2.medianBlur(image.astype(np.float32), 5).astype(np.float64)
-    return excess, robust.robust_sd(excess)
+    return excess, robust_sd(excess)
 
 
 def replace_bad_pixels(data: NDArray, bad: Mask) -> NDArray:

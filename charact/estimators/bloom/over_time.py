@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import robust
 from charact.estimators.bloom.point_stack import PointStack
+from charact.frames.robust import robust_sd
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, make_refusal, measurement_from_draws
 
@@ -96,7 +96,7 @@ def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
         >= np.quantile(tile_radius[off_column] if off_column.any() else tile_radius, 0.6)
     )
     take = take if take.any() else tile_radius >= np.median(tile_radius)
-    spread = robust.robust_sd(level[take])
+    spread = robust_sd(level[take])
     return take & (np.abs(level - np.median(level[take])) <= 4.0 * max(spread, 1e-3))
 
 
@@ -151,7 +151,7 @@ def _light(
     over = mean - (float(background.mean()) + spot.dark_dn)
     cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
     within_source = radius < max(12.0, spot.bloom_px)
-    quiet = robust.robust_sd(over[~within_source]) if (~within_source).any() else 1.0
+    quiet = robust_sd(over[~within_source]) if (~within_source).any() else 1.0
     lit = within_source & ~cut & (over > max(5.0 * quiet, 1.0))
     if lit.sum() < 4:
         return np.full(len(data), np.nan), float("nan")

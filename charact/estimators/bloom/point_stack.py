@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import robust
 from charact.estimators.bloom.extent import Extent, contour_at, extent_at
 from charact.estimators.bloom.source_view import Background, SourceView, background_of, view_of
+from charact.frames.robust import robust_sd
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -60,7 +60,7 @@ def contrast_of(image: Array) -> Contrast:
     smooth = np.asarray(ndimage.gaussian_filter(image, SMOOTHING_PX))
     difference = smooth - np.asarray(ndimage.gaussian_filter(image, 3.0 * SMOOTHING_PX))
     some = difference[::THIN, ::THIN]
-    spread = robust.robust_sd(some)
+    spread = robust_sd(some)
     # Quantisation may leave a background without noise.
     return Contrast(smooth=smooth, difference=difference, spread=max(spread, 0.05))
 

@@ -16,6 +16,7 @@ from charact.estimators.bloom.column_artefacts import (
 )
 from charact.estimators.bloom.point_stack import DETECTED, PointStack
 from charact.estimators.bloom.thresholds import Unmeasurable
+from charact.frames.robust import robust_sd
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
@@ -177,7 +178,7 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
         raise Unmeasurable(
             "the frame is too narrow: there are no columns far from the source for comparison"
         )
-    spread = max(1.4826 * float(np.median(np.abs(other_contrasts))), float(np.std(other_contrasts)))
+    spread = max(robust_sd(other_contrasts, 0.0), float(np.std(other_contrasts)))
     return float(everywhere[col]), max(spread, ROUNDED_DN / np.sqrt(rows.sum()))
 
 
@@ -237,7 +238,7 @@ def _far_rows(columns: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) ->
             continue
         last = excess[quiet_rows[-max(LEAST_SIDE, len(quiet_rows) // 4) :]]
         level = float(np.median(last))
-        spread = max(noise, 1.4826 * float(np.median(np.abs(last - level))))
+        spread = max(noise, robust_sd(last, level))
         over = excess[rows] > level + 6.0 * spread
         run = np.flatnonzero(over[:-1] & over[1:])
         # The last pixels of a streak are partly filled: two rows more.

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import robust
+from charact.frames.robust import robust_sd
 
 Array = NDArray[np.float64]
 
@@ -315,5 +315,5 @@ def _level(view: SourceView, rings: slice) -> tuple[float, float]:
     total, count = view.rings.total[rings].sum(axis=0), view.rings.count[rings].sum(axis=0)
     means = total[count > 0] / count[count > 0]
     middle = float(np.median(means))
-    spread = robust.robust_sd(means)
+    spread = robust_sd(means)
     return middle, 1.25 * spread / np.sqrt(max(len(means), 1)) + 0.01 / np.sqrt(SECTORS)

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.noise.thresholds import STACK, SURVEY
+from charact.frames.robust import NORMAL, robust_sd
 from labdata.errors import BadInput
 from labdata.lazy_stack import open_lazy_stack
 from labdata.session import StackEntry
@@ -133,7 +134,7 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     change = values[-1] - values[0]
     change -= np.median(change)
     step = step_of(values)
-    sd = _robust_sd(change, step) / np.sqrt(2.0)
+    sd = _temporal_sd(change, step) / np.sqrt(2.0)
     common = {
         "label": entry.label,
         "kind": entry.kind,
@@ -191,13 +192,13 @@ def _pixel_rows(data: NDArray, entry: StackEntry) -> NDArray:
     return flat.astype(np.float32)
 
 
-def _robust_sd(change: Array, step: float | None) -> float:
+def _temporal_sd(change: Array, step: float | None) -> float:
     """Return a robust standard deviation, at least that of rounding."""
     size = np.abs(change)
     half, quantile95 = np.quantile(size, [0.5, 0.95])
     if quantile95 <= 0:
         return 0.0
-    return float(max(half / 0.6745, quantile95 / 1.96, (step or 0.0) / np.sqrt(6.0)))
+    return float(max(NORMAL * half, quantile95 / 1.96, (step or 0.0) / np.sqrt(6.0)))
 
 
 @njit(cache=True)
@@ -300,9 +301,7 @@ def _outlying_means(
     """
     with_low, with_top = _high_pass(without_top), _high_pass(without_low)
     size = 0.5 * (with_low + with_top).ravel()[::3]
-    threshold = SURVEY.outlying_sd * max(
-        1.4826 * float(np.median(np.abs(size - np.median(size)))), error
-    )
+    threshold = SURVEY.outlying_sd * max(robust_sd(size), error)
 
     def outliers_of(nearer_dn: float) -> int:
         limit = max(threshold + nearer_dn, 0.0)

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import robust
 from charact.estimators.bloom import transfer
 from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of, profile_of
@@ -14,6 +13,7 @@ from charact.estimators.bloom.series.likelihood import AmplitudeSolution
 from charact.estimators.bloom.series.mcp_saturation import SaturatingSeriesLikelihood
 from charact.estimators.bloom.series.model_selection import FittedHaloModel
 from charact.estimators.bloom.transfer import onto_nodes
+from charact.frames.robust import robust_sd
 from charact.inference.diagnostics import crowds_at_bound
 from labdata.flags import Finding
 from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
@@ -71,7 +71,7 @@ def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
     if values.size < 200:
         return None
     median = float(np.median(values))
-    spread = robust.robust_sd(values)
+    spread = robust_sd(values)
     # Pulse noise is correlated: a quarter of the pixels counts. A median has 1.25 times the error
     # of a mean.
     return median, max(1.2533 * 2.0 * spread / float(np.sqrt(values.size)), 1e-6)

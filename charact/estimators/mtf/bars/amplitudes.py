@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from charact.estimators.mtf.bars.target import BarTarget, amplitude
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.image_lag import ImageLagModel
+from charact.frames.robust import robust_sd
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -231,7 +232,7 @@ def target_background(mean: Array, target: BarTarget, margin_px: float) -> tuple
     surroundings = ~target.box(shape, margin_px)
     smooth = np.asarray(gaussian_filter(mean, 2.0))
     level = float(np.median(smooth[surroundings]))
-    spread = 1.4826 * float(np.median(np.abs(smooth[surroundings] - level)))
+    spread = robust_sd(smooth[surroundings], level)
     height = float(np.abs(smooth[target.box(shape, 0.0)] - level).max())
     other = surroundings & (
         np.abs(smooth - level) > max(LIMITS.max_other_sd * spread, LIMITS.max_other_light * height)

@@ -20,8 +20,8 @@ from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.estimators.mtf.quantisation_checks import clipping_flags
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS
+from charact.frames.robust import median
 from charact.method import Context
-from charact.robust import median
 from labdata.flags import FLAGS, Finding
 
 Array = NDArray[np.float64]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+from charact.frames.robust import robust_sd
 from labdata.measurement import Result, make_refusal
 
 Array = NDArray[np.float64]
@@ -210,11 +211,11 @@ def _spread(steady: Array, level: float, data: NDArray) -> float:
     """
     if steady.size < LIMITS.min_background_pixels:
         return np.inf
-    robust = 1.4826 * float(np.median(np.abs(steady - level)))
+    scatter = robust_sd(steady, level)
     # Pulses have an upper tail that the median absolute deviation misses: use the highest per
     # mille.
     tail = (float(np.quantile(steady, 0.999)) - level) / 3.1 if steady.size > 20000 else 0.0
-    return max(robust, tail, _least_spread(data))
+    return max(scatter, tail, _least_spread(data))
 
 
 def _least_spread(data: NDArray) -> float:

@@ -13,6 +13,7 @@ from charact.estimators.mtf.target_detection.smoothed_mean_frame import (
     mean_frame_of,
 )
 from charact.estimators.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
+from charact.frames.robust import robust_sd
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float32]
@@ -77,11 +78,11 @@ def steady_light(
     height = np.median(groups, axis=0)
     middle = float(np.median(height))
     height = height - middle
-    robust = 1.4826 * float(np.median(np.abs(height)))
+    scatter = robust_sd(height, 0.0)
     # Quantile at 0.97 of a normal distribution.
     tail = float(np.quantile(height[::2, ::2], 0.97)) / 1.8808
     rounding = LIMITS.min_background_sd_dn if data.dtype.kind in "ui" else 0.0
-    spread = max(robust, tail, rounding, 1e-6 * float(np.ptp(height)))
+    spread = max(scatter, tail, rounding, 1e-6 * float(np.ptp(height)))
     return SteadySpots(groups=groups - middle, height=height, spread=spread)
 
 
@@ -204,7 +205,7 @@ def _hot_pixels(picture: Array) -> tuple[NDArray[np.bool_], Array]:
         cv2.filter2D(picture, -1, cross, borderType=cv2.BORDER_REFLECT_101), np.float32
     )
     over = picture - ground
-    noise = 1.4826 * float(np.median(np.abs(over)))
+    noise = robust_sd(over, 0.0)
     hot = (over > LIMITS.min_height_sd * noise) & (
         around - ground < THRESHOLDS.min_neighbours * over + noise
     )

@@ -19,6 +19,7 @@ from charact.estimators.noise.events.frames import (
     responses,
 )
 from charact.estimators.noise.thresholds import EVENT_ACCURACY
+from charact.frames.robust import NORMAL
 
 Array = NDArray[np.float64]
 
@@ -315,7 +316,7 @@ def frequencies(values: Images) -> Array:
     sample = np.partition(sample, ranks)
     low, middle = sample[ranks[:2]]
     # Noise without pulses, and mean of the brightest thousandth.
-    noise, bright = max(float(middle - low) / 0.6745, 1e-9), float(sample[ranks[2] :].mean())
+    noise, bright = max(NORMAL * float(middle - low), 1e-9), float(sample[ranks[2] :].mean())
     high = EVENT_ACCURACY.highest_frequency / noise
     low = min(EVENT_ACCURACY.lowest_frequency / max(bright, 1e-12), 0.25 * high)
     return np.geomspace(low, high, EVENT_ACCURACY.frequencies)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
-from charact.robust import NORMAL, median, robust_sd
+from charact.frames.robust import NORMAL, median, robust_sd
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def find(picture: OrientedFrame) -> tuple[OrientedFrame, EdgeLine]:
         position=width - 1 - position if score < 0 else position,
         slope=-slope if score < 0 else slope,
     )
-    noise = min(median(np.abs(np.diff(small, axis=axis))) for axis in (0, 1)) / 0.6745 / np.sqrt(2)
+    noise = min(robust_sd(np.diff(small, axis=axis), 0.0) for axis in (0, 1)) / np.sqrt(2.0)
     strength = abs(score) / max(noise, 1e-12 * (1 + abs(score)))
     return upright, replace(iterate_edge_line(upright, line), strength=strength)
 

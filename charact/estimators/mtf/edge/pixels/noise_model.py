@@ -13,8 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.frames.robust import median
 from charact.inference.least_squares import Linearisation, least_squares, linearise_residual
-from charact.robust import median
 
 Array = NDArray[np.float64]
 

@@ -36,8 +36,8 @@ from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, Region, mean_oriented_frame
 from charact.estimators.mtf.quantisation_checks import QUANTISATION_DN2
 from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
+from charact.frames.robust import median, robust_sd
 from charact.method import Context
-from charact.robust import NORMAL, median
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -304,7 +304,7 @@ def edge_extent(picture: OrientedFrame, line: EdgeLine) -> Region | None:
         )
     step = sides[0] - sides[1]
     finite = step[np.isfinite(step)]
-    error = NORMAL * median(np.abs(np.diff(finite))) / np.sqrt(2.0) if finite.size > 3 else 0.0
+    error = robust_sd(np.diff(finite), 0.0) / np.sqrt(2.0) if finite.size > 3 else 0.0
     reference = (
         median(finite[finite > 0.5 * finite.max()]) if finite.size and finite.max() > 0 else 0.0
     )

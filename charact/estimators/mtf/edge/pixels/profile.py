@@ -18,7 +18,7 @@ from charact.estimators.mtf.edge.pixels.noise_model import (
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, usable_black_level
 from charact.estimators.mtf.nonlinearity import contrast_of
-from charact.robust import NORMAL, median
+from charact.frames.robust import median, robust_sd
 
 Array = NDArray[np.float64]
 
@@ -323,7 +323,7 @@ def profile_of(
     sides = (
         side if side.any() else valid for side in (valid & (level < 0.25), valid & (level > 0.75))
     )
-    dark_sd, bright_sd = (max(NORMAL * median(size[side]), least_sd) for side in sides)
+    dark_sd, bright_sd = (max(robust_sd(size[side], 0.0), least_sd) for side in sides)
     sd = np.sqrt(dark_sd**2 + np.clip(level, 0.0, 1.0) * (bright_sd**2 - dark_sd**2))
     masked, heavy_tailed = (size > DEFECT_SD * sd) & (sd > 0), np.count_nonzero(size > 5.0 * sd)
     defects = int(np.count_nonzero(masked))

@@ -1,4 +1,9 @@
-"""Median and robust standard deviation."""
+"""Median, and standard deviation from the median absolute deviation.
+
+    s = 1.4826 med |x - m|,  m = med x or a known middle,  1.4826 = 1 / Phi^-1(3/4)
+
+Of normal x, s is the standard deviation; up to half of the values may be anything.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +26,7 @@ def median(values: NDArray[np.floating] | NDArray[np.integer]) -> float:
     return 0.5 * (float(parted[:middle].max()) + float(parted[middle]))
 
 
-def robust_sd(values: NDArray[np.floating]) -> float:
-    """Return the standard deviation estimated from the median absolute deviation."""
-    return NORMAL * median(np.abs(values - median(values)))
+def robust_sd(values: NDArray[np.floating], about: float | None = None) -> float:
+    """Return s of values about their median, or about a known middle."""
+    middle = median(values) if about is None else about
+    return NORMAL * median(np.abs(values - middle))

@@ -1,0 +1,1 @@
+"""What a stack of frames holds, measured once for every method."""
