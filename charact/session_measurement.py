@@ -191,7 +191,7 @@ def _with_step(result: Result, session: Session) -> Result:
     """Return the result with the finding of a coarse digitiser at the quantities that contain dark
     noise or level.
     """
-    from charact.estimators.noise.rounding import step_finding
+    from charact.estimators.noise.findings import step_finding
 
     coarse_step = step_finding(session)
     if coarse_step is None:

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from charact.estimators.noise.findings import AUTOMATIC
-from charact.estimators.noise.rounding import step_finding
+from charact.estimators.noise.findings import AUTOMATIC, step_finding
 from charact.fitting.observation import Observation, has_automatic_gain
 from charact.fitting.prior import Camera
 from labdata.errors import BadInput

@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.noise.findings import step_finding
 from charact.estimators.noise.illumination import relative_sd_of
-from charact.estimators.noise.rounding import step_finding
 from charact.fitting.fitted_session import camera_of, per_pixel, require_noise, with_fixed_gain
 from charact.fitting.observation import (
     Observation,

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.illumination import gathering_s
-from charact.estimators.noise.stack.components import shading
 from charact.fitting.readout_observations import readout_spectrum
 from charact.fitting.thresholds import LEVELS
+from charact.frames.components import shading
 from labdata.conditions import Conditions
 from labdata.session import Session, StackEntry
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom.bloom_map import BloomMap, bloom_map, spread_from
 from charact.estimators.bloom.posterior_psf import PosteriorPsf
+from charact.frames.stack import Stack
 from charact.fusion.bands import Band
 from charact.fusion.geometry import CameraGeometry
 from charact.fusion.noise_law import NoiseLaw, measure_noise
@@ -294,7 +295,7 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
         notes.append(f"{name}: blooming was left out: {why}")
     else:
         shown = stack.data if frame is None else stack.data[frame : frame + 1]
-        clipped = (shown >= FUSION.clip_share * full).mean(axis=0) > 0.02
+        clipped = Stack(frames=replace(stack, data=shown)).often_full(FUSION.clip_share)
         if np.count_nonzero(clipped) >= FUSION.lamp_px:
             found = _bloom(signal, full - black, clipped, source, seed, notes)
     return Band(

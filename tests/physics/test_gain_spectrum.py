@@ -15,7 +15,7 @@ from charact.estimators.noise.gain.fit import fit_spectrum
 from charact.estimators.noise.gain.model import PixelReadoutModel, blur_models
 from charact.estimators.noise.gain.pooled_noise import ImageLag, PooledNoise
 from charact.estimators.noise.gain.single_setting import blur_exponent
-from charact.estimators.noise.stack.spectrum import bins_of
+from charact.frames.spectrum import bins_of
 from charact.method import Context
 from simulate.camera import true_quantities
 from simulate.camera.camera import CameraModel

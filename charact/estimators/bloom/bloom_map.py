@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.estimators.bloom.clipped_sources import ClippedSource, find_clipped_sources
-from charact.estimators.bloom.point_stack import full_scale_of
 from charact.estimators.bloom.posterior_psf import (
     FrameGrid,
     PosteriorPsf,
@@ -19,6 +18,7 @@ from charact.estimators.bloom.posterior_psf import (
     spread_of,
 )
 from charact.frames.robust import robust_sd
+from charact.frames.stack import Stack
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.measurement import Result
@@ -370,22 +370,20 @@ def map_of(
         If there is no such stack, or no halo was measured.
     """
     entry = _entry(session, label)
-    stack = entry.read()
-    full, black = full_scale_of(stack, context), session.dark_like(entry.conditions)
-    dark = stack.black_level_dn if black is None else black.read().mean_dn
+    stack = Stack.of(entry.read(), context)
+    full, black = stack.top_dn, session.dark_like(entry.conditions)
+    dark = stack.frames.black_level_dn if black is None else black.read().mean_dn
     dark = float(np.percentile(stack.data, 1.0)) if dark is None else float(dark)
     rng = np.random.default_rng(context.seed)
-    signal = stack.data.mean(axis=0, dtype=np.float64) - dark
+    signal = stack.mean_dn - dark
     spread = spread_from(
         result, area_px=float(signal.size), pitch_ratio=context.pitch_ratio, rng=rng
     )
-    # Above 2 % of clipped frames the mean of a pixel underestimates its signal.
-    clipped = (stack.data >= full).mean(axis=0) > 0.02
     frame_map = bloom_map(
         signal,
         spread,
         clip_dn=full - dark,
-        clipped=clipped,
+        clipped=stack.often_full(),
         pitch_ratio=context.pitch_ratio,
         rng=rng,
     )

@@ -17,6 +17,7 @@ from charact.estimators.bloom.series.halo_models import (
     tube_priors,
 )
 from charact.estimators.bloom.thresholds import Unmeasurable
+from charact.frames.stack import Stack
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
 from labdata.camera.description import has_tube
@@ -377,12 +378,11 @@ def _frame(
     entry: StackEntry, session: Session, context: Context
 ) -> tuple[Array, str, float, float]:
     """Mean frame, label, dark level and full scale of a stack."""
-    stack = entry.read()
-    full = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    dark, image = session.dark_like(entry.conditions), stack.data.mean(axis=0, dtype=np.float64)
-    level = stack.black_level_dn if dark is None else dark.read().mean_dn
+    stack = Stack.of(entry.read(), context)
+    dark, image = session.dark_like(entry.conditions), stack.mean_dn
+    level = stack.frames.black_level_dn if dark is None else dark.read().mean_dn
     level = float(np.percentile(image, 2.0)) if level is None else level
-    return image, entry.label, level, float(stack.data.max() if full is None else full)
+    return image, entry.label, level, stack.top_dn
 
 
 def _check_edge_of_halo(best: EdgeHaloOptimum) -> None:

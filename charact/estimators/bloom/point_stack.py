@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.estimators.bloom.extent import Extent, contour_at, extent_at
 from charact.estimators.bloom.source_view import Background, SourceView, background_of, view_of
 from charact.frames.robust import robust_sd
+from charact.frames.stack import Stack
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -278,7 +279,7 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
         stack = entry.read()
         level = black_level_of(stack, dark)[0]
         positions.append(
-            place_of(stack, entry.target.region, level, full_scale_of(stack, context), context)
+            place_of(stack, entry.target.region, level, Stack.of(stack, context).top_dn, context)
         )
     spots: list[PointStack] = []
     behind: list[tuple[Conditions, Background]] = []
@@ -349,12 +350,6 @@ def common_position(
     return SourcePosition(row=best.row, col=best.col, significance=source.significance)
 
 
-def full_scale_of(stack: FrameStack, context: Context) -> float:
-    """Return full scale: as configured, as recorded, else the largest value in the stack, DN."""
-    stated = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    return stated if stated is not None else float(stack.data.max())
-
-
 def black_level_of(stack: FrameStack, dark: float | None) -> tuple[float, bool]:
     """Return the black level, DN, and whether it is known: measured, recorded, else the median of
     the mean frame.
@@ -382,7 +377,7 @@ def spot_of(
     the faintest first. The background of the faintest stack with the same conditions is used, since
     a bright source illuminates the whole frame.
     """
-    full, (level, known) = full_scale_of(stack, context), black_level_of(stack, dark)
+    full, (level, known) = Stack.of(stack, context).top_dn, black_level_of(stack, dark)
     view = view_of(stack.data, level, full, position.row, position.col, context.pitch_ratio)
     own_background = background_of(view)
     earlier_backgrounds = [

@@ -25,11 +25,11 @@ from charact.estimators.noise.findings import (
 )
 from charact.estimators.noise.gain.series import gain_of, read_levels
 from charact.estimators.noise.prepared_session import defect_pixels, prepare
-from charact.estimators.noise.rounding import QUANTISED_DN2, rounding_sd
-from charact.estimators.noise.stack.components import shading
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.three_dimensional import three_dimensional
-from charact.estimators.noise.thresholds import CUBE
+from charact.frames.components import shading
+from charact.frames.rounding import QUANTISED_DN2, rounding_sd
+from charact.frames.stack_statistics import StackStatistics
+from charact.frames.thresholds import CUBE
 from charact.method import Context
 from charact.method.registry import single_blas_thread
 from charact.method.stopwatch import with_timing

@@ -10,6 +10,7 @@ import numpy as np
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.target_detection import find_bar_groups, find_edges, find_pinholes
 from charact.estimators.mtf.thresholds import ACCURACY
+from charact.frames.stack import Stack
 from charact.method import Context, choose
 from charact.method.registry import beyond_note
 from labdata.camera.description import has_tube
@@ -254,7 +255,7 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
     if kind == "edge":
         return [LocatedTarget(region=edge.region) for edge in find_edges(stack)]
     if kind == "point":
-        full_scale_dn = context.full_scale_dn or stack.full_scale_dn
+        full_scale_dn = Stack.of(stack, context).ceiling_dn
         return [
             LocatedTarget(region=point.region)
             for point in find_pinholes(stack, full_scale_dn=full_scale_dn)

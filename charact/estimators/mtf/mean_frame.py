@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.thresholds import LIMITS
-from labdata.frames import FrameStack
+from charact.frames.stack import Stack
 
 Array = NDArray[np.float64]
 
@@ -76,23 +76,20 @@ class OrientedFrame:
         return np.ascontiguousarray(turned[:, :, ::-1] if self.mirrored else turned, np.float64)
 
 
-def mean_oriented_frame(
-    stack: FrameStack, pitch_ratio: float, *, interlaced: bool
-) -> OrientedFrame:
+def mean_oriented_frame(stack: Stack) -> OrientedFrame:
     """Return the mean frame of a stack, not yet reoriented."""
-    data = stack.data
-    frames, rows, cols = data.shape
+    frames, rows, cols = stack.data.shape
     return OrientedFrame(
-        value=data[0].astype(float) if frames == 1 else data.mean(axis=0, dtype=np.float64),
+        value=stack.mean_dn,
         row_index=np.broadcast_to(np.arange(rows)[:, None], (rows, cols)),
         transposed=False,
         mirrored=False,
         frames=frames,
-        whole_codes=data.dtype.kind in "ui" or bool(np.all(data[0] == np.rint(data[0]))),
-        black_dn=stack.black_level_dn,
-        pitch_ratio=pitch_ratio,
-        interlaced=interlaced,
-        sample_pitch_px=stack.sample_pitch_px,
+        whole_codes=stack.holds_codes,
+        black_dn=stack.frames.black_level_dn,
+        pitch_ratio=stack.pitch_ratio,
+        interlaced=stack.interlaced,
+        sample_pitch_px=stack.frames.sample_pitch_px,
     )
 
 

@@ -7,17 +7,6 @@ from dataclasses import dataclass
 class MtfLimits:
     """Thresholds that decide about flags, refusals and candidates of MTF methods."""
 
-    pile_up_fraction: float = 0.002  # Fraction of the pixels at an extreme value
-    pile_up_ratio: float = 3.0  # Its count over that of the adjacent value
-    noisy_pile_up_ratio: float = 1.5  # Count ratio where noise is visible next to the pile
-    clipped_steps: int = 3  # Steps that only clipped noise crosses between frames
-    min_crossing: float = 0.005  # Fraction of a pile's pixels that cross
-    min_staying: float = 0.05  # Fraction that stays: 1.6 standard deviations below a plateau
-    min_pile_pixels: int = 10  # Number of either
-    # Fraction of the brighter pixels at one value; normal noise of one step has 38 %
-    plateau_fraction: float = 0.6
-    min_relative_noise: float = 1e-5  # Noise over the range; less is rounding of floats
-    min_rounding_shift_dn: float = 1e-3  # Shift that matters, DN
     min_contrast: float = 0.05  # Contrast of two levels, at least
     # A dark side may lie this fraction of the step below black, by noise or drift
     max_below_black: float = 0.1
@@ -43,13 +32,7 @@ class MtfLimits:
 class MtfAccuracy:
     """Sampling, iteration limits, tolerances and resolution of MTF methods."""
 
-    # Lowest values of converters and of the video range, DN
-    video_floors_dn: tuple[int, int] = 0, 16
-    rounding_offsets: int = 8  # Offsets of the black level between two steps
-    sawtooth_terms: int = 6  # Terms of the sawtooth's series
     black_sd_dn: float = 0.2  # Standard uncertainty of a black level, DN
-    lag_fields: int = 64  # Fields over which the decay is followed
-    arrival_times: int = 200  # Arrival times within a field
     compared_rows: int = 8  # Rows by which identical frames are looked up
     block_rows: int = 4  # Rows of a jackknife block, of independent noise
     min_blocks: int = 6  # Number of blocks

@@ -70,7 +70,7 @@ def _has_small_white_frames(session: Session, context: Context) -> bool:
     """
     from charact.estimators.noise.covariance_sum import image_size_obstacle
     from charact.estimators.noise.gain.series import has_intensifier
-    from charact.estimators.noise.stack.frame_block import bins_of_run
+    from charact.frames.frame_block import bins_of_run
 
     entries = session.of_kind("dark", "flat")
     bins = [bins_of_run(entry.read().data.shape, context, spectra=True) for entry in entries[:1]]

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.dark_current import dark_current
 from charact.estimators.noise.events.event_measurements import pulses_of_darks
-from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of, with_remedy
+from charact.estimators.noise.findings import (
+    Finding,
+    fields_of,
+    flags_of,
+    flags_of_rounding,
+    notes_of,
+    with_remedy,
+)
 from charact.estimators.noise.gain.checks import (
     bend_allowance,
     exposure_findings,
@@ -52,13 +59,12 @@ from charact.estimators.noise.quantities import (
     transfer_figure_data,
     without_flats,
 )
-from charact.estimators.noise.rounding import flags_of_rounding
 from charact.estimators.noise.snr_against_light import snr_against_light
-from charact.estimators.noise.stack.spectrum import Bins
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.sweep.sweep import gain_sweep
 from charact.estimators.noise.three_dimensional import three_dimensional
 from charact.estimators.noise.thresholds import GAIN
+from charact.frames.spectrum import Bins
+from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context, register
 from labdata.camera.description import has_tube
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws

@@ -11,9 +11,9 @@ from charact.estimators.noise.gain.checks import drift_and_flicker
 from charact.estimators.noise.gain.series import group_by_gain
 from charact.estimators.noise.illumination import mean_sd
 from charact.estimators.noise.linear_fit import linear_fit
-from charact.estimators.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import CHECKS, DARK_CURRENT
+from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2
+from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws

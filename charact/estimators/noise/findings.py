@@ -6,9 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from charact.estimators.noise.thresholds import SWEEP
+from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2, step_of_codes
 from charact.method import Context
 from labdata import flags
+from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Provenance
+from labdata.session import Session
 
 
 class Unmeasurable(Exception):
@@ -120,3 +126,35 @@ LENS_OFF_AXIS = Cause(
     stage="blur of lens or tube that grows off axis",
     remedy="edges of which each lies at one distance from the axis",
 )
+
+
+def flags_of_rounding(variance_dn2: float) -> tuple[str, ...]:
+    """Return the flag of noise smaller than the quantisation step."""
+    return ("quantised",) if variance_dn2 < QUANTISED_DN2 else ()
+
+
+def step_finding(session: Session) -> flags.Finding | None:
+    """Return the finding of darks and flats whose grey values are multiples of a step that adds to
+    their noise.
+
+    A digitiser of fewer bits than its frames rounds to steps of s DN, whose variance is s^2/12
+    where 1/12 is counted. The finding is raised where the difference exceeds
+    `SWEEP.max_quantisation` of the least variance.
+    """
+    stacks = [open_lazy_stack(entry) for entry in session.of_kind("dark", "flat")]
+    step = step_of_codes([stack.frames(0, 1)[0] for stack in stacks])
+    pairs = (
+        [stack.frames(0, 2).astype(float) for stack in stacks if len(stack) > 1] if step > 1 else []
+    )
+    if not pairs:
+        return None
+    variance_dn2 = min(float(np.var(pair[1] - pair[0])) / 2.0 for pair in pairs)
+    added = (step**2 - 1.0) * QUANTISATION_DN2
+    if added <= SWEEP.max_quantisation * variance_dn2:
+        return None
+    return COARSE.finding(
+        "quantised",
+        f"all grey values are multiples of {step} DN: rounding adds {added:.3g} DN2 to a least "
+        f"variance of {variance_dn2:.3g} DN2, and levels of a digitiser that cuts off are "
+        f"{(step - 1.0) / 2.0:g} DN low",
+    )

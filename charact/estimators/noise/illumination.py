@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Unmeasurable
-from charact.estimators.noise.rounding import rounding_sd
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import SNR
+from charact.frames.rounding import rounding_sd
+from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from labdata.camera.description import has_tube
 from labdata.camera.parameters import Parameter

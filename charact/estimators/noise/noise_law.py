@@ -14,14 +14,14 @@ from charact.estimators.noise.gain.pooled_noise import ImageLag
 from charact.estimators.noise.gain.series import CLIPPED_SHARE, FlatSeries
 from charact.estimators.noise.illumination import signal_sd
 from charact.estimators.noise.linear_fit import linear_fit
-from charact.estimators.noise.rounding import rounding_sd
-from charact.estimators.noise.stack.stack_statistics import (
+from charact.estimators.noise.thresholds import SNR
+from charact.frames.rounding import rounding_sd
+from charact.frames.stack_statistics import (
     StackStatistics,
     area_variance,
     shares_of,
 )
-from charact.estimators.noise.stack.temporal import n_effective_samples, same_row_lags
-from charact.estimators.noise.thresholds import SNR
+from charact.frames.temporal import n_effective_samples, same_row_lags
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -203,7 +203,7 @@ def pixel_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
 
 def area_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
     """Return the levels of the mean of a square of pixels, see
-    `charact.estimators.noise.stack.stack_statistics`.
+    `charact.frames.stack_statistics`.
     """
     shares = shares_of(series.flats[0].bins)
 

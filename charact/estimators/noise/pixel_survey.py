@@ -6,8 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.estimators.noise.thresholds import STACK, SURVEY
+from charact.estimators.noise.thresholds import SURVEY
 from charact.frames.robust import NORMAL, robust_sd
+from charact.frames.thresholds import STACK
 from labdata.errors import BadInput
 from labdata.lazy_stack import open_lazy_stack
 from labdata.session import StackEntry

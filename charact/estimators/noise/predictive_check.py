@@ -17,9 +17,9 @@ from charact.estimators.noise.gain import model
 from charact.estimators.noise.gain.emva1288 import excess_of
 from charact.estimators.noise.gain.model import PixelReadoutModel
 from charact.estimators.noise.gain.single_setting import SingleSetting
-from charact.estimators.noise.rounding import QUANTISED_DN2
-from charact.estimators.noise.stack.temporal import split_fields
 from charact.estimators.noise.thresholds import PREDICTIVE
+from charact.frames.rounding import QUANTISED_DN2
+from charact.frames.temporal import split_fields
 from charact.method import Context
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Posterior

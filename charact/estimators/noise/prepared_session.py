@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from charact.estimators.noise.findings import fields_of
 from charact.estimators.noise.gain.series import has_multiplication
 from charact.estimators.noise.pixel_survey import PixelSurvey, common_step, survey_pixels
-from charact.estimators.noise.stack.stack_statistics import WHOLE_BYTES
 from charact.estimators.noise.thresholds import SURVEY
+from charact.frames.stack_statistics import WHOLE_BYTES
 from charact.method import Context
 from labdata.frames import LazyStack
 from labdata.measurement import Measurement, Result, make_measurement, make_refusal

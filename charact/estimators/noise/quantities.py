@@ -8,19 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.findings import Finding, flags_of, notes_of
+from charact.estimators.noise.findings import Finding, flags_of, flags_of_rounding, notes_of
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import dark_findings, light_findings
 from charact.estimators.noise.gain.series import FlatSeries, gain_obstacle, without_noise
 from charact.estimators.noise.illumination import light_of_photons, mean_sd
-from charact.estimators.noise.rounding import (
+from charact.estimators.noise.thresholds import CHECKS, CORRELATION
+from charact.frames.rounding import (
     QUANTISATION_DN2,
     QUANTISED_DN2,
-    flags_of_rounding,
     rounding_sd,
 )
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
-from charact.estimators.noise.thresholds import CHECKS, CORRELATION
+from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from labdata.measurement import (
     Measurement,

@@ -41,8 +41,8 @@ from charact.estimators.noise.noise_law import (
     noise_law,
     pixel_levels,
 )
-from charact.estimators.noise.stack.stack_statistics import SIDE_PX, StackStatistics
 from charact.estimators.noise.thresholds import SNR
+from charact.frames.stack_statistics import SIDE_PX, StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.conditions import Conditions

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
-from charact.estimators.noise.rounding import QUANTISED_DN2
-from charact.estimators.noise.stack.components import OWN, TIME, Component
-from charact.estimators.noise.stack.cube import Cube, FrameMeans
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
-from charact.estimators.noise.thresholds import CHECKS, CUBE
+from charact.estimators.noise.thresholds import CHECKS
+from charact.frames.components import OWN, TIME, Component
+from charact.frames.cube import Cube, FrameMeans
+from charact.frames.rounding import QUANTISED_DN2
+from charact.frames.stack_statistics import StackStatistics
+from charact.frames.thresholds import CUBE
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from labdata.measurement import Measurement, Result, intervals_of, make_measurement, make_refusal
@@ -62,7 +63,7 @@ def _measure_stack(
     findings = {
         name: [
             *_low_frequency_findings(name, parts[name], draws[name]),
-            *cube.findings.get(name, ()),
+            *_picture_findings(name, cube),
         ]
         for name in NAMES
     }
@@ -154,6 +155,20 @@ def _low_frequency_findings(name: str, part: Component, draws: Array) -> list[Fi
                     ),
                 )
             )
+    return out
+
+
+def _picture_findings(name: str, cube: Cube) -> list[Finding]:
+    """Return the findings of shading and of even and odd rows that differ: fields not separated."""
+    out: list[Finding] = []
+    if name in ("v", "h", "vh"):
+        note = "excludes smooth shading up to fourth order along rows and columns"
+        out.append(Finding(None, f"{note}, {cube.shading_dn:.3g} DN rms"))
+    if difference_dn := cube.row_difference_dn.get(name, 0.0):
+        note = (
+            f"even and odd rows differ by {difference_dn:.3g} DN: interlaced fields, not separated?"
+        )
+        out.append(Finding("interlace-motion", note))
     return out
 
 

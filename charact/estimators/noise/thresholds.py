@@ -70,63 +70,6 @@ class DarkCurrentLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CubeLimits:
-    """3-D noise (`stack`, `three_dimensional`)."""
-
-    min_frames: int = 8  # fewest frames of temporal components
-    min_pixels: int = 16  # px; smallest side of a field with slow waves
-    # power of alternating rows of a mean image over that of other rows
-    alternating_power: float = 30.0
-    alternating_sd: float = 8.0  # the same of many frames, standard errors
-    # rows and columns of blocks that give the scatter of random noise power
-    blocks: tuple[int, int] = 8, 8
-    spectra: int = 2  # frame differences that give the number of independent pixels
-    # relative error of extrapolating waves of one and two periods to the mean
-    extrapolation_sd: float = 0.25
-    # mean square of a standard normal error after shrinkage by 1 - 1/z^2
-    shrunk_variance: float = 0.36
-    significant_sd: float = 3.0  # standard errors of a significant excess
-    chunk_frames: int = 8  # frames per pass; even, to keep pairs together
-    pairs: int = 8  # pairs of successive frames for the scatter of the power
-    slow_waves: int = 4  # sine and cosine of one and two periods
-    shading_order: int = 4  # largest polynomial order of smooth shading
-    pixels_per_order: int = 8  # px per polynomial order on short axes
-    draws: int = 4000  # posterior draws
-    false_alarm: float = 1e-3  # false-alarm probability of a component
-    max_slope: float = 0.3  # fall of power from one to two periods beyond which extrapolation fails
-    slope_weight: float = 0.25  # excess over the half interval from which this matters
-
-
-@dataclass(frozen=True, kw_only=True)
-class StackLimits:
-    """Statistics of stacks (`stack`)."""
-
-    accumulated: int = 8  # values per frame at the largest value that are not due to chance
-    accumulated_sd: float = 5.0  # standard deviations above the next largest value
-    block_frames: int = 32  # frames of a block: bounds memory and excludes slow drift
-    false_alarm: float = 1e-4  # false-alarm probability of a flicker line or drift
-    slow_noise_sd: float = 3.0  # standard errors of slow noise in near pairs of exposures
-    slow_noise_fraction: float = 0.02  # slow noise over the pattern variance
-    # largest slow noise beyond the last pairs, fraction of the variance
-    max_slow_noise: float = 0.1
-    # rows and columns of blocks that give the error of the variance
-    blocks: tuple[int, int] = 6, 8
-    spectra: int = 8  # exposures whose spectra give the number of independent pixels
-    side_px: int = 128  # px; side of the image centre of these spectra
-    band_pixels: int = 2**17  # pixels of all exposures per pass, which fit the processor's cache
-    max_lags: int = 12  # exposures; largest lag in the search for image lag
-    few_lags: int = 2  # exposures; lags used if none is detected
-    decay_exposures: int = 8  # exposures; separation of negligible image lag behind a tube
-    max_dn: float = 1e9  # DN; squares of larger values exceed single precision
-    rings: int = 25  # rings of the spectrum up to the band limit
-    sectors: int = 4  # sectors of a quadrant
-    min_modes: int = 8  # fewest modes in a bin
-    min_ring_modes: int = 3  # fewest modes in a bin near frequency 0, where sectors are merged
-    taper: float = 0.08  # tapered fraction of each side, against leakage to high frequency
-    binning_sd: float = 0.01  # relative error of band integrals by binning
-
-
-@dataclass(frozen=True, kw_only=True)
 class SurveyLimits:
     """Defective pixels (`pixel_survey`, `defective_pixels`, `prepared_session`)."""
 
@@ -380,8 +323,6 @@ class SweepLimits:
 CHECKS = CheckLimits()
 CORRELATION = CorrelationLimits()
 DARK_CURRENT = DarkCurrentLimits()
-CUBE = CubeLimits()
-STACK = StackLimits()
 SURVEY = SurveyLimits()
 PREDICTIVE = PredictiveLimits()
 EVENTS = EventLimits()

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.estimators.noise.findings import Finding, notes_of
-from charact.estimators.noise.rounding import step_finding, step_of_codes
+from charact.estimators.noise.findings import Finding, notes_of, step_finding
 from charact.fitting.observation import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
+from charact.frames.rounding import step_of_codes
 from charact.session_measurement import measure_noise, method_context
 from labdata import Conditions, FrameStack, Measurement, Result, Session
 from labdata.flags import FLAGS

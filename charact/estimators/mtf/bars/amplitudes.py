@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.target import BarTarget, amplitude
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
-from charact.estimators.mtf.image_lag import ImageLagModel
+from charact.frames.image_lag import ImageLagModel
 from charact.frames.robust import robust_sd
 
 Array = NDArray[np.float64]

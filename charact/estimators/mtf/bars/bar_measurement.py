@@ -41,7 +41,7 @@ from charact.estimators.mtf.bars.target import (
     measure_frequency,
 )
 from charact.estimators.mtf.bars.thresholds import LIMITS
-from charact.estimators.mtf.image_lag import image_lag_model
+from charact.frames.stack import Stack
 from charact.method import Context
 from labdata.camera.description import has_tube
 from labdata.flags import Finding
@@ -276,7 +276,7 @@ def _measure_complete_target(
             "measurable); enlarge --roi"
         )
     background, crowded = target_background(mean, target, margin)
-    image_lag = None if not has_tube(context.camera) else image_lag_model(context, len(stack.data))
+    image_lag = None if not has_tube(context.camera) else Stack.of(stack, context).image_lag
     amplitudes = amplitudes_of(stack.data, target, window, background, image_lag)
     reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,9 @@ from charact.estimators.mtf.bars.bar_image_model import (
 from charact.estimators.mtf.bars.fit import BarFit, fit_bars, rounding_sd
 from charact.estimators.mtf.bars.target import BarTarget, core_margin_px
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
-from charact.estimators.mtf.quantisation_checks import clipping_flags
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS as MTF_LIMITS
+from charact.frames.stack import Stack
 from charact.method import Context
 from labdata.flags import Finding
 from labdata.frames import FrameStack
@@ -118,18 +117,14 @@ def clipping_findings(
 
     If the frames have hardly any noise, a flat plateau proves clipping only at a stated full scale.
     """
-    full_scale_dn = context.full_scale_dn or stack.full_scale_dn
+    frames_of_camera = Stack.of(stack, context)
     if (
         fit is not None
         and _is_noise_hidden(stack, fit)
-        and (full_scale_dn is None or stack.data.max() < full_scale_dn)
+        and (frames_of_camera.ceiling_dn is None or stack.data.max() < frames_of_camera.ceiling_dn)
     ):
         return []
-    if not any(
-        chain.from_iterable(
-            clipping_flags(stack.data[:, window], full_scale_dn) for window in windows
-        )
-    ):
+    if not any(frames_of_camera.is_clipped(window) for window in windows):
         return []
     return [
         finding(

@@ -12,7 +12,7 @@ from charact.estimators.mtf.bars.detection import LocatedBars, target_in
 from charact.estimators.mtf.bars.target import fitting_margin
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.mean_frame import Region
-from charact.estimators.mtf.quantisation_checks import clipping_flags
+from charact.frames.stack import Stack
 from charact.method import Context, register
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
@@ -42,15 +42,15 @@ def measure_contrast(
     are those of "bars-forward". First term of Coltman's series (J. Opt. Soc. Am. 44, 468, 1954):
     valid for infinite square waves above a third of the cut-off.
     """
-    cut_stack = stack if region is None else stack.region(*region)
+    cut_stack = Stack.of(stack if region is None else stack.region(*region), context)
     common: dict[str, Any] = {
         "method": method,
-        "region": region or (0, 0, *cut_stack.shape[1:]),
+        "region": region or (0, 0, *cut_stack.data.shape[1:]),
         "provenance": Provenance(
             version=charact.__version__, seed=context.seed, settings={"bars": bars}
         ),
     }
-    mean = cut_stack.data.mean(axis=0, dtype=np.float64)
+    mean = cut_stack.mean_dn
     located = target_in(
         mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio
     )
@@ -65,13 +65,13 @@ def measure_contrast(
             **common,
         )
         return Result(measurements=(measurement,))
-    target, full_scale_dn = located.target, context.full_scale_dn or cut_stack.full_scale_dn
-    clipped = clipping_flags(cut_stack.data[:, target.box(mean.shape, 1.0)], full_scale_dn)
+    target = located.target
+    clipped = cut_stack.is_clipped(target.box(mean.shape, 1.0))
     measurement = measurement_from_sd(
         "mtf",
         "1",
         *contrast,
-        flags=("model-misfit", *clipped),
+        flags=("model-misfit", *("clipped",) * clipped),
         notes=(note,),
         frequency_cy_per_px=target.frequency,
         orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0,

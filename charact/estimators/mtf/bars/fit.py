@@ -16,7 +16,7 @@ from charact.estimators.mtf.bars.blur_models import BLUR_MODELS
 from charact.estimators.mtf.bars.noise import BarWindowNoise, noise_of, noise_of_one
 from charact.estimators.mtf.bars.target import BarTarget
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
-from charact.estimators.mtf.quantisation_checks import rounding_shifts
+from charact.frames.rounding import rounding_shifts
 from charact.inference.laplace import covariance_root
 from charact.inference.least_squares import (
     Linearisation,

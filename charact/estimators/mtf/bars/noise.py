@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
-from charact.estimators.mtf.quantisation_checks import rounding_shifts
+from charact.frames.rounding import rounding_shifts
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -17,10 +17,10 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
-from charact.estimators.mtf.quantisation_checks import clipping_flags
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.frames.robust import median
+from charact.frames.stack import Stack
 from charact.method import Context
 from labdata.flags import FLAGS, Finding
 
@@ -61,7 +61,8 @@ def edge_flags(
         is.
     """
     picture, profile = edge.picture, edge.profile
-    yield from clipping_flags(edge.frames.data, context.full_scale_dn or edge.frames.full_scale_dn)
+    if Stack.of(edge.frames, context).is_clipped():
+        yield "clipped"
     if abs(edge.rows.line.slope) * picture.value.shape[0] < THRESHOLDS.min_travel_px:
         yield "tilt-too-small"
     if _has_bow(edge.rows.offset):

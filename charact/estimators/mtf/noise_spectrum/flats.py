@@ -41,7 +41,7 @@ from charact.estimators.mtf.noise_spectrum.result import (
 from charact.estimators.mtf.noise_spectrum.result import note as unseen_note
 from charact.estimators.mtf.noise_spectrum.thresholds import THRESHOLDS
 from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
-from charact.estimators.noise.rounding import QUANTISED_DN2
+from charact.frames.rounding import QUANTISED_DN2
 from charact.inference import laplace, predictive_check, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
 from charact.inference.least_squares import weigh_by_evidence

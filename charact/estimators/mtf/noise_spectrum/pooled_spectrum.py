@@ -17,10 +17,10 @@ from charact.estimators.noise.gain.series import (
     read_levels,
     series_of,
 )
-from charact.estimators.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
-from charact.estimators.noise.stack.spectrum import Bins, bins_of
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
-from charact.estimators.noise.stack.temporal import n_effective_samples, same_row_lags
+from charact.frames.rounding import QUANTISATION_DN2, variance_range_before_rounding
+from charact.frames.spectrum import Bins, bins_of
+from charact.frames.stack_statistics import StackStatistics
+from charact.frames.temporal import n_effective_samples, same_row_lags
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.lazy_stack import open_lazy_stack

@@ -27,7 +27,6 @@ from charact.estimators.mtf.curve import (
     curve_of,
     flag_filter_uncertainty,
 )
-from charact.estimators.mtf.image_lag import image_lag_model
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.point.blur_models_2d import BANDWIDTH_ORDERS, BlurModel2D
@@ -50,6 +49,8 @@ from charact.estimators.mtf.point.source_pixels import SourcePixels
 from charact.estimators.mtf.point.source_window import neighbour_mask, source_window
 from charact.estimators.mtf.point.spot_image_matrix import Aperture
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+from charact.frames.stack import Stack
+from charact.frames.thresholds import CLIPPING
 from charact.inference import has_several_peaks, importance_sample, sample_posterior
 from charact.method import Context, register
 from charact.video_filter import VideoFilter, powers
@@ -241,7 +242,8 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRe
             f"a point needs a region of at least {min_region}, got {part.shape[1:]}",
             "window-too-small",
         )
-    full = context.full_scale_dn or part.full_scale_dn
+    stack = Stack.of(part, context)
+    full = stack.ceiling_dn
     source = detect_source(part.data, context.pitch_ratio)
     if isinstance(source, PointRefusal):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
@@ -250,7 +252,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRe
             if bright
             else source
         )
-    window = source_window(part, source, context)
+    window = source_window(stack, source, context)
     height = np.maximum(window.core - np.median(window.core), 0.0)
     if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
         reason = "the source is too bright: pixels below full scale contain too little of its light"
@@ -267,7 +269,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRe
             source.col,
             neighbour_mask(part.shape[1:], source.neighbours, context.pitch_ratio),
         ),
-        memory=image_lag_model(context, window.frames),
+        memory=stack.image_lag,
         full_scale_dn=full,
         screen=has_tube(context.camera),
     )
@@ -475,7 +477,7 @@ def _notes(
     shift_dn = float(
         np.exp(-2.0 * np.pi**2 * min(site.window.quiet_sd for site in sites) ** 2) / np.pi
     )
-    if shift_dn >= LIMITS.min_rounding_shift_dn:
+    if shift_dn >= CLIPPING.min_rounding_shift_dn:
         out.append(
             f"Quantisation may shift faint light and its level by up to {shift_dn:.2f} DN; the fit "
             "includes this, and the plotted model the estimated shift."

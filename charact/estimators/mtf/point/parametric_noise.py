@@ -294,35 +294,3 @@ def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
         float(ndtri(number_below[index] / codes.size)) for index in (commonest, lower)
     )
     return float(code[commonest] - code[lower]) / max(z_common - z_lower, 1e-9)
-
-
-def is_clipped_at_black(codes: NDArray) -> bool:
-    """Return whether the noise is clipped at the lowest grey value.
-
-    `codes`: values around a source, any shape.
-
-    Notes
-    -----
-    The upper half of a normal distribution predicts the lower one: the fraction above a grey value
-    gives z(fraction) standard deviations. Three grey values, including the lowest, must agree on
-    the standard deviation; the predicted fraction below the lowest must not be missing. Quiet
-    pixels, and pulses on quiet pixels, are not normal and do not count.
-    """
-    from scipy.special import ndtr, ndtri
-
-    code, number = np.unique(codes, return_counts=True)
-    number_above = codes.size - np.cumsum(number)
-    median_index = int(np.argmax(number_above <= 0.5 * number_above[0]))
-    upper_index = max(int(np.argmax(number_above <= 0.05 * number_above[0])), median_index + 1)
-    if median_index == 0 or upper_index >= code.size or number_above[upper_index] < 20:
-        return False
-    at, z = (
-        code[[0, median_index, upper_index]].astype(float),
-        ndtri(1.0 - number_above[[0, median_index, upper_index]] / codes.size),
-    )
-    lower, upper = np.diff(at) / np.diff(z)
-    missing = float(ndtr(z[0] - float(np.diff(code).min()) / lower))
-    return bool(
-        missing > LIMITS.max_clipped_noise
-        and max(lower / upper, upper / lower) < LIMITS.max_sd_ratio
-    )

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.image_lag import ImageLagModel
 from charact.estimators.mtf.point.blur_models_2d import BlurModel2D
 from charact.estimators.mtf.point.model_fit import BlurModelFit2D, Censored, WhitenedPixels
 from charact.estimators.mtf.point.parametric_noise import (
@@ -25,6 +24,7 @@ from charact.estimators.mtf.point.spot_image_matrix import (
     ring_matrix,
 )
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+from charact.frames.image_lag import ImageLagModel
 
 Array = NDArray[np.float64]
 

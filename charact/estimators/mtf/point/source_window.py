@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.point.parametric_noise import (
     dark_sd_from_histogram,
-    is_clipped_at_black,
 )
 from charact.estimators.mtf.point.source import DetectedSource
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+from charact.frames.clipping import is_clipped_at_black
+from charact.frames.stack import Stack
 from charact.method import Context
 from labdata.camera.description import has_tube
-from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
@@ -89,21 +89,21 @@ class Window:
         )
 
 
-def source_window(stack: FrameStack, source: DetectedSource, context: Context) -> Window:
+def source_window(stack: Stack, source: DetectedSource, context: Context) -> Window:
     """Return the pixels around a detected source."""
     data, row, col, neighbours, pitch_ratio = (
         stack.data,
         source.row,
         source.col,
         source.neighbours,
-        context.pitch_ratio,
+        stack.pitch_ratio,
     )
-    described = has_tube(context.camera)
+    described = has_tube(stack.camera)
     halo_radius_px = halo_diameters_px(context, transposed=False)[1] / 2.0 if described else np.inf
     frames, rows, cols = data.shape
     top, bottom = max(0, row - ACCURACY.half_rows), min(rows, row + ACCURACY.half_rows + 1)
     first_col, last_col = max(0, col - ACCURACY.half_cols), min(cols, col + ACCURACY.half_cols + 1)
-    mean = data.mean(axis=0, dtype=np.float64)
+    mean = stack.mean_dn
     core = data[:, top:bottom, first_col:last_col].astype(float)
     x = np.arange(first_col, last_col) - float(col)
     y = (np.arange(top, bottom) - float(row)) * pitch_ratio
@@ -125,7 +125,7 @@ def source_window(stack: FrameStack, source: DetectedSource, context: Context) -
     noise = float(np.sqrt(values.var(axis=0, ddof=1).mean() if frames > 1 else values.var()))
     rounded = data.dtype.kind in "ui"
     # A causal video filter follows a described sensor.
-    sound = _valid_pixels(core, context.full_scale_dn or stack.full_scale_dn, filtered=described)
+    sound = _valid_pixels(core, stack.ceiling_dn, filtered=described)
     return Window(
         core=core.mean(axis=0),
         deviations=(core - core.mean(axis=0)).reshape(frames, -1),

@@ -12,7 +12,6 @@ from charact.estimators.mtf.curve import crossing_frequency
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.point.blur_models_2d import pinhole
 from charact.estimators.mtf.point.checks import finding, motion_findings, motion_flags
-from charact.estimators.mtf.point.parametric_noise import is_clipped_at_black
 from charact.estimators.mtf.point.source import (
     DetectedSource,
     PointRefusal,
@@ -20,6 +19,8 @@ from charact.estimators.mtf.point.source import (
     refuse_all,
 )
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+from charact.frames.clipping import is_clipped_at_black
+from charact.frames.stack import Stack
 from charact.method import Context, register
 from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
@@ -139,7 +140,7 @@ def _spots(
     ring = (radius >= ACCURACY.spot_radius_px) & (radius < ACCURACY.background_radius_px)
     background = stack.data[:, ring].mean(axis=1)
     spots = np.where(disc, stack.data - background[:, None, None], 0.0)
-    full = context.full_scale_dn or stack.full_scale_dn
+    full = Stack.of(stack, context).ceiling_dn
     saturated = full is not None and stack.data[:, disc].max() >= 0.97 * full
     cut = min(-y[0, 0], y[-1, 0], -x[0, 0], x[0, -1]) < ACCURACY.background_radius_px
     mean = spots.mean(axis=0)

@@ -49,11 +49,6 @@ class PointLimits:
     min_unclipped_light: float = 0.2  # Fraction of the light in pixels below full scale
     pinhole_px: tuple[float, float] = (0.0, 50.0)  # Range of pinhole diameters, column pitches
     max_correlation_sd: float = 4.0  # Correlation of neighbours by chance, standard uncertainties
-    # Fraction of the noise below the lowest grey value: MTF50 is then half a standard uncertainty
-    # high.
-    max_clipped_noise: float = 0.04
-    # Ratio of the standard deviations between them; that of pulses grows upwards
-    max_sd_ratio: float = 1.25
     # Significance of a nonlinear response; few pulses scatter more than a Gaussian
     nonlinear_sd: float = 4.0
     min_nonlinear_power: float = 0.1  # Power of the light in the noise

@@ -13,9 +13,9 @@ from charact.estimators.noise.events.pulse_height_fit import PulseFit, fit_pulse
 from charact.estimators.noise.findings import Finding, Unmeasurable, flags_of, notes_of, provenance
 from charact.estimators.noise.gain.series import gain_of
 from charact.estimators.noise.illumination import lognormal_draws, photoelectrons_per_lux_s
-from charact.estimators.noise.rounding import QUANTISED_DN2
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import EVENT_ACCURACY, EVENTS
+from charact.frames.rounding import QUANTISED_DN2
+from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.camera.description import has_tube

@@ -7,8 +7,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.stack.temporal import split_fields
 from charact.estimators.noise.thresholds import EVENT_ACCURACY, EVENTS
+from charact.frames.stack import Stack
+from charact.frames.temporal import split_fields
 from charact.method import Context
 from labdata.frames import FrameStack
 
@@ -302,7 +303,7 @@ def dark_frames(
         change[:, flickering] = 0.0
         bad, pixels = bad + int(flickering.sum()), pixels + flickering.size
         changes.append(change)
-    top = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    top = Stack.of(stack, context).ceiling_dn
     # Fraction at full scale of the brightest thousandth of the values.
     full = 0.0 if top is None else float(np.mean(middle.data >= top)) / 1e-3
     return DarkFrames(

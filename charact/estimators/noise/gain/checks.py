@@ -15,8 +15,8 @@ from charact.estimators.noise.gain.undetected_correlation import (
     processing_findings,
 )
 from charact.estimators.noise.linear_fit import linear_fit
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import CHECKS
+from charact.frames.stack_statistics import StackStatistics
 from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]

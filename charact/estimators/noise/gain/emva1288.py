@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.gain.series import FlatSeries
 from charact.estimators.noise.linear_fit import draw_posterior
-from charact.estimators.noise.rounding import QUANTISATION_DN2, rounding_sd
 from charact.estimators.noise.thresholds import GAIN
+from charact.frames.rounding import QUANTISATION_DN2, rounding_sd
 from charact.inference import laplace, sample_posterior
 from charact.method import Context
 from labdata.camera.chip import excess_noise_factor
@@ -194,7 +194,7 @@ def errors_of(series: FlatSeries) -> tuple[Array, float]:
     error, DN^2.
 
     Flats of one dark have its error in common, and the rounding of its variance; see
-    `charact.estimators.noise.rounding`.
+    `charact.frames.rounding`.
     """
     sd = np.array([flat.variance_sd_dn2 for flat in series.flats])
     dark = np.array(

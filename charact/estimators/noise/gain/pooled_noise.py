@@ -10,14 +10,14 @@ from scipy.special import stdtrit
 from charact.estimators.noise.gain.model import PixelReadoutModel
 from charact.estimators.noise.gain.series import FlatSeries, dark_shares
 from charact.estimators.noise.gain.white_floor import OuterBand, outer_band_of
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
-from charact.estimators.noise.stack.temporal import (
+from charact.estimators.noise.thresholds import GAIN
+from charact.frames.stack_statistics import StackStatistics
+from charact.frames.temporal import (
     error_correlation,
     n_effective_samples,
     same_row_lags,
     truncation_bias,
 )
-from charact.estimators.noise.thresholds import GAIN
 from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.stack.frame_block import Spectra
-from charact.estimators.noise.stack.stack_statistics import StackStatistics, read_levels_of
 from charact.estimators.noise.thresholds import GAIN
+from charact.frames.frame_block import Spectra
+from charact.frames.stack_statistics import StackStatistics, read_levels_of
 from charact.method import Context
 from labdata.camera.description import has_tube
 from labdata.conditions import Conditions

@@ -20,8 +20,8 @@ from charact.estimators.noise.gain.undetected_correlation import (
 )
 from charact.estimators.noise.gain.white_floor import has_analogue_chain
 from charact.estimators.noise.linear_fit import linear_fit
-from charact.estimators.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.estimators.noise.thresholds import GAIN
+from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.method import Context
 from labdata.camera.description import has_tube
 from labdata.measurement import Posterior

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from charact.estimators.noise.findings import Finding
 from charact.estimators.noise.gain.series import FlatSeries
 from charact.estimators.noise.linear_fit import linear_fit, weighted_mean
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import CORRELATION
+from charact.frames.stack_statistics import StackStatistics
 
 Array = NDArray[np.float64]
 

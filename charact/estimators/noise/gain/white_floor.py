@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from charact.estimators.noise.gain.model import NAMES, PixelReadoutModel, transfer
 from charact.estimators.noise.gain.series import FlatSeries, dark_shares
 from charact.estimators.noise.illumination import lognormal_draws
-from charact.estimators.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
-from charact.estimators.noise.stack.stack_statistics import StackStatistics, shares_of
-from charact.estimators.noise.thresholds import GAIN, STACK
+from charact.estimators.noise.thresholds import GAIN
+from charact.frames.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
+from charact.frames.stack_statistics import StackStatistics, shares_of
+from charact.frames.thresholds import STACK
 from charact.method import Context
 from labdata.camera.description import has_tube
 from labdata.measurement import Posterior

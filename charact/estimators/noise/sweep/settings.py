@@ -22,8 +22,8 @@ from charact.estimators.noise.gain.single_setting import (
 )
 from charact.estimators.noise.gain.undetected_correlation import allowance_of
 from charact.estimators.noise.illumination import relative_sd_of
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.thresholds import GAIN, SWEEP
+from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from labdata.conditions import Conditions
 

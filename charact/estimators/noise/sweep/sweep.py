@@ -6,10 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.findings import Unmeasurable, fields_of, flags_of, notes_of
+from charact.estimators.noise.findings import (
+    Unmeasurable,
+    fields_of,
+    flags_of,
+    flags_of_rounding,
+    notes_of,
+)
 from charact.estimators.noise.gain import emva1288
-from charact.estimators.noise.rounding import flags_of_rounding
-from charact.estimators.noise.stack.stack_statistics import StackStatistics
 from charact.estimators.noise.sweep.gain_law import (
     GainLaw,
     bending_findings,
@@ -20,6 +24,7 @@ from charact.estimators.noise.sweep.gain_law import (
 from charact.estimators.noise.sweep.joint import SweepJointFit, fit_sweep
 from charact.estimators.noise.sweep.settings import GainControl, Sweep, SweepSetting, sweep_of
 from charact.estimators.noise.thresholds import SWEEP
+from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.measurement import (

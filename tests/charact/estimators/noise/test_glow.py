@@ -11,8 +11,8 @@ import pytest
 from charact.estimators.noise.gain.pooled_noise import lag_of, lag_sum_correction
 from charact.estimators.noise.gain.series import read_levels, series_of
 from charact.estimators.noise.gain.single_setting import fit_single_setting
-from charact.estimators.noise.stack.spectrum import bins_of
-from charact.estimators.noise.stack.temporal import autocovariance, centring, usable_lags
+from charact.frames.spectrum import bins_of
+from charact.frames.temporal import autocovariance, centring, usable_lags
 from charact.method import Context
 from tests.charact.estimators.noise.scenes import gaussian
 

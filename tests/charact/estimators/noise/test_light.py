@@ -13,13 +13,13 @@ from charact.estimators import noise
 from charact.estimators.noise.gain.series import read_levels
 from charact.estimators.noise.illumination import StatedIllumination, response_draws
 from charact.estimators.noise.noise_law import SignalNoiseSeries, noise_law
-from charact.estimators.noise.rounding import rounding_sd
 from charact.estimators.noise.snr_against_light import (
     Scope,
     minimum_illumination,
     snr_against_light,
 )
-from charact.estimators.noise.stack.stack_statistics import SIDE_PX
+from charact.frames.rounding import rounding_sd
+from charact.frames.stack_statistics import SIDE_PX
 from labdata import Conditions, Measurement
 from tests.charact.estimators.noise.scenes import QUICK, errors, gaussian
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from charact.estimators.noise.gain.series import read_levels
-from charact.estimators.noise.stack import stack_statistics
+from charact.frames import stack_statistics
 from charact.method.registry import parallel_map
 from charact.session_measurement import method_context
 from labdata import BadInput, Conditions, open_session

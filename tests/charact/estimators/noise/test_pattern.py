@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from charact.estimators import noise
-from charact.estimators.noise.stack.frame_block import measure_fixed_pattern
-from charact.estimators.noise.stack.pixels import pixel_sums
-from charact.estimators.noise.stack.spectrum import NO_BINS
-from charact.estimators.noise.stack.temporal import order_of
+from charact.frames.frame_block import measure_fixed_pattern
+from charact.frames.pixels import pixel_sums
+from charact.frames.spectrum import NO_BINS
+from charact.frames.temporal import order_of
 from tests.charact.estimators.noise.scenes import METHODS, QUICK, gaussian
 
 

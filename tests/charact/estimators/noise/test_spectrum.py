@@ -5,9 +5,9 @@ picture.
 import numpy as np
 import pytest
 
-from charact.estimators.noise.stack.pixels import pixel_sums
-from charact.estimators.noise.stack.spectrum import along_rows, bins_of, modes_of, products_of
-from charact.estimators.noise.stack.temporal import order_of, split_fields
+from charact.frames.pixels import pixel_sums
+from charact.frames.spectrum import along_rows, bins_of, modes_of, products_of
+from charact.frames.temporal import order_of, split_fields
 
 
 def cross_spectra(change, parity, bins):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.estimators.noise.stack.temporal import autocovariance, centring, n_effective_samples
+from charact.frames.temporal import autocovariance, centring, n_effective_samples
 
 LAGS = np.arange(4)
 TRUTH = np.array([1.0, 0.5, 0.2, 0.1])

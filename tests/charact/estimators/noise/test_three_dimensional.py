@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from charact.estimators import noise
-from charact.estimators.noise.stack.components import components, contrasts
+from charact.frames.components import components, contrasts
 from charact.method import Context
 from labdata import Conditions, FrameStack
 from tests.charact.estimators.noise.scenes import QUICK

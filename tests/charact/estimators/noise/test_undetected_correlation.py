@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from charact.estimators import noise
-from charact.estimators.noise.stack.pixels import (
+from charact.frames.pixels import (
     lower_neighbour,
     pixel_sums,
     right_neighbour,
     successor_correlation,
 )
-from charact.estimators.noise.stack.spectrum import NO_BINS
-from charact.estimators.noise.stack.temporal import order_of
+from charact.frames.spectrum import NO_BINS
+from charact.frames.temporal import order_of
 from labdata import FrameStack
 from tests.charact.estimators.noise.scenes import METHODS, QUICK, errors, one
 

@@ -34,9 +34,10 @@ from charact.estimators.mtf.edge.pixels.profile import (
 )
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, Region, mean_oriented_frame
-from charact.estimators.mtf.quantisation_checks import QUANTISATION_DN2
 from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
 from charact.frames.robust import median, robust_sd
+from charact.frames.rounding import QUANTISATION_DN2
+from charact.frames.stack import Stack
 from charact.method import Context
 from labdata.frames import FrameStack
 
@@ -185,9 +186,7 @@ def prepare_edge(
         if min(height, width) < 8:
             reason = f"an edge needs a region of at least 8 x 8 px, got {height} x {width}"
             return EdgeRefusal(reason=reason, where=where, flag="window-too-small")
-        picture, coarse = find(
-            mean_oriented_frame(frames, context.pitch_ratio, interlaced=context.interlaced)
-        )
+        picture, coarse = find(mean_oriented_frame(Stack.of(frames, context)))
         part = (
             edge_extent(picture, coarse) if min(height, width) >= 2 * MIN_ROWS and not cut else None
         )
@@ -415,7 +414,7 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
     noise = 0.5 * sum(plateau[0] for plateau in plateaus)
     if picture.whole_codes:
         # All pixels of a plateau have the same quantisation error; those near an edge differ: the
-        # mean square of the sawtooth of `charact.estimators.mtf.quantisation_checks` at any level,
+        # mean square of the sawtooth of `charact.frames.rounding` at any level,
         # DN^2.
         sides = np.array([profile.noise.dark_variance, profile.noise.bright_variance])
         variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)

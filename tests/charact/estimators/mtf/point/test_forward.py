@@ -14,6 +14,7 @@ from charact.estimators.mtf.point.source import DetectedSource
 from charact.estimators.mtf.point.source_window import source_window
 from charact.estimators.mtf.point.spot_image_matrix import Aperture, pixel_matrix
 from charact.estimators.mtf.point.spot_transform import point_spread
+from charact.frames.stack import Stack
 from charact.method import Context
 from charact.video_filter import VideoFilter
 from labdata import FrameStack, load_sensor
@@ -189,7 +190,7 @@ def test_rings_of_light_that_neighbours_share_scatter_as_told(seed):
     for _ in range(120):
         grain = ndimage.gaussian_filter(rng.standard_normal((2, 80, 80)), (0.0, 1.0, 1.0))
         source = DetectedSource(row=40, col=40, significance=9.0, has_others=False)
-        window = source_window(FrameStack(data=grain), source, Context())
+        window = source_window(Stack(frames=FrameStack(data=grain)), source, Context())
         # A halo lifts all rings at once.
         told = window.ring_covariance(window.ring_variance)
         weight = 1.0 / window.ring_variance

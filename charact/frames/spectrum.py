@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.estimators.noise.thresholds import STACK
+from charact.frames.thresholds import STACK
 
 Array = NDArray[np.float64]
 # Largest radial frequency of spectra, cycles per column pitch, and the rings and sectors of

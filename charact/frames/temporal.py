@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.thresholds import STACK
+from charact.frames.thresholds import STACK
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

@@ -8,15 +8,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.estimators.noise.stack.spectrum import (
+from charact.frames.spectrum import (
     Bins,
     along_rows,
     modes_of,
     products_of,
     smooth_length,
 )
-from charact.estimators.noise.stack.temporal import Order, split_fields
-from charact.estimators.noise.thresholds import STACK
+from charact.frames.temporal import Order, split_fields
+from charact.frames.thresholds import STACK
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -55,7 +55,7 @@ class PixelSums:
     pairs: int
     level: Array  # mean of the pixels of a block, shape (block,), DN
     # mean product of the modes of exposures, see
-    # `charact.estimators.noise.stack.spectrum.products_of`
+    # `charact.frames.spectrum.products_of`
     spectra: Array
 
 

@@ -1,12 +1,11 @@
-"""3-D noise of one stack: seven components with their findings, and the means of its exposures."""
+"""3-D noise of one stack: seven components, and the means of its exposures."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.findings import Finding
-from charact.estimators.noise.stack.components import (
+from charact.frames.components import (
     ROW,
     TIME,
     Component,
@@ -17,49 +16,11 @@ from charact.estimators.noise.stack.components import (
     shading,
     subtract_means,
 )
-from charact.estimators.noise.thresholds import CUBE, STACK
+from charact.frames.thresholds import CUBE, STACK
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from labdata.camera.description import is_thermal
 from labdata.frames import LazyStack
-
-
-def shading_findings(measured: Contrasts) -> list[Finding]:
-    """Return the note on the removed smooth shading."""
-    image = measured.by_pixel[:, 0] / np.sqrt(measured.size[0])
-    rows, cols = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in measured.size[1:])
-    smooth = rows.T @ image @ cols
-    smooth[:, 0, 0] = 0.0
-    rms = float(np.sqrt(np.sum(smooth**2) / image.size))
-    return [
-        Finding(
-            None,
-            f"excludes smooth shading up to fourth order along rows and columns, {rms:.3g} DN rms",
-        )
-    ]
-
-
-def row_parity_findings(measured: Contrasts, *, fixed: bool) -> list[Finding]:
-    """Return the finding of different even and odd rows: fields not separated."""
-    rows = subtract_means(measured.by_row[..., :1], (TIME, ROW), fixed=False)
-    if fixed:
-        rows = subtract_means(
-            measured.by_row[..., :1].mean(axis=1, keepdims=True), (ROW,), fixed=True
-        )
-    sign = (-1.0) ** np.arange(rows.shape[2]) / np.sqrt(rows.shape[2])
-    alternating = np.einsum("ftvx,v->ft", rows, sign)
-    power = float(np.mean(alternating**2) / np.mean(rows**2)) if np.any(rows) else 0.0
-    limit = (
-        CUBE.alternating_power
-        if fixed
-        else 1.0 + CUBE.alternating_sd * np.sqrt(2.0 / (measured.size[0] - 1))
-    )
-    if power <= limit:
-        return []
-    rms = float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / measured.size[2]))
-    sentence = f"even and odd rows differ by {2.0 * rms:.3g} DN: interlaced fields, not separated?"
-    return [Finding("interlace-motion", sentence)]
-
 
 Array = NDArray[np.float64]
 
@@ -151,7 +112,10 @@ class Cube:
     """3-D noise of one stack."""
 
     components: dict[str, Component]  # variance of each component, by its axes: "t" to "tvh"
-    findings: dict[str, tuple[Finding, ...]]  # findings of each component, by its axes
+    shading_dn: float  # smooth shading that the components exclude, DN rms
+    # difference of even and odd rows where it is significant, else 0, DN: in the mean of all
+    # frames ("v") and frame by frame ("tv")
+    row_difference_dn: dict[str, float]
     means: FrameMeans  # means of the exposures
     # row_mean_dn, column_mean_dn: mean of each row, shape (row,), and of each column, shape (col,),
     # DN
@@ -171,19 +135,16 @@ def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
     watch = Stopwatch()
     measured = contrasts(stack, interlaced=context.interlaced, two_way=two_way)
     parts = components(measured)
-    shaded = tuple(shading_findings(measured))
-    split, fields = sets > 1, 2 if context.interlaced else 1
+    fields = 2 if context.interlaced else 1
     # Lines of both directions of one field have one exposure.
     mean_dn = measured.frame_mean_dn.reshape(sets // fields, fields, frames).mean(axis=0)
-    findings = {
-        "v": shaded + (() if split else tuple(row_parity_findings(measured, fixed=True))),
-        "h": shaded,
-        "vh": shaded,
-        "tv": () if split else tuple(row_parity_findings(measured, fixed=False)),
-    }
     return Cube(
         components=parts,
-        findings=findings,
+        shading_dn=_shading(measured),
+        row_difference_dn={
+            name: 0.0 if sets > 1 else _row_difference(measured, fixed=name == "v")
+            for name in ("v", "tv")
+        },
         means=frame_means(mean_dn, stack.time_s),
         row_mean_dn=(measured.by_row[..., 0].mean(axis=1) / np.sqrt(measured.size[2])).T.ravel(),
         column_mean_dn=(measured.by_col[:, :, 0].mean(axis=1) / np.sqrt(measured.size[1])).mean(
@@ -192,3 +153,34 @@ def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
         fields=len(measured.by_row),
         seconds=watch.seconds(),
     )
+
+
+def _shading(measured: Contrasts) -> float:
+    """Return the root mean square of the smooth shading of the mean image, DN."""
+    image = measured.by_pixel[:, 0] / np.sqrt(measured.size[0])
+    rows, cols = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in measured.size[1:])
+    smooth = rows.T @ image @ cols
+    smooth[:, 0, 0] = 0.0
+    return float(np.sqrt(np.sum(smooth**2) / image.size))
+
+
+def _row_difference(measured: Contrasts, *, fixed: bool) -> float:
+    """Return the difference of even and odd rows, DN; 0 where alternating rows have no more power
+    than others.
+    """
+    rows = subtract_means(measured.by_row[..., :1], (TIME, ROW), fixed=False)
+    if fixed:
+        rows = subtract_means(
+            measured.by_row[..., :1].mean(axis=1, keepdims=True), (ROW,), fixed=True
+        )
+    sign = (-1.0) ** np.arange(rows.shape[2]) / np.sqrt(rows.shape[2])
+    alternating = np.einsum("ftvx,v->ft", rows, sign)
+    power = float(np.mean(alternating**2) / np.mean(rows**2)) if np.any(rows) else 0.0
+    limit = (
+        CUBE.alternating_power
+        if fixed
+        else 1.0 + CUBE.alternating_sd * np.sqrt(2.0 / (measured.size[0] - 1))
+    )
+    if power <= limit:
+        return 0.0
+    return 2.0 * float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / measured.size[2]))

@@ -5,8 +5,7 @@ moment at a time.
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.image_lag import image_lag_model
-from charact.method import Context
+from charact.frames.image_lag import image_lag_model
 from labdata import load_sensor
 
 SHEET = load_sensor("pulnix-ag5745ef3")
@@ -46,14 +45,14 @@ def worth(series):
 
 def test_sums_of_both_fields_and_pixels_of_one_are_widened_as_the_screen_says(fields):
     """Within four standard errors of the ratio of two variances, root of 2/4000 and little more."""
-    memory = image_lag_model(Context(seed=0, quick=True, camera=SHEET, interlaced=True), FRAMES)
+    memory = image_lag_model(SHEET, FRAMES, interlaced=True)
     assert worth(fields[:, :, 0]) == pytest.approx(memory.widening, rel=4.0 * 0.025)
     assert worth(fields.sum(axis=2)) == pytest.approx(memory.widening_of_sums, rel=4.0 * 0.025)
     assert memory.widening_of_sums > 1.2 * memory.widening
 
 
 def test_a_camera_without_a_screen_remembers_nothing():
-    memory = image_lag_model(Context(seed=0, quick=True), FRAMES)
+    memory = image_lag_model(None, FRAMES, interlaced=False)
     assert memory.widening == memory.widening_of_sums == pytest.approx(1.0)
 
 
@@ -62,7 +61,5 @@ def test_rows_of_one_exposure_share_their_pulses_whatever_their_parity():
     pixels of a row do.
     """
     for sensor in (None, SHEET):
-        memory = image_lag_model(
-            Context(seed=0, quick=True, camera=sensor, interlaced=False), FRAMES
-        )
+        memory = image_lag_model(sensor, FRAMES, interlaced=False)
         assert (memory.mean_other, memory.frame_other) == (memory.mean_same, memory.frame_same)

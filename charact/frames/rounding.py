@@ -3,15 +3,14 @@ several DN.
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.findings import COARSE
-from charact.estimators.noise.thresholds import SWEEP
-from labdata.flags import Finding
-from labdata.lazy_stack import open_lazy_stack
-from labdata.session import Session
+from charact.frames.thresholds import CLIPPING
+
+Array = NDArray[np.float64]
 
 # Variance of rounding, DN^2.
 QUANTISATION_DN2 = 1.0 / 12.0
@@ -24,11 +23,6 @@ QUANTISED_DN2 = 0.32
 # 8 arbitrary ones all are even with a chance of 2^-8, and within the noise of a finer digitiser
 # most are 1.
 FEWEST_DIFFERENCES = 8
-
-
-def flags_of_rounding(variance_dn2: float) -> tuple[str, ...]:
-    """Return the flag of noise smaller than the quantisation step."""
-    return ("quantised",) if variance_dn2 < QUANTISED_DN2 else ()
 
 
 def rounding_sd(variance_dn2: float) -> tuple[float, float]:
@@ -82,28 +76,43 @@ def step_of_codes(frames: Sequence[NDArray]) -> int:
     return int(np.gcd.reduce(gaps)) if gaps.size >= FEWEST_DIFFERENCES else 1
 
 
-def step_finding(session: Session) -> Finding | None:
-    """Return the finding of darks and flats whose grey values are multiples of a step that adds to
-    their noise.
+def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
+    """Return the possible shifts of mean values by quantisation, shape (offset, pixel), DN; no rows
+    if negligible.
 
-    A digitiser of fewer bits than its frames rounds to steps of s DN, whose variance is s^2/12
-    where 1/12 is counted. The finding is raised where the difference exceeds
-    `SWEEP.max_quantisation` of the least variance.
+    Parameters
+    ----------
+    level_dn
+        Means without quantisation, shape (pixel,).
+    variance_dn2
+        Variances of single quantised values, shape (pixel,).
+
+    Notes
+    -----
+    The mean of a value x with normal noise of standard deviation s is shifted by sum_k (-1)^k sin(2
+    pi k x) exp(-2 (pi k s)^2) / (pi k), the Fourier series of the sawtooth (Widrow & Kollar,
+    Quantization Noise, 2008). The fractional part of x is unknown: the black level is placed at
+    several equally likely offsets between two steps. The noise is the smallest that is consistent
+    with the variance.
     """
-    stacks = [open_lazy_stack(entry) for entry in session.of_kind("dark", "flat")]
-    step = step_of_codes([stack.frames(0, 1)[0] for stack in stacks])
-    pairs = (
-        [stack.frames(0, 2).astype(float) for stack in stacks if len(stack) > 1] if step > 1 else []
-    )
-    if not pairs:
-        return None
-    variance_dn2 = min(float(np.var(pair[1] - pair[0])) / 2.0 for pair in pairs)
-    added = (step**2 - 1.0) * QUANTISATION_DN2
-    if added <= SWEEP.max_quantisation * variance_dn2:
-        return None
-    return COARSE.finding(
-        "quantised",
-        f"all grey values are multiples of {step} DN: rounding adds {added:.3g} DN2 to a least "
-        f"variance of {variance_dn2:.3g} DN2, and levels of a digitiser that cuts off are "
-        f"{(step - 1.0) / 2.0:g} DN low",
+    min_noise = np.interp(variance_dn2, *_least_noise())
+    noise = np.where(variance_dn2 > EVEN_DN2, variance_dn2 - QUANTISATION_DN2, min_noise)
+    if np.exp(-2.0 * np.pi**2 * float(noise.min())) / np.pi < CLIPPING.min_rounding_shift_dn:
+        return np.empty((0, level_dn.size))
+    out = np.zeros((CLIPPING.rounding_offsets, level_dn.size))
+    for term in range(1, CLIPPING.sawtooth_terms + 1):
+        size = (-1.0) ** term * np.exp(-2.0 * (np.pi * term) ** 2 * noise) / (np.pi * term)
+        turns = term * (
+            level_dn + np.arange(CLIPPING.rounding_offsets)[:, None] / CLIPPING.rounding_offsets
+        )
+        out += size * np.sin(2.0 * np.pi * turns)
+    return out
+
+
+@cache
+def _least_noise() -> tuple[Array, Array]:
+    """Return variances after quantisation and the smallest variances before it, DN^2."""
+    rounded = np.linspace(0.0, EVEN_DN2, 91)
+    return rounded, np.array(
+        [variance_range_before_rounding(float(variance))[0] for variance in rounded]
     )

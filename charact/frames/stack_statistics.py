@@ -9,18 +9,18 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.stack.cube import Cube, cube_of
-from charact.estimators.noise.stack.frame_block import (
+from charact.frames.clipping import sum_counts
+from charact.frames.cube import Cube, cube_of
+from charact.frames.frame_block import (
     BlockSpectrum,
     FrameBlock,
     Spectra,
     bins_of_run,
     run_of,
-    sum_counts,
 )
-from charact.estimators.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY, Bins
-from charact.estimators.noise.stack.temporal import runs_of
-from charact.estimators.noise.thresholds import STACK
+from charact.frames.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY, Bins
+from charact.frames.temporal import runs_of
+from charact.frames.thresholds import STACK
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.errors import BadInput

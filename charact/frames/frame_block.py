@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.stack.pixels import (
+from charact.frames.clipping import ClippedCounts, count_clipped
+from charact.frames.pixels import (
     PixelSums,
     line_errors,
     lower_neighbour,
@@ -17,116 +18,18 @@ from charact.estimators.noise.stack.pixels import (
     successor_correlation,
     variance_error,
 )
-from charact.estimators.noise.stack.spectrum import NO_BINS, Bins, bins_of, smooth_length
-from charact.estimators.noise.stack.temporal import (
+from charact.frames.spectrum import NO_BINS, Bins, bins_of, smooth_length
+from charact.frames.temporal import (
     Order,
     autocovariance,
     order_of,
     same_row_lags,
     usable_lags,
 )
-from charact.estimators.noise.thresholds import STACK
+from charact.frames.thresholds import STACK
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.importers.full_scale import ends_at
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClippedCounts:
-    """Number of values at 0 DN and at full scale."""
-
-    # values, frames: counted values and frames
-    values: int
-    frames: int
-    # low, full: values at 0 DN, and at or above full scale if stated
-    low: int
-    full: int
-    # largest, largest_count: the largest value and its count
-    largest: float
-    largest_count: int
-    # next_largest, next_count: the next largest value and its count; 0 if the largest is rare
-    next_largest: float
-    next_count: int
-
-    @property
-    def low_fraction(self) -> float:
-        """Fraction of values at 0 DN."""
-        return self.low / self.values
-
-    @property
-    def high_fraction(self) -> float:
-        """Fraction at full scale, or at the largest value if values accumulate there.
-
-        A smooth distribution falls towards its largest value; grey values need not be consecutive
-        integers.
-        """
-        likely = self.next_count + STACK.accumulated_sd * np.sqrt(self.next_count)
-        piled = (
-            self.next_count
-            and self.largest_count >= max(STACK.accumulated * self.frames, 2 * STACK.accumulated)
-            and self.largest_count >= likely
-        )
-        shown = float(self.largest).is_integer() and ends_at(int(self.largest), self.largest_count)
-        return max(self.full, self.largest_count if piled or shown else 0) / self.values
-
-
-def count_clipped(data: NDArray, full_scale_dn: float | None) -> ClippedCounts:
-    """Count the clipped values of frames."""
-    flat = data.reshape(-1)
-    largest, largest_count, next_largest, next_count = _top(flat)
-    full = 0
-    if full_scale_dn is not None and largest >= full_scale_dn:
-        full = (
-            largest_count
-            if largest == full_scale_dn
-            else int(np.count_nonzero(flat >= full_scale_dn))
-        )
-    # With negative values, 0 is not the lower limit.
-    low = int(np.count_nonzero(flat == 0)) if flat.min() == 0 else 0
-    return ClippedCounts(
-        values=flat.size,
-        frames=len(data),
-        low=low,
-        full=full,
-        largest=float(largest),
-        largest_count=int(largest_count),
-        next_largest=float(next_largest),
-        next_count=int(next_count),
-    )
-
-
-def sum_counts(parts: list[ClippedCounts]) -> ClippedCounts:
-    """Return the sum of the counts."""
-    counts: dict[float, int] = {}
-    for value, count in [(p.largest, p.largest_count) for p in parts] + [
-        (p.next_largest, p.next_count) for p in parts
-    ]:
-        counts[value] = counts.get(value, 0) + count
-    first, *lower = sorted(counts, reverse=True)
-    second = lower[0] if lower else first
-    return ClippedCounts(
-        values=sum(p.values for p in parts),
-        frames=sum(p.frames for p in parts),
-        low=sum(p.low for p in parts),
-        full=sum(p.full for p in parts),
-        largest=first,
-        largest_count=counts[first],
-        next_largest=second,
-        next_count=counts[second] if lower else 0,
-    )
-
-
-def _top(flat: NDArray) -> tuple[float, int, float, int]:
-    """Return the largest value and its count, and if it is frequent the next largest."""
-    largest = flat.max()
-    largest_count = int(np.count_nonzero(flat == largest))
-    less = flat[flat < largest] if largest_count >= 2 * STACK.accumulated else flat[:0]
-    if not less.size:
-        return largest, largest_count, largest, 0
-    following = less.max()
-    return largest, largest_count, following, int(np.count_nonzero(less == following))
-
 
 Array = NDArray[np.float64]
 

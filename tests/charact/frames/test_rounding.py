@@ -5,8 +5,8 @@ import pytest
 
 from charact.estimators.mtf.point.parametric_noise import dark_sd_from_histogram
 from charact.estimators.mtf.point.thresholds import ACCURACY as POINT_ACCURACY
-from charact.estimators.mtf.quantisation_checks import rounding_shifts
-from charact.estimators.mtf.thresholds import ACCURACY
+from charact.frames.rounding import rounding_shifts
+from charact.frames.thresholds import CLIPPING
 
 
 @pytest.mark.parametrize("sd", [0.02, 0.2, 0.35])
@@ -18,7 +18,7 @@ def test_shifts_are_those_of_rounded_noise(sd: float, seed: int) -> None:
     level = np.array([10.0, 10.2, 10.37, 10.8])
     drawn = np.rint(level + sd * rng.standard_normal((1_000_000, level.size)))
     shifts = rounding_shifts(level, np.full(level.size, 0.2))
-    assert shifts.shape == (ACCURACY.rounding_offsets, level.size)
+    assert shifts.shape == (CLIPPING.rounding_offsets, level.size)
     true = drawn.mean(axis=0) - level
     error = 5.0 * drawn.std(axis=0) / 1000.0
     assert np.all(np.abs(true) <= np.abs(shifts).max(axis=0) + error)

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.thresholds import ACCURACY
-from charact.method import Context
-from labdata.camera.description import has_tube
+from charact.frames.thresholds import LAG
+from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
 
@@ -47,10 +46,10 @@ class ImageLagModel:
         return (self.mean_same + self.mean_other) / (self.frame_same + self.frame_other)
 
 
-def image_lag_model(context: Context, frames: int) -> ImageLagModel:
+def image_lag_model(camera: Camera | None, frames: int, *, interlaced: bool) -> ImageLagModel:
     """Return the image lag of the described phosphor; none without a description."""
-    shares = _light_fractions(context)
-    if not context.interlaced:
+    shares = _light_fractions(camera)
+    if not interlaced:
         # All rows belong to one exposure, whatever their parity.
         same = float(np.mean(np.sum(shares**2, axis=1)))
         return _memory(1.0, 1.0, same, same, frames)
@@ -73,19 +72,19 @@ def _memory(
     )
 
 
-def _light_fractions(context: Context) -> Array:
+def _light_fractions(camera: Camera | None) -> Array:
     """Return the fraction of a pulse's light in each field from its arrival on, shape (pulse,
     field).
     """
-    if not has_tube(context.camera):
+    if not has_tube(camera):
         return np.ones((1, 1))
-    phosphor = context.camera.phosphor
-    exposures = 1.0 / float(context.camera.video.field_rate_hz) * 1e3
+    phosphor = camera.phosphor
+    exposures = 1.0 / float(camera.video.field_rate_hz) * 1e3
     tau = np.maximum([float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)], 1e-6)
     fast = float(phosphor.fast_fraction)
     light = np.array([fast, 1.0 - fast]) * tau
-    arrival = (np.arange(ACCURACY.arrival_times) + 0.5) / ACCURACY.arrival_times * exposures
-    ends = np.arange(1, ACCURACY.lag_fields + 1) * exposures
+    arrival = (np.arange(LAG.arrival_times) + 0.5) / LAG.arrival_times * exposures
+    ends = np.arange(1, LAG.lag_fields + 1) * exposures
     remaining = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (
         light / light.sum()
     )

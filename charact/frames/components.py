@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.estimators.noise.stack.pixels import dot
-from charact.estimators.noise.thresholds import CUBE
+from charact.frames.pixels import dot
+from charact.frames.thresholds import CUBE
 from labdata.frames import FrameStack, LazyStack
 
 Array = NDArray[np.float64]

@@ -1,1 +1,0 @@
-"""Statistics of one stack of dark or uniformly illuminated frames."""

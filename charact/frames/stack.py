@@ -1,0 +1,103 @@
+"""One stack of frames, and what they hold: each computed once, when a method asks for it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.frames import clipping
+from charact.frames.image_lag import ImageLagModel, image_lag_model
+from charact.frames.thresholds import CLIPPING
+from charact.method import Context
+from labdata.camera.description import Camera
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stack:
+    """Frames of one scene under one set of conditions.
+
+    Parameters
+    ----------
+    frames
+        Pixel values, shape (frame, row, col), DN, with what their file states.
+    camera
+        Description of the camera; None: unknown.
+    interlaced
+        Whether odd and even rows are two fields.
+    stated_full_scale_dn
+        Full scale as the session states it, DN, which precedes that of the file; None: not stated.
+    """
+
+    frames: FrameStack
+    camera: Camera | None = None
+    interlaced: bool = False
+    stated_full_scale_dn: float | None = None
+
+    @classmethod
+    def of(cls, frames: FrameStack, context: Context) -> "Stack":
+        """Return frames as those of a method's camera."""
+        return cls(
+            frames=frames,
+            camera=context.camera,
+            interlaced=context.interlaced,
+            stated_full_scale_dn=context.full_scale_dn,
+        )
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def data(self) -> NDArray:
+        """Pixel values, shape (frame, row, col), DN."""
+        return self.frames.data
+
+    @property
+    def pitch_ratio(self) -> float:
+        """Row pitch over column pitch; 1 if the camera is unknown."""
+        return 1.0 if self.camera is None else self.camera.pitch_ratio
+
+    @cached_property
+    def mean_dn(self) -> Array:
+        """Mean frame, shape (row, col), DN."""
+        return self.data.mean(axis=0, dtype=np.float64)
+
+    @cached_property
+    def holds_codes(self) -> bool:
+        """Whether the values are whole codes of a digitiser."""
+        first = self.data[0]
+        return self.data.dtype.kind in "ui" or bool(np.all(first == np.rint(first)))
+
+    @cached_property
+    def ceiling_dn(self) -> float | None:
+        """Highest value that a pixel can have, DN: stated, or shown by a plateau; None: unknown."""
+        stated = (self.stated_full_scale_dn, self.frames.full_scale_dn)
+        known = next((value for value in stated if value is not None), None)
+        return clipping.shown_ceiling(self.data) if known is None else known
+
+    @cached_property
+    def top_dn(self) -> float:
+        """Ceiling; where it is unknown the highest value, DN."""
+        return float(self.data.max()) if self.ceiling_dn is None else self.ceiling_dn
+
+    @cached_property
+    def image_lag(self) -> ImageLagModel:
+        """Image lag of the described phosphor between and within frames."""
+        return image_lag_model(self.camera, len(self), interlaced=self.interlaced)
+
+    def is_clipped(self, pixels: Mask | None = None) -> bool:
+        """Return whether pixels, all or those of a mask (row, col), pile up at an end of the
+        scale.
+        """
+        data = self.data if pixels is None else self.data[:, pixels]
+        return clipping.is_clipped(data, self.ceiling_dn)
+
+    def often_full(self, fraction: float = 1.0) -> Mask:
+        """Return the pixels at a fraction of the top or above in so many frames that their mean
+        underestimates their signal, shape (row, col).
+        """
+        return (self.data >= fraction * self.top_dn).mean(axis=0) > CLIPPING.max_full_frames
