@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from charact.cli.options import Axis, Plane, parse_kind
+from charact.cli.options import parse_kind
 from charact.cli.output import exit_on_bad_input
 from charact.cli.outputs import (
     Force,
@@ -20,6 +20,7 @@ from charact.cli.outputs import (
     why_other_kind,
 )
 from labdata.errors import BadInput
+from labdata.settings import FrameAxis, Plane
 from labdata.target import Kind
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def frames(
     stack: Annotated[
         str | None, typer.Option(help="Label of one stack that has all files as its frames.")
     ] = None,
-    axis: Axis = None,
+    axis: FrameAxis = None,
     plane: Plane = None,
     add: Annotated[
         bool, typer.Option("--add", help="Add the stacks to a session that exists.")

@@ -113,7 +113,6 @@ def compare(
     *,
     sessions: tuple[Session, Session] | None = None,
     anyway: bool = False,
-    remedy: str = "anyway=True",
     rng: np.random.Generator,
 ) -> Comparison:
     r"""Return the difference B - A of every quantity with a value in both results.
@@ -126,8 +125,6 @@ def compare(
         Their sessions, whose conditions are compared; None: the conditions are unknown.
     anyway
         Compare unlike sessions, with the flag "unlike-conditions".
-    remedy
-        Setting named by the error for unlike sessions.
     rng
         Generator of the draws.
 
@@ -164,7 +161,7 @@ def compare(
     pairs, stacks = (), 0
     if sessions is not None:
         if not anyway:
-            require_alike(*sessions, remedy=remedy)
+            require_alike(*sessions)
         pairs, stacks = condition_pairs(*sessions), len(pair_stacks(*sessions))
     matched = pair_measurements(a, b)
     if not matched:

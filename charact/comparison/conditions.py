@@ -70,7 +70,7 @@ def condition_pairs(a: Session, b: Session) -> tuple[ConditionPair, ...]:
     Examples
     --------
     >>> import numpy as np
-    >>> from charact.api import session, stack
+    >>> from charact import session, stack
     >>> frames = np.zeros((2, 8, 8))
     >>> day1 = session([stack(frames, "dark", mcp_v=780.0)])
     >>> day2 = session([stack(frames, "dark", mcp_v=800.0)])
@@ -90,10 +90,8 @@ def pair_stacks(a: Session, b: Session) -> tuple[tuple[StackEntry, StackEntry], 
     return tuple((entry, others[entry.label]) for entry in a.stacks if entry.label in others)
 
 
-def require_alike(a: Session, b: Session, *, remedy: str) -> None:
-    """Raise BadInput, which names a remedy, if two sessions are unlike or have no stack label in
-    common.
-    """
+def require_alike(a: Session, b: Session) -> None:
+    """Raise BadInput if two sessions are unlike or have no stack label in common."""
     unlike = [pair for pair in condition_pairs(a, b) if pair.unlike]
     if unlike:
         first, more = unlike[0], len(unlike) - 1
@@ -102,11 +100,11 @@ def require_alike(a: Session, b: Session, *, remedy: str) -> None:
             f"compared sessions must be alike, got {first.name} {_format_value(first.a)} and "
             f"{_format_value(first.b)}{where}"
             + (f" and {more} more unlike conditions" if more else "")
-            + f"; {remedy} compares them nevertheless"
+            + "; `anyway` compares them nevertheless"
         )
     if not pair_stacks(a, b):
         raise BadInput(
-            f"compared sessions must have the label of a stack in common, got none; {remedy} "
+            "compared sessions must have the label of a stack in common, got none; `anyway` "
             "compares the quantities of the whole session"
         )
 

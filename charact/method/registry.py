@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from charact.method.descriptions import DESCRIPTIONS
 from charact.method.stopwatch import with_timing
 from labdata.errors import BadInput
+from labdata.settings import Progress, ignore_progress
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
@@ -39,7 +40,7 @@ def parallel_map(scheduler: str | None, *, timeout_s: float = 10.0) -> Iterator[
         from distributed.comm.addressing import get_address_host_port
     except ImportError:
         raise BadInput(
-            "--scheduler needs Dask (pip install 'charact[dask]'), which is not installed"
+            "`scheduler` needs Dask (pip install 'charact[dask]'), which is not installed"
         ) from None
     try:
         # A client without a scheduler prints a traceback when it is garbage-collected, so the port
@@ -48,7 +49,7 @@ def parallel_map(scheduler: str | None, *, timeout_s: float = 10.0) -> Iterator[
         client = Client(scheduler, timeout=timeout_s, set_as_default=False)
     except (OSError, OverflowError, ValueError, TimeoutError):
         raise BadInput(
-            f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}"
+            f"`scheduler` must be the address of a running Dask scheduler, got {scheduler!r}"
         ) from None
     with client:
         if not client.scheduler_info()["workers"]:
@@ -161,16 +162,9 @@ def beyond_note(measurement: "Measurement", within_percent: float) -> str | None
     if reach <= within_percent:
         return None
     return (
-        f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance --within "
-        f"{within_percent:g} %."
+        f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance "
+        f"`within_percent` {within_percent:g} %."
     )
-
-
-Progress = Callable[[str, float], None]
-
-
-def ignore_progress(sentence: str, share: float) -> None:
-    """Discard a progress message."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,7 +313,7 @@ def choose(
         load(kind, name)
         if (kind, name) not in METHODS:
             raise BadInput(
-                f"--method must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got "
+                f"`method` must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got "
                 f"{name!r}"
             )
         return METHODS[kind, name]

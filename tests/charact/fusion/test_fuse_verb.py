@@ -128,7 +128,7 @@ def test_settings_that_are_no_settings_are_refused(folder, tmp_path) -> None:
         ((*pair, tmp_path / "out", "--span", "visible=1"), "--span must be"),
         ((*pair, tmp_path / "out", "--method", "magic"), "--method must be"),
         ((*pair, tmp_path / "out.jpg"), "OUT must be"),
-        ((*pair, tmp_path / "out", "--imager", "pulnix-ag5745ef3"), "imager must be"),
+        ((*pair, tmp_path / "out", "--imager", "pulnix-ag5745ef3"), "--imager must be"),
         (pair, "needs VISIBLE THERMAL"),
     ):
         code, text = run(*arguments, "--json")

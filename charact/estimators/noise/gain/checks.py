@@ -286,7 +286,7 @@ def correlation_findings(
             f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is "
             f"{low:.2g} % low"
         )
-        found.append(with_remedy("correlated-noise", effect, "--method covariance-sum"))
+        found.append(with_remedy("correlated-noise", effect, "`method` covariance-sum"))
     elif neighbours.is_untestable:
         found.append(
             Finding(
