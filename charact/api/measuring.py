@@ -137,8 +137,8 @@ def mtf(
         result = measure_all(kind, image, max_targets=max_targets, **settings)
     else:
         # The border of the file may have been cropped.
-        inside = (region[0] - image.origin[0], region[1] - image.origin[1], *region[2:])
-        result = measure(kind, image, region=inside, **settings)
+        cropped = (region[0] - image.origin[0], region[1] - image.origin[1], *region[2:])
+        result = measure(kind, image, region=cropped, **settings)
     return Analysis.of(in_file_coordinates(result, image), _name(frames))
 
 

@@ -167,10 +167,10 @@ def _frames_each(camera: str) -> int:
     from labdata.lazy_stack import open_lazy_stack
     from labdata.session import open_session
 
-    kind, _, place = camera.partition(":")
+    kind, _, address = camera.partition(":")
     if kind != "replay":
         return ENDLESS
-    folder, _, label = place.partition("#")
+    folder, _, label = address.partition("#")
     session = open_session(folder)
     stacks = (session.stack(label),) if label else session.stacks
     return min(len(open_lazy_stack(stack)) for stack in stacks)

@@ -35,8 +35,10 @@ def session_in(folder: Path) -> Path:
     """Return the session folder inside the folder of a demonstration, else the folder."""
     from labdata.session import MANIFEST
 
-    inside = folder / "session"
-    return inside if (inside / MANIFEST).is_file() and not (folder / MANIFEST).is_file() else folder
+    session = folder / "session"
+    return (
+        session if (session / MANIFEST).is_file() and not (folder / MANIFEST).is_file() else folder
+    )
 
 
 def _sessions_in(folders: list[Path]) -> list[Path]:
@@ -368,9 +370,9 @@ def validate_and_save(
     with progress_bar(events=events) as progress:
         compared = modelling.validate(session, fitted, progress=progress, **settings)
     notes = (*compared.notes, *(f"fit of {fitted.name}: {note}" for note in _findings_in(fitted)))
-    inside = sensor is None or Path(sensor).resolve().parent == session.folder.resolve()
+    in_session = sensor is None or Path(sensor).resolve().parent == session.folder.resolve()
     compared = replace(
-        compared, notes=notes, same_session=inside or _of_same_frames(fitted, session)
+        compared, notes=notes, same_session=in_session or _of_same_frames(fitted, session)
     )
     validation.save(compared, session.folder)
     return compared
@@ -380,26 +382,28 @@ def _lines(validation: "Validation") -> Iterator[str]:
     """Yield one line per statistic, what the controls noticed and did not, detectable errors, and
     the verdict.
     """
-    for one in validation.statistics:
-        yield f"{one.title}: p {one.p_text}, {'agrees' if one.passed else 'DIFFERS'}"
-        if not one.passed:
-            yield f"    most in {one.worst}; may come from {one.cause}"
+    for statistic in validation.statistics:
+        agreement = "agrees" if statistic.passed else "DIFFERS"
+        yield f"{statistic.title}: p {statistic.p_text}, {agreement}"
+        if not statistic.passed:
+            yield f"    most in {statistic.worst}; may come from {statistic.cause}"
     for control in validation.controls:
         if control.name == "null":
             failing = "" if control.passed else f": {', '.join(control.noticed_by)}"
             yield (
                 f"null control, {control.title}: {'passes' if control.passed else 'FAILS'}{failing}"
             )
-    negative = [one for one in validation.controls if one.name == "negative"]
-    unseen = [one.title for one in negative if not one.passed]
+    negative = [control for control in validation.controls if control.name == "negative"]
+    unseen = [control.title for control in negative if not control.passed]
     yield f"negative controls: {len(negative) - len(unseen)} of {len(negative)} noticed" + (
         f"; not seen: {', '.join(unseen)}" if unseen else ""
     )
-    found = [f"{one.title} {one.percent}" for one in validation.power if one.statistic]
-    if found:
-        share = f"{100.0 * validation.power[0].probability:g} %"
-        yield f"errors that would have been found in {share} of cases: {', '.join(found)}"
-    yield from (f"likely cause: {one.note}" for one in validation.likely_causes)
+    detectable = [f"{error.title} {error.percent}" for error in validation.power if error.statistic]
+    if detectable:
+        probability = f"{100.0 * validation.power[0].probability:g} %"
+        errors = ", ".join(detectable)
+        yield f"errors that would have been found in {probability} of cases: {errors}"
+    yield from (f"likely cause: {cause.note}" for cause in validation.likely_causes)
     yield from (f"note: {note}" for note in (validation.origin, *validation.notes))
     yield f"validation: {'passed' if validation.passed else 'FAILED'}"
 

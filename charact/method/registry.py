@@ -158,11 +158,11 @@ def beyond_note(measurement: "Measurement", within_percent: float) -> str | None
     """Return the note on an interval wider than the tolerance; None if it is not wider."""
     if not measurement.value or measurement.interval95 is None:
         return None
-    reach = reach_percent(measurement.value, measurement.interval95)
-    if reach <= within_percent:
+    arm_percent = reach_percent(measurement.value, measurement.interval95)
+    if arm_percent <= within_percent:
         return None
     return (
-        f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance "
+        f"95 % interval extends {arm_percent:.2g} % from the value, beyond the tolerance "
         f"`within_percent` {within_percent:g} %."
     )
 
@@ -254,18 +254,18 @@ def describe_methods() -> list[dict[str, Any]]:
     """Return kind, name, quantities and scope of all methods; ours are not imported for it."""
     load("")
     ours = [
-        (kind, name, *one[1:])
+        (kind, name, *description[1:])
         for kind, methods in DESCRIPTIONS.items()
-        for name, one in methods.items()
+        for name, description in methods.items()
     ]
-    others = [
+    foreign = [
         (m.kind, m.name, m.quantities, m.scope)
         for m in METHODS.values()
         if m.name not in MODULES.get(m.kind, "")
     ]
     rows: list[dict[str, Any]] = [
         dict(zip(("kind", "name", "quantities", "scope"), row, strict=True))
-        for row in (*ours, *others)
+        for row in (*ours, *foreign)
     ]
     return [row for kind in MODULES for row in rows if row["kind"] == kind]
 
@@ -327,10 +327,10 @@ def choose(
     rows = [row for row in chart_table(quantity) if row["method"] in names]
     if not rows:
         return choose(kind, preferred)
-    inside = [row for row in rows if meets(row, within_percent)]
+    accurate = [row for row in rows if meets(row, within_percent)]
     best = (
-        min(inside, key=lambda row: row["seconds"])
-        if inside
+        min(accurate, key=lambda row: row["seconds"])
+        if accurate
         else min(rows, key=lambda row: row["error_percent"])
     )
     return choose(kind, best["method"])
