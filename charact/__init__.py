@@ -18,23 +18,12 @@ __version__ = "0.1.0"
 keep_loops()
 
 if TYPE_CHECKING:
-    from charact.api import (
-        Analysis,
-        bloom,
-        check,
-        compare,
-        fit,
-        frames_of,
-        measure,
-        mtf,
-        noise,
-        report,
-        session,
-        simulate,
-        stack,
-        validate,
-    )
+    from charact.api.analysis import Analysis
+    from charact.api.deciding import check, compare
     from charact.api.fusing import fuse, fusion_colours, fusion_scores
+    from charact.api.inputs import frames_of, session, stack
+    from charact.api.measuring import bloom, measure, mtf, noise
+    from charact.api.modelling import fit, report, simulate, validate
     from labdata.errors import BadInput
 
 __all__ = [
@@ -58,16 +47,25 @@ __all__ = [
     "validate",
 ]
 
+_HOMES = {
+    "charact.api.analysis": ("Analysis",),
+    "charact.api.deciding": ("check", "compare"),
+    "charact.api.fusing": ("fuse", "fusion_colours", "fusion_scores"),
+    "charact.api.inputs": ("frames_of", "session", "stack"),
+    "charact.api.measuring": ("bloom", "measure", "mtf", "noise"),
+    "charact.api.modelling": ("fit", "report", "simulate", "validate"),
+    "labdata.errors": ("BadInput",),
+}
+
 
 def __getattr__(name: str) -> Any:
-    """Import the analysis on first use, so that the command line starts fast."""
-    from importlib import import_module
+    """Import the module of a name on first use, so that the command line starts fast."""
+    for home, names in _HOMES.items():
+        if name in names:
+            from importlib import import_module
 
-    if name not in __all__:
-        raise AttributeError(f"module 'charact' has no attribute {name!r}")
-    elsewhere = {"BadInput": "labdata.errors", "fuse": "charact.api.fusing"}
-    elsewhere |= {"fusion_colours": "charact.api.fusing", "fusion_scores": "charact.api.fusing"}
-    return getattr(import_module(elsewhere.get(name, "charact.api")), name)
+            return getattr(import_module(home), name)
+    raise AttributeError(f"module 'charact' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -57,7 +57,7 @@ class Finding:
 
     flag: str  #: A key of `FLAGS`
     effect: str  #: Size of the effect, with quantity and unit: "MTF50 may be up to 1.3 % high"
-    #: Option, frames or description that removes it: "--black-dn, or darks in the session"
+    #: Setting, frames or description that removes it: "`black_dn`, or darks in the session"
     remedy: str
 
     def __post_init__(self) -> None:

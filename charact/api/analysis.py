@@ -94,7 +94,7 @@ class Analysis(Result):
         )
 
     def __str__(self) -> str:
-        return summary(self, title=self.source)
+        return summary(self, title=self.source).replace(" (`everything`)", "")
 
     def _repr_html_(self) -> str:
         """Return the table and the MTF figure of the report, for a notebook."""

@@ -1,44 +1,37 @@
 """Comparison of two results, and the check of a result against limits."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated, Any
 
 from charact.api.inputs import session_of
 from charact.api.measuring import measure
-from charact.comparison import Comparison, LimitCheck, Limits, load_limits, require_alike
-from charact.method.registry import Progress, ignore_progress
-from labdata import result_io
-from labdata.measurement import Result
-from labdata.session import Session
+from charact.api.settings import MeasuredSource
+from labdata.settings import (
+    Progress,
+    ProgressSink,
+    Seed,
+    Setting,
+    documented,
+    ignore_progress,
+)
 
-#: A session, its folder, or the result of an analysis
-Measured = str | Path | Session | Result
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from charact.comparison import Comparison, LimitCheck, Limits
+    from labdata import Result, Session
 
 
+@documented
 def compare(
-    a: Measured,
-    b: Measured,
+    a: MeasuredSource,
+    b: MeasuredSource,
     *,
-    anyway: bool = False,
-    seed: int = 0,
-    progress: Progress = ignore_progress,
-) -> Comparison:
+    anyway: Annotated[bool, Setting("Compare sessions of unlike conditions, with a flag.")] = False,
+    seed: Seed = 0,
+    progress: ProgressSink = ignore_progress,
+) -> "Comparison":
     """Compare two sessions, or two results: B - A of every quantity with a value in both.
-
-    Parameters
-    ----------
-    a, b
-        Sessions, their folders, or results. Of a folder the saved result is used; a session without
-        one is measured.
-    anyway
-        Compare sessions of unlike conditions, with a flag.
-    seed
-        Seed of the draws, and of a measurement.
-    progress
-        Called with a sentence and the fraction done (0..1).
 
     Returns
     -------
@@ -54,7 +47,7 @@ def compare(
     Examples
     --------
     >>> import numpy as np
-    >>> from charact.api import mtf
+    >>> from charact import mtf
     >>> from scipy.special import erf
     >>> row, col = np.mgrid[:60, :80]
     >>> distance_px = col - 40 + 0.1 * (row - 30)
@@ -66,36 +59,36 @@ def compare(
     >>> compare(sharp, soft).find("mtf50")[0].probability_better < 0.001
     True
     """
-    from charact.comparison import compare as compare_results
+    import numpy as np
 
-    one, other = _session(a), _session(b)
-    sessions = None if one is None or other is None else (one, other)
+    from charact.comparison import compare as compare_results
+    from charact.comparison import require_alike
+
+    session_a, session_b = _session(a), _session(b)
+    sessions = None if session_a is None or session_b is None else (session_a, session_b)
     if sessions is not None and not anyway:  # before an analysis that takes minutes
-        require_alike(*sessions, remedy="anyway=True")
-    results = (_result(a, one, seed, progress), _result(b, other, seed, progress))
+        require_alike(*sessions)
+    results = (_result(a, session_a, seed, progress), _result(b, session_b, seed, progress))
     return compare_results(
         *results, sessions=sessions, anyway=anyway, rng=np.random.default_rng(seed)
     )
 
 
+@documented
 def check(
-    source: Measured,
-    limits: str | Path | Limits | Sequence[Mapping[str, Any]],
+    source: MeasuredSource,
+    limits: Annotated[
+        "str | Path | Limits | Sequence[Mapping[str, Any]]",
+        Setting(
+            "TOML file of limits: [[limit]] with quantity, min, max, and unit or stack; in Python "
+            "also a list of such mappings."
+        ),
+    ],
     *,
-    seed: int = 0,
-    progress: Progress = ignore_progress,
-) -> LimitCheck:
+    seed: Seed = 0,
+    progress: ProgressSink = ignore_progress,
+) -> "LimitCheck":
     """Check the measurements of a session against limits.
-
-    Parameters
-    ----------
-    source
-        A session, its folder, or a result, as for `compare`.
-    limits
-        A limits file, or a list of mappings with its keys: quantity, min, max, and where needed
-        unit, stack, frequency_cy_per_px, orientation_deg.
-    seed, progress
-        As for `compare`.
 
     Returns
     -------
@@ -116,22 +109,30 @@ def check(
     'fail'
     """
     from charact.comparison import check as check_limits
+    from charact.comparison import load_limits
 
     demanded = load_limits(limits)
     name = Path(limits).name if isinstance(limits, str | Path) else "limits"
     return check_limits(_result(source, _session(source), seed, progress), demanded, name=name)
 
 
-def _session(source: Measured) -> Session | None:
+def _session(source: MeasuredSource) -> "Session | None":
     """Return the session of a source; None for a result without one."""
+    from labdata.measurement import Result
+
     return getattr(source, "session", None) if isinstance(source, Result) else session_of(source)
 
 
-def _result(source: Measured, given: Session | None, seed: int, progress: Progress) -> Result:
+def _result(
+    source: MeasuredSource, session: "Session | None", seed: int, progress: Progress
+) -> "Result":
     """Return a result, that saved in a session's folder, or that of a measurement."""
+    from labdata import result_io
+    from labdata.measurement import Result
+
     if isinstance(source, Result):
         return source
-    assert given is not None
-    on_disk = not isinstance(source, Session) or source.folder != Path()
-    saved = result_io.load(given.folder) if on_disk else None
-    return saved or measure(given, seed=seed, progress=progress)
+    assert session is not None
+    on_disk = isinstance(source, str | Path) or session.folder != Path()
+    saved = result_io.load(session.folder) if on_disk else None
+    return saved or measure(session, seed=seed, progress=progress)

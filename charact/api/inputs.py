@@ -3,39 +3,32 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
+from charact.api.settings import BlackDn, Frames, SourceFrames
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.importers import read_array, read_frames
-from labdata.sensors import load_camera, load_sensor
-from labdata.session import Kind, LoadedStackEntry, Session, StackEntry, open_session
-from labdata.target import Target
+from labdata.settings import (
+    Argument,
+    CameraDescription,
+    FrameAxis,
+    Plane,
+    documented,
+)
 
-#: An array (row, col), (frame, row, col) or with colours last, a file of frames, or a stack
-Frames = Any
+if TYPE_CHECKING:
+    from labdata import Camera, FrameStack, Session, StackEntry, Target
+    from labdata.session import Kind
 
 
+@documented
 def frames_of(
-    source: Frames,
+    source: SourceFrames,
     *,
-    plane: str | None = None,
-    axis: str | None = None,
-    black_dn: float | None = None,
-) -> FrameStack:
+    plane: Plane = None,
+    axis: FrameAxis = None,
+    black_dn: BlackDn = None,
+) -> "FrameStack":
     """Return the frames of an array, a file or a stack.
-
-    Parameters
-    ----------
-    source
-        Array of shape (row, col), (frame, row, col) or with colours last, DN; path of a file of
-        frames; or a stack.
-    plane, axis
-        Colour plane and frame axis, as for `labdata.importers.read_frames`.
-    black_dn
-        Black level, DN; None: as the file states.
 
     Raises
     ------
@@ -48,40 +41,43 @@ def frames_of(
     >>> frames_of(np.zeros((4, 60, 80))).shape
     (4, 60, 80)
     """
+    from labdata.frames import FrameStack
+    from labdata.importers import read_array, read_frames
+
     if isinstance(source, FrameStack):
-        stack = source
+        frames = source
     elif isinstance(source, str | Path):
-        stack = read_frames(source, plane=plane, axis=axis)
+        frames = read_frames(source, plane=plane, axis=axis)
     else:
-        stack = read_array(source, plane=plane, axis=axis)
+        frames = read_array(source, plane=plane, axis=axis)
     if black_dn is None:
-        return stack
-    highest = float(stack.data.max())
+        return frames
+    highest = float(frames.data.max())
     if not -float("inf") < black_dn < highest:
         raise BadInput(
-            f"--black-dn must be below the largest grey value of the frames, {highest:g} DN, got "
+            f"`black_dn` must be below the largest grey value of the frames, {highest:g} DN, got "
             f"{black_dn:g}"
         )
-    return replace(stack, black_level_dn=black_dn)
+    return replace(frames, black_level_dn=black_dn)
 
 
+@documented
 def stack(
-    frames: Frames, kind: Kind, *, label: str = "", target: Target | None = None, **conditions: Any
-) -> StackEntry:
+    frames: SourceFrames,
+    kind: Annotated["Kind", Argument('"dark", "flat", "edge", "bars", "point" or "scene".')],
+    *,
+    label: Annotated[str, Argument("Name of the stack (default: the kind).")] = "",
+    target: Annotated[
+        "Target | None", Argument("The target, for bars with frequency and number.")
+    ] = None,
+    **conditions: Annotated[
+        Any,
+        Argument(
+            "Fields of `labdata.conditions.Conditions`, such as `exposure_s` and `photons_per_px`."
+        ),
+    ],
+) -> "StackEntry":
     """Return a stack of a session, with its frames in memory.
-
-    Parameters
-    ----------
-    frames
-        Frames as for `frames_of`.
-    kind
-        "dark", "flat", "edge", "bars", "point" or "scene".
-    label
-        Name of the stack; "": the kind.
-    target
-        The target, for bars with frequency and number.
-    conditions
-        Fields of `labdata.conditions.Conditions`, such as `exposure_s` and `photons_per_px`.
 
     Examples
     --------
@@ -89,6 +85,9 @@ def stack(
     >>> stack(np.zeros((4, 60, 80), np.uint16), "dark", exposure_s=0.01).conditions.exposure_s
     0.01
     """
+    from labdata import Conditions, Target
+    from labdata.session import LoadedStackEntry
+
     known = set(Conditions.__dataclass_fields__)
     if unknown := sorted(set(conditions) - known):
         raise BadInput(f"a condition must be one of {', '.join(sorted(known))}, got {unknown[0]!r}")
@@ -103,61 +102,59 @@ def stack(
     )
 
 
+@documented
 def session(
-    stacks: Iterable[StackEntry],
+    stacks: Annotated["Iterable[StackEntry]", Argument("Stacks of `stack`.")],
     *,
-    sensor: str | Path | Camera | None = None,
-    bit_depth: int | None = None,
-    interlaced: bool | None = None,
-    name: str = "arrays",
-) -> Session:
+    sensor: CameraDescription = None,
+    bit_depth: Annotated[
+        int | None, Argument("Bits of the digitiser (default: found from the data).")
+    ] = None,
+    interlaced: Annotated[
+        bool | None,
+        Argument(
+            "Whether the two fields of a frame are exposed one after the other (default: as the "
+            "camera description says)."
+        ),
+    ] = None,
+    name: Annotated[str, Argument("Name in reports.")] = "arrays",
+) -> "Session":
     """Return a session of stacks in memory; labels that repeat are numbered.
-
-    Parameters
-    ----------
-    stacks
-        Stacks of `stack`.
-    sensor
-        Description of the camera: a shipped name, a TOML file or a `Camera`; None: unknown.
-    bit_depth
-        Bits of the digitiser; None: found from the data.
-    interlaced
-        Whether the two fields of a frame are exposed one after the other; None: as the sensor
-        description says.
-    name
-        Name in reports.
 
     Examples
     --------
     >>> import numpy as np
-    >>> [one.label for one in session([stack(np.zeros((2, 60, 80)), "dark")] * 2).stacks]
+    >>> [entry.label for entry in session([stack(np.zeros((2, 60, 80)), "dark")] * 2).stacks]
     ['dark-1', 'dark-2']
     """
-    given = tuple(stacks)
-    labels = [one.label for one in given]
+    from labdata.session import Session
+
+    unnumbered = tuple(stacks)
+    labels = [entry.label for entry in unnumbered]
     repeated = {label for label in labels if labels.count(label) > 1}
     counts = dict.fromkeys(repeated, 0)
     entries = []
-    for one in given:
-        if one.label in repeated:
-            counts[one.label] += 1
-            one = replace(one, label=f"{one.label}-{counts[one.label]}")
-        entries.append(_with_bit_depth(one, bit_depth))
+    for entry in unnumbered:
+        if entry.label in repeated:
+            counts[entry.label] += 1
+            entry = replace(entry, label=f"{entry.label}-{counts[entry.label]}")
+        entries.append(_with_bit_depth(entry, bit_depth))
     if not entries:
         raise BadInput("a session must have at least one stack, got none")
-    camera = load_camera(sensor) if isinstance(sensor, str | Path) else sensor
     return Session(
         folder=Path(),
         name=name,
         stacks=tuple(entries),
-        camera=camera,
+        camera=camera_of(sensor),
         bit_depth=bit_depth,
         interlaced=interlaced,
     )
 
 
-def _with_bit_depth(entry: StackEntry, bit_depth: int | None) -> StackEntry:
+def _with_bit_depth(entry: "StackEntry", bit_depth: int | None) -> "StackEntry":
     """Return a stack in memory whose frames have the full scale of a digitiser."""
+    from labdata.session import LoadedStackEntry
+
     if bit_depth is None or not isinstance(entry, LoadedStackEntry):
         return entry
     full_scale_dn = float(2**bit_depth - 1)
@@ -171,11 +168,67 @@ def _with_bit_depth(entry: StackEntry, bit_depth: int | None) -> StackEntry:
     )
 
 
-def session_of(source: str | Path | Session) -> Session:
-    """Return a session, or open that of a folder."""
-    return source if isinstance(source, Session) else open_session(source)
+def camera_of(sensor: CameraDescription) -> "Camera | None":
+    """Return a camera description, or load it by name or file."""
+    from labdata.sensors import load_camera
+
+    return load_camera(sensor) if isinstance(sensor, str | Path) else sensor
 
 
-def sensor_of(sensor: str | Path | Camera | None) -> Camera | None:
-    """Return a sensor description, or load it by name or file."""
+def sensor_of(sensor: CameraDescription) -> "Camera | None":
+    """Return the description of an intensified camera, or load it by name or file."""
+    from labdata.sensors import load_sensor
+
     return load_sensor(sensor) if isinstance(sensor, str | Path) else sensor
+
+
+def is_session(source: object) -> bool:
+    """Whether a source is a session or the folder of one."""
+    from labdata.session import MANIFEST, Session
+
+    if isinstance(source, Session):
+        return True
+    return isinstance(source, str | Path) and (
+        Path(source).name == MANIFEST or (Path(source) / MANIFEST).is_file()
+    )
+
+
+def session_of(source: "str | Path | Session", sensor: CameraDescription = None) -> "Session":
+    """Return a session, or open that of a folder, with the description of its camera replaced."""
+    from labdata.session import Session, open_session
+
+    opened = source if isinstance(source, Session) else open_session(source)
+    return opened if sensor is None else replace(opened, camera=camera_of(sensor))
+
+
+def flats_of(
+    source: "Frames | Session",
+    *,
+    sensor: CameraDescription = None,
+    plane: Plane = None,
+    axis: FrameAxis = None,
+) -> "Session":
+    """Return a session, or the session of one stack of flats."""
+    from labdata import Conditions, Session, StackEntry
+    from labdata.session import MANIFEST
+
+    if is_session(source):
+        return session_of(source, sensor)
+    if not isinstance(source, str | Path):
+        flats = frames_of(source, plane=plane, axis=axis)
+        return session([stack(flats, "flat")], sensor=sensor)
+    file = Path(source)
+    if not file.exists() or (file.is_dir() and not (file / "zarr.json").is_file()):
+        raise BadInput(
+            f"flats must be a session folder with a {MANIFEST}, or a file of frames, got {file}"
+        )
+    entry = StackEntry(
+        label=file.stem,
+        kind="flat",
+        frames=file.name,
+        conditions=Conditions(),
+        folder=file.parent,
+        axis=axis,
+        plane=plane,
+    )
+    return Session(folder=file.parent, name=file.name, stacks=(entry,), camera=camera_of(sensor))

@@ -3,73 +3,97 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from charact.api.analysis import Analysis
-from charact.api.inputs import Frames, frames_of, sensor_of, session, session_of, stack
-from charact.method import Context
-from charact.method.registry import Progress, ignore_progress
-from labdata.camera.description import Camera
+from charact.api.inputs import (
+    flats_of,
+    frames_of,
+    is_session,
+    sensor_of,
+    session,
+    session_of,
+    stack,
+)
+from charact.api.settings import (
+    BarFrequency,
+    Bars,
+    BitDepth,
+    BlackDn,
+    FlatConditions,
+    Frames,
+    MaxTargets,
+    MethodName,
+    PinholePx,
+    Quick,
+    Scheduler,
+    SourceSession,
+    WithinPercent,
+)
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Result
-from labdata.session import Session, StackEntry
+from labdata.settings import (
+    Argument,
+    CameraDescription,
+    FrameAxis,
+    Plane,
+    Progress,
+    ProgressSink,
+    Region,
+    Roi,
+    Seed,
+    documented,
+    ignore_progress,
+    region_of,
+)
 
-Region = tuple[int, int, int, int]
+if TYPE_CHECKING:
+    from charact.api.analysis import Analysis
+    from labdata import FrameStack, Result, Session, StackEntry
+
 #: Conditions of light, which a dark has none of
 LIGHT = ("photons_per_px", "illuminance_lux", "illuminance_relative_sd", "wavelength_nm", "lamp_a")
+#: Settings that describe a target, by its kind
+OF_TARGET = {"bars": ("bars", "frequency_cy_per_px"), "point": ("pinhole_px",)}
 
 
+@documented
 def mtf(
-    frames: Frames,
-    kind: str = "edge",
+    frames: Annotated[
+        "Frames | Session",
+        Argument(
+            "Array (row, col) or (frame, row, col), DN; a file of frames; or a "
+            "`labdata.frames.FrameStack`. For flats also a session or its folder."
+        ),
+    ],
+    kind: Annotated[
+        str,
+        Argument(
+            'Target: "edge" (slanted), "bars", "point", or "flats" (no target: the MTF after the '
+            "gain, from the noise power spectrum)."
+        ),
+    ] = "edge",
     *,
-    roi: Region | None = None,
-    method: str = "auto",
-    within_percent: float = 2.0,
-    quick: bool = False,
-    seed: int = 0,
-    sensor: str | Path | Camera | None = None,
-    plane: str | None = None,
-    axis: str | None = None,
-    black_dn: float | None = None,
-    max_targets: int = 24,
-    progress: Progress = ignore_progress,
-    **target: Any,
-) -> Analysis:
-    """Measure the MTF of the targets in an image or stack.
-
-    Parameters
-    ----------
-    frames
-        Array (row, col) or (frame, row, col), DN; a file of frames; or a
-        `labdata.frames.FrameStack`.
-    kind
-        "edge" (slanted), "bars" or "point".
-    roi
-        Row, column, height and width of the target, px; None: all targets are found.
-    method, within_percent
-        Name of a method, or "auto" and the tolerance it must meet, percent.
-    quick
-        Skip posterior sampling.
-    seed
-        Seed of every random step.
-    sensor
-        Description of the camera: a shipped name, a TOML file or a `Camera`; None: unknown.
-    plane, axis, black_dn
-        As for `frames_of`.
-    max_targets
-        Maximum number of targets measured.
-    progress
-        Called with a sentence and the fraction done (0..1).
-    target
-        For bars, if known, `bars` (number) and `frequency_cy_per_px`; for a point `pinhole_px`
-        (diameter, px).
+    roi: Roi = None,
+    method: MethodName = "auto",
+    within_percent: WithinPercent = 2.0,
+    quick: Quick = False,
+    seed: Seed = 0,
+    sensor: CameraDescription = None,
+    plane: Plane = None,
+    axis: FrameAxis = None,
+    black_dn: BlackDn = None,
+    max_targets: MaxTargets = 24,
+    bars: Bars = None,
+    frequency_cy_per_px: BarFrequency = None,
+    pinhole_px: PinholePx = None,
+    progress: ProgressSink = ignore_progress,
+) -> "Analysis":
+    """Measure the MTF of the targets in an image or stack, or of flat fields.
 
     Returns
     -------
     Analysis
-        `mtf50`, `mtf10`, `mtf` at single frequencies, and the curve `mtf`.
+        `mtf50`, `mtf10`, `mtf` at single frequencies, and the curve `mtf`; of flats
+        `post_gain_mtf50` and its curve.
 
     Raises
     ------
@@ -86,54 +110,64 @@ def mtf(
     >>> print(f"{mtf(frame, method='edge-slanted').mtf50.value:.2f}")
     0.18
     """
-    from charact.estimators.mtf import measure, measure_all
+    from charact.api.analysis import Analysis
+    from charact.estimators.mtf import measure, measure_all, measure_flats
+    from charact.method import Context
 
-    read = frames_of(frames, plane=plane, axis=axis, black_dn=black_dn)
-    described = sensor_of(sensor)
-    interlaced = described is not None and described.video.interlaced
+    described = {
+        "bars": bars,
+        "frequency_cy_per_px": frequency_cy_per_px,
+        "pinhole_px": pinhole_px,
+    }
+    target = {name: value for name, value in described.items() if value is not None}
+    if foreign := [name for name in target if name not in OF_TARGET.get(kind, ())]:
+        raise BadInput(f"`{foreign[0]}` describes another target than kind {kind!r}")
+    if kind == "flats":
+        flats = flats_of(frames, sensor=sensor, plane=plane, axis=axis)
+        return _analyse(measure_flats, flats, frames, method, within_percent, quick, seed, progress)
+    region = region_of(roi)
+    image = frames_of(frames, plane=plane, axis=axis, black_dn=black_dn)
+    camera = sensor_of(sensor)
+    interlaced = camera is not None and camera.video.interlaced
     context = Context(
-        seed=seed, quick=quick, camera=described, interlaced=interlaced, progress=progress
+        seed=seed, quick=quick, camera=camera, interlaced=interlaced, progress=progress
     )
-    chosen = {"method": method, "within_percent": within_percent, "context": context, **target}
-    if roi is None:
-        result = measure_all(kind, read, max_targets=max_targets, **chosen)
+    settings = {"method": method, "within_percent": within_percent, "context": context, **target}
+    if region is None:
+        result = measure_all(kind, image, max_targets=max_targets, **settings)
     else:
         # The border of the file may have been cropped.
-        inside = (roi[0] - read.origin[0], roi[1] - read.origin[1], *roi[2:])
-        result = measure(kind, read, region=inside, **chosen)
-    return Analysis.of(in_file_coordinates(result, read), _name(frames))
+        cropped = (region[0] - image.origin[0], region[1] - image.origin[1], *region[2:])
+        result = measure(kind, image, region=cropped, **settings)
+    return Analysis.of(in_file_coordinates(result, image), _name(frames))
 
 
+@documented
 def noise(
-    source: str | Path | Session | None = None,
+    source: Annotated[
+        "str | Path | Session | None",
+        Argument("A session or its folder (default: the frames of `flats` and `darks`)."),
+    ] = None,
     *,
-    flats: Sequence[Frames] = (),
-    darks: Sequence[Frames] = (),
-    method: str = "auto",
-    within_percent: float = 2.0,
-    quick: bool = False,
-    seed: int = 0,
-    sensor: str | Path | Camera | None = None,
-    bit_depth: int | None = None,
-    progress: Progress = ignore_progress,
-    **conditions: Any,
-) -> Analysis:
+    flats: Annotated[
+        Sequence[Frames],
+        Argument(
+            "Stacks of one level each: arrays (frame, row, col), files, or stacks made by "
+            "`charact.stack`."
+        ),
+    ] = (),
+    darks: Annotated[Sequence[Frames], Argument("Stacks without light, as `flats`.")] = (),
+    method: MethodName = "auto",
+    within_percent: WithinPercent = 2.0,
+    quick: Quick = False,
+    seed: Seed = 0,
+    sensor: CameraDescription = None,
+    bit_depth: BitDepth = None,
+    scheduler: Scheduler = None,
+    progress: ProgressSink = ignore_progress,
+    **conditions: FlatConditions,
+) -> "Analysis":
     """Measure noise against gain from flats and darks.
-
-    Parameters
-    ----------
-    source
-        A session or its folder; None: the frames of `flats` and `darks`.
-    flats, darks
-        Stacks of one level each: arrays (frame, row, col), files, or stacks made by
-        `charact.stack`.
-    method, within_percent, quick, seed, sensor, progress
-        As for `mtf`.
-    bit_depth
-        Bits of the digitiser; None: found from the data.
-    conditions
-        Fields of `labdata.conditions.Conditions`: a number for all stacks (of light: for the
-        flats), or a sequence with one number for each flat.
 
     Raises
     ------
@@ -153,118 +187,123 @@ def noise(
     """
     from charact.session_measurement import measure_noise
 
-    given = _session(source, flats, darks, conditions, sensor=sensor, bit_depth=bit_depth)
-    return _analyse(measure_noise, given, source, method, within_percent, quick, seed, progress)
+    if source is None:
+        measured = _session_of_flats(flats, darks, conditions, sensor=sensor, bit_depth=bit_depth)
+    elif len(flats) or len(darks) or conditions:
+        raise BadInput("noise takes a session, or flats and darks with their conditions, got both")
+    else:
+        measured = session_of(source, sensor)
+    return _analyse(
+        measure_noise, measured, source, method, within_percent, quick, seed, progress, scheduler
+    )
 
 
+@documented
 def bloom(
-    source: Frames | Session,
+    source: Annotated[
+        "Frames | Session",
+        Argument(
+            "A session or its folder (a series of source levels with darks), or one image or stack "
+            "of a source, of which only the quantities of a single level can be measured."
+        ),
+    ],
     *,
-    method: str = "auto",
-    within_percent: float = 2.0,
-    quick: bool = False,
-    seed: int = 0,
-    sensor: str | Path | Camera | None = None,
-    progress: Progress = ignore_progress,
-    label: str = "point",
-) -> Analysis:
-    """Measure halo and blooming of overexposed point sources.
-
-    Parameters
-    ----------
-    source
-        A session or its folder (a series of source levels with darks), or one image or stack of a
-        source, of which only the quantities of a single level can be measured.
-    method, within_percent, quick, seed, sensor, progress
-        As for `mtf`.
-    label
-        Name of the stack that an image is.
-    """
+    method: MethodName = "auto",
+    within_percent: WithinPercent = 2.0,
+    quick: Quick = False,
+    seed: Seed = 0,
+    sensor: CameraDescription = None,
+    plane: Plane = None,
+    axis: FrameAxis = None,
+    progress: ProgressSink = ignore_progress,
+) -> "Analysis":
+    """Measure halo and blooming of overexposed point sources."""
+    from charact.api.analysis import Analysis
     from charact.estimators.bloom import measure
     from charact.estimators.bloom.single_frame import measure_frame
+    from charact.session_measurement import measure_bloom, method_context
 
-    if isinstance(source, Session) or _is_session(source):
+    if is_session(source):
+        measured = session_of(source, sensor)
         return _analyse(
-            measure, session_of(source), source, method, within_percent, quick, seed, progress
+            measure_bloom, measured, source, method, within_percent, quick, seed, progress
         )
-    frames = frames_of(source)
-    given = session([stack(frames, "point", label=label)], sensor=sensor)
-    context = _context(given, quick, seed, progress)
+    frames = frames_of(source, plane=plane, axis=axis)
+    label = Path(source).stem if isinstance(source, str | Path) else "point"
+    image = session([stack(frames, "point", label=label)], sensor=sensor)
+    context = method_context(image, quick=quick, seed=seed, progress=progress)
     if method == "auto":
-        result = measure_frame(given, context=context)
+        result = measure_frame(image, context=context)
     else:
-        result = measure(given, method=method, within_percent=within_percent, context=context)
+        result = measure(image, method=method, within_percent=within_percent, context=context)
     return Analysis.of(in_file_coordinates(result, frames), _name(source))
 
 
+@documented
 def measure(
-    source: str | Path | Session,
+    source: SourceSession,
     *,
-    within_percent: float = 2.0,
-    quick: bool = False,
-    seed: int = 0,
-    progress: Progress = ignore_progress,
-) -> Analysis:
+    within_percent: WithinPercent = 2.0,
+    quick: Quick = False,
+    seed: Seed = 0,
+    scheduler: Scheduler = None,
+    progress: ProgressSink = ignore_progress,
+) -> "Analysis":
     """Measure everything that the stacks of a session support.
-
-    Parameters
-    ----------
-    source
-        A session or its folder.
-    within_percent, quick, seed, progress
-        As for `mtf`.
 
     Raises
     ------
     BadInput
         If there is no session, or every stack is of kind scene.
     """
+    from charact.api.analysis import Analysis
+    from charact.method.registry import parallel_map
     from charact.session_measurement import measure as measure_session
 
-    given = session_of(source)
-    result = measure_session(
-        given, quick=quick, seed=seed, within_percent=within_percent, progress=progress
-    )
-    return Analysis.of(result, _name(source), given)
+    measured = session_of(source)
+    with parallel_map(scheduler) as spread:
+        result = measure_session(
+            measured,
+            quick=quick,
+            seed=seed,
+            within_percent=within_percent,
+            progress=progress,
+            spread=spread,
+        )
+    return Analysis.of(result, _name(source), measured)
 
 
 def _analyse(
-    analysis: Callable[..., Result],
-    given: Session,
+    analysis: "Callable[..., Result]",
+    measured: "Session",
     source: object,
     method: str,
     within_percent: float,
     quick: bool,
     seed: int,
     progress: Progress,
-) -> Analysis:
-    context = _context(given, quick, seed, progress)
-    result = analysis(given, method=method, within_percent=within_percent, context=context)
-    return Analysis.of(result, _name(source), given)
-
-
-def _context(given: Session, quick: bool, seed: int, progress: Progress) -> Context:
+    scheduler: str | None = None,
+) -> "Analysis":
+    """Return the result of one analysis of a session."""
+    from charact.api.analysis import Analysis
+    from charact.method.registry import parallel_map
     from charact.session_measurement import method_context
 
-    return method_context(given, quick=quick, seed=seed, progress=progress)
+    with parallel_map(scheduler) as spread:
+        context = method_context(measured, quick=quick, seed=seed, progress=progress, spread=spread)
+        result = analysis(measured, method=method, within_percent=within_percent, context=context)
+    return Analysis.of(result, _name(source), measured)
 
 
-def _session(
-    source: str | Path | Session | None,
+def _session_of_flats(
     flats: Sequence[Frames],
     darks: Sequence[Frames],
     conditions: dict[str, Any],
     *,
-    sensor: str | Path | Camera | None,
+    sensor: CameraDescription,
     bit_depth: int | None,
-) -> Session:
-    """Return the session given, or one of flats and darks."""
-    if source is not None:
-        if len(flats) or len(darks) or conditions:
-            raise BadInput(
-                "noise takes a session, or flats and darks with their conditions, got both"
-            )
-        return session_of(source)
+) -> "Session":
+    """Return a session of flats and darks."""
     per_flat = {
         name: value
         for name, value in conditions.items()
@@ -279,17 +318,19 @@ def _session(
     of_darks = {name: value for name, value in common.items() if name not in LIGHT}
     stacks = [
         _stack(
-            one,
+            frames,
             "flat",
             {**common, **{name: float(values[number]) for name, values in per_flat.items()}},
         )
-        for number, one in enumerate(flats)
+        for number, frames in enumerate(flats)
     ]
-    stacks += [_stack(one, "dark", of_darks) for one in darks]
+    stacks += [_stack(frames, "dark", of_darks) for frames in darks]
     return session(stacks, sensor=sensor, bit_depth=bit_depth)
 
 
-def _stack(frames: Frames | StackEntry, kind: Any, conditions: dict[str, Any]) -> StackEntry:
+def _stack(frames: "Frames | StackEntry", kind: Any, conditions: dict[str, Any]) -> "StackEntry":
+    from labdata.session import StackEntry
+
     if not isinstance(frames, StackEntry):
         return stack(frames, kind, **conditions)
     if frames.kind != kind:
@@ -297,22 +338,16 @@ def _stack(frames: Frames | StackEntry, kind: Any, conditions: dict[str, Any]) -
     return frames
 
 
-def _is_session(source: object) -> bool:
-    from labdata.session import MANIFEST
-
-    return isinstance(source, str | Path) and (
-        Path(source).name == MANIFEST or (Path(source) / MANIFEST).is_file()
-    )
-
-
 def _name(source: object) -> str:
     """Return the name of a source: its path, or what it is."""
+    from labdata.session import Session
+
     if isinstance(source, str | Path):
         return str(source)
     return source.name if isinstance(source, Session) else "array"
 
 
-def in_file_coordinates(result: Result, frames: FrameStack) -> Result:
+def in_file_coordinates(result: "Result", frames: "FrameStack") -> "Result":
     """Return the result with regions in coordinates of the file and with the notes of the
     importer.
     """
@@ -328,8 +363,8 @@ def in_file_coordinates(result: Result, frames: FrameStack) -> Result:
     }
 
     def rename(name: str) -> str:
-        here = next((suffix for suffix in names if name.endswith(suffix)), None)
-        return name if here is None else name.removesuffix(here) + names[here]
+        region = next((suffix for suffix in names if name.endswith(suffix)), None)
+        return name if region is None else name.removesuffix(region) + names[region]
 
     return replace(
         result,

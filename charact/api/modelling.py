@@ -1,45 +1,45 @@
 """Fit, simulation, validation and report as functions."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-
-from charact.api.inputs import Frames, session_of
+from charact.api.inputs import camera_of, session_of
 from charact.api.measuring import measure
-from charact.method.registry import Progress, ignore_progress
-from labdata.camera.description import Camera
+from charact.api.settings import (
+    FittedSensor,
+    SavedResult,
+    SourceSession,
+)
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Result
-from labdata.sensors import load_camera
-from labdata.session import Session
+from labdata.settings import (
+    Argument,
+    ProgressSink,
+    Seed,
+    Setting,
+    documented,
+    ignore_progress,
+)
 
 if TYPE_CHECKING:
     from charact.validation import Validation
+    from labdata import Camera, FrameStack, Session, Target
+    from labdata.session import Kind
+
+FITTED = "fitted.toml"  # fitted camera in the folder of a session
 
 
+@documented
 def fit(
-    source: str | Path | Session,
-    result: Result | None = None,
+    source: Annotated[
+        "str | Path | Session", Argument("A session with a camera description, or its folder.")
+    ],
+    result: SavedResult = None,
     *,
-    seed: int = 0,
-    progress: Progress = ignore_progress,
-) -> Camera:
+    seed: Seed = 0,
+    progress: ProgressSink = ignore_progress,
+) -> "Camera":
     """Fit the description of a session's sensor to its measurements.
-
-    Parameters
-    ----------
-    source
-        A session, with a sensor description, or its folder.
-    result
-        Its measurements; None: the session is measured.
-    seed
-        Seed of every random step.
-    progress
-        Called with a sentence and the fraction done (0..1).
 
     Returns
     -------
@@ -48,64 +48,67 @@ def fit(
     """
     from charact.fitting import fit_sensor
 
-    given = session_of(source)
-    return fit_sensor(
-        given, result or measure(given, seed=seed, progress=progress), seed=seed, progress=progress
-    )
+    session = session_of(source)
+    measured = result or measure(session, seed=seed, progress=progress)
+    return fit_sensor(session, measured, seed=seed, progress=progress)
 
 
+@documented
 def validate(
-    source: str | Path | Session,
-    sensor: str | Path | Camera,
+    source: SourceSession,
+    sensor: FittedSensor = None,
     *,
-    seed: int = 0,
-    progress: Progress = ignore_progress,
+    seed: Seed = 0,
+    progress: ProgressSink = ignore_progress,
 ) -> "Validation":
     """Compare the frames of a session with frames simulated from a fitted sensor, by tests that can
     fail.
 
-    Parameters
-    ----------
-    source
-        A session or its folder.
-    sensor
-        The fitted camera, see `fit`, or its TOML file.
-    seed, progress
-        As for `fit`.
+    Raises
+    ------
+    BadInput
+        If there is no fitted sensor, or it is an infrared imager.
     """
     from charact.validation import validate as compare
 
-    fitted = load_camera(sensor) if isinstance(sensor, str | Path) else sensor
+    session = session_of(source)
+    return compare(session, fitted_sensor_of(session, sensor), seed=seed, progress=progress)
+
+
+def fitted_sensor_of(session: "Session", sensor: FittedSensor) -> "Camera":
+    """Return a camera that a validation can simulate, or load it."""
+    file = session.folder / FITTED
+    if sensor is None and not file.is_file():
+        raise BadInput(
+            f"a validation needs a fitted sensor, got no file {file}: charact fit "
+            f"{session.folder} makes one"
+        )
+    fitted = camera_of(file if sensor is None else sensor)
+    assert fitted is not None
     if fitted.is_thermal:
-        raise BadInput(f"a validation needs a camera of visible light, got {fitted.name!r}")
-    return compare(session_of(source), fitted, seed=seed, progress=progress)
+        raise BadInput(
+            f"a validation needs a camera of visible light, got {fitted.name!r} of the thermal "
+            "infrared"
+        )
+    return fitted
 
 
+@documented
 def report(
-    source: str | Path | Session,
-    out: str | Path | None = None,
+    source: SourceSession,
+    out: Annotated[
+        str | Path | None, Setting("Output HTML file (default: report.html in the session).")
+    ] = None,
     *,
-    result: Result | None = None,
-    validation: "Validation | None" = None,
-    pdf: bool = False,
-    seed: int = 0,
+    result: SavedResult = None,
+    validation: Annotated[
+        "Validation | None",
+        Argument("Comparison with simulated frames (default: that saved in the session, if any)."),
+    ] = None,
+    pdf: Annotated[bool, Setting("Also write a PDF.")] = False,
+    seed: Seed = 0,
 ) -> Path:
     """Write the report of a session as one HTML file.
-
-    Parameters
-    ----------
-    source
-        A session or its folder.
-    out
-        The HTML file; None: report.html in the session's folder.
-    result
-        The measurements; None: those saved in the session, else the session is measured.
-    validation
-        The comparison with simulated frames; None: that saved in the session, if any.
-    pdf
-        Also write a PDF next to it.
-    seed
-        Seed of every random step of a measurement.
 
     Returns
     -------
@@ -121,63 +124,77 @@ def report(
     from charact.validation import load
     from labdata import result_io
 
-    given, on_disk = session_of(source), not isinstance(source, Session) or source.folder != Path()
+    session = session_of(source)
+    on_disk = isinstance(source, str | Path) or session.folder != Path()
     if out is None and not on_disk:
-        raise BadInput("a report of a session in memory needs the path of its file, got no out")
+        raise BadInput("`out` must name the report of a session in memory, got none")
     if on_disk:
-        result = result or result_io.load(given.folder)
-        validation = validation or load(given.folder)
+        result = result or result_io.load(session.folder)
+        validation = validation or load(session.folder)
     return write(
-        given,
-        result or measure(given, seed=seed),
-        out or given.folder / "report.html",
+        session,
+        result or measure(session, seed=seed),
+        out or session.folder / "report.html",
         validation=validation,
         pdf=pdf,
     )
 
 
+@documented
 def simulate(
-    source: Frames,
+    source: Annotated[
+        Any,
+        Argument(
+            "An array (row, col), DN; a file of an image; a radiance cube (.npz); or a scene "
+            "(.toml, or a shipped name)."
+        ),
+    ],
     *,
-    sensor: str | Path | Camera,
-    frames: int = 1,
-    seed: int = 0,
-    out: str | Path | None = None,
-    kind: Any = None,
-    error_budget_percent: float | None = 10.0,
-    photoelectrons_per_dn: float | None = None,
-    black_dn: float | None = None,
-    target: Any = None,
-    progress: Callable[[str, float], None] = ignore_progress,
-    **conditions: Any,
-) -> FrameStack:
+    sensor: Annotated[
+        "str | Path | Camera",
+        Argument(
+            "The camera: a shipped name, a TOML file, or a description, such as that of `fit`."
+        ),
+    ],
+    frames: Annotated[int, Argument("Number of frames.")] = 1,
+    seed: Seed = 0,
+    out: Annotated[
+        "str | Path | None",
+        Argument("Folder of a session that the frames are also saved to (default: none)."),
+    ] = None,
+    kind: Annotated[
+        "Kind | None",
+        Argument("Kind of the stack, as for `simulate.api.SimulationRequest`."),
+    ] = None,
+    error_budget_percent: Annotated[
+        float | None,
+        Argument(
+            "Largest sum of neglected effects, percent of the temporal noise; None: no effect is "
+            "neglected."
+        ),
+    ] = 10.0,
+    photoelectrons_per_dn: Annotated[
+        float | None,
+        Argument(
+            "Of an image: mean photoelectrons per pixel and exposure for each DN above the black "
+            "level."
+        ),
+    ] = None,
+    black_dn: Annotated[float | None, Argument("Of an image: its black level, DN.")] = None,
+    target: Annotated[
+        "Target | None",
+        Argument("Target on the bench, as for `simulate.api.SimulationRequest`."),
+    ] = None,
+    progress: ProgressSink = ignore_progress,
+    **conditions: Annotated[
+        Any,
+        Argument(
+            "Settings of the camera as for `simulate.api.conditions_of`, such as `gain` and "
+            "`gate_ns`."
+        ),
+    ],
+) -> "FrameStack":
     """Simulate frames of an image or a scene by a described camera.
-
-    Parameters
-    ----------
-    source
-        An array (row, col), DN; a file of an image; a radiance cube (.npz); or a scene (.toml, or a
-        shipped name).
-    sensor
-        The camera: a shipped name, a TOML file, or a description, such as that of `fit`.
-    frames
-        Number of frames.
-    seed
-        Seed of every random step.
-    out
-        Folder of a session that the frames are also saved to; None: none.
-    kind, target
-        Kind of the stack and target on the bench, as for `simulate.api.SimulationRequest`.
-    error_budget_percent
-        Largest sum of neglected effects, percent of the temporal noise; None: no effect is
-        neglected.
-    photoelectrons_per_dn, black_dn
-        Of an image: mean photoelectrons per pixel and exposure for each DN above the black level,
-        and this level, DN.
-    progress
-        Called with a sentence and the fraction done (0..1).
-    conditions
-        Settings of the camera as for `simulate.api.conditions_of`, such as `gain` and `gate_ns`.
 
     Returns
     -------
@@ -191,6 +208,9 @@ def simulate(
     >>> simulate(flat, sensor="gen3-digital-iccd", frames=2, photoelectrons_per_dn=0.1).data.dtype
     dtype('uint16')
     """
+    import numpy as np
+
+    from labdata.frames import FrameStack
     from simulate import api, session_files
 
     described = api.load_described_camera(str(sensor)) if isinstance(sensor, str | Path) else sensor

@@ -15,6 +15,7 @@ from charact.cli import (
     fuse,
     live,
     mtf,
+    options,
     plan,
     reference,
     sessions,
@@ -82,6 +83,10 @@ for verb in (
     reference.schema,
 ):
     app.command()(verb)
+for group in (app, mtf.app, files.import_app, fuse.app):
+    for command in group.registered_commands:
+        assert command.callback is not None
+        command.callback = options.verb()(command.callback)
 
 
 def run() -> None:

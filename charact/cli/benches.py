@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from charact.cli.output import Progress, print_message
 from charact.cli.outputs import remove_session
+from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.plan import Plan
 from labdata.session import Session
@@ -69,7 +70,8 @@ def acquire_session(
                     tell(f"The tube: {rig['bench'].last_words}.")
     except BenchError as error:
         raise BadInput(str(error)) from error
-    for sentence in warnings(dose_ledger(plan, session).total(), acquired.sensor):
+    sensor = acquired.camera if has_tube(acquired.camera) else None
+    for sentence in warnings(dose_ledger(plan, session).total(), sensor):
         tell(sentence)
     return acquired
 

@@ -55,7 +55,7 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events
     with _step("fit", events):
         fit_and_save(session, result, session / FITTED, seed=seed, events=events)
     with _step("simulate and validate", events):
-        validation = validate_and_save(session, session / FITTED, seed=seed, events=events)
+        validation = validate_and_save(session, seed=seed, events=events)
     with _step("report", events):
         from charact.reporting.session_page import write
         from charact.reporting.truth import compare_with_truth
@@ -69,15 +69,15 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events
     print("\n".join(lines(rows)))
     trusted = [row for row in rows if row.measurement.status == "ok"]
     largest = max_z(len(trusted))
-    within = all(abs(row.z) <= largest for row in trusted)
+    agrees = all(abs(row.z) <= largest for row in trusted)
     print(f"\nvalidation: {'passed' if validation.passed else 'FAILED'}")
-    verdict = "yes" if within else "NO"
+    verdict = "yes" if agrees else "NO"
     print(
         f"truth within {largest:.2f} standard errors of all {len(trusted)} values with status ok: "
         f"{verdict}"
     )
     print(f"report: {report}")
-    return within and validation.passed
+    return agrees and validation.passed
 
 
 def max_z(numbers: int) -> float:
@@ -105,11 +105,11 @@ def _make_room(out: Path, session: Path, seed: int, *, force: bool) -> None:
     bench.
     """
     marker = out / MARKER_FILE
-    taken = is_taken(session, "plan") or (out.exists() and not out.is_dir())
+    exists = is_taken(session, "plan") or (out.exists() and not out.is_dir())
     require_free(
         out,
         force=force,
-        taken=taken,
+        taken=exists,
         kept=lambda: (
             why_kept(session, "plan") if marker.is_file() else f"something without {MARKER_FILE}"
         ),
@@ -147,7 +147,7 @@ def bench_truth(folder: Path, session: Session) -> "Truth":
         raise BadInput(
             f"the truth needs flats at one MCP voltage, got flats at {sorted(map(str, voltages))} V"
         )
-    found = true_quantities(sensor, session.of_kind("flat")[0].conditions)
+    quantities = true_quantities(sensor, session.of_kind("flat")[0].conditions)
 
     def at_level(level: float) -> Callable[..., float]:
         return lambda _, angle: true_crossing_frequency(sensor, level, angle or 0.0)
@@ -161,7 +161,7 @@ def bench_truth(folder: Path, session: Session) -> "Truth":
         "halo_diameter",
     )
     return {
-        **{name: found[name] for name in compared},
+        **{name: quantities[name] for name in compared},
         # Targets that state no direction are vertical bars.
         "mtf": lambda frequency, angle: true_mtf(sensor, frequency, angle or 0.0),
         "mtf50": at_level(0.5),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from charact.cli.options import Axis, Plane, parse_kind
+from charact.cli.options import parse_kind
 from charact.cli.output import exit_on_bad_input
 from charact.cli.outputs import (
     Force,
@@ -20,6 +20,7 @@ from charact.cli.outputs import (
     why_other_kind,
 )
 from labdata.errors import BadInput
+from labdata.settings import FrameAxis, Plane
 from labdata.target import Kind
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def frames(
     stack: Annotated[
         str | None, typer.Option(help="Label of one stack that has all files as its frames.")
     ] = None,
-    axis: Axis = None,
+    axis: FrameAxis = None,
     plane: Plane = None,
     add: Annotated[
         bool, typer.Option("--add", help="Add the stacks to a session that exists.")
@@ -125,7 +126,7 @@ def frames(
                 plane=plane,
                 add=add,
             )
-        measurable = any(one.kind != "scene" for one in session.stacks)
+        measurable = any(entry.kind != "scene" for entry in session.stacks)
         _summarise(
             session, out, f"charact measure {out}" if measurable else NO_KIND_HINT.format(out)
         )
@@ -142,8 +143,8 @@ def _summarise(session: "Session", out: Path, next_verb: str) -> None:
         f"{' or '.join(names)} ({use})"
         for kinds, names, use in NEEDED
         if any(
-            all(getattr(one.conditions, name) is None for name in names)
-            for one in session.of_kind(*kinds)
+            all(getattr(entry.conditions, name) is None for name in names)
+            for entry in session.of_kind(*kinds)
         )
     ]
     if unknown:
@@ -221,10 +222,12 @@ def convert(
 
         stacks = _stacks(source)
         paths = [out / f"{label}.{to}" for label, _, _ in stacks]
-        taken = {path.resolve() for path in paths if path.exists()}
-        own = taken & {path.resolve() for _, _, sources in stacks for path in sources}
-        wrong = "the folder of its own frames" if own else "a file" if out.is_file() else None
-        require_free(out, force=force, taken=bool(taken) or out.is_file(), kept=lambda: wrong)
+        existing = {path.resolve() for path in paths if path.exists()}
+        replaced = existing & {path.resolve() for _, _, sources in stacks for path in sources}
+        obstacle = (
+            "the folder of its own frames" if replaced else "a file" if out.is_file() else None
+        )
+        require_free(out, force=force, taken=bool(existing) or out.is_file(), kept=lambda: obstacle)
         out.mkdir(parents=True, exist_ok=True)
         for path, (_, read, _) in zip(paths, stacks, strict=True):
             print(write_frames(read(), path))

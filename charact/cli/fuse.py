@@ -3,9 +3,8 @@ scores.
 """
 
 import json
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -16,17 +15,8 @@ from charact.cli.output import exit_on_bad_input, print_message, print_result, p
 from charact.cli.outputs import Force, require_free
 from labdata.errors import BadInput
 
-if TYPE_CHECKING:
-    from charact.api.fusing import Fusion
-
-# Parameters in the notes of a fusion, and their options.
-OPTIONS = {
-    "whole=True": "--whole",
-    "sequence=True": "--sequence",
-    "bloom=False": "--no-bloom",
-    "(mcp_v)": "(--mcp-v)",
-    "sensor, or a measured session": "--sensor, or a measured session",
-}
+# The option of a parameter that switches off.
+options.OPTIONS["bloom"] = "--no-bloom"
 
 
 class _PicturesByDefault(TyperGroup):
@@ -194,7 +184,6 @@ def pictures(
             seed=seed,
             progress=progress,
         )
-        fusion = _with_options(fusion)
         fusion.save(target)
         progress("", 1.0)
         pictures = fusion.pictures
@@ -227,21 +216,6 @@ def _require_output(out: Path, *, is_folder: bool, force: bool) -> None:
     is_ours = (out / SETTINGS).is_file() or (out / PAGE).is_file()
     other = None if is_ours else f"something without a {SETTINGS}"
     require_free(out, force=force, taken=taken, kept=lambda: other)
-
-
-def _with_options(fusion: "Fusion") -> "Fusion":
-    """Return a fusion whose notes name options instead of parameters."""
-
-    pictures = {}
-    for name, fused in fusion.pictures.items():
-        rows = []
-        for m in fused.measurements:
-            notes = "\n".join(m.notes)
-            for parameter, option in OPTIONS.items():
-                notes = notes.replace(parameter, option)
-            rows.append(m.with_(notes=tuple(notes.split("\n")) if m.notes else ()))
-        pictures[name] = replace(fused, measurements=tuple(rows))
-    return replace(fusion, pictures=pictures)
 
 
 def _spans(texts: list[str]) -> dict[str, tuple[float, float]]:

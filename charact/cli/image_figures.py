@@ -63,8 +63,8 @@ def plot_image(
         (False, True): "max",
         (True, True): "both",
     }
-    beyond = ends[bool(np.nanmin(image) < low), bool(np.nanmax(image) > high)]
-    bar = figure.colorbar(drawn, ax=axes, extend=beyond, shrink=0.9, pad=0.02)
+    extension = ends[bool(np.nanmin(image) < low), bool(np.nanmax(image) > high)]
+    bar = figure.colorbar(drawn, ax=axes, extend=extension, shrink=0.9, pad=0.02)
     bar.set_label(label)
     return bar
 

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from charact import __version__
-from charact.cli import options
-from charact.cli.output import exit_on_bad_input, number_of, print_message
+from charact.api import measuring
+from charact.cli.options import Events, Json, verb
+from charact.cli.output import exit_on_bad_input, print_message, print_text
 from charact.cli.sessions import require_session
 from labdata.errors import BadInput
+from labdata.settings import Roi, Seed, Setting, region_of
 
 if TYPE_CHECKING:
     from charact.live.frame_source import FrameSource
@@ -23,74 +25,51 @@ if TYPE_CHECKING:
     from labdata.plan import Plan, Step
 
 
-def _option(kind: Any, default: Any, name: str, words: str) -> tuple[Any, Any]:
-    return Annotated[kind, typer.Option(name, help=words)], default
-
-
-SOURCE: dict[str, tuple[Any, Any]] = {
-    "camera": _option(
-        str | None,
-        None,
-        "--camera",
-        "Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL.",
-    ),
-    "plan": _option(
-        Path | None, None, "--plan", "Plan whose camera is shown (virtual bench: its first edge)."
-    ),
-    "session": _option(
-        Path | None, None, "--session", "Session being acquired; the camera is not accessed."
-    ),
-    "roi": (options.Roi, None),
-    "bits": _option(
-        int | None, None, "--bits", "Bit depth, if the pixel format does not state it."
-    ),
-    "host": _option(
-        str,
-        "127.0.0.1",
-        "--host",
-        "Address to listen on; addresses other than loopback require the printed token.",
-    ),
-    "port": _option(int, 8600, "--port", "Port of the page; 0 selects a free port."),
-    "terminal": _option(
-        bool, False, "--terminal", "Show statistics in the terminal instead of a web page."
-    ),
-    "seed": (options.Seed, 0),
-}
-
-
-@options.with_options(*SOURCE, table=SOURCE)
-def live(**settings: Any) -> None:
-    """Live view in a local web page: newest frame, statistics and histogram.
-
-    Read-only: no camera or tube setting is changed. While a plan runs, use --session to view the
-    frames it stores.
-
-    Example: charact live --camera Aravis-Fake-GV01
-    """
-    _show("charact live", **settings)
-
-
-@options.with_options(*SOURCE, table=SOURCE)
-def focus(**settings: Any) -> None:
-    """Live view for focusing: MTF50 of an edge, with the best value held.
-
-    Example: charact focus --camera Aravis-Fake-GV01 --roi 150,250,200,200
-    """
-    _show("charact focus", **settings)
-
-
 def _show(
-    title: str, *, roi: str | None, host: str, port: int, terminal: bool, **source_of: Any
+    title: str,
+    *,
+    camera: Annotated[
+        str | None,
+        Setting("Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."),
+    ] = None,
+    plan: Annotated[
+        Path | None,
+        Setting("Plan whose camera is shown (virtual bench: its first edge)."),
+    ] = None,
+    session: Annotated[
+        Path | None, Setting("Session being acquired; the camera is not accessed.")
+    ] = None,
+    roi: Roi = None,
+    bits: Annotated[
+        int | None, Setting("Bit depth, if the pixel format does not state it.")
+    ] = None,
+    host: Annotated[
+        str,
+        Setting("Address to listen on; addresses other than loopback require the printed token."),
+    ] = "127.0.0.1",
+    port: Annotated[int, Setting("Port of the page; 0 selects a free port.")] = 8600,
+    terminal: Annotated[
+        bool, Setting("Show statistics in the terminal instead of a web page.")
+    ] = False,
+    seed: Seed = 0,
 ) -> None:
+    """Show frames of one source in a page or in the terminal."""
     with exit_on_bad_input(title, interrupted="closed"):
         from charact.live.focus import FocusReader
         from charact.live.live_loop import LiveLoop
         from charact.live.server import serve
         from charact.live.terminal import watch_on_terminal
 
-        region = options.parse_region(roi)
+        region = region_of(roi)
         with (
-            live_source(**source_of, tell=print_message) as source,
+            live_source(
+                camera=camera,
+                plan=plan,
+                session=session,
+                bits=bits,
+                seed=seed,
+                tell=print_message,
+            ) as source,
             FocusReader(source.context, region) as reader,
             LiveLoop(source, focus=reader, region=region) as running,
         ):
@@ -106,6 +85,27 @@ def _show(
                 port=port,
                 tell=lambda address: print_message(f"{address}   (Ctrl-C to quit)"),
             )
+
+
+@verb(_show)
+def live(**settings: Any) -> None:
+    """Live view in a local web page: newest frame, statistics and histogram.
+
+    Read-only: no camera or tube setting is changed. While a plan runs, use --session to view the
+    frames it stores.
+
+    Example: charact live --camera Aravis-Fake-GV01
+    """
+    _show("charact live", **settings)
+
+
+@verb(_show)
+def focus(**settings: Any) -> None:
+    """Live view for focusing: MTF50 of an edge, with the best value held.
+
+    Example: charact focus --camera Aravis-Fake-GV01 --roi 150,250,200,200
+    """
+    _show("charact focus", **settings)
 
 
 VIRTUAL_SENSOR = "pulnix-ag5745ef3"
@@ -126,7 +126,7 @@ def live_source(
 
     `bits`: bit depth, if the pixel format does not state it; `seed`: of the virtual bench.
     """
-    if sum(given is not None for given in (camera, plan, session)) > 1:
+    if sum(source is not None for source in (camera, plan, session)) > 1:
         raise BadInput(
             "a live view must have one source, got several of --camera, --plan and --session"
         )
@@ -143,19 +143,19 @@ def live_source(
     from drivers.acquisition.plans import load_plan
     from drivers.cameras import camera_named
 
-    loaded = None if plan is None else load_plan(plan)
+    bench = None if plan is None else load_plan(plan)
     if camera is None and (
-        loaded is None or (loaded.wires.bench != "real" and loaded.wires.camera is None)
+        bench is None or (bench.wires.bench != "real" and bench.wires.camera is None)
     ):
-        with _virtual(loaded, seed, full_scale_dn, tell) as source:
+        with _virtual(bench, seed, full_scale_dn, tell) as source:
             yield source
         return
-    name = camera or (loaded.wires.camera if loaded else None)
+    name = camera or (bench.wires.camera if bench else None)
     yield CameraSource(
         camera_named(name, say=tell),
         frames_each=_frames_each(name or ""),
         name=f"camera {name or '(the only one)'}",
-        context=_context(loaded.sensor if loaded else None, full_scale_dn),
+        context=_context(bench.sensor if bench else None, full_scale_dn),
     )
 
 
@@ -167,10 +167,10 @@ def _frames_each(camera: str) -> int:
     from labdata.lazy_stack import open_lazy_stack
     from labdata.session import open_session
 
-    kind, _, place = camera.partition(":")
+    kind, _, address = camera.partition(":")
     if kind != "replay":
         return ENDLESS
-    folder, _, label = place.partition("#")
+    folder, _, label = address.partition("#")
     session = open_session(folder)
     stacks = (session.stack(label),) if label else session.stacks
     return min(len(open_lazy_stack(stack)) for stack in stacks)
@@ -252,9 +252,9 @@ def watch(
     patience_s: Annotated[
         float, typer.Option("--patience-s", help="Maximum wait for the next stack, s.", min=0.0)
     ] = 1800.0,
-    seed: options.Seed = 0,
-    as_json: options.Json = False,
-    events: options.Events = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+    events: Events = False,
 ) -> None:
     """Measure each stack of a running acquisition, or each new file of a folder, as it is
     completed: one line each.
@@ -291,7 +291,7 @@ def watch(
             except BadInput as error:
                 print_message(f"{entry.label}: {error}", events=events)
                 continue
-            print(json.dumps(_object(looked)) if as_json else _line(looked), flush=True)
+            print_text(json.dumps(_object(looked)) if as_json else _line(looked))
 
 
 def _watch_files(
@@ -305,25 +305,26 @@ def _watch_files(
     events: bool,
 ) -> None:
     """Measure the targets of each new file of a folder."""
-    from charact.api import mtf
     from charact.live.quick_look import watch_files
     from charact.reporting.summary import rows_of_file
     from labdata.result_io import to_json
 
     for path in watch_files(folder, once=once, patience_s=patience_s):
         try:
-            result = mtf(path, kind, quick=True, seed=seed)
+            result = measuring.mtf(path, kind, quick=True, seed=seed)
         except (BadInput, OSError) as error:
             print_message(f"{path.name}: {error}", events=events)
             continue
         if as_json:
-            print(json.dumps(to_json(result, given=str(path), version=__version__)), flush=True)
+            print_text(json.dumps(to_json(result, given=str(path), version=__version__)))
         else:
-            print(*rows_of_file(path.name, result), sep="\n", flush=True)
+            print_text("\n".join(rows_of_file(path.name, result)))
 
 
 def _line(looked: "QuickLook") -> str:
     """Return the line of a stack: frames, mean, saturation, values with intervals, and flags."""
+    from charact.reporting.lines import number_of
+
     entry = looked.entry
     level = (
         f"{entry.label} ({entry.kind}): {looked.frames} frames, {entry.lost_frames} lost, mean "

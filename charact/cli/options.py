@@ -1,193 +1,183 @@
-"""Options shared by several verbs."""
+"""Options of the verbs, made of the settings that functions declare."""
 
 import inspect
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Collection, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
+from typer.models import OptionInfo
 
+from charact.api.settings import WithinPercent
 from labdata.errors import BadInput
+from labdata.settings import CameraDescription, Seed, Setting, declaration_of, default_option
 
 if TYPE_CHECKING:
+    from charact.reporting.frequency_unit import FrequencyUnit
+    from labdata.sensors import Camera
     from labdata.session import Kind
 
-Json = Annotated[
-    bool, typer.Option("--json", help="Print the result as one JSON object on stdout.")
-]
-Events = Annotated[
-    bool, typer.Option("--events", help="Write progress and messages as JSON lines on stderr.")
-]
-Seed = Annotated[int, typer.Option(help="Random seed; equal seeds give identical output.", min=0)]
-Quick = Annotated[
-    bool,
-    typer.Option(
-        "--quick", help="Skip posterior sampling; intervals are from the Laplace approximation."
-    ),
-]
-MethodName = Annotated[
-    str, typer.Option("--method", help="Method name, or auto (see `charact methods`).")
-]
-Within = Annotated[
-    float, typer.Option("--within", help="Error tolerance for auto, percent.", min=0.0)
-]
-Roi = Annotated[
-    str | None,
-    typer.Option("--roi", help="Region of interest ROW,COL,HEIGHT,WIDTH, px (default: found)."),
-]
-Plane = Annotated[
-    str | None,
-    typer.Option(
-        help="Colour plane: r, g, b or luminance (RGB), r, g1, g2 or b (raw; rggb:g1 states the "
-        "mosaic); or an index from 0 along an axis that is not the frame axis. Default: luminance."
-    ),
-]
-Axis = Annotated[
-    str | None,
-    typer.Option(help="Frame axis, index from 0 or name, if the file does not state it."),
-]
-BlackDn = Annotated[
-    float | None,
-    typer.Option(
-        help="Black level, DN (default: from the file). Separates non-uniform illumination from "
-        "halo; for bars, also detects gamma from the noise."
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(help="Address of a Dask scheduler; its workers must see the same file paths."),
-]
-SensorName = Annotated[
-    str | None,
-    typer.Option("--sensor", help="Name of a shipped sensor description, or path to a TOML file."),
-]
-Units = Annotated[
-    str,
-    typer.Option(
-        help="Display unit of frequency: cy/px, lp/mm, lp/mm-cathode, tvl/ph, lw/ph, cy/in, "
-        "cy/mrad or cy/arcmin. JSON is always cy/px."
-    ),
-]
-PitchUm = Annotated[
-    float | None,
-    typer.Option(
-        "--pitch-um", help="Pixel pitch for lp/mm and cy/mrad, µm (default: from the sensor)."
-    ),
-]
-Demagnification = Annotated[
-    float | None,
-    typer.Option(
-        help=(
-            "Photocathode-to-detector demagnification for lp/mm-cathode (default: from the sensor)."
-        )
-    ),
-]
-FocalLengthMm = Annotated[
-    float | None,
-    typer.Option(
-        "--focal-length-mm", help="Focal length for cy/mrad, mm (default: from the sensor)."
-    ),
-]
-MaxTargets = Annotated[
-    int,
-    typer.Option(
-        "--max-targets",
-        help="Maximum number of targets measured per frame, spread over the field.",
-        min=1,
-    ),
-]
-Annotate = Annotated[
-    Path | None, typer.Option(help="Write a PNG of the frame with measured regions and MTF50.")
-]
+# Types of parameters that an option has as well; any other parameter takes a text.
+PLAIN = {bool, int, float, str, Path, type(None)}
+# Option of each parameter of the verbs, and the options of the verb that runs.
+OPTIONS: dict[str, str] = {}
+RUNNING: dict[str, str] = {}
+Json = Annotated[bool, Setting("Print the result as one JSON object on stdout.", option="--json")]
+Events = Annotated[bool, Setting("Write progress and messages as JSON lines on stderr.")]
 Everything = Annotated[
     bool,
-    typer.Option(
-        "--all", help="Print every value, flag and note (default: a summary of at most 40 lines)."
+    Setting(
+        "Print every value, flag and note (default: a summary of at most 40 lines).",
+        option="--all",
     ),
 ]
-Plot = Annotated[
-    Path | None,
-    typer.Option("--plot", help="Write the MTF curves as a figure: .png, .svg or .pdf."),
-]
-Csv = Annotated[
-    Path | None, typer.Option("--csv", help="Write every value with its 95 % interval as CSV.")
-]
-BloomMap = Annotated[
-    Path | None,
-    typer.Option(
-        "--map",
-        help=(
-            "Write the bloom map (fraction of each pixel's signal that is blooming): .png or .npz."
-        ),
-    ),
-]
-BloomMapOf = Annotated[
-    str | None,
-    typer.Option(
-        "--map-of",
-        help="Stack to map (default: a scene stack, otherwise the brightest point stack).",
-    ),
-]
+SensorName = Annotated[str | None, declaration_of(CameraDescription)]
+Within = WithinPercent
+__all__ = ["Events", "Everything", "Json", "Seed", "SensorName", "Within"]
 
 
-# Annotation and default of the options of `mtf` and of the analyses of sessions.
-SHARED: dict[str, tuple[Any, Any]] = {
-    "roi": (Roi, None),
-    "method": (MethodName, "auto"),
-    "within": (Within, 2.0),
-    "quick": (Quick, False),
-    "seed": (Seed, 0),
-    "plane": (Plane, None),
-    "axis": (Axis, None),
-    "black_dn": (BlackDn, None),
-    "sensor": (SensorName, None),
-    "units": (Units, "cy/px"),
-    "pitch_um": (PitchUm, None),
-    "demagnification": (Demagnification, None),
-    "focal_length_mm": (FocalLengthMm, None),
-    "max_targets": (MaxTargets, 24),
-    "annotate": (Annotate, None),
-    "plot": (Plot, None),
-    "csv": (Csv, None),
-    "everything": (Everything, False),
-    "as_json": (Json, False),
-    "events": (Events, False),
-    "scheduler": (Scheduler, None),
-    "map_to": (BloomMap, None),
-    "map_of": (BloomMapOf, None),
-}
-# Options of `mtf edge` and `mtf bars`.
-OF_A_TARGET = tuple(name for name in SHARED if name not in ("scheduler", "map_to", "map_of"))
+def in_options(text: str) -> str:
+    """Return a text with the options of the parameters that it names in backticks.
+
+    Examples
+    --------
+    >>> OPTIONS["black_dn"] = "--black-dn"
+    >>> in_options("`black_dn` below `mtf`")
+    '--black-dn below `mtf`'
+    """
+    return re.sub(r"`(\w+)`", lambda name: OPTIONS.get(name[1], name[0]), text)
 
 
-def with_options(
-    *names: str, table: Mapping[str, tuple[Any, Any]] = SHARED
+def error_in_options(sentence: str) -> str:
+    """Return the sentence of an error with options of the verb that runs.
+
+    A parameter that the sentence begins with, and one of several words, needs no backticks.
+    """
+    named = re.sub(
+        r"^\w+(?= (?:must|needs|of|is) )|(?<![\w`])[a-z]+_\w+",
+        lambda name: RUNNING.get(name[0], name[0]),
+        sentence,
+    )
+    return in_options(named)
+
+
+def of(function: Callable[..., Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of the settings that are parameters of a function."""
+    return {
+        name: settings[name] for name in inspect.signature(function).parameters if name in settings
+    }
+
+
+def verb(
+    *functions: Callable[..., Any], without: Collection[str] = ()
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that replaces the `**settings` of a verb by named options of a table."""
-    shared = {name: table[name] for name in names}
+    """Return a decorator that makes options of the settings of a verb.
+
+    These are the settings that the verb declares, and in place of its `**settings` those of the
+    functions that it calls, but for those in `without`.
+    """
+    called = {
+        name: parameter
+        for function in functions
+        for name, parameter in inspect.signature(function).parameters.items()
+        if isinstance(declaration_of(parameter.annotation), Setting) and name not in without
+    }
 
     def enter(verb: Callable[..., None]) -> Callable[..., None]:
+        own = inspect.signature(verb).parameters
+        parameters = [
+            _as_option(parameter)
+            for parameter in (own | called).values()
+            if parameter.kind is not parameter.VAR_KEYWORD
+        ]
+
+        options = {p.name: name for p in parameters if (name := _name_of_option(p)) is not None}
+        OPTIONS.update(options)
+
         @wraps(verb)
         def run(**arguments: Any) -> None:
+            RUNNING.clear()
+            RUNNING.update(options)
             verb(**arguments)
 
-        own = [
-            p
-            for p in inspect.signature(verb).parameters.values()
-            if p.kind is not p.VAR_KEYWORD and p.name not in shared
-        ]
-        kind = inspect.Parameter.KEYWORD_ONLY
-        every = [p.replace(kind=kind) for p in own]
-        every += [
-            inspect.Parameter(n, kind, default=d, annotation=a) for n, (a, d) in shared.items()
-        ]
-        run.__signature__ = inspect.Signature(every)  # pyright: ignore[reportAttributeAccessIssue]
-        run.__annotations__ = {p.name: p.annotation for p in every}
+        run.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportAttributeAccessIssue]
+        run.__annotations__ = {p.name: p.annotation for p in parameters}
         del run.__wrapped__  # pyright: ignore[reportAttributeAccessIssue]
         return run
 
     return enter
+
+
+def _as_option(parameter: inspect.Parameter) -> inspect.Parameter:
+    """Return a parameter of a verb, as an option if it is a setting."""
+    parameter = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+    setting = declaration_of(parameter.annotation)
+    if not isinstance(setting, Setting):
+        return parameter
+    name = setting.option or default_option(parameter.name)
+    option = typer.Option(name, help=setting.help, min=setting.minimum, metavar=setting.metavar)
+    return parameter.replace(annotation=Annotated[_type_of_option(parameter.annotation), option])
+
+
+def _name_of_option(parameter: inspect.Parameter) -> str | None:
+    """Return the name of the option of a parameter; None of an argument."""
+    for option in get_args(parameter.annotation)[1:]:
+        if isinstance(option, OptionInfo):
+            # In an annotation the first name is where the default stands elsewhere.
+            names = (option.default, *(option.param_decls or ()), default_option(parameter.name))
+            return next(name for name in names if str(name).startswith("--"))
+    return None
+
+
+def _type_of_option(annotation: Any) -> Any:
+    """Return the type of the option of a parameter: its own, or a path or a text."""
+    declared = get_args(annotation)[0]
+    kinds = set(get_args(declared)) or {declared}
+    if kinds > {str, Path}:
+        return Path | None
+    return declared if kinds <= PLAIN else str | None
+
+
+def frequency_unit(
+    camera: "Camera | None",
+    *,
+    rows: int | None,
+    sample_pitch_px: int = 1,
+    units: Annotated[
+        str,
+        Setting(
+            "Display unit of frequency: cy/px, lp/mm, lp/mm-cathode, tvl/ph, lw/ph, cy/in, "
+            "cy/mrad or cy/arcmin. JSON is always cy/px."
+        ),
+    ] = "cy/px",
+    pitch_um: Annotated[
+        float | None,
+        Setting("Pixel pitch for lp/mm and cy/mrad, µm (default: from the sensor)."),
+    ] = None,
+    demagnification: Annotated[
+        float | None,
+        Setting(
+            "Photocathode-to-detector demagnification for lp/mm-cathode (default: from the sensor)."
+        ),
+    ] = None,
+    focal_length_mm: Annotated[
+        float | None, Setting("Focal length for cy/mrad, mm (default: from the sensor).")
+    ] = None,
+) -> "FrequencyUnit":
+    """Return the display unit of frequency, with lengths of a camera description."""
+    from charact.reporting.frequency_unit import FrequencyUnit
+
+    return FrequencyUnit.of(
+        camera,
+        rows=rows,
+        sample_pitch_px=sample_pitch_px,
+        unit=units,
+        pitch_um=pitch_um,
+        demagnification=demagnification,
+        focal_length_mm=focal_length_mm,
+    )
 
 
 def parse_kind(text: str) -> "Kind":
@@ -197,18 +187,4 @@ def parse_kind(text: str) -> "Kind":
     for kind in get_args(Kind):
         if kind == text:
             return kind
-    raise BadInput(f"--kind must be one of {', '.join(get_args(Kind))}, got {text!r}")
-
-
-def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
-    """Return ROW, COL, HEIGHT, WIDTH of an --roi, or None; raise BadInput unless it is four
-    integers.
-    """
-    if text is None:
-        return None
-    parts = text.split(",")
-    try:
-        row, col, height, width = (int(part) for part in parts)
-    except ValueError:
-        raise BadInput(f"--roi must be four integers ROW,COL,HEIGHT,WIDTH, got {text!r}") from None
-    return row, col, height, width
+    raise BadInput(f"`kind` must be one of {', '.join(get_args(Kind))}, got {text!r}")

@@ -79,7 +79,7 @@ def why_other_kind(path: Path, *beginnings: bytes) -> str | None:
         start = file.read(100).lstrip().lower()
     return (
         None
-        if start.startswith(tuple(one.lower() for one in beginnings))
+        if start.startswith(tuple(beginning.lower() for beginning in beginnings))
         else "a file of another kind"
     )
 
@@ -122,14 +122,14 @@ def why_kept(folder: Path, maker: Maker, sources: Iterable[Path] = ()) -> str | 
     if not (folder / MANIFEST).is_file():
         return None if acquired else "a folder with a plan.toml that was not run"
     frames = [stack.frames for stack in from_toml(folder / MANIFEST, SessionFile).stack]
-    own = all(
+    acquired_here = all(
         isinstance(f, str) and Path(f).parent == Path(FRAMES) and is_ours(folder / f)
         for f in frames
     )
-    found: Maker = "import" if not own else "plan" if acquired else "simulation"
-    if found != maker:
-        return f"a session {MADE_BY[found]}"
-    if own:
+    made_by: Maker = "import" if not acquired_here else "plan" if acquired else "simulation"
+    if made_by != maker:
+        return f"a session {MADE_BY[made_by]}"
+    if acquired_here:
         try:
             SessionWriter.resume(folder).close()
         except BadInput:
@@ -181,11 +181,11 @@ def manifest_to_replace(folder: Path) -> Iterator[None]:
     if not (folder / MANIFEST).exists():
         yield
         return
-    away = (folder / MANIFEST).rename(folder / f".{MANIFEST}.replaced")
+    aside = (folder / MANIFEST).rename(folder / f".{MANIFEST}.replaced")
     try:
         yield
     except BaseException:
-        away.rename(folder / MANIFEST)
+        aside.rename(folder / MANIFEST)
         raise
-    away.unlink()
+    aside.unlink()
     remove_results(folder)

@@ -2,9 +2,8 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,15 +11,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from charact import __version__
-from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
-from charact.cli.outputs import FITTED, Force, require_free, why_other_kind
+from charact.api import measuring, modelling
+from charact.cli.options import Events, Json, frequency_unit, of, verb
+from charact.cli.output import (
+    exit_on_bad_input,
+    print_message,
+    print_result,
+    print_text,
+    progress_bar,
+)
+from charact.cli.outputs import Force, require_free, why_other_kind
 from labdata.errors import BadInput
+from labdata.settings import Setting
 
 if TYPE_CHECKING:
-    from charact.fitting.prior import Camera
-    from charact.method import Context
     from charact.validation import Validation
+    from labdata.camera.description import Camera
     from labdata.measurement import Result
     from labdata.session import Session
 
@@ -29,8 +35,10 @@ def session_in(folder: Path) -> Path:
     """Return the session folder inside the folder of a demonstration, else the folder."""
     from labdata.session import MANIFEST
 
-    inside = folder / "session"
-    return inside if (inside / MANIFEST).is_file() and not (folder / MANIFEST).is_file() else folder
+    session = folder / "session"
+    return (
+        session if (session / MANIFEST).is_file() and not (folder / MANIFEST).is_file() else folder
+    )
 
 
 def _sessions_in(folders: list[Path]) -> list[Path]:
@@ -68,9 +76,7 @@ def open_session_only(path: Path) -> "Session":
     return open_session(path)
 
 
-@options.with_options(
-    "method", "within", "quick", "seed", "scheduler", "everything", "as_json", "events"
-)
+@verb(measuring.noise, print_result)
 def noise(sessions: SessionFolders, **settings: Any) -> None:
     """Measure noise and gain from flat and dark stacks of one or more sessions.
 
@@ -96,26 +102,20 @@ def noise(sessions: SessionFolders, **settings: Any) -> None:
         raise typer.Exit(1)
 
 
-@options.with_options(
-    "method",
-    "within",
-    "quick",
-    "seed",
-    "everything",
-    "as_json",
-    "events",
-    "map_to",
-    "map_of",
-    "plane",
-    "axis",
-)
+@verb(measuring.bloom, print_result)
 def bloom(
     session: SessionFolder,
-    *,
-    map_to: Path | None,
-    map_of: str | None,
-    plane: str | None,
-    axis: str | None,
+    map_to: Annotated[
+        Path | None,
+        Setting(
+            "Write the bloom map (fraction of each pixel's signal that is blooming): .png or .npz.",
+            option="--map",
+        ),
+    ] = None,
+    map_of: Annotated[
+        str | None,
+        Setting("Stack to map (default: a scene stack, otherwise the brightest point stack)."),
+    ] = None,
     **settings: Any,
 ) -> None:
     """Measure halo and bloom extent from point sources; optionally write a bloom map.
@@ -126,185 +126,99 @@ def bloom(
     """
     if map_to is None and map_of is not None:
         raise typer.BadParameter("needs --map", param_hint="'--map-of'")
-    if is_image(session):
-        _bloom_of_image(session, mapped=map_to is not None, plane=plane, axis=axis, **settings)
-        return
-    drawn = None
-    if map_to is not None:
-        from charact.reporting.bloom_images import write_bloom_map
-
-        drawn = partial(write_bloom_map, label=map_of, path=map_to)
-    _analyse("bloom", session, drawn=drawn, **settings)
+    _analyse("bloom", session, map_to=map_to, map_of=map_of, **settings)
 
 
 def _analyse(
     room: str,
-    folder: Path,
+    source: Path,
     *,
-    method: str,
-    within: float,
-    quick: bool,
-    seed: int,
-    everything: bool,
-    as_json: bool,
-    events: bool,
-    scheduler: str | None = None,
-    drawn: "Callable[[Session, Result, Context], None] | None" = None,
+    map_to: Path | None = None,
+    map_of: str | None = None,
+    **settings: Any,
 ) -> None:
-    with (
-        exit_on_bad_input(str(folder), as_json=as_json, events=events),
-        progress_bar(events=events) as progress,
-    ):
-        from charact.method.registry import parallel_map
-        from charact.session_measurement import (
-            measure_bloom,
-            measure_noise,
-            method_context,
-            with_inputs,
-        )
-        from labdata import result_io
+    """Measure noise or bloom of a session, or bloom of an image, and keep the result of a
+    session.
+    """
+    events = settings["events"]
+    with exit_on_bad_input(str(source), as_json=settings["as_json"], events=events):
+        image = room == "bloom" and is_image(source)
+        if image and map_to is not None:
+            raise BadInput(
+                f"--map needs a session with point sources, got the file {source}; create one with "
+                f"charact import frames {source} OUT --kind point"
+            )
+        measured = source if image else open_session_only(source)
+        analysis = getattr(measuring, room)
+        with progress_bar(events=events) as progress:
+            result = analysis(measured, progress=progress, **of(analysis, settings))
 
-        given = open_session_only(folder)
-        analysis = measure_noise if room == "noise" else measure_bloom
+        def keep() -> None:
+            if image:
+                return
+            from charact.session_measurement import method_context, with_inputs
+            from labdata import result_io
 
-        def keep(given: "Session", result: "Result", context: "Context") -> None:
+            session = result.session
             try:
-                result_io.save_into(with_inputs(result, given), given.folder)
+                result_io.save_into(with_inputs(result, session), session.folder)
             except OSError as error:  # a folder of others may be read-only
                 print_message(
-                    f"the result is not kept in {given.folder}: {error.strerror or error}",
+                    f"the result is not kept in {session.folder}: {error.strerror or error}",
                     events=events,
                 )
-            if drawn is not None:
-                drawn(given, result, context)
+            if map_to is not None:
+                from charact.reporting.bloom_images import write_bloom_map
 
-        with parallel_map(scheduler) as spread:
-            context = method_context(
-                given, quick=quick, seed=seed, progress=progress, spread=spread
-            )
-            result = analysis(given, method=method, within_percent=within, context=context)
+                context = method_context(session, quick=settings["quick"], seed=settings["seed"])
+                write_bloom_map(session, result, context, label=map_of, path=map_to)
+
+        further = f"charact import frames {source} mine --kind point, then charact measure mine"
         print_result(
             result,
-            given=str(folder),
+            given=str(source),
             verb=room,
-            as_json=as_json,
-            events=events,
-            everything=everything,
-            next_verb=f"charact measure {folder}",
-            then=lambda: keep(given, result, context),
+            next_verb=further if image else f"charact measure {source}",
+            then=keep,
+            **of(print_result, settings),
         )
 
 
-def _bloom_of_image(
-    path: Path,
-    *,
-    mapped: bool,
-    plane: str | None,
-    axis: str | None,
-    within: float,
-    everything: bool,
-    as_json: bool,
-    events: bool,
-    **settings: Any,
-) -> None:
-    """Measure and print the bloom extent of a point source in a single image."""
-    with exit_on_bad_input(str(path), as_json=as_json, events=events):
-        from charact.api import bloom, frames_of
-
-        if mapped:
-            raise BadInput(
-                f"--map needs a session with point sources, got the file {path}; create one with "
-                f"charact import frames {path} OUT --kind point"
-            )
-        frames = frames_of(path, plane=plane, axis=axis)
-        with progress_bar(events=events) as progress:
-            result = bloom(
-                frames, within_percent=within, progress=progress, label=path.stem, **settings
-            )
-        further = f"charact import frames {path} mine --kind point, then charact measure mine"
-        print_result(
-            result,
-            given=str(path),
-            verb="bloom",
-            as_json=as_json,
-            events=events,
-            everything=everything,
-            next_verb=further,
-        )
-
-
-@options.with_options(
-    "within",
-    "quick",
-    "seed",
-    "scheduler",
-    "units",
-    "pitch_um",
-    "demagnification",
-    "focal_length_mm",
-    "everything",
-    "as_json",
-    "events",
-)
-def measure(
-    session: SessionFolder,
-    *,
-    units: str,
-    pitch_um: float | None,
-    demagnification: float | None,
-    focal_length_mm: float | None,
-    everything: bool,
-    as_json: bool,
-    events: bool,
-    **settings: Any,
-) -> None:
+@verb(measuring.measure, frequency_unit, print_result)
+def measure(session: SessionFolder, **settings: Any) -> None:
     """Measure everything the stacks of a session support and store the result in the session.
 
     Example: charact measure day1 --quick
     """
-    with exit_on_bad_input(str(session), as_json=as_json, events=events):
-        from charact.reporting.frequency_unit import FrequencyUnit
+    events = settings["events"]
+    with exit_on_bad_input(str(session), as_json=settings["as_json"], events=events):
         from labdata import result_io
         from labdata.lazy_stack import open_lazy_stack
 
-        given = open_session_only(session)
-        first = given.stacks[0] if given.stacks else None
-        frequency = FrequencyUnit.of(
-            given.camera,
+        opened = open_session_only(session)
+        first = opened.stacks[0] if opened.stacks else None
+        frequency = frequency_unit(
+            opened.camera,
             rows=open_lazy_stack(first).shape[1] if first else None,
             sample_pitch_px=first.sampling()[1] if first else 1,
-            unit=units,
-            pitch_um=pitch_um,
-            demagnification=demagnification,
-            focal_length_mm=focal_length_mm,
+            **of(frequency_unit, settings),
         )
-        result = measure_folder(session, events=events, **settings)
+        result = measure_folder(session, events=events, **of(measuring.measure, settings))
         print_result(
             result,
             given=str(session),
             verb="measure",
-            as_json=as_json,
-            events=events,
-            everything=everything,
             frequency=frequency,
             next_verb=f"charact report {session}",
             then=lambda: result_io.save(result, open_session_only(session).folder),
+            **of(print_result, settings),
         )
 
 
 def measure_folder(
-    folder: Path,
-    *,
-    quick: bool = False,
-    seed: int = 0,
-    within: float = 2.0,
-    events: bool = False,
-    scheduler: str | None = None,
-    save: bool = False,
+    folder: Path, *, events: bool = False, save: bool = False, **settings: Any
 ) -> "Result":
     """Measure a session; `save`: store the result in it."""
-    from charact.method.registry import parallel_map
-    from charact.session_measurement import measure as measure_session
     from charact.session_measurement import with_inputs
     from labdata import result_io
     from labdata.session import UNUSED
@@ -313,11 +227,8 @@ def measure_folder(
     for note in session.notes:
         if UNUSED in note:
             print_message(note, events=events)
-    with progress_bar(events=events) as progress, parallel_map(scheduler) as spread:
-        result = measure_session(
-            session, quick=quick, seed=seed, within_percent=within, progress=progress, spread=spread
-        )
-    result = with_inputs(result, session)
+    with progress_bar(events=events) as progress:
+        result = with_inputs(measuring.measure(session, progress=progress, **settings), session)
     if save:
         result_io.save(result, session.folder)
     return result
@@ -333,14 +244,15 @@ def load_or_measure(folder: Path, *, seed: int, events: bool) -> "Result":
     return measure_folder(folder, seed=seed, events=events, save=True)
 
 
+@verb(modelling.fit)
 def fit(
     session: SessionFolder,
     sensor_out: Annotated[
         Path, typer.Option("--sensor-out", help="Output TOML file of the fitted sensor.")
     ],
     force: Force = False,
-    seed: options.Seed = 0,
-    events: options.Events = False,
+    events: Events = False,
+    **settings: Any,
 ) -> None:
     """Fit the sensor: identified parameters with joint posterior draws, the others at their priors
     and marked.
@@ -349,8 +261,8 @@ def fit(
     """
     with exit_on_bad_input(str(session), events=events):
         require_free(sensor_out, force=force, kept=lambda: _why_no_fit(sensor_out, session))
-        result = load_or_measure(session, seed=seed, events=events)
-        fitted = fit_and_save(session, result, sensor_out, seed=seed, events=events)
+        result = load_or_measure(session, events=events, **settings)
+        fitted = fit_and_save(session, result, sensor_out, events=events, **settings)
         for path, p in fitted.parameters().items():
             if p.standing in ("fitted", "prior"):
                 print(f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] 95 %, {p.standing}")
@@ -381,13 +293,14 @@ def _why_no_fit(path: Path, session: Path) -> str | None:
         return "a file that is no sensor"
 
 
-def fit_and_save(folder: Path, result: "Result", out: Path, *, seed: int, events: bool) -> "Camera":
+def fit_and_save(
+    folder: Path, result: "Result", out: Path, *, events: bool, **settings: Any
+) -> "Camera":
     """Fit the sensor of a session and save it as a TOML file."""
-    from charact.fitting import fit_sensor
     from labdata.sensors import save_sensor
 
     with progress_bar(events=events) as progress:
-        fitted = fit_sensor(open_session_only(folder), result, seed=seed, progress=progress)
+        fitted = modelling.fit(open_session_only(folder), result, progress=progress, **settings)
     fitted = replace(fitted, notes=(*fitted.notes, _frames_note(folder.name, result)))
     save_sensor(fitted, out)
     return fitted
@@ -419,99 +332,85 @@ def _of_same_frames(fitted: "Camera", session: "Session") -> bool:
     )
 
 
+@verb(modelling.validate)
 def validate(
-    session: SessionFolder,
-    sensor: options.SensorName = None,
-    seed: options.Seed = 0,
-    as_json: options.Json = False,
-    events: options.Events = False,
+    session: SessionFolder, as_json: Json = False, events: Events = False, **settings: Any
 ) -> None:
     """Compare simulated with measured frames, using only the fitted sensor, by tests that can fail.
 
     Example: charact validate day1 --sensor day1/fitted.toml
     """
     with exit_on_bad_input(str(session), as_json=as_json, events=events):
-        done = validate_and_save(session, sensor or session / FITTED, seed=seed, events=events)
+        validation = validate_and_save(session, events=events, **settings)
         if as_json:
-            from charact.validation import as_json as document
+            from charact.validation import as_json as document_of
 
-            print(
-                json.dumps(
-                    {"charact": __version__, "input": str(session), "validation": document(done)}
-                )
+            document = document_of(validation)
+            print_text(
+                json.dumps({"charact": __version__, "input": str(session), "validation": document})
             )
         else:
-            print("\n".join(_lines(done)))
+            print("\n".join(_lines(validation)))
             print(f"Next: charact report {session}")
 
 
-def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bool) -> "Validation":
+def validate_and_save(
+    folder: Path, *, sensor: str | None = None, events: bool, **settings: Any
+) -> "Validation":
     """Validate a session against a fitted sensor and save the result in the session folder."""
     from charact import validation
-    from labdata.sensors import load_camera
 
     session = open_session_only(folder)
-    if isinstance(sensor, Path) and not sensor.is_file():
-        raise BadInput(
-            f"validate needs a fitted sensor, got no file {sensor}; run charact fit {folder} "
-            f"--sensor-out {sensor}"
-        )
-    fitted = load_camera(sensor)
-    if fitted.is_thermal:
-        raise BadInput(
-            f"validate needs a camera of visible light, got {fitted.name!r} of the thermal infrared"
-        )
+    fitted = modelling.fitted_sensor_of(session, sensor)
     if not fitted.draws.values:
         sentence = (
             f"{fitted.name} has no posterior draws: it is simulated without parameter uncertainty"
         )
         print_message(sentence, events=events)
     with progress_bar(events=events) as progress:
-        done = validation.validate(session, fitted, seed=seed, progress=progress)
-    notes = (*done.notes, *(f"fit of {fitted.name}: {note}" for note in _findings_in(fitted)))
-    own = Path(sensor).resolve().parent == session.folder.resolve()
-    done = replace(done, notes=notes, same_session=own or _of_same_frames(fitted, session))
-    validation.save(done, session.folder)
-    return done
+        compared = modelling.validate(session, fitted, progress=progress, **settings)
+    notes = (*compared.notes, *(f"fit of {fitted.name}: {note}" for note in _findings_in(fitted)))
+    in_session = sensor is None or Path(sensor).resolve().parent == session.folder.resolve()
+    compared = replace(
+        compared, notes=notes, same_session=in_session or _of_same_frames(fitted, session)
+    )
+    validation.save(compared, session.folder)
+    return compared
 
 
 def _lines(validation: "Validation") -> Iterator[str]:
     """Yield one line per statistic, what the controls noticed and did not, detectable errors, and
     the verdict.
     """
-    for one in validation.statistics:
-        yield f"{one.title}: p {one.p_text}, {'agrees' if one.passed else 'DIFFERS'}"
-        if not one.passed:
-            yield f"    most in {one.worst}; may come from {one.cause}"
+    for statistic in validation.statistics:
+        agreement = "agrees" if statistic.passed else "DIFFERS"
+        yield f"{statistic.title}: p {statistic.p_text}, {agreement}"
+        if not statistic.passed:
+            yield f"    most in {statistic.worst}; may come from {statistic.cause}"
     for control in validation.controls:
         if control.name == "null":
             failing = "" if control.passed else f": {', '.join(control.noticed_by)}"
             yield (
                 f"null control, {control.title}: {'passes' if control.passed else 'FAILS'}{failing}"
             )
-    negative = [one for one in validation.controls if one.name == "negative"]
-    unseen = [one.title for one in negative if not one.passed]
+    negative = [control for control in validation.controls if control.name == "negative"]
+    unseen = [control.title for control in negative if not control.passed]
     yield f"negative controls: {len(negative) - len(unseen)} of {len(negative)} noticed" + (
         f"; not seen: {', '.join(unseen)}" if unseen else ""
     )
-    found = [f"{one.title} {one.percent}" for one in validation.power if one.statistic]
-    if found:
-        share = f"{100.0 * validation.power[0].probability:g} %"
-        yield f"errors that would have been found in {share} of cases: {', '.join(found)}"
-    yield from (f"likely cause: {one.note}" for one in validation.likely_causes)
+    detectable = [f"{error.title} {error.percent}" for error in validation.power if error.statistic]
+    if detectable:
+        probability = f"{100.0 * validation.power[0].probability:g} %"
+        errors = ", ".join(detectable)
+        yield f"errors that would have been found in {probability} of cases: {errors}"
+    yield from (f"likely cause: {cause.note}" for cause in validation.likely_causes)
     yield from (f"note: {note}" for note in (validation.origin, *validation.notes))
     yield f"validation: {'passed' if validation.passed else 'FAILED'}"
 
 
+@verb(modelling.report)
 def report(
-    session: SessionFolder,
-    out: Annotated[
-        Path | None, typer.Option(help="Output HTML file (default: report.html in the session).")
-    ] = None,
-    pdf: Annotated[bool, typer.Option("--pdf", help="Also write a PDF.")] = False,
-    force: Force = False,
-    seed: options.Seed = 0,
-    events: options.Events = False,
+    session: SessionFolder, force: Force = False, events: Events = False, **settings: Any
 ) -> None:
     """Write a self-contained HTML report: figures, quantities with intervals, validation,
     provenance.
@@ -519,23 +418,12 @@ def report(
     Example: charact report day1 --pdf
     """
     with exit_on_bad_input(str(session), events=events):
-        from charact.reporting.session_page import write
-        from charact.validation import load
-
-        for path in () if out is None else (out, *((out.with_suffix(".pdf"),) if pdf else ())):
+        out = settings["out"]
+        for path in () if out is None else (out, *((out.with_suffix(".pdf"),) * settings["pdf"])):
             require_free(
                 path,
                 force=force,
                 kept=lambda path=path: why_other_kind(path, b"<!doctype html", b"%PDF"),
             )
-        given = open_session_only(session)
-        result = load_or_measure(session, seed=seed, events=events)
-        print(
-            write(
-                given,
-                result,
-                out or session / "report.html",
-                validation=load(given.folder),
-                pdf=pdf,
-            )
-        )
+        result = load_or_measure(session, seed=settings["seed"], events=events)
+        print(modelling.report(session, result=result, **settings))

@@ -101,9 +101,9 @@ class Comparison:
     def find(self, quantity: str, stack: str | None = None) -> tuple[Difference, ...]:
         """Return the differences of a quantity, of one stack if given."""
         return tuple(
-            one
-            for one in self.differences
-            if one.a.quantity == quantity and stack in (None, one.a.stack)
+            difference
+            for difference in self.differences
+            if difference.a.quantity == quantity and stack in (None, difference.a.stack)
         )
 
 
@@ -113,7 +113,6 @@ def compare(
     *,
     sessions: tuple[Session, Session] | None = None,
     anyway: bool = False,
-    remedy: str = "anyway=True",
     rng: np.random.Generator,
 ) -> Comparison:
     r"""Return the difference B - A of every quantity with a value in both results.
@@ -126,8 +125,6 @@ def compare(
         Their sessions, whose conditions are compared; None: the conditions are unknown.
     anyway
         Compare unlike sessions, with the flag "unlike-conditions".
-    remedy
-        Setting named by the error for unlike sessions.
     rng
         Generator of the draws.
 
@@ -164,7 +161,7 @@ def compare(
     pairs, stacks = (), 0
     if sessions is not None:
         if not anyway:
-            require_alike(*sessions, remedy=remedy)
+            require_alike(*sessions)
         pairs, stacks = condition_pairs(*sessions), len(pair_stacks(*sessions))
     matched = pair_measurements(a, b)
     if not matched:
@@ -172,9 +169,9 @@ def compare(
             "two results must have a quantity with a value in both to be compared, got none"
         )
     unlike = {pair.stack for pair in pairs if pair.unlike}
-    valued = [sum(m.value is not None for m in one.measurements) for one in (a, b)]
+    valued = [sum(m.value is not None for m in result.measurements) for result in (a, b)]
     return Comparison(
-        differences=tuple(_difference(one, other, unlike, rng) for one, other in matched),
+        differences=tuple(_difference(*pair, unlike, rng) for pair in matched),
         conditions=pairs,
         stacks=stacks,
         unmatched=(valued[0] - len(matched), valued[1] - len(matched)),
@@ -194,11 +191,13 @@ def pair_measurements(a: Result, b: Result) -> tuple[tuple[Measurement, Measurem
         if m.value is not None:
             groups.setdefault((m.quantity, m.unit, m.stack), []).append((index, m))
     possible = [
-        (_unlikeness(one, other), i, j)
-        for i, one in enumerate(a.measurements)
-        if one.value is not None
-        for j, other in groups.get((one.quantity, one.unit, one.stack), ())
-        if _same_place(one, other)
+        (_unlikeness(measurement, partner), i, j)
+        for i, measurement in enumerate(a.measurements)
+        if measurement.value is not None
+        for j, partner in groups.get(
+            (measurement.quantity, measurement.unit, measurement.stack), ()
+        )
+        if _same_place(measurement, partner)
     ]
     partners: dict[int, int] = {}
     for _, i, j in sorted(possible):
@@ -207,50 +206,48 @@ def pair_measurements(a: Result, b: Result) -> tuple[tuple[Measurement, Measurem
     return tuple((a.measurements[i], b.measurements[j]) for i, j in sorted(partners.items()))
 
 
-def _same_place(one: Measurement, other: Measurement) -> bool:
+def _same_place(a: Measurement, b: Measurement) -> bool:
     return (
-        same_frequency(one.frequency_cy_per_px, other.frequency_cy_per_px)
-        and _same_direction(one.orientation_deg, other.orientation_deg)
-        and (one.region is None or other.region is None or _overlap(one.region, other.region))
+        same_frequency(a.frequency_cy_per_px, b.frequency_cy_per_px)
+        and _same_direction(a.orientation_deg, b.orientation_deg)
+        and (a.region is None or b.region is None or _overlap(a.region, b.region))
     )
 
 
-def _same_direction(one: float | None, other: float | None) -> bool:
-    return one is None or other is None or turn_deg(one, other) <= LIMITS.direction_deg
+def _same_direction(a: float | None, b: float | None) -> bool:
+    return a is None or b is None or turn_deg(a, b) <= LIMITS.direction_deg
 
 
-def same_frequency(one: float | None, other: float | None) -> bool:
+def same_frequency(a: float | None, b: float | None) -> bool:
     """Return whether two frequencies agree within the tolerance; both None agree."""
-    if one is None or other is None:
-        return one is other
-    return abs(one - other) <= LIMITS.relative_frequency * max(abs(one), abs(other))
+    if a is None or b is None:
+        return a is b
+    return abs(a - b) <= LIMITS.relative_frequency * max(abs(a), abs(b))
 
 
-def turn_deg(one: float, other: float) -> float:
+def turn_deg(a: float, b: float) -> float:
     """Return the angle between two directions, 0 to 90 degrees."""
-    return abs((one - other + 90.0) % 180.0 - 90.0)
+    return abs((a - b + 90.0) % 180.0 - 90.0)
 
 
-def _overlap(one: tuple[int, int, int, int], other: tuple[int, int, int, int]) -> bool:
-    return all(
-        max(one[i], other[i]) < min(one[i] + one[i + 2], other[i] + other[i + 2]) for i in (0, 1)
-    )
+def _overlap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+    return all(max(a[i], b[i]) < min(a[i] + a[i + 2], b[i] + b[i + 2]) for i in (0, 1))
 
 
-def _unlikeness(one: Measurement, other: Measurement) -> tuple[bool, float, float, float]:
+def _unlikeness(a: Measurement, b: Measurement) -> tuple[bool, float, float, float]:
     """Return the order of preference of a partner: method, direction, frequency, position."""
-    frequency = abs((one.frequency_cy_per_px or 0.0) - (other.frequency_cy_per_px or 0.0))
-    turned = turn_deg(one.orientation_deg or 0.0, other.orientation_deg or 0.0)
-    return one.method != other.method, turned, frequency, _apart_px(one, other)
+    frequency = abs((a.frequency_cy_per_px or 0.0) - (b.frequency_cy_per_px or 0.0))
+    turned = turn_deg(a.orientation_deg or 0.0, b.orientation_deg or 0.0)
+    return a.method != b.method, turned, frequency, _apart_px(a, b)
 
 
-def _apart_px(one: Measurement, other: Measurement) -> float:
+def _apart_px(a: Measurement, b: Measurement) -> float:
     """Return the distance between the centres of two regions along rows and columns, px."""
-    if one.region is None or other.region is None:
+    if a.region is None or b.region is None:
         return 0.0
     (row, col, height, width), (other_row, other_col, other_height, other_width) = (
-        one.region,
-        other.region,
+        a.region,
+        b.region,
     )
     return abs(row - other_row + 0.5 * (height - other_height)) + abs(
         col - other_col + 0.5 * (width - other_width)
@@ -333,25 +330,25 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
     differ.
     """
     return {
-        "differences": [_document(one) for one in comparison.differences],
+        "differences": [_document(difference) for difference in comparison.differences],
         "conditions": [vars(pair) for pair in comparison.conditions],
     }
 
 
-def _document(one: Difference) -> dict[str, Any]:
-    places = ("stack", "region", "frequency_cy_per_px", "orientation_deg")
-    better = one.probability_better
+def _document(difference: Difference) -> dict[str, Any]:
+    applying = ("stack", "region", "frequency_cy_per_px", "orientation_deg")
+    better = difference.probability_better
     return {
-        "quantity": one.a.quantity,
-        "unit": one.a.unit,
-        **{name: value for name in places if (value := getattr(one.a, name)) is not None},
-        "a": one.a.value,
-        "b": one.b.value,
+        "quantity": difference.a.quantity,
+        "unit": difference.a.unit,
+        **{name: value for name in applying if (value := getattr(difference.a, name)) is not None},
+        "a": difference.a.value,
+        "b": difference.b.value,
         **{
-            name: getattr(one, name)
+            name: getattr(difference, name)
             for name in ("difference", "interval68", "interval95", "probability_greater")
         },
         **({} if better is None else {"probability_better": better}),
-        "status": one.status,
-        "flags": list(one.flags),
+        "status": difference.status,
+        "flags": list(difference.flags),
     }

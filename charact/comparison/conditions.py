@@ -70,7 +70,7 @@ def condition_pairs(a: Session, b: Session) -> tuple[ConditionPair, ...]:
     Examples
     --------
     >>> import numpy as np
-    >>> from charact.api import session, stack
+    >>> from charact import session, stack
     >>> frames = np.zeros((2, 8, 8))
     >>> day1 = session([stack(frames, "dark", mcp_v=780.0)])
     >>> day2 = session([stack(frames, "dark", mcp_v=800.0)])
@@ -80,20 +80,18 @@ def condition_pairs(a: Session, b: Session) -> tuple[ConditionPair, ...]:
     """
     return (
         *_of_cameras(a, b),
-        *(pair for one, other in pair_stacks(a, b) for pair in _of_stacks(one, other)),
+        *(pair for stack_a, stack_b in pair_stacks(a, b) for pair in _of_stacks(stack_a, stack_b)),
     )
 
 
 def pair_stacks(a: Session, b: Session) -> tuple[tuple[StackEntry, StackEntry], ...]:
     """Return the stacks whose label is in both sessions, in the order of the first."""
-    others = {entry.label: entry for entry in b.stacks}
-    return tuple((entry, others[entry.label]) for entry in a.stacks if entry.label in others)
+    stacks_b = {entry.label: entry for entry in b.stacks}
+    return tuple((entry, stacks_b[entry.label]) for entry in a.stacks if entry.label in stacks_b)
 
 
-def require_alike(a: Session, b: Session, *, remedy: str) -> None:
-    """Raise BadInput, which names a remedy, if two sessions are unlike or have no stack label in
-    common.
-    """
+def require_alike(a: Session, b: Session) -> None:
+    """Raise BadInput if two sessions are unlike or have no stack label in common."""
     unlike = [pair for pair in condition_pairs(a, b) if pair.unlike]
     if unlike:
         first, more = unlike[0], len(unlike) - 1
@@ -102,11 +100,11 @@ def require_alike(a: Session, b: Session, *, remedy: str) -> None:
             f"compared sessions must be alike, got {first.name} {_format_value(first.a)} and "
             f"{_format_value(first.b)}{where}"
             + (f" and {more} more unlike conditions" if more else "")
-            + f"; {remedy} compares them nevertheless"
+            + "; `anyway` compares them nevertheless"
         )
     if not pair_stacks(a, b):
         raise BadInput(
-            f"compared sessions must have the label of a stack in common, got none; {remedy} "
+            "compared sessions must have the label of a stack in common, got none; `anyway` "
             "compares the quantities of the whole session"
         )
 
@@ -117,9 +115,9 @@ def _format_value(value: object) -> str:
 
 def _of_cameras(a: Session, b: Session) -> Iterator[ConditionPair]:
     cameras = a.camera, b.camera
-    descriptions = [None if one is None else to_mapping(one) for one in cameras]
+    descriptions = [None if camera is None else to_mapping(camera) for camera in cameras]
     if descriptions[0] != descriptions[1]:
-        names = [None if one is None else one.name for one in cameras]
+        names = [None if camera is None else camera.name for camera in cameras]
         if names[0] == names[1]:
             names = [
                 f"{name} ({which} parameters)"
@@ -127,9 +125,11 @@ def _of_cameras(a: Session, b: Session) -> Iterator[ConditionPair]:
             ]
         yield ConditionPair(name="sensor", a=names[0], b=names[1], unlike=True)
     for name in ("bit_depth", "interlaced"):
-        one, other = getattr(a, name), getattr(b, name)
-        if one != other:
-            yield ConditionPair(name=name, a=one, b=other, unlike=None not in (one, other))
+        value_a, value_b = getattr(a, name), getattr(b, name)
+        if value_a != value_b:
+            yield ConditionPair(
+                name=name, a=value_a, b=value_b, unlike=None not in (value_a, value_b)
+            )
 
 
 def _of_stacks(a: StackEntry, b: StackEntry) -> Iterator[ConditionPair]:
@@ -143,9 +143,9 @@ def _of_stacks(a: StackEntry, b: StackEntry) -> Iterator[ConditionPair]:
     for item in fields(Conditions):
         if item.name in READINGS or _alike(a.conditions, b.conditions, item.name):
             continue
-        one, other = getattr(a.conditions, item.name), getattr(b.conditions, item.name)
-        unlike = item.name in deciding and None not in (one, other)
-        yield ConditionPair(name=item.name, a=one, b=other, stack=a.label, unlike=unlike)
+        value_a, value_b = getattr(a.conditions, item.name), getattr(b.conditions, item.name)
+        unlike = item.name in deciding and None not in (value_a, value_b)
+        yield ConditionPair(name=item.name, a=value_a, b=value_b, stack=a.label, unlike=unlike)
 
 
 def _is_known_in_both(a: Conditions, b: Conditions, name: str) -> bool:
@@ -154,13 +154,13 @@ def _is_known_in_both(a: Conditions, b: Conditions, name: str) -> bool:
 
 def _alike(a: Conditions, b: Conditions, name: str) -> bool:
     """Return whether two values of a condition agree within its tolerance."""
-    one, other = getattr(a, name), getattr(b, name)
-    if one == other or one is None or other is None or isinstance(one, bool):
-        return one == other
+    value_a, value_b = getattr(a, name), getattr(b, name)
+    if value_a == value_b or value_a is None or value_b is None or isinstance(value_a, bool):
+        return value_a == value_b
     relative = RELATIVE.get(name, LIMITS.relative_setting)
     if name in ("illuminance_lux", "photons_per_px"):
         # Errors of two light meters, 95 %.
         sds = (a.illuminance_relative_sd or 0.0, b.illuminance_relative_sd or 0.0)
         relative = max(relative, 1.96 * (sds[0] ** 2 + sds[1] ** 2) ** 0.5)
-    tolerance = ABSOLUTE.get(name, relative * max(abs(one), abs(other)))
-    return abs(one - other) <= tolerance
+    tolerance = ABSOLUTE.get(name, relative * max(abs(value_a), abs(value_b)))
+    return abs(value_a - value_b) <= tolerance

@@ -56,8 +56,8 @@ class Limit:
 
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
-            near = difflib.get_close_matches(self.quantity, QUANTITIES, n=1)
-            hint = f" (did you mean {near[0]!r}?)" if near else ""
+            similar = difflib.get_close_matches(self.quantity, QUANTITIES, n=1)
+            hint = f" (did you mean {similar[0]!r}?)" if similar else ""
             raise BadInput(
                 f"quantity must be one that charact measures, got {self.quantity!r}{hint}"
             )
@@ -142,12 +142,12 @@ class LimitCheck:
     @property
     def verdict(self) -> Verdict:
         """Return fail if any limit fails, else undecided if any is undecided, else pass."""
-        found = {one.verdict for one in self.outcomes}
-        return "fail" if "fail" in found else "undecided" if "undecided" in found else "pass"
+        verdicts = {outcome.verdict for outcome in self.outcomes}
+        return "fail" if "fail" in verdicts else "undecided" if "undecided" in verdicts else "pass"
 
     def of(self, verdict: Verdict) -> tuple[Outcome, ...]:
         """Return the outcomes with a verdict."""
-        return tuple(one for one in self.outcomes if one.verdict == verdict)
+        return tuple(outcome for outcome in self.outcomes if outcome.verdict == verdict)
 
 
 def check(result: Result, limits: Limits, *, name: str = "limits") -> LimitCheck:
@@ -179,14 +179,15 @@ def check(result: Result, limits: Limits, *, name: str = "limits") -> LimitCheck
     'the 95 % interval contains a limit'
     """
     return LimitCheck(
-        outcomes=tuple(one for limit in limits.limit for one in _outcomes(limit, result)), name=name
+        outcomes=tuple(outcome for limit in limits.limit for outcome in _outcomes(limit, result)),
+        name=name,
     )
 
 
 def _outcomes(limit: Limit, result: Result) -> Iterator[Outcome]:
-    found = [m for m in result.measurements if limit.applies_to(m)]
-    applicable = [m for m in found if m.value is not None or m.refusal != "not-applicable"]
-    for m in applicable or found[:1]:
+    measurements = [m for m in result.measurements if limit.applies_to(m)]
+    applicable = [m for m in measurements if m.value is not None or m.refusal != "not-applicable"]
+    for m in applicable or measurements[:1]:
         verdict, cause, detail = _judge(limit, m)
         yield Outcome(
             quantity=m.quantity,
@@ -204,7 +205,7 @@ def _outcomes(limit: Limit, result: Result) -> Iterator[Outcome]:
             frequency_cy_per_px=m.frequency_cy_per_px,
             orientation_deg=m.orientation_deg,
         )
-    if not found:
+    if not measurements:
         yield Outcome(
             quantity=limit.quantity,
             unit=limit.unit or QUANTITIES[limit.quantity].units[0],
@@ -258,7 +259,7 @@ def load_limits(source: str | Path | Limits | Sequence[Mapping[str, Any]]) -> Li
         return source
     if isinstance(source, str | Path):
         return from_toml(source, Limits)
-    return from_mapping({"limit": [dict(one) for one in source]}, Limits, where="limits")
+    return from_mapping({"limit": [dict(limit) for limit in source]}, Limits, where="limits")
 
 
 def check_json(checked: LimitCheck) -> dict[str, Any]:
@@ -269,11 +270,11 @@ def check_json(checked: LimitCheck) -> dict[str, Any]:
     outcomes = [
         {
             name: value
-            for name, value in asdict(one).items()
+            for name, value in asdict(outcome).items()
             if name in always or value not in (None, "")
         }
-        | ({"reason": one.reason} if one.reason else {})
-        for one in checked.outcomes
+        | ({"reason": outcome.reason} if outcome.reason else {})
+        for outcome in checked.outcomes
     ]
     return {"limits": checked.name, "verdict": checked.verdict, "outcomes": outcomes}
 
@@ -289,7 +290,7 @@ def save_check(checked: LimitCheck, folder: str | Path) -> Path:
         "limits": checked.name,
         "verdict": checked.verdict,
         "results_sha256": _digest(folder),
-        "outcomes": [asdict(one) for one in checked.outcomes],
+        "outcomes": [asdict(outcome) for outcome in checked.outcomes],
     }
     write_atomically(
         folder / CHECKED, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
@@ -317,8 +318,10 @@ def load_check(folder: str | Path) -> tuple[LimitCheck, bool] | None:
             raise BadInput(
                 f"a saved check must have format {FORMAT}, got {stored['format']} in {path}"
             )
-        outcomes = tuple(from_mapping(one, Outcome, where=CHECKED) for one in stored["outcomes"])
-        if any(one.unit not in QUANTITIES[one.quantity].units for one in outcomes):
+        outcomes = tuple(
+            from_mapping(outcome, Outcome, where=CHECKED) for outcome in stored["outcomes"]
+        )
+        if any(outcome.unit not in QUANTITIES[outcome.quantity].units for outcome in outcomes):
             raise ValueError
         return LimitCheck(outcomes=outcomes, name=stored["limits"]), stored[
             "results_sha256"

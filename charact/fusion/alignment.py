@@ -158,7 +158,7 @@ def common_field(places: Sequence[Placement | None]) -> tuple[int, int, int, int
         left, right = left + (worst == 2), right - (worst == 3)
     if bottom - top < 16 or right - left < 16:
         raise BadInput(
-            "the fields of view must have 16 rows and columns in common: whole=True fuses the "
+            "the fields of view must have 16 rows and columns in common: `whole` fuses the "
             "whole frame"
         )
     return top, left, bottom - top, right - left
@@ -169,9 +169,7 @@ def crop_bands(bands: Sequence[Band], region: tuple[int, int, int, int] | None) 
     if region is None:
         return list(bands)
     cut = [crop_band(band, region) for band in bands]
-    note = (
-        "ROW,COL,HEIGHT,WIDTH {},{},{},{} of {}, the field of view in common (whole=True keeps all)"
-    )
+    note = "ROW,COL,HEIGHT,WIDTH {},{},{},{} of {}, the field of view in common (`whole` keeps all)"
     notes = (*cut[0].notes, note.format(*region, bands[0].name))
     return [replace(cut[0], notes=notes), *cut[1:]]
 

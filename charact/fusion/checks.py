@@ -84,7 +84,7 @@ def noise_finding(plane: Plane, detail: Image | None = None) -> Finding | None:
             f"noise of {name} was estimated from quiet blocks of the frame: weights and standard "
             "deviations may be off by a factor of 2"
         )
-        return Finding(flag="uncalibrated", effect=effect, remedy="sensor, or a measured session")
+        return Finding(flag="uncalibrated", effect=effect, remedy="`sensor`, or a measured session")
     detail = map_samples(decompose(plane.value, 1)[0]) if detail is None else detail
     relative = detail * detail / np.maximum(plane.variance(0), np.float32(1e-12))
     seen = relative if plane.hole is None else relative[~map_samples(plane.hole)]

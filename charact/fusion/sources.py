@@ -164,7 +164,7 @@ def read_source(
         volts = mcp_v or (None if entry is None else entry.conditions.mcp_v)
         if volts is None:
             volts = float(camera.microchannel_plate.reference_v)
-            notes.append(f"{name}: MCP voltage unknown, {volts:g} V assumed (mcp_v)")
+            notes.append(f"{name}: MCP voltage unknown, {volts:g} V assumed (`mcp_v`)")
         described = None if describe is None else describe(camera, volts)
     source = Source(
         name=name,
@@ -262,7 +262,7 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
     frames = len(stack) if frame is None else 1
     notes = list(source.notes)
     if frames > 1:
-        moving = ", of a scene that moves: sequence=True fuses each" if source.is_moving else ""
+        moving = ", of a scene that moves: `sequence` fuses each" if source.is_moving else ""
         notes.append(f"{name} is the mean of {frames} frames{moving}")
     image = (
         stack.data.mean(axis=0, dtype=np.float64)
@@ -290,7 +290,7 @@ def band_of(source: Source, frame: int | None = None, *, bloom: bool = True, see
             if full is None
             else "no description of the camera"
             if bloom
-            else "bloom=False"
+            else "`bloom`"
         )
         notes.append(f"{name}: blooming was left out: {why}")
     else:

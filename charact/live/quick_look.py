@@ -148,8 +148,8 @@ def watch_stacks(
             raise BadInput(f"the run ended before its plan was completed: {ended}")
         if time.monotonic() - since_s > patience_s:
             raise BadInput(
-                f"a stack must be completed within {patience_s:g} s, got none; resume with "
-                f"charact acquire --resume"
+                f"a stack must be completed within {patience_s:g} s, got none; resume the "
+                "acquisition"
             )
         time.sleep(look_s)
 

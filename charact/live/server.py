@@ -225,7 +225,7 @@ def _listening(host: str, port: int) -> socket.socket:
         listener = socket.socket(family, socket.SOCK_STREAM)
     except OSError as error:
         raise BadInput(
-            f"--host must be an address of this machine, got {host!r} ({error.strerror})"
+            f"`host` must be an address of this machine, got {host!r} ({error.strerror})"
         ) from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -233,7 +233,7 @@ def _listening(host: str, port: int) -> socket.socket:
     except OSError as error:
         listener.close()
         raise BadInput(
-            f"--port must be a free port of this machine, got {host}:{port} ({error.strerror})"
+            f"`port` must be a free port of this machine, got {host}:{port} ({error.strerror})"
         ) from None
     return listener
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from charact.method.descriptions import DESCRIPTIONS
 from charact.method.stopwatch import with_timing
 from labdata.errors import BadInput
+from labdata.settings import Progress, ignore_progress
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
@@ -39,7 +40,7 @@ def parallel_map(scheduler: str | None, *, timeout_s: float = 10.0) -> Iterator[
         from distributed.comm.addressing import get_address_host_port
     except ImportError:
         raise BadInput(
-            "--scheduler needs Dask (pip install 'charact[dask]'), which is not installed"
+            "`scheduler` needs Dask (pip install 'charact[dask]'), which is not installed"
         ) from None
     try:
         # A client without a scheduler prints a traceback when it is garbage-collected, so the port
@@ -48,7 +49,7 @@ def parallel_map(scheduler: str | None, *, timeout_s: float = 10.0) -> Iterator[
         client = Client(scheduler, timeout=timeout_s, set_as_default=False)
     except (OSError, OverflowError, ValueError, TimeoutError):
         raise BadInput(
-            f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}"
+            f"`scheduler` must be the address of a running Dask scheduler, got {scheduler!r}"
         ) from None
     with client:
         if not client.scheduler_info()["workers"]:
@@ -157,20 +158,13 @@ def beyond_note(measurement: "Measurement", within_percent: float) -> str | None
     """Return the note on an interval wider than the tolerance; None if it is not wider."""
     if not measurement.value or measurement.interval95 is None:
         return None
-    reach = reach_percent(measurement.value, measurement.interval95)
-    if reach <= within_percent:
+    arm_percent = reach_percent(measurement.value, measurement.interval95)
+    if arm_percent <= within_percent:
         return None
     return (
-        f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance --within "
-        f"{within_percent:g} %."
+        f"95 % interval extends {arm_percent:.2g} % from the value, beyond the tolerance "
+        f"`within_percent` {within_percent:g} %."
     )
-
-
-Progress = Callable[[str, float], None]
-
-
-def ignore_progress(sentence: str, share: float) -> None:
-    """Discard a progress message."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,18 +254,18 @@ def describe_methods() -> list[dict[str, Any]]:
     """Return kind, name, quantities and scope of all methods; ours are not imported for it."""
     load("")
     ours = [
-        (kind, name, *one[1:])
+        (kind, name, *description[1:])
         for kind, methods in DESCRIPTIONS.items()
-        for name, one in methods.items()
+        for name, description in methods.items()
     ]
-    others = [
+    foreign = [
         (m.kind, m.name, m.quantities, m.scope)
         for m in METHODS.values()
         if m.name not in MODULES.get(m.kind, "")
     ]
     rows: list[dict[str, Any]] = [
         dict(zip(("kind", "name", "quantities", "scope"), row, strict=True))
-        for row in (*ours, *others)
+        for row in (*ours, *foreign)
     ]
     return [row for kind in MODULES for row in rows if row["kind"] == kind]
 
@@ -319,7 +313,7 @@ def choose(
         load(kind, name)
         if (kind, name) not in METHODS:
             raise BadInput(
-                f"--method must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got "
+                f"`method` must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got "
                 f"{name!r}"
             )
         return METHODS[kind, name]
@@ -333,10 +327,10 @@ def choose(
     rows = [row for row in chart_table(quantity) if row["method"] in names]
     if not rows:
         return choose(kind, preferred)
-    inside = [row for row in rows if meets(row, within_percent)]
+    accurate = [row for row in rows if meets(row, within_percent)]
     best = (
-        min(inside, key=lambda row: row["seconds"])
-        if inside
+        min(accurate, key=lambda row: row["seconds"])
+        if accurate
         else min(rows, key=lambda row: row["error_percent"])
     )
     return choose(kind, best["method"])

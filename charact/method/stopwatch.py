@@ -57,10 +57,10 @@ def with_timing(
         with inside():
             result = function(*args, **kwargs)
         seconds = watch.seconds()
-        each = (
+        measurements = (
             m if m.seconds is not None else m.with_(seconds=seconds) for m in result.measurements
         )
-        return replace(result, measurements=tuple(each))
+        return replace(result, measurements=tuple(measurements))
 
     return timing
 
@@ -69,7 +69,7 @@ def time_text(seconds: float) -> str:
     """Return a time with two significant digits in the unit that fits it: "9.4 ms", "0.45 s", "12
     s", "2.1 min".
     """
-    name, unit = next((one for one in UNITS if seconds < 99.5 * one[1]), UNITS[-1])
+    name, unit = next((scale for scale in UNITS if seconds < 99.5 * scale[1]), UNITS[-1])
     return f"{seconds / unit:.2g} {name}"
 
 

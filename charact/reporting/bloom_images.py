@@ -345,7 +345,7 @@ def write_bloom_map(
     there is no such stack, or the result has no halo.
     """
     if path.suffix.lower() not in (".png", ".npz"):
-        raise BadInput(f"--map must name a .png or .npz file, got {path.name!r}")
+        raise BadInput(f"a bloom map must be a .png or .npz file, got {path.name!r}")
     from charact.estimators.bloom.bloom_map import evidence_of, map_of
 
     frame_map, signal = map_of(session, result, label=label, context=context)

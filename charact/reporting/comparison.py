@@ -73,7 +73,10 @@ def _footer(comparison: Comparison, hidden: Sequence[Difference], width: int) ->
     """Return what is not shown, and the meaning of the table."""
     excluding = sum(difference.excludes_zero for difference in hidden)
     omissions = (
-        [f"{len(hidden)} differences, {excluding} of them with zero outside the interval (--all)"]
+        [
+            f"{len(hidden)} differences, {excluding} of them with zero outside the interval "
+            "(`everything`)"
+        ]
         if hidden
         else []
     )
@@ -124,7 +127,7 @@ def _condition_lines(comparison: Comparison, everything: bool, width: int) -> li
             f"  {name} {a} | {b}{where}{' (unlike)' if unlike else ''}", "    ", width, 1
         )
     if not everything and len(order) > CONDITIONS:
-        lines.append(f"  and {len(order) - CONDITIONS} more (--all)")
+        lines.append(f"  and {len(order) - CONDITIONS} more (`everything`)")
     return lines
 
 
@@ -271,7 +274,7 @@ def check_text(checked: LimitCheck, *, session: str, width: int = 100) -> str:
         remaining = Counter(outcome.verdict for outcome in order[shown:])
         lines.append(
             f"Not shown: {', '.join(f'{count} {verdict}' for verdict, count in remaining.items())} "
-            f"(--json)"
+            f"(`as_json`)"
         )
     return "\n".join(lines)
 

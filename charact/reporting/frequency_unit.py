@@ -48,16 +48,15 @@ class FrequencyUnit:
             "focal_length_mm": self.focal_length_mm,
             "demagnification": self.demagnification,
         }
-        options = {name: f"--{name.replace('_', '-')}" for name in lengths}
         for name, length in lengths.items():
             if length is not None and not (math.isfinite(length) and length > 0):
-                raise BadInput(f"{options[name]} must be positive, got {length:g}")
+                raise BadInput(f"`{name}` must be positive, got {length:g}")
         needs = () if self.pitch_mrad and self.unit in ANGLES else NEEDS.get(self.unit, ())
         if missing := [name for name in needs if lengths[name] is None]:
-            remedies = " and ".join(options[name] for name in missing)
+            lengths_needed = " and ".join(f"`{name}`" for name in missing)
             raise BadInput(
-                f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}, "
-                "or a sensor description (--sensor, or sensor in session.toml)"
+                f"`units` {self.unit} needs a positive {lengths_needed}, or a sensor description "
+                "(`sensor`, or sensor in session.toml)"
             )
         if self.unit not in FREQUENCY_UNITS:
             raise BadInput(

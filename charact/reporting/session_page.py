@@ -186,7 +186,7 @@ def write_pdf(html: str, out: Path) -> Path:
         from weasyprint import HTML
     except (ImportError, OSError) as error:
         raise BadInput(
-            "--pdf needs WeasyPrint and Pango (pip install 'charact[pdf]'; apt install "
+            "`pdf` needs WeasyPrint and Pango (pip install 'charact[pdf]'; apt install "
             f"libpango-1.0-0 libpangoft2-1.0-0), got: {str(error).splitlines()[0]}"
         ) from error
     # Expand all folds.

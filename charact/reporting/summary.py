@@ -12,8 +12,8 @@ from labdata.measurement import Measurement, Result
 
 Frequency = Callable[[float, Measurement | None], tuple[float, str]]
 
-# Sections and their quantities in the order in which a user looks for them; the others are shown by
-# --all.
+# Sections and their quantities in the order in which a user looks for them; the others are in
+# the text of every line.
 LEADING: dict[str, tuple[str, ...]] = {
     "Resolution": (
         "mtf50",
@@ -83,7 +83,7 @@ def summary(
     valued = [m for m in result.measurements if m.value is not None]
     refused = [m for m in result.measurements if m.value is None]
     lines = _wrap(_header(title, result), "", width, max_lines=2)
-    rows, hidden = _rows(valued, frequency or _as_measured, width)
+    rows, hidden = _rows(valued, frequency or in_cycles_per_pixel, width)
     for section, section_rows in groupby(rows, key=lambda row: row.section):
         lines += [section] * bool(section)
         lines += [line for row in section_rows for line in row.lines(width)]
@@ -98,7 +98,7 @@ def summary(
         f"{(count := sum(m.refusal == 'not-applicable' for m in refused))} not applicable": count,
     }
     if further := [text for text, number in omissions.items() if number]:
-        lines += _wrap(f"Not shown: {', '.join(further)} (--all)", "", width, max_lines=1)
+        lines += _wrap(f"Not shown: {', '.join(further)} (`everything`)", "", width, max_lines=1)
     return "\n".join(lines)
 
 
@@ -117,14 +117,17 @@ def rows_of_file(name: str, result: Result, frequency: Frequency | None = None) 
             else ""
         )
         number = (
-            number_text(leading, frequency or _as_measured)
+            number_text(leading, frequency or in_cycles_per_pixel)
             if leading.value is not None
             else leading.reason or ""
         )
         yield f"{name + roi:<44} {leading.quantity} {number:<30} {verdict_of(leading)}".rstrip()
 
 
-def _as_measured(frequency_cy_per_px: float, of: Measurement | None = None) -> tuple[float, str]:
+def in_cycles_per_pixel(
+    frequency_cy_per_px: float, of: Measurement | None = None
+) -> tuple[float, str]:
+    """Return the frequency unchanged, with its unit."""
     return frequency_cy_per_px, "cy/px"
 
 
@@ -342,7 +345,7 @@ def _first_entries(entries: list[list[str]], max_lines: int, name: str) -> list[
     lines: list[str] = []
     for number, entry in enumerate(entries):
         if len(lines) + len(entry) > max_lines - 1:
-            return [*lines, f"and {len(entries) - number} more {name} (--all)"]
+            return [*lines, f"and {len(entries) - number} more {name} (`everything`)"]
         lines += entry
     return lines
 

@@ -220,8 +220,7 @@ class Validation:
             return f"the camera, {self.sensor}, was not fitted to frames of this session"
         return (
             "the camera was fitted to frames of this session: its fitted numbers agree by "
-            "construction; a second session, as in charact validate DAY2 --sensor "
-            "DAY1/fitted.toml, tests them"
+            "construction; a second session, validated with this camera, tests them"
         )
 
     @property

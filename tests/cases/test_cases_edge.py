@@ -199,7 +199,7 @@ def test_burns_edge_explains_gamma_and_its_number_is_his(plane, theirs):
     assert found.flags in ((), ("gamma",))
     for said in (note for note in found.notes if note.startswith("gamma: ")):
         assert "%" in said
-        assert "--black-dn" in said
+        assert "`black_dn`" in said
     if plane == "g":
         assert found.flags == ("gamma",)
 

@@ -138,7 +138,7 @@ def test_a_spot_in_a_field_of_neighbours_is_its_own(sigma, pitch, frames, seed):
 
 
 def test_each_flag_of_a_point_names_what_settles_it(seed):
-    """A spot cut by the region: how large the effect may be, and --roi."""
+    """A spot cut by the region: how large the effect may be, and `roi`."""
     rng = np.random.default_rng(seed)
     data = np.rint(
         100.0
@@ -155,4 +155,4 @@ def test_each_flag_of_a_point_names_what_settles_it(seed):
     )
     assert "window-too-small" in found[0].flags and "too-few-frames" not in found[0].flags
     (note,) = (note for note in found[0].notes if note.startswith("window-too-small"))
-    assert "MTF50 may be high" in note and "--roi" in note
+    assert "MTF50 may be high" in note and "`roi`" in note

@@ -190,5 +190,5 @@ def test_cycles_per_milliradian_of_a_scanner_are_of_its_samples_and_of_the_lines
     )
     assert unit(0.25, upright)[0] == pytest.approx(0.25 / (np.radians(20.0) * 1e3 / 256.0))
     assert unit(0.25, level)[0] == pytest.approx(0.25 / (np.radians(15.0) * 1e3 / 240.0))
-    with pytest.raises(BadInput, match="--units lp/mm needs a positive pitch_um"):
+    with pytest.raises(BadInput, match="`units` lp/mm needs a positive `pitch_um`"):
         FrequencyUnit.of(load_camera("scanning-lwir"), unit="lp/mm")

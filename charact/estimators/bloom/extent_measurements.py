@@ -343,7 +343,7 @@ REMEDIES = {
     "model-misfit": "a frame with a single round source, and a stack between those that differ",
     "prior-bound": "a stack with an unclipped core",
     "window-too-small": "a larger frame, or the source closer to its centre",
-    "several-targets": "one source in the frame, or --roi around one of them",
+    "several-targets": "one source in the frame, or `roi` around one of them",
     "quantised": "a higher camera gain or more bits, so that noise exceeds 1 DN",
     "low-signal": "more frames, or more light",
     "unlike-conditions": "darks and point stacks taken at the same gain, gate and exposure",
@@ -355,7 +355,7 @@ REMEDIES = {
     "extrapolated": "a second stack with smear",
     "nonlinear": "stated illuminance proportional to the lamp's",
     "gradient": "a mask without leaks, or a frame of the mask with its pinhole closed",
-    "not-converged": "another --seed, or more frames",
+    "not-converged": "another `seed`, or more frames",
 }
 
 

@@ -328,7 +328,7 @@ def _notes(
     if first and left_out:
         yield (
             f"{left_out} further {NAMES[kind]} were not measured (limit {count}; see "
-            f"--max-targets)."
+            f"`max_targets`)."
         )
 
 

@@ -99,6 +99,8 @@ def test_conditions_are_one_for_all_or_one_for_each_flat():
         charact.noise(flats=flats, exposure=1.0)
     with pytest.raises(charact.BadInput, match="got both"):
         charact.noise("somewhere", flats=flats)
+    with pytest.raises(charact.BadInput, match="`bars` describes another target than kind 'edge'"):
+        charact.mtf(flats[0], bars=4)
 
 
 def test_pixels_beyond_the_digitiser_are_bad_input():

@@ -72,7 +72,7 @@ def test_a_session_file_is_refused_by_key_and_place(tmp_path: Path) -> None:
         ("edge", "--roi=10,10,all", ("ROW,COL,HEIGHT,WIDTH", "10,10,all")),
         ("edge", "--method=sorcery", ("sorcery", "edge-forward")),
         ("edge", "--units=furlongs", ("furlongs", "lp/mm")),
-        ("edge", "--units=lp/mm", ("pitch_um",)),
+        ("edge", "--units=lp/mm", ("--pitch-um", "--sensor")),
         ("bars", "--frequency=-0.1", ("-0.1",)),
     ],
 )
@@ -137,10 +137,10 @@ def test_flats_in_lines_per_millimetre_take_a_pitch(tmp_path: Path) -> None:
     folder = session(tmp_path, "")
     assert_one_sentence(
         charact("mtf", "flats", folder, "--units", "lp/mm"),
-        "give --pitch-um, or a sensor description",
+        "needs a positive --pitch-um, or a sensor description",
     )
     done = charact("mtf", "flats", folder, "--units", "lp/mm", "--pitch-um", "10")
-    assert done.exit_code == 1 and "pitch_um" not in done.stderr
+    assert done.exit_code == 1 and "--pitch-um" not in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from charact.cli.annotate import COLOURS, place_captions, render_annotations, unusable_edges
+from charact.reporting.annotated_image import (
+    COLOURS,
+    place_captions,
+    render_annotations,
+    unusable_edges,
+)
 from charact.reporting.frequency_unit import FrequencyUnit
 from labdata import BadInput, FrameStack
 from labdata import Result as Measured
@@ -161,10 +166,10 @@ def test_samples_of_a_plane_lie_two_pixels_apart(pitch_um: float | None) -> None
 @pytest.mark.parametrize(
     ("unit", "given", "words"),
     [
-        ("lp/mm", {}, ("pitch_um", "--pitch-um")),
-        ("lp/mm-cathode", {"pitch_x_um": 11.0}, ("demagnification", "--sensor")),
-        ("cy/mrad", {"pitch_x_um": 11.0}, ("focal_length_mm", "--focal-length-mm")),
-        ("lp/mm", {"pitch_x_um": -1.0}, ("--pitch-um must be positive, got -1",)),
+        ("lp/mm", {}, ("`units` lp/mm", "`pitch_um`")),
+        ("lp/mm-cathode", {"pitch_x_um": 11.0}, ("`demagnification`", "`sensor`")),
+        ("cy/mrad", {"pitch_x_um": 11.0}, ("`focal_length_mm`",)),
+        ("lp/mm", {"pitch_x_um": -1.0}, ("`pitch_um` must be positive, got -1",)),
         ("furlongs", {}, ("furlongs", "lp/mm-cathode")),
     ],
 )

@@ -206,7 +206,7 @@ def test_nothing_in_common_is_refused() -> None:
 def test_unlike_conditions_are_refused_and_allowed_with_a_flag(one: dict, other: dict) -> None:
     a, b = result(mtf50(0.2)), result(mtf50(0.21))
     sessions = (of(**one), of(**other))
-    with pytest.raises(BadInput, match=f"got {next(iter(one))} .* of stack 'flat-1'; anyway=True"):
+    with pytest.raises(BadInput, match=f"got {next(iter(one))} .* of stack 'flat-1'; `anyway` "):
         compared(a, b, sessions=sessions)
     found = compared(a, b, sessions=sessions, anyway=True)
     assert found.differences[0].flags == ("unlike-conditions",)

@@ -128,7 +128,7 @@ def test_settings_that_are_no_settings_are_refused(folder, tmp_path) -> None:
         ((*pair, tmp_path / "out", "--span", "visible=1"), "--span must be"),
         ((*pair, tmp_path / "out", "--method", "magic"), "--method must be"),
         ((*pair, tmp_path / "out.jpg"), "OUT must be"),
-        ((*pair, tmp_path / "out", "--imager", "pulnix-ag5745ef3"), "imager must be"),
+        ((*pair, tmp_path / "out", "--imager", "pulnix-ag5745ef3"), "--imager must be"),
         (pair, "needs VISIBLE THERMAL"),
     ):
         code, text = run(*arguments, "--json")
@@ -263,7 +263,7 @@ def test_arrays_files_and_the_verb_have_one_picture(folder, tmp_path) -> None:
     for row, m in zip(printed, of_files.result.measurements, strict=True):
         assert (row["quantity"], row["value"]) == (m.quantity, m.value)
         # The function names its parameter, the verb its option.
-        assert "visible: blooming was left out: bloom=False" in m.notes
+        assert "visible: blooming was left out: `bloom`" in m.notes
         assert "visible: blooming was left out: --no-bloom" in row["notes"]
 
 

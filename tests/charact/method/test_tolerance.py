@@ -27,7 +27,7 @@ def test_the_further_end_of_the_interval_is_what_counts():
     found = number(0.2, 0.197, 0.206)
     assert beyond_note(found, 3.01) is None
     assert beyond_note(found, 2.0) == (
-        "95 % interval extends 3 % from the value, beyond the tolerance --within 2 %."
+        "95 % interval extends 3 % from the value, beyond the tolerance `within_percent` 2 %."
     )
     assert beyond_note(make_refusal("mtf50", "cy/px", "nothing to see", method="fake"), 2.0) is None
 
@@ -68,7 +68,9 @@ def test_only_numbers_that_auto_was_to_measure_better_are_told(
         found = mtf.measure(
             kind, stack, method=method, within_percent=within_percent, context=QUICK, **target
         )
-        told = [m for m in found.measurements if any("--within" in note for note in m.notes)]
+        told = [
+            m for m in found.measurements if any("`within_percent`" in note for note in m.notes)
+        ]
         assert {m.quantity for m in told} <= {quantity}
         return found.find(quantity)[0], len(told)
 

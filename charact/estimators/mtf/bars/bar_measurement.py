@@ -86,13 +86,13 @@ class StatedBars:
 
     @property
     def remedy(self) -> str:
-        """Options that would help."""
-        options = [
+        """Settings that would help."""
+        settings = [
             name
-            for name, value in (("--bars", self.bars), ("--frequency", self.frequency))
+            for name, value in (("`bars`", self.bars), ("`frequency_cy_per_px`", self.frequency))
             if value is None
         ]
-        return " and ".join([*options, "--roi"]) + " narrow the search"
+        return " and ".join([*settings, "`roi`"]) + " narrow the search"
 
 
 def measure_bars_in(
@@ -273,7 +273,7 @@ def _measure_complete_target(
     if np.count_nonzero(~window) < 50:
         return BarRefusal(
             reason="no target: the region must include background beyond the bars (pedestal not "
-            "measurable); enlarge --roi"
+            "measurable); enlarge `roi`"
         )
     background, crowded = target_background(mean, target, margin)
     image_lag = None if not has_tube(context.camera) else Stack.of(stack, context).image_lag

@@ -26,11 +26,11 @@ from labdata.frames import FrameStack
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-REGION = "--roi around this group only, with one period of background on every side"
+REGION = "`roi` around this group only, with one period of background on every side"
 REMEDIES = {
     "model-misfit": REGION,
     "several-targets": REGION,
-    "window-too-small": "a larger --roi",
+    "window-too-small": "a larger `roi`",
     "quantised": "more gain or light, so that the noise exceeds one quantisation step",
     "clipped": "less light or gain, or a higher black level",
     "drift": "a single frame, or a stationary target",
@@ -42,18 +42,18 @@ REMEDIES = {
 POSTERIOR_FINDINGS = {
     "not-converged": (
         "interval from the curvature at the optimum; it may be a third too narrow",
-        "another --seed",
+        "another `seed`",
     ),
     "several-modes": (
         "the posterior has two modes, separated by the width of the interval",
-        "--bars and --frequency",
+        "`bars` and `frequency_cy_per_px`",
     ),
     "model-misfit": (
         (
             "the full posterior differs from the fit by more than two standard deviations: MTF "
             "error up to that"
         ),
-        "--sensor, to include its halo; or --quick, for the fit only",
+        "`sensor`, to include its halo; or `quick`, for the fit only",
     ),
 }
 
@@ -211,7 +211,9 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
         )
         findings.append(
             finding(
-                "model-misfit", f"{effect}: MTF error up to that", f"--bars, --frequency; {REGION}"
+                "model-misfit",
+                f"{effect}: MTF error up to that",
+                f"`bars`, `frequency_cy_per_px`; {REGION}",
             )
         )
     field_offset_px = abs(amplitudes.fields_apart_px)
@@ -274,7 +276,7 @@ def findings_of_fit(fit: BarFit, problem: BarLikelihood) -> list[Finding]:
             f"the data favour {other} bars over {fit.target.bars}; the light per bar changes "
             f"accordingly"
         )
-        findings.append(finding("model-misfit", effect, f"--bars {other}"))
+        findings.append(finding("model-misfit", effect, f"`bars` {other}"))
     quantisation_sd = rounding_sd(fit)
     if quantisation_sd > LIMITS.max_rounding_sd:
         findings.append(

@@ -173,7 +173,7 @@ bars_contrast = register("bars", CONTRAST)(
         method=CONTRAST,
         read=_profile_contrast,
         min_sd=LIMITS.min_contrast_sd,
-        reason="no target: no significant bar contrast; state --bars and --frequency",
+        reason="no target: no significant bar contrast; state `bars` and `frequency_cy_per_px`",
         note="Contrast reading, for comparison only.",
     )
 )
@@ -184,7 +184,7 @@ bars_coltman = register("bars", COLTMAN)(
         method=COLTMAN,
         read=_modulation,
         min_sd=LIMITS.min_modulation_sd,
-        reason="no target: no significant bar modulation; state --bars and --frequency",
+        reason="no target: no significant bar modulation; state `bars` and `frequency_cy_per_px`",
         note="First term of Coltman's series, for comparison only.",
     )
 )

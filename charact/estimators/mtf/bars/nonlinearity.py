@@ -101,7 +101,7 @@ def response_findings(response: BarNonlinearity) -> list[Finding]:
             f"pixel noise grows as signal^({pixel_power.exponent:.2f} +- {pixel_power.sd:.2f}); "
             "photon and read-out noise give an exponent between 0 and 1"
         )
-    remedy = "frames with a linear response (raw, gamma 1), or the correct --black-dn"
+    remedy = "frames with a linear response (raw, gamma 1), or the correct `black_dn`"
     return [Finding(flag="gamma", effect=effect + cause, remedy=remedy) for cause in causes]
 
 

@@ -35,16 +35,16 @@ REMEDIES = {
     "saturated": "less light or a shorter exposure, so that no pixel approaches full scale",
     "low-signal": "more light, a longer exposure or more frames",
     "model-misfit": (
-        "--roi around one source on a uniform background, focus, and no gamma or sharpening"
+        "`roi` around one source on a uniform background, focus, and no gamma or sharpening"
     ),
-    "several-targets": "--roi around one source, or sources further apart",
-    "window-too-small": "a larger --roi around the source",
+    "several-targets": "`roi` around one source, or sources further apart",
+    "window-too-small": "a larger `roi` around the source",
     "prior-bound": "another focus or magnification, so that the spot is 1 to 10 px wide",
     "interlace-motion": "a stationary source and camera, or frames of one field",
     "drift": "a stationary source and camera, or fewer frames",
     "gamma": "frames with a linear response (gamma 1)",
     "aliased": "a spot blurred over more pixels: larger magnification or f-number",
-    "not-converged": "another --seed",
+    "not-converged": "another `seed`",
 }
 
 

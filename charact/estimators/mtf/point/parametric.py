@@ -204,7 +204,7 @@ def measure_points(
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
         n_neighbours = sum(len(site.window.neighbours) for site in sites)
         crowd = (
-            f"; {n_neighbours} neighbours interfere, use --roi around an isolated one"
+            f"; {n_neighbours} neighbours interfere, use `roi` around an isolated one"
             if n_neighbours
             else ""
         )

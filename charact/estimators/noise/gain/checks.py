@@ -301,7 +301,7 @@ def correlation_findings(
             f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is "
             f"{low:.2g} % low"
         )
-        findings.append(with_remedy("correlated-noise", effect, "--method covariance-sum"))
+        findings.append(with_remedy("correlated-noise", effect, "`method` covariance-sum"))
     elif neighbours.is_untestable:
         findings.append(
             Finding(

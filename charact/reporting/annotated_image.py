@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.cli.output import Frequency, in_cycles_per_pixel, in_unit
+from charact.reporting.lines import in_unit
+from charact.reporting.summary import Frequency, in_cycles_per_pixel
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
 from labdata.flags import FLAGS
@@ -149,7 +150,7 @@ def _in_stack(region: Box, stack: FrameStack) -> Box:
 def require_png(path: Path) -> None:
     """Raise BadInput unless the file is named .png."""
     if path.suffix.lower() != ".png":
-        raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
+        raise BadInput(f"`annotate` must name a .png file, got {path.name!r}")
 
 
 def render_annotations(
@@ -218,10 +219,8 @@ def _caption(m: Measurement, frequency: Frequency, *, alone: bool) -> list[str]:
     """Return the lines of a caption: complete for a single region, else value and interval."""
     name = f"{m.quantity} " if alone else ""
     if m.value is None:
-        return [
-            f"{name}refused",
-            *([str(m.reason)[:90]] if alone else m.flags[:1] or [str(m.reason)[:30]]),
-        ]
+        reason = str(m.reason).replace("`", "")
+        return [f"{name}refused", *([reason[:90]] if alone else m.flags[:1] or [reason[:30]])]
     value, unit, ends = in_unit(m, frequency)
     of = f" {unit}" if alone and unit != "1" else ""
     at = (

@@ -1,0 +1,81 @@
+"""Settings of the analyses, each declared once."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from labdata.settings import Argument, Setting
+
+if TYPE_CHECKING:
+    from labdata import Camera, Result, Session
+
+Frames = Any
+SourceFrames = Annotated[
+    Frames,
+    Argument(
+        "Array of shape (row, col), (frame, row, col) or with colours last, DN; path of a file of "
+        "frames; or a `labdata.frames.FrameStack`."
+    ),
+]
+SourceSession = Annotated["str | Path | Session", Argument("A session or its folder.")]
+MeasuredSource = Annotated[
+    "str | Path | Session | Result",
+    Argument(
+        "A session, its folder, or the result of an analysis. Of a folder the saved result is "
+        "used; a session without one is measured."
+    ),
+]
+SavedResult = Annotated[
+    "Result | None",
+    Argument("Measurements of the session (default: those saved in it, else it is measured)."),
+]
+MethodName = Annotated[
+    str, Setting("Method name, or auto (see `charact methods`).", option="--method")
+]
+WithinPercent = Annotated[
+    float, Setting("Error tolerance for auto, percent.", option="--within", minimum=0.0)
+]
+Quick = Annotated[
+    bool, Setting("Skip posterior sampling; intervals are from the Laplace approximation.")
+]
+BlackDn = Annotated[
+    float | None,
+    Setting(
+        "Black level, DN (default: from the file). Separates non-uniform illumination from halo; "
+        "for bars, also detects gamma from the noise."
+    ),
+]
+MaxTargets = Annotated[
+    int,
+    Setting("Maximum number of targets measured per frame, spread over the field.", minimum=1),
+]
+Bars = Annotated[int | None, Setting("Number of bars (default: counted in the image).", minimum=2)]
+BarFrequency = Annotated[
+    float | None,
+    Setting(
+        "Bar frequency, cy/px (default: groups along rows and columns are found).",
+        option="--frequency",
+    ),
+]
+PinholePx = Annotated[
+    float | None, Setting("Diameter of the pinhole's image, px (default: ideal point).")
+]
+Scheduler = Annotated[
+    str | None,
+    Setting("Address of a Dask scheduler; its workers must see the same file paths."),
+]
+BitDepth = Annotated[
+    int | None,
+    Argument("Bits of the digitiser of frames in memory (default: found from the data)."),
+]
+FlatConditions = Annotated[
+    "float | Sequence[float]",
+    Argument(
+        "Fields of `labdata.conditions.Conditions` of frames in memory: a number for all stacks "
+        "(of light: for the flats), or a sequence with one number for each flat."
+    ),
+]
+FittedSensor = Annotated[
+    "str | Path | Camera | None",
+    Setting("The fitted camera or its TOML file (default: fitted.toml in the session's folder)."),
+]
