@@ -21,11 +21,6 @@ from numpy.typing import NDArray
 from benchmarks.studies.chart import write_json
 from benchmarks.studies.figures import COLOURS, pyplot, save_figure
 from benchmarks.studies.harness import Progress
-from charact.estimators.mtf.blur_models.one_dimensional import (
-    EXPONENT_PRIOR,
-    HALF_FREQUENCY_PRIOR,
-    BlurModel,
-)
 from charact.estimators.mtf.curve import FINE, crossing_frequency
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter, form_of
 from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
@@ -35,6 +30,8 @@ from charact.inference import importance_sample, sample
 from charact.inference.sampling import WANTED
 from charact.method import Context
 from charact.method.registry import single_blas_thread
+from charact.transfer import cores, form
+from charact.transfer.blur_model import BlurModel
 from labdata import BadInput, FrameStack, Posterior
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
@@ -284,9 +281,9 @@ class Ranked:
 
 def truth(rng: np.random.Generator) -> Array:
     """Draw ln of a half frequency, an exponent and the MTF50 that follows, pixel included."""
-    median, sd = HALF_FREQUENCY_PRIOR
-    half = _normal_within((float(np.log(median)), sd), tuple(np.log(HALF_FREQUENCY)), rng)
-    exponent = _normal_within(EXPONENT_PRIOR, EXPONENT, rng)
+    prior = form.HALF_FREQUENCY
+    half = _normal_within((prior.mean, prior.sd), tuple(np.log(HALF_FREQUENCY)), rng)
+    exponent = _normal_within((cores.EXPONENT.mean, cores.EXPONENT.sd), EXPONENT, rng)
     return np.array([half, exponent, blur_of(half, exponent).mtf50(5.0)])
 
 

@@ -4,7 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import j1, sici
+
+from charact.transfer.extended import halo
+from charact.transfer.stages import fibres, image_tube, lens, slit
+from charact.transfer.video_filter import sampled_response, transfer
 
 Array = NDArray[np.float64]
 Values = Mapping[str, NDArray[np.float64]]
@@ -13,6 +16,8 @@ ELEMENTARY_CHARGE_C = 1.602176634e-19
 
 # Central wavelength of light of 2856 K on a photocathode or silicon, nm.
 BROADBAND_NM = 700.0
+# Weights beyond this many pixels are below 1e-6 for any bandwidth suitable for the pixel clock.
+VIDEO_CLOCKS = 14
 
 
 def mtf(
@@ -36,12 +41,11 @@ def mtf(
         return _lens(values, detector, wavelength_nm) * _readout(values, fx, fy)
     cathode = detector / _column(values, "taper.demagnification")
     halo_fraction = _column(values, "photocathode.halo_fraction")
-    halo = halo_transfer(
-        cathode,
-        _column(values, "photocathode.gap_mm"),
-        _column(values, "photocathode.halo_elastic_share"),
+    u = np.maximum(4.0 * np.pi * _column(values, "photocathode.gap_mm") * cathode, 1e-6)
+    halo_transfer = halo(u, _column(values, "photocathode.halo_elastic_share"))
+    before = _lens(values, cathode, wavelength_nm) * (
+        (1.0 - halo_fraction) + halo_fraction * halo_transfer
     )
-    before = _lens(values, cathode, wavelength_nm) * ((1.0 - halo_fraction) + halo_fraction * halo)
     return (
         before
         * _tube(values, cathode, 1.0)
@@ -67,7 +71,7 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
     to K.
     """
     weights = _video_weights(values)
-    across = aperture_transfer(_ACROSS) * video_filter_transfer(weights, _ACROSS)
+    across = slit(_ACROSS) * np.abs(transfer(weights, _ACROSS))
     detector = _per_mm_at_detector(
         values, *(plane.ravel() for plane in np.meshgrid(_ACROSS, _ALONG / rows_per_pixel(values)))
     )
@@ -75,7 +79,7 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
     after = _tube(values, cathode, _column(values, "tube.post_gain_share")) * _coupling(
         values, detector
     )
-    down = aperture_transfer(_ALONG) ** 2 * _ALONG_WEIGHT
+    down = slit(_ALONG) ** 2 * _ALONG_WEIGHT
     columns = down @ after.reshape(-1, _ALONG.size, _ACROSS.size) ** 2
     power = 4.0 * columns * across**2 * _ACROSS_WEIGHT
     electron = values["video.conversion_gain_dn_per_e"]
@@ -312,11 +316,11 @@ def _lens(values: Values, image_plane: Array, wavelength_nm: float) -> Array:
         _column(values, "optics.aberration_blur_um"),
         _column(values, "optics.f_number"),
     )
-    return lens_transfer(image_plane, blur_um, f_number, wavelength_nm)
+    return lens(image_plane, blur_um, f_number, wavelength_nm)
 
 
 def _tube(values: Values, cathode: Array, fraction: Array | float) -> Array:
-    return tube_transfer(
+    return image_tube(
         cathode,
         _column(values, "tube.mtf_frequency_lp_per_mm"),
         _column(values, "tube.mtf_exponent"),
@@ -325,26 +329,26 @@ def _tube(values: Values, cathode: Array, fraction: Array | float) -> Array:
 
 
 def _coupling(values: Values, detector: Array) -> Array:
-    return fibre_transfer(
+    return fibres(
         detector,
-        _column(values, "taper.fibre_pitch_um"),
+        _column(values, "taper.fibre_pitch_um") * 1e-3,
         _column(values, "taper.interface_mtf_lp_per_mm"),
     )
 
 
 def _readout(values: Values, fx: Array, fy: Array) -> Array:
-    pixel = aperture_transfer(fx) * aperture_transfer(rows_per_pixel(values) * fy)
-    return pixel * video_filter_transfer(_video_weights(values), fx)
+    pixel = slit(fx) * slit(rows_per_pixel(values) * fy)
+    return pixel * np.abs(transfer(_video_weights(values), fx))
 
 
 def _video_weights(values: Values) -> Array:
     if "video.bandwidth_mhz" not in values:
-        return np.eye(1, LENGTH_PX)
+        return np.eye(1, VIDEO_CLOCKS)
     clock_mhz, order = (
         float(values["video.pixel_clock_mhz"][0]),
         int(values["video.filter_order"][0]),
     )
-    return video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
+    return sampled_response(values["video.bandwidth_mhz"], clock_mhz, order, VIDEO_CLOCKS)
 
 
 def _photons_per_pe(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
@@ -379,92 +383,3 @@ def _nodes(edges: tuple[float, ...], counts: tuple[int, ...]) -> tuple[Array, Ar
 # gaps.
 _ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
 _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
-
-
-def lens_transfer(
-    frequency_per_mm: Array, blur_um: Array, f_number: Array, wavelength_nm: float
-) -> Array:
-    """Return diffraction times exp(-2 (pi f s)^2), a lens with Gaussian aberration blur of width s.
-
-    Diffraction of a circular pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls
-    as 1 - 4x/pi: by 3 % for a fast lens at the central wavelength of the photocathode.
-    """
-    x = np.minimum(frequency_per_mm * 1e-6 * wavelength_nm * f_number, 1.0)
-    diffraction = (2.0 / np.pi) * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
-    return diffraction * np.exp(-2.0 * (np.pi * frequency_per_mm * blur_um * 1e-3) ** 2)
-
-
-def tube_transfer(
-    frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, fraction: Array | float = 1.0
-) -> Array:
-    """Return exp(-`fraction` (f/fc)^n), a fraction of an image tube's transfer (Johnson's
-    form).
-    """
-    logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))
-    return np.exp(-fraction * np.exp(np.minimum(logarithm, 700.0)))
-
-
-def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
-    """Return the transfer of the halo of back-scattered photoelectrons.
-
-    An electron re-emitted at the angle t with the fraction e of its energy lands at r = 2 e d sin
-    2t. Emission by the cosine law makes sin^2 t uniform, so that x = r/(2 e d) has the density
-    x/sqrt(1 - x^2) and the Hankel transform sin(u)/u with u = 2 pi f 2 d e. Elastic electrons have
-    e = 1; uniformly distributed energies give the mean over e in 0..1, Si(u)/u.
-    """
-    argument = 4.0 * np.pi * np.asarray(frequency_per_mm * gap_mm, float)
-    safe = np.maximum(argument, 1e-6)
-    return elastic_share * np.sinc(argument / np.pi) + (1.0 - elastic_share) * sici(safe)[0] / safe
-
-
-def fibre_transfer(frequency_per_mm: Array, pitch_um: Array, interface_per_mm: Array) -> Array:
-    """Return |2 J1(pi p f)/(pi p f)| exp(-(f/f0)^2), a fibre taper with its interfaces; f at the
-    detector.
-    """
-    argument = np.maximum(np.pi * np.asarray(frequency_per_mm * pitch_um, float) * 1e-3, 1e-9)
-    return np.abs(2.0 * j1(argument) / argument) * np.exp(
-        -((frequency_per_mm / interface_per_mm) ** 2)
-    )
-
-
-def aperture_transfer(frequency_cy_per_width: Array) -> Array:
-    """Return |sinc f|, an aperture of uniform sensitivity; f in cycles per its width."""
-    return np.abs(np.sinc(frequency_cy_per_width))
-
-
-# Weights beyond this many pixels are below 1e-6 for any bandwidth suitable for the pixel clock.
-LENGTH_PX = 14
-
-
-def video_filter_weights(
-    bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0
-) -> Array:
-    """Return the weights of earlier pixels in one pixel, shape (n, LENGTH_PX), with sum 1.
-
-    `bandwidth_mhz`: frequency of 3 dB loss, shape (n,), MHz; `clock_mhz`: pixel clock, MHz;
-    `order`: order of the Butterworth filter; `phase`: sampling time within the pixel clock, 0
-    (start) to 1 (end).
-
-    Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response 1 + sum_k r_k exp(p_k t)/p_k
-    with the residues r_k = w^order / prod_{j != k} (p_k - p_j). A step that begins j clocks before
-    the sampled pixel has risen to s(j + phase) and, with its successor, contributes s(j + phase) -
-    s(j + phase - 1).
-    """
-    angle = np.pi * (2.0 * np.arange(order) + order + 1) / (2.0 * order)
-    unit = np.exp(1j * angle)
-    pole_differences = np.where(np.eye(order, dtype=bool), 1.0, unit[:, None] - unit[None, :])
-    residue_over_pole = 1.0 / (pole_differences.prod(axis=1) * unit)
-    omega = 2.0 * np.pi * np.asarray(bandwidth_mhz, float) / clock_mhz
-    time = np.arange(LENGTH_PX) + phase
-    rise = np.exp(unit[None, :, None] * omega[:, None, None] * time[None, None, :])
-    step = 1.0 + np.einsum("k,nkt->nt", residue_over_pole, rise).real
-    pixel_weights = np.diff(step, axis=1, prepend=0.0)
-    return pixel_weights / pixel_weights.sum(axis=1, keepdims=True)
-
-
-def video_filter_transfer(weight: Array, frequency_cy_per_px: Array) -> Array:
-    """Return |sum_j w_j exp(-2 pi i f j)| of weights (n, pixel) at frequencies (m,), shape (n,
-    m).
-    """
-    turns = np.exp(-2j * np.pi * np.outer(np.arange(weight.shape[1]), frequency_cy_per_px))
-    return np.abs(weight @ turns)

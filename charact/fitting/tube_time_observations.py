@@ -15,6 +15,8 @@ from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import rounds_its_darks, values_of_description
 from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import FRAMES
+from charact.transfer.stages import fibres, image_tube, slit
+from charact.transfer.video_filter import sampled_response, transfer
 from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
@@ -444,12 +446,12 @@ def _power_of(values: Values) -> Array:
     detector = np.hypot(
         _ACROSS / pitch_x_mm, _ALONG[:, None] / (predicted.rows_per_pixel(values) * pitch_y_mm)
     )
-    after = predicted.tube_transfer(detector / large, cut_off, exponent, tube_fraction)
-    after = after * predicted.fibre_transfer(detector, fibre_um, interface)
-    aperture = predicted.aperture_transfer(_ALONG)[:, None] * predicted.aperture_transfer(_ACROSS)
+    after = image_tube(detector / large, cut_off, exponent, tube_fraction)
+    after = after * fibres(detector, fibre_um * 1e-3, interface)
+    aperture = slit(_ALONG)[:, None] * slit(_ACROSS)
     video = np.ones((1, _ACROSS.size))
     if "video.bandwidth_mhz" in values:
-        video = predicted.video_filter_transfer(_weights(values), _ACROSS)
+        video = np.abs(transfer(_weights(values), _ACROSS))
     return (after * aperture * video[:, None, :]) ** 2
 
 
@@ -458,7 +460,7 @@ def _video_weights(values: Values) -> Array:
         float(values["video.pixel_clock_mhz"][0]),
         int(values["video.filter_order"][0]),
     )
-    return predicted.video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
+    return sampled_response(values["video.bandwidth_mhz"], clock_mhz, order, predicted.VIDEO_CLOCKS)
 
 
 _tube_power = _LastCall(_power_of, _POWER)

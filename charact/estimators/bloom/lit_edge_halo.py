@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.bloom import transfer
 from charact.estimators.bloom.extent_measurements import provenance
 from charact.estimators.bloom.lit_edge_profile import LitEdgeLine, Strips, edge_line, strips_of
 from charact.estimators.bloom.series.halo_models import (
     LEAST_DIAMETER_PX,
     WINGS,
-    ModelParameter,
     tube_priors,
 )
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.stack import Stack
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
+from charact.transfer import spreads
+from charact.transfer.form import Parameter
 from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
@@ -36,7 +36,7 @@ LEAST_STRIPS = 24
 
 def nodes() -> tuple[Array, Array]:
     """Frequencies, cy/px, and weights of the profile integrals, valid to 160 px from the edge."""
-    return transfer.quadrature(0.75, 280)
+    return spreads.quadrature(0.75, 280)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class EdgeHaloLikelihood:
     halo: bool = True
 
     @cached_property
-    def parameters(self) -> tuple[ModelParameter, ...]:
+    def parameters(self) -> tuple[Parameter, ...]:
         """Parameters in the order of a point's coordinates."""
         offset = (-10.0, 1.0) if all(strips.cut for strips in self.strips) else (-1.5, 1.5)
         # Elastic shares slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo
@@ -69,7 +69,7 @@ class EdgeHaloLikelihood:
             ("core_spread", "px2"): (0.05, 25.0),
         }
         common = (
-            ModelParameter(name=name, unit=unit, low=a, high=b)
+            Parameter(name=name, unit=unit, low=a, high=b)
             for (name, unit), (a, b) in bounds.items()
         )
         return (*common, *CORES[self.core])
@@ -137,15 +137,17 @@ class EdgeHaloLikelihood:
         """Profile across an edge of unit signal, shape (point, strip)."""
         diameter, elastic, fraction, offset, spread, *core = points.T
         frequency = nodes()[0]
-        blur = transfer.gaussian(frequency, spread)
+        blur = spreads.gaussian(frequency, spread)
         if self.core == "tube":
-            blur = blur * transfer.tube(frequency, *core)
+            blur = blur * spreads.tube(frequency, *core)
         elif self.core == "moffat":
-            blur = transfer.mix(blur, core[0], transfer.moffat(frequency, *core[1:]))
+            blur = spreads.mix(blur, core[0], spreads.moffat(frequency, *core[1:]))
         blur = blur * np.sinc(frequency)
         if self.halo:
             profile = np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
-            blur = blur * transfer.mix(1.0, fraction, transfer.disc(frequency, diameter, profile))
+            blur = blur * spreads.mix(
+                1.0, fraction, spreads.halo_disc(frequency, diameter, profile)
+            )
         edge_profile = self._step(number, blur, offset)
         if not np.isfinite(self.line.width_px):
             return edge_profile

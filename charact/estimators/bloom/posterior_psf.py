@@ -6,7 +6,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from charact.estimators.bloom import transfer
+from charact.transfer import spreads
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 
@@ -57,7 +57,7 @@ class PosteriorPsf:
         Fraction of the light outside halo and glare in a Moffat wing (1 + r^2/a^2)^-b, its a and
         its b.
     wing_sd_px, wing_peak
-        Width of a Matern wing instead, and its p (`charact.estimators.bloom.transfer.matern`); 0
+        Width of a Matern wing instead, and its p (`charact.estimators.bloom.spreads.matern`); 0
         px: Moffat.
     flat_share, rising_share, rim_share
         Fractions of the halo that are flat, rise as x^2 and as x^12 to its edge; the remainder has
@@ -123,24 +123,24 @@ class PosteriorPsf:
         frequency).
         """
         frequency = np.asarray(frequency_cy_per_px, float)
-        blur = transfer.tube(frequency, self.core_frequency_cy_per_px, self.core_exponent)
-        blur = blur * transfer.gaussian(frequency, self.core_spread_px2)
+        blur = spreads.tube(frequency, self.core_frequency_cy_per_px, self.core_exponent)
+        blur = blur * spreads.gaussian(frequency, self.core_spread_px2)
         if np.any(self.wing_share):
             if np.any(self.wing_sd_px):
-                wing = transfer.matern(
+                wing = spreads.matern(
                     frequency, np.asarray(self.wing_sd_px), np.asarray(self.wing_peak)
                 )
             else:
-                wing = transfer.moffat(
+                wing = spreads.moffat(
                     frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent)
                 )
-            blur = transfer.mix(blur, np.asarray(self.wing_share), wing)
+            blur = spreads.mix(blur, np.asarray(self.wing_share), wing)
         flat, rising, rim = (
             np.asarray(part) for part in (self.flat_share, self.rising_share, self.rim_share)
         )
         profile = [self.elastic_share, 1.0 - self.elastic_share - flat - rising - rim, rising, rim]
-        halo = transfer.disc(frequency, self.halo_diameter_px, np.stack(profile, axis=-1))
-        return blur * transfer.mix(
+        halo = spreads.halo_disc(frequency, self.halo_diameter_px, np.stack(profile, axis=-1))
+        return blur * spreads.mix(
             1.0, self.halo_fraction / (1.0 - np.asarray(self.glare_fraction)), halo
         )
 
@@ -159,12 +159,12 @@ def _per_draw() -> tuple[str, ...]:
 
 def nodes() -> tuple[Array, Array]:
     """Frequencies, cy/px, and weights of PSF integrals, valid to 150 px from the source."""
-    return transfer.quadrature(0.8, 512)
+    return spreads.quadrature(0.8, 512)
 
 
 def density_matrix(radius_px: ArrayLike) -> Array:
     """Matrix from a transfer function on `nodes` to the PSF at some radii, shape (node, radius)."""
-    return transfer.hankel_matrix(nodes(), np.asarray(radius_px, float))
+    return spreads.hankel_matrix(nodes(), np.asarray(radius_px, float))
 
 
 def spread_of(
@@ -183,7 +183,7 @@ def spread_of(
         # are averaged.
         fitted["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
     if "even_share" in posterior.names:
-        fitted["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
+        fitted["flat_share"] = 1.0 - np.sum([posterior[name] for name in spreads.PROFILE], axis=0)
     if "halo_sd" in posterior.names:
         raise BadInput("the PSF needs a halo with an edge; the fitted halo is Gaussian")
     fields = {**({} if "core_frequency" in posterior.names else GAUSSIAN), **known, **fitted}

@@ -5,15 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models import transfer as forms
-from charact.estimators.mtf.blur_models.one_dimensional import (
-    ExtendedComponent,
-    HaloComponent,
-    ScatterComponent,
-)
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.method import Context
-from charact.video_filter import VideoFilter
+from charact.transfer.extended import ExtendedComponent, HaloComponent, ScatterComponent
+from charact.transfer.stages import aperture
+from charact.transfer.video_filter import VideoFilter
 from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
@@ -43,9 +39,7 @@ class KnownTransfer:
 
     def __call__(self, frequency: Array) -> NDArray[np.complex128]:
         """Return the known transfer at frequencies along the direction, complex."""
-        plain = forms.aperture(frequency, self.angle_rad, self.along_px, self.across_px).astype(
-            complex
-        )
+        plain = aperture(frequency, self.angle_rad, self.along_px, self.across_px).astype(complex)
         if self.video is None:
             return plain
         return plain * self._as_read(self.video(frequency * np.cos(self.angle_rad)))

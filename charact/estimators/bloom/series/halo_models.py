@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.bloom import transfer
 from charact.estimators.bloom.transfer import frequencies
+from charact.transfer import spreads
+from charact.transfer.form import Parameter
 from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
@@ -20,50 +21,30 @@ CORES_OF_TUBES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 Halo = Literal["none", "disc", "gaussian"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModelParameter:
-    """Parameter with its prior: flat between bounds, or normal where a standard deviation is
-    given.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    mean: float = 0.0
-    sd: float = float("inf")
-    start: float = float("nan")
-
-    @property
-    def first(self) -> float:
-        """Start value of an optimisation."""
-        return self.start if np.isfinite(self.start) else self.mean
-
-
-CORE_SD = ModelParameter(name="core_sd", unit="px", low=0.35, high=8.0, start=1.2)
-WING_SHARE = ModelParameter(name="wing_share", unit="1", low=0.0, high=0.7, start=0.05)
+CORE_SD = Parameter(name="core_sd", unit="px", low=0.35, high=8.0, start=1.2)
+WING_SHARE = Parameter(name="wing_share", unit="1", low=0.0, high=0.7, start=0.05)
 WINGS = {
     "moffat": (
         WING_SHARE,
-        ModelParameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0),
-        ModelParameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0),
+        Parameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0),
+        Parameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0),
     ),
     "matern": (
         WING_SHARE,
-        ModelParameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0),
-        ModelParameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5),
+        Parameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0),
+        Parameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5),
     ),
 }
 LEAST_DIAMETER_PX = 12.0
 # Fractions of a disc's light by density, with weak priors. Bounds slightly beyond 0..1, since a
 # bound at 0 would bias the diameter.
 PROFILE = tuple(
-    ModelParameter(name=name, unit="1", low=low, high=1.2, mean=mean, sd=0.4)
+    Parameter(name=name, unit="1", low=low, high=1.2, mean=mean, sd=0.4)
     for name, low, mean in zip(
-        transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True
+        spreads.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True
     )
 )
-HALO_FRACTION = ModelParameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
+HALO_FRACTION = Parameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,23 +63,23 @@ class HaloModel:
     sensor: Camera | None = None
 
     @cached_property
-    def parameters(self) -> tuple[ModelParameter, ...]:
+    def parameters(self) -> tuple[Parameter, ...]:
         """Parameters in the order of a point's coordinates."""
         return self._core_parameters() + self._halo_parameters()
 
-    def _core_parameters(self) -> tuple[ModelParameter, ...]:
+    def _core_parameters(self) -> tuple[Parameter, ...]:
         if self.core == "tube":
             return (*tube_priors(self.sensor), CORE_SD)
         return CORE_SD, *WINGS.get(self.core, ())
 
-    def _halo_parameters(self) -> tuple[ModelParameter, ...]:
+    def _halo_parameters(self) -> tuple[Parameter, ...]:
         if self.halo == "none":
             return ()
         if self.halo == "gaussian":
-            return ModelParameter(
+            return Parameter(
                 name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0
             ), HALO_FRACTION
-        widest = ModelParameter(
+        widest = Parameter(
             name="halo_diameter",
             unit="px",
             low=LEAST_DIAMETER_PX,
@@ -154,55 +135,51 @@ class HaloModel:
             return blur
         of = self.at(points)
         if self.core == "matern":
-            wing = transfer.matern(frequencies(), of["wing_sd"], of["wing_peak"])
+            wing = spreads.matern(frequencies(), of["wing_sd"], of["wing_peak"])
         else:
-            wing = transfer.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
-        return transfer.mix(blur, of["wing_share"], wing)
+            wing = spreads.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
+        return spreads.mix(blur, of["wing_share"], wing)
 
     def halo_factor(self, points: Array) -> Array:
         """Factor of the halo on the core's transfer function, shape (draw, frequency), or 1."""
         halo = self.halo_transform(points)
         if halo is None:
             return np.ones((1, 1))
-        return transfer.mix(1.0, self.at(points)["halo_fraction"], halo)
+        return spreads.mix(1.0, self.at(points)["halo_fraction"], halo)
 
     def blur_transform(self, points: Array) -> Array:
         """Transfer function of the core without wing and pixel, shape (draw, frequency)."""
         of = self.at(points)
-        blur = transfer.gaussian(frequencies(), of["core_sd"] ** 2)
+        blur = spreads.gaussian(frequencies(), of["core_sd"] ** 2)
         if self.core == "tube":
-            blur = blur * transfer.tube(frequencies(), of["core_frequency"], of["core_exponent"])
+            blur = blur * spreads.tube(frequencies(), of["core_frequency"], of["core_exponent"])
         return blur
 
     def halo_transform(self, points: Array) -> Array | None:
         """Transfer function of the halo alone, shape (draw, frequency); None without a halo."""
         of = self.at(points)
         if self.halo == "disc":
-            return transfer.disc(frequencies(), of["halo_diameter"], profile_of(of))
+            return spreads.halo_disc(frequencies(), of["halo_diameter"], profile_of(of))
         return (
-            transfer.gaussian(frequencies(), of["halo_sd"] ** 2)
-            if self.halo == "gaussian"
-            else None
+            spreads.gaussian(frequencies(), of["halo_sd"] ** 2) if self.halo == "gaussian" else None
         )
 
 
 def profile_of(of: Mapping[str, Array]) -> Array:
     """Return the profile of a disc, shape (draw, fraction), from named parameters."""
-    return np.stack([of[name] for name in transfer.PROFILE], axis=-1)
+    return np.stack([of[name] for name in spreads.PROFILE], axis=-1)
 
 
 @lru_cache(maxsize=4)
 def pixel_of(pitch_ratio: float) -> Array:
     """Transfer function of the pixel aperture, shape (frequency,)."""
-    return transfer.pixel(frequencies(), pitch_ratio)
+    return spreads.pixel_of_all_directions(frequencies(), pitch_ratio)
 
 
-def tube_priors(sensor: Camera | None) -> tuple[ModelParameter, ...]:
+def tube_priors(sensor: Camera | None) -> tuple[Parameter, ...]:
     """Parameters of an image tube's core: as described, or of image tubes in general."""
-    frequency = ModelParameter(
-        name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3
-    )
-    exponent = ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
+    frequency = Parameter(name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3)
+    exponent = Parameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
     if not has_tube(sensor):
         return frequency, exponent
     scale = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3

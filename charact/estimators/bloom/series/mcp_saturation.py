@@ -6,21 +6,20 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.bloom import transfer
-from charact.estimators.bloom.series.halo_models import HaloModel, ModelParameter, pixel_of
+from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of
 from charact.estimators.bloom.series.likelihood import ModelParts, SeriesLikelihood
 from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.transfer import frequencies
+from charact.transfer import spreads
+from charact.transfer.form import Parameter
 from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
 
 # Reciprocal signal density at half gain, px/DN: from no saturation to saturation at a few DN.
-PLATE_LOAD = ModelParameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)
+PLATE_LOAD = Parameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)
 # Fraction of the core's blur after the gain, without a sensor description.
-POST_GAIN_SHARE = ModelParameter(
-    name="post_gain_share", unit="1", low=0.0, high=1.0, mean=0.5, sd=0.3
-)
+POST_GAIN_SHARE = Parameter(name="post_gain_share", unit="1", low=0.0, high=1.0, mean=0.5, sd=0.3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +27,7 @@ class SaturatingHaloModel(HaloModel):
     """Halo model with a saturating MCP."""
 
     @cached_property
-    def parameters(self) -> tuple[ModelParameter, ...]:
+    def parameters(self) -> tuple[Parameter, ...]:
         """Parameters in the order of a point's coordinates."""
         post_gain_share = POST_GAIN_SHARE
         if has_tube(self.sensor):
@@ -85,7 +84,7 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
     def parts(self, points: Array) -> "SaturatingModelParts":
         """Return the model of unit signal at points."""
         behind, before = self.form.behind(points), self.form.before(points)
-        load = before * transfer.gaussian(
+        load = before * spreads.gaussian(
             frequencies(), np.full(len(points), self.form.neighbourhood_px**2)
         )
         recorded, arriving, loading = (

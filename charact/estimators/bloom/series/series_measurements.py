@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.bloom import transfer
 from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of, profile_of
 from charact.estimators.bloom.series.likelihood import AmplitudeSolution
@@ -15,6 +14,7 @@ from charact.estimators.bloom.series.model_selection import FittedHaloModel
 from charact.estimators.bloom.transfer import onto_nodes
 from charact.frames.robust import robust_sd
 from charact.inference.diagnostics import crowds_at_bound
+from charact.transfer import spreads
 from labdata.flags import Finding
 from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
 
@@ -105,7 +105,7 @@ def halo_of(form: HaloModel, points: Array) -> tuple[Array, Array]:
 
 
 def _within(x: float) -> Array:
-    """Fractions of the light within x of the disc's radius for each density of `transfer.PROFILE`
+    """Fractions of the light within x of the disc's radius for each density of `spreads.PROFILE`
     and a flat one.
     """
     root = float(np.sqrt(1.0 - x**2))
@@ -292,7 +292,7 @@ def halo_measurements(fit: FittedSeries) -> list[Measurement]:
 
 def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
     """Errors of a diameter due to the unknown rim width and disc model, px, shape (draw,)."""
-    profile = np.stack([posterior[name] for name in transfer.PROFILE], axis=1)
+    profile = np.stack([posterior[name] for name in spreads.PROFILE], axis=1)
     elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
     rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
     sd = np.hypot(0.004 * rimmed * diameter_px, 0.05)

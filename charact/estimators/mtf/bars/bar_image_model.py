@@ -6,10 +6,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.bars.blur_models import TUBE, BarBlurModel
 from charact.estimators.mtf.bars.target import BarTarget
 from charact.estimators.mtf.bars.thresholds import ACCURACY
-from charact.estimators.mtf.blur_models import transfer as forms
+from charact.transfer.cores import ON_BARS
+from charact.transfer.form import BarForm
+from charact.transfer.stages import aperture
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -54,7 +55,7 @@ class BarShape:
     # ln(-ln c), c the core's transfer at the reference frequency, before the pixel
     log_attenuation: float
     # form, form_one, form_two: blur model, and its two parameters
-    form: BarBlurModel
+    form: BarForm
     form_one: float
     form_two: float
     # Relative departure of the transfer from the blur model around the bar frequency
@@ -64,7 +65,7 @@ class BarShape:
     @property
     def pixel(self) -> float:
         """Transfer of the pixel at the reference frequency."""
-        return float(forms.aperture(np.array([self.reference]), self.angle_rad)[0])
+        return float(aperture(np.array([self.reference]), self.angle_rad)[0])
 
     @property
     def mtf(self) -> float:
@@ -199,7 +200,7 @@ def _transfers(shape: BarShape, u: Array, v: Array) -> Array:
     (4, u, v).
     """
     ln_ratio = np.log(np.maximum(np.hypot(u[:, None], v) / shape.reference, 1e-9))
-    core = shape.form.slopes(
+    core = shape.form.derivatives(
         ln_ratio, float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two
     )
     core[0] = np.exp(core[0]) * _pixel(shape.angle_rad, u.size, float(u[1]), v.size, float(v[-1]))
@@ -234,7 +235,7 @@ class BarLikelihood:
     asked: float
     length_px: float
     strip: bool
-    form: BarBlurModel = TUBE
+    form: BarForm = ON_BARS[0]
 
     @classmethod
     def of(
@@ -265,8 +266,8 @@ class BarLikelihood:
 def priors(problem: BarLikelihood, mtf: float) -> tuple[Array, Array]:
     """Return mean and precision of the normal prior of each parameter; precision 0: none."""
     known = {
-        "form_one": problem.form.first_prior,
-        "form_two": problem.form.second_prior,
+        "form_one": (problem.form.first.mean, problem.form.first.sd),
+        "form_two": (problem.form.second.mean, problem.form.second.sd),
         "departure": (0.0, DEPARTURE_SD + DEPARTURE_FLOOR / max(mtf, 1e-3)),
         "log_frequency": (np.log(problem.asked), FREQUENCY_SD),
         "log_length": (np.log(problem.length_px), LENGTH_SD),
@@ -281,8 +282,8 @@ def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, f
     background, bright = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
     return {
         "log_attenuation": float(np.log(-np.log(0.4))),
-        "form_one": problem.form.start[0],
-        "form_two": problem.form.start[1],
+        "form_one": problem.form.first.start,
+        "form_two": problem.form.second.start,
         "departure": 0.0,
         "log_frequency": float(np.log(target.frequency)),
         "log_length": float(np.log(problem.length_px)),

@@ -13,7 +13,6 @@ from charact.estimators.mtf.bars.amplitudes import (
     target_background,
 )
 from charact.estimators.mtf.bars.bar_image_model import BarLikelihood
-from charact.estimators.mtf.bars.blur_models import TUBE
 from charact.estimators.mtf.bars.checks import (
     clipping_findings,
     findings_of_fit,
@@ -43,6 +42,7 @@ from charact.estimators.mtf.bars.target import (
 from charact.estimators.mtf.bars.thresholds import LIMITS
 from charact.frames.stack import Stack
 from charact.method import Context
+from charact.transfer.cores import ON_BARS
 from labdata.camera.description import has_tube
 from labdata.flags import Finding
 from labdata.frames import FrameStack
@@ -238,7 +238,7 @@ def _average_models(
     otherwise the draws are mixed in proportion to the weights.
     """
     (fraction, fit, _), alternatives = forms[0], forms[1:]
-    if fit.shape.form is TUBE:
+    if fit.shape.form is ON_BARS[0]:
         doubt = float(
             np.sqrt(
                 sum(

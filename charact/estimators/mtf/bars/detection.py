@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.bar_image_model import BarShape, table_of
-from charact.estimators.mtf.bars.blur_models import TUBE
 from charact.estimators.mtf.bars.target import (
     BarTarget,
     blank_target,
@@ -16,6 +15,7 @@ from charact.estimators.mtf.bars.target import (
     refine_target,
 )
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.transfer.cores import ON_BARS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,8 +24,8 @@ Mask = NDArray[np.bool_]
 TILTS_DEG = np.arange(-12.0, 12.1, 1.0)
 TYPICAL = {
     "log_attenuation": -0.4,
-    "form": TUBE,
-    "form_one": TUBE.start[0],
+    "form": ON_BARS[0],
+    "form_one": ON_BARS[0].first.start,
     "form_two": 0.0,
     "departure": 0.0,
 }

@@ -12,7 +12,6 @@ from charact.estimators.mtf.bars.bar_image_model import (
     initial_parameters,
     priors,
 )
-from charact.estimators.mtf.bars.blur_models import BLUR_MODELS
 from charact.estimators.mtf.bars.noise import BarWindowNoise, noise_of, noise_of_one
 from charact.estimators.mtf.bars.target import BarTarget
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
@@ -24,6 +23,8 @@ from charact.inference.least_squares import (
     linearise_residual,
     weigh_by_evidence,
 )
+from charact.transfer.cores import ON_BARS
+from charact.transfer.form import BarForm
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -218,13 +219,13 @@ def fit_all_models(
     core = np.exp(shape.form.ln(positions, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
     fits, best_cost = [], fit.cost
-    for form in BLUR_MODELS:
+    for form in ON_BARS:
         likelihood = replace(problem, form=form)
         if form is shape.form and ratio == 1.0:
             fits.append((fit, likelihood))
             continue
-        scale, (log_attenuation, first_shape, second_shape) = form.nearest(
-            positions - np.log(ratio), core, attenuation
+        scale, (log_attenuation, first_shape, second_shape) = _nearest(
+            form, positions - np.log(ratio), core, attenuation
         )
         start = {
             **fit.values,
@@ -250,13 +251,40 @@ def fit_all_models(
     return [(weights.get(index, 0.0), *fits[index]) for index in order]
 
 
+def _nearest(
+    form: BarForm, ln_ratio: Array, transfer: Array, attenuation: float
+) -> tuple[float, Array]:
+    """Return scale and parameters (ln A and both of the form) that approximate a transfer at
+    ln(r/f), shape (point,).
+
+    One prior standard deviation costs as much as an error of 0.001 in the transfer.
+    """
+    first, second = form.first, form.second
+    mean = np.array([0.0, first.mean, second.mean, 0.0])
+    precision = np.array([0.0, first.sd**-2.0, second.sd**-2.0, 0.0])
+
+    def linearise(theta: Array) -> Linearisation:
+        table = form.table(ln_ratio, float(np.exp(theta[0])), theta[1], theta[2])
+        modelled = np.exp(table[0])
+        scale = float(modelled @ transfer) / float(modelled @ modelled)
+        jacobian = np.vstack([scale * modelled * table[1:], modelled])
+        off = mean - np.append(theta, 0.0)
+        return linearise_residual(
+            1e3 * (transfer - scale * modelled), 1e3 * jacobian, off, precision, scale
+        )
+
+    start, bounds = [np.log(attenuation), first.start, second.start], [(-9.0, 2.3), *form.bounds]
+    optimum = least_squares(linearise, start, bounds, iterations=12)
+    return optimum.at.model, optimum.point
+
+
 def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
     """Return ln evidence by Laplace's approximation."""
     remaining = [
-        min(fit.sd(name) / prior[1], 1.0)
-        for name, prior in (
-            ("form_one", problem.form.first_prior),
-            ("form_two", problem.form.second_prior),
+        min(fit.sd(name) / prior_sd, 1.0)
+        for name, prior_sd in (
+            ("form_one", problem.form.first.sd),
+            ("form_two", problem.form.second.sd),
         )
     ]
     return -0.5 * fit.cost / fit.noise.correlation_sum + float(

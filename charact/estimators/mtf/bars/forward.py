@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 import charact
 from charact.estimators.mtf.bars.bar_image_model import BarShape, table_of
 from charact.estimators.mtf.bars.bar_measurement import BarRefusal, StatedBars, measure_bars_in
-from charact.estimators.mtf.bars.blur_models import TUBE
 from charact.estimators.mtf.bars.checks import findings_of_draws
 from charact.estimators.mtf.bars.target import BarTarget
-from charact.estimators.mtf.blur_models import transfer as forms
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
 from charact.method import Context, register
+from charact.transfer.cores import ON_BARS
+from charact.transfer.stages import aperture
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, make_refusal, measurement_from_draws
 
@@ -70,14 +70,14 @@ def bar_profile(stack: FrameStack, target: BarTarget, mtf: float) -> dict:
 def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
     """Return N blurred bars at distances from their centre, 1 on a wide bar."""
     frequency = target.frequency
-    pixel = float(forms.aperture(np.array([frequency]), target.angle_rad)[0])
+    pixel = float(aperture(np.array([frequency]), target.angle_rad)[0])
     core = float(np.clip(mtf / pixel, 1e-3, 0.999))
     shape = BarShape(
         bars=target.bars,
         frequency=frequency,
         length_px=np.inf,
         reference=frequency,
-        form=TUBE,
+        form=ON_BARS[0],
         log_attenuation=float(np.log(-np.log(core))),
         form_one=float(np.log(1.2)),
         form_two=0.0,

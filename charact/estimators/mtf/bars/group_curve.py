@@ -9,7 +9,6 @@ from scipy.special import chdtrc
 
 import charact
 from charact.estimators.mtf.bars.thresholds import LIMITS
-from charact.estimators.mtf.blur_models.one_dimensional import HaloComponent
 from charact.estimators.mtf.curve import REPORTED, crossing_frequency, curve_of
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
@@ -17,6 +16,7 @@ from charact.estimators.mtf.session.stage_transfers import prior_sd_of
 from charact.inference import find_maximum, importance_sample, sample_posterior
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from charact.transfer.extended import HaloComponent
 from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.measurement import (

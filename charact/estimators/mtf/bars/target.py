@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
-from charact.estimators.mtf.blur_models import transfer as forms
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.method import Context
+from charact.transfer.extended import halo
+from charact.transfer.stages import image_tube
 from labdata.camera.description import has_tube
 from labdata.camera.parameters import Parameter
 
@@ -300,10 +301,9 @@ def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
     elastic = _draw_parameter(sensor.photocathode.halo_elastic_share, rng)
     f = np.asarray((np.arange(16384) + 0.5) / 8192.0, dtype=np.float64)
     kernel = np.sin(2.0 * np.pi * f * margin) / f * (f[1] - f[0])
-    core = np.exp(-((f / corner[:, None]) ** exponent[:, None]))
-    transfer = core * (
-        1.0 - fraction[:, None] + fraction[:, None] * forms.halo(f, diameter, elastic)
-    )
+    core = image_tube(f, corner[:, None], exponent[:, None])
+    ring = halo(np.pi * diameter[:, None] * f, elastic[:, None])
+    transfer = core * (1.0 - fraction[:, None] + fraction[:, None] * ring)
     outside_light = 2.0 * (1.0 - 2.0 / np.pi * transfer @ kernel)
     return float(outside_light.mean()), float(
         max(outside_light.std(), 0.25 * abs(outside_light.mean()))

@@ -13,7 +13,6 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.one_dimensional import BlurModel
 from charact.estimators.mtf.edge.checks import FittedProfile
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter
 from charact.estimators.mtf.edge.nonlinearity import (
@@ -40,6 +39,7 @@ from charact.estimators.mtf.known_transfer import KnownTransfer
 from charact.estimators.mtf.mean_frame import Region
 from charact.inference.least_squares import weigh_by_evidence
 from charact.method import Context, register
+from charact.transfer.blur_model import BlurModel
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 

@@ -9,11 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.one_dimensional import (
-    BlurModel,
-    ExtendedComponent,
-    UnresolvedGlareComponent,
-)
 from charact.estimators.mtf.curve import FINE, crossing_frequency
 from charact.estimators.mtf.edge.fit.edge_form import EdgeForm
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFit, EdgeFitter
@@ -44,6 +39,8 @@ from charact.estimators.mtf.mean_frame import Region
 from charact.inference import importance_sample, laplace, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
 from charact.method import Context, register
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.extended import ExtendedComponent, UnresolvedGlareComponent
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 

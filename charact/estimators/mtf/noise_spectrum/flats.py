@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.one_dimensional import BlurModel, ScatterComponent
 from charact.estimators.mtf.noise_spectrum.model import (
     FAMILIES,
     SCATTER_FRACTION,
@@ -46,6 +45,8 @@ from charact.inference import laplace, predictive_check, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
 from charact.inference.least_squares import weigh_by_evidence
 from charact.method import Context, register
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.extended import ScatterComponent
 from labdata.camera.description import has_tube
 from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session

@@ -14,61 +14,34 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models import transfer as forms
-from charact.estimators.mtf.blur_models.one_dimensional import (
-    EXPONENT,
-    EXPONENT_PRIOR,
-    HALF_FREQUENCY,
-    BlurModel,
-)
 from charact.estimators.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.estimators.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.inference import find_maximum
 from charact.inference.least_squares import ln_evidence
 from charact.method import Context
-from charact.video_filter import VideoFilter, powers
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.cores import EXPONENT
+from charact.transfer.form import HALF_FREQUENCY, table_of
+from charact.transfer.stages import fibres
+from charact.transfer.video_filter import PixelAndVideo, VideoFilter, powers
 from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownReadout:
+class KnownReadout(PixelAndVideo):
     """The known part of the transfer after the gain."""
 
-    # extent of a pixel as read along columns, column pitches; two rows where fields sum pairs of
-    # them
-    height_px: float
-    video: VideoFilter | None  # filter along rows, or None
     anisotropy_sd: float  # prior standard deviation of the logarithm of the anisotropy
     # pitch of the taper's fibres, column pitches, and f0 of its interfaces exp(-(f/f0)^2), cycles
     # per column pitch
     fibres: tuple[float, float] | None = None
 
-    def electronics(self, column: Array) -> Array:
-        """Return |V| of the described video at frequencies along rows; it acts on pixels, so it has
-        no replicas.
-        """
-        return np.ones_like(column) if self.video is None else np.abs(self.video(column))
-
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of what is known within a range only, by name."""
-        return self.video.parameters if self.video else {}
-
-    def bend(self, column: Array) -> Array | None:
-        """Return how ln of |V| moves with the video's bandwidth, see `VideoFilter.bend`; None: it
-        does not.
-        """
-        return self.video.bend(column).real if self.video and self.video.parameters else None
-
-    def aperture(self, column: Array, row: Array) -> Array:
+    def aperture(self, fx: Array, fy: Array) -> Array:
         """Return |sinc sinc| of the pixel, and the taper where it is described."""
-        pixel = np.abs(np.sinc(column) * np.sinc(row * self.height_px))
-        if self.fibres is None:
-            return pixel
-        radius, (pitch, interface) = np.hypot(column, row), self.fibres
-        return pixel * np.abs(forms.disc(radius, pitch)) * np.exp(-((radius / interface) ** 2))
+        pixel = super().aperture(fx, fy)
+        return pixel if self.fibres is None else pixel * fibres(np.hypot(fx, fy), *self.fibres)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,15 +154,10 @@ class NonparametricBlur:
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
         """Unit and bounds of each parameter by name."""
-        low, high = np.log(HALF_FREQUENCY)
         waves = {
             f"wave_{k}": ("1", (-THRESHOLDS.cosine_bound, THRESHOLDS.cosine_bound)) for k in WAVES
         }
-        return {
-            "ln_half_frequency": ("ln(cy/px)", (float(low), float(high))),
-            "exponent": ("1", EXPONENT),
-            **waves,
-        }
+        return {**table_of((HALF_FREQUENCY, EXPONENT)), **waves}
 
     @cached_property
     def bounds(self) -> Array:
@@ -215,7 +183,7 @@ class NonparametricBlur:
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds."""
-        bounds, (mean, sd) = self.bounds, EXPONENT_PRIOR
+        bounds, mean, sd = self.bounds, EXPONENT.mean, EXPONENT.sd
         in_bounds = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         normal = -0.5 * ((theta[:, 1] - mean) / sd) ** 2 - np.log(sd)
         waves = -0.5 * np.sum((theta[:, 2:] / THRESHOLDS.cosine_prior_sd) ** 2, axis=1)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.transfer import glare
 from charact.estimators.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
 from charact.estimators.mtf.noise_spectrum.model import (
     SCATTER_FRACTION,
@@ -20,6 +19,7 @@ from charact.estimators.mtf.noise_spectrum.model import (
 )
 from charact.estimators.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.estimators.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
+from charact.transfer.extended import ScatterComponent
 from labdata.measurement import (
     Curve,
     Measurement,
@@ -165,7 +165,8 @@ class UndetectedComponent:
 
     def modulus(self, theta: Array, frequency: Array) -> Array:
         """Return the transfer, shape (n, parameter) and (f,) or (n, f) -> (n, f)."""
-        veil = glare(frequency, np.array(self.length_px))
+        scatter = ScatterComponent(size_px=(self.length_px, self.length_px))
+        veil = scatter.transfer(frequency, np.array([[self.length_px]]))
         return self.shape.modulus(theta, frequency) * (1.0 - self.fraction + self.fraction * veil)
 
 

@@ -6,23 +6,19 @@ in the cosine of twice the angle.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.one_dimensional import BlurModel, ExtendedComponent
-from charact.estimators.mtf.blur_models.pupil_table import OBSCURATION, pupil
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES
 from charact.estimators.mtf.point.thresholds import PRIORS
+from charact.transfer.cores import ON_POINTS
+from charact.transfer.extended import ExtendedComponent
+from charact.transfer.form import table_of
+from charact.transfer.tables import disc
 
 Array = NDArray[np.float64]
 
-# Exponent of the long exposure through turbulent air (Fried 1966, J. Opt. Soc. Am. 56, 1372).
-TURBULENT = 5.0 / 3.0
-# A clear pupil in focus falls to one half at this fraction of its cut-off: acos v - v sqrt(1 - v^2)
-# = pi / 4.
-HALF_OF_CUT_OFF = 0.4039728
 # Centres of the departure bumps in ln of frequency over half frequency, and their width.
 BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
 # Half frequencies of a tube at which a Gaussian blur is distinguishable, ln of cycles per column
@@ -31,30 +27,12 @@ TUBE = (float(np.log(0.02)), float(np.log(0.6)))
 # The video filter's bandwidth as a parameter, and the powers of its logarithm in the image, from 0.
 BANDWIDTH, BANDWIDTH_ORDERS = "ln_video_bandwidth", 3
 
-Core = Literal[
-    "gaussian", "kolmogorov", "exponential", "moffat", "airy", "hole", "defocus", "pupil"
-]
-# Free parameters of each pupil besides its cut-off.
-PUPILS: dict[str, tuple[str, ...]] = {
-    "airy": (),
-    "hole": ("obscuration_square",),
-    "defocus": ("defocus_square",),
-    "pupil": ("obscuration_square", "defocus_square"),
-}
-PUPIL_PARAMETERS = {
-    "obscuration_square": ("1", (0.0, OBSCURATION[1] ** 2)),
-    "defocus_square": ("waves^2", PRIORS.defocus_square),
-}
-
 
 @dataclass(frozen=True, kw_only=True)
 class BlurModel2D:
     """Transfer of blur and source, without aperture and video filter."""
 
-    # "gaussian", "exponential" and "moffat" as of `charact.estimators.mtf.forms.families.Family`;
-    # "kolmogorov": exponential of exponent 5/3; "airy", "hole", "defocus", "pupil": diffraction,
-    # alone, with central obscuration, with defocus, with both
-    core: Core
+    core: str  # Name of the core in `ON_POINTS`
     round: bool = False  # Whether rows and columns are blurred alike
     # Whether a Gaussian multiplies the core: a tube behind a lens, or before its fibres
     lens: bool = False
@@ -83,28 +61,15 @@ class BlurModel2D:
         """Number of parameters before those of the extended component."""
         return self.core_parameters + int(self.lens) + int(not self.round)
 
-    @cached_property
-    def family(self) -> BlurModel:
-        """One-dimensional model of the core, for cores that have one."""
-        names = {"exponential": "exponential", "kolmogorov": "exponential", "moffat": "moffat"}
-        return BlurModel(core=names.get(self.core, "gaussian"))  # type: ignore[arg-type]
-
     @property
     def core_parameters(self) -> int:
         """Number of the core's parameters."""
-        if self.core in PUPILS:
-            return 1 + len(PUPILS[self.core])
-        return 1 if self.core == "kolmogorov" else self.family.core_parameters
+        return len(ON_POINTS[self.core][0].parameters)
 
     @cached_property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
         """Unit and bounds of each parameter by name."""
-        core = dict(
-            list(self.family.parameters.items())[
-                : 1 if self.core in PUPILS else self.core_parameters
-            ]
-        )
-        core.update({name: PUPIL_PARAMETERS[name] for name in PUPILS.get(self.core, ())})
+        core = table_of(ON_POINTS[self.core][0].parameters)
         if self.lens:
             if "exponent" in core:
                 core["ln_half_frequency"], core["exponent"] = (
@@ -139,14 +104,11 @@ class BlurModel2D:
         """
         names = list(self.parameters)
         mean, precision = np.zeros((2, len(names)))
-        for name, value, inverse in zip(
-            self.family.parameters, *self.family.prior_precision, strict=True
-        ):
-            if name in names:
-                mean[names.index(name)], precision[names.index(name)] = value, inverse
+        for index, parameter in enumerate(ON_POINTS[self.core][0].parameters):
+            mean[index], precision[index] = parameter.mean, parameter.sd**-2
         if self.lens and "exponent" in names:
             mean[1], precision[1] = PRIORS.tail_prior[0], PRIORS.tail_prior[1] ** -2
-        known = {"stretch": PRIORS.stretch_sd, "defocus_square": PRIORS.defocus_square_sd}
+        known = {"stretch": PRIORS.stretch_sd}
         known.update({f"departure_{number}": self.departures for number in range(len(BUMPS))})
         for index, name in enumerate(names):
             if name in known:
@@ -176,13 +138,11 @@ class BlurModel2D:
     def start(self, ln_half_frequency: float) -> Array:
         """Return starting values."""
         begin = {
+            **{shape.name: shape.start for shape in ON_POINTS[self.core][0].shape},
             "ln_half_frequency": ln_half_frequency,
-            "exponent": 1.3 if self.lens else 1.5,
-            "moffat_exponent": 2.5,
             "blur_px": 0.4,
             "stretch": 0.0,
-            "obscuration_square": 0.08,
-            "defocus_square": 0.05,
+            **({"exponent": 1.3} if self.lens else {}),
             **{f"departure_{number}": 0.0 for number in range(len(BUMPS))},
             **{name: mean for name, mean, _ in self.known},
         }
@@ -222,7 +182,7 @@ class BlurModel2D:
         """Return the core along each direction: that of a direction-dependent half frequency."""
         shape = theta[:, : self.core_parameters]
         if stretch is None:
-            modulus = self._modulus(shape, frequency)[:, None]
+            modulus = ON_POINTS[self.core][0].transfer(shape, frequency)[:, None]
             return np.broadcast_to(modulus, (len(theta), cosine.size, frequency.size))
         along, across = 0.5 * (1.0 + cosine), 0.5 * (1.0 - cosine)
         wider = np.exp(stretch[:, None])
@@ -242,27 +202,11 @@ class BlurModel2D:
         """
         every = np.repeat(shape, ln_narrower.shape[1], axis=0)
         every[:, 0] -= ln_narrower.ravel()
-        return self._modulus(every, frequency).reshape(*ln_narrower.shape, frequency.size)
-
-    def _modulus(self, shape: Array, frequency: Array) -> Array:
-        """Return the core's transfer along one direction, shape (n, parameter) and (f,) -> (n,
-        f).
-        """
-        if self.core in PUPILS:
-            free = dict(
-                zip(PUPILS[self.core], np.sqrt(np.maximum(shape[:, 1:], 0.0)).T, strict=True)
-            )
-            none = np.zeros(len(shape))
-            cut_off = np.exp(shape[:, 0]) / HALF_OF_CUT_OFF
-            return pupil(
-                frequency,
-                cut_off,
-                free.get("obscuration_square", none),
-                free.get("defocus_square", none),
-            )
-        if self.core == "kolmogorov":
-            shape = np.concatenate([shape, np.full((len(shape), 1), TURBULENT)], axis=1)
-        return self.family.modulus(shape, frequency)
+        return (
+            ON_POINTS[self.core][0]
+            .transfer(every, frequency)
+            .reshape(*ln_narrower.shape, frequency.size)
+        )
 
     def transfer(self, theta: Array) -> Array:
         """Return the transfer of blur and source at the nodes of an image, shape (n, direction,
@@ -297,7 +241,4 @@ class BlurModel2D:
 
 def pinhole(frequency: Array, diameter_px: float | Array) -> Array:
     """Return 2 J1(u)/u, u = pi d f, the transfer of a uniform disc."""
-    from scipy.special import j1
-
-    u = np.maximum(np.pi * diameter_px * frequency, 1e-9)
-    return np.asarray(2.0 * j1(u) / u, np.float64)
+    return disc(np.pi * diameter_px * frequency)[0]

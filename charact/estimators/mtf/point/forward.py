@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from charact.estimators.mtf.blur_models.one_dimensional import HaloComponent
 from charact.estimators.mtf.curve import LEVELS
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.mean_frame import Region
@@ -15,7 +14,8 @@ from charact.estimators.mtf.point.parametric import PointMethod, measure_points
 from charact.estimators.mtf.point.thresholds import PRIORS
 from charact.estimators.mtf.session.stage_transfers import prior_sd_of
 from charact.method import Context, register
-from charact.video_filter import VideoFilter
+from charact.transfer.extended import HaloComponent
+from charact.transfer.video_filter import VideoFilter
 from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
 from labdata.measurement import Result

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.one_dimensional import ExtendedComponent, HaloComponent
-from charact.estimators.mtf.point.blur_models_2d import BlurModel2D, Core
+from charact.estimators.mtf.point.blur_models_2d import BlurModel2D
 from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.estimators.mtf.point.source_pixels import (
     SourcePixels,
@@ -18,6 +17,8 @@ from charact.estimators.mtf.point.source_pixels import (
 )
 from charact.estimators.mtf.point.thresholds import ACCURACY
 from charact.inference.least_squares import weigh_by_evidence
+from charact.transfer.cores import ON_POINTS
+from charact.transfer.extended import ExtendedComponent, HaloComponent
 
 Array = NDArray[np.float64]
 
@@ -25,18 +26,8 @@ Array = NDArray[np.float64]
 WIDE_ODDS = 0.5
 # Prior odds of separable blurs.
 SEPARABLE_ODDS = 0.2
-# Cores of any camera and of a tube, with prior odds; variants of one kind share them.
-CORES: dict[Core, float] = {
-    "gaussian": 1.0,
-    "kolmogorov": 0.5,
-    "exponential": 0.5,
-    "moffat": 0.5,
-    "airy": 0.5,
-    "hole": 0.25,
-    "defocus": 0.25,
-    "pupil": 0.25,
-}
-TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
+# Cores of a described tube.
+TUBES = ("gaussian", "exponential", "moffat")
 # Model departures, fraction of the transfer, and their prior odds.
 DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
 
@@ -52,7 +43,7 @@ def candidate_cores(pinhole: float | tuple[float, float], *, described: bool) ->
     """Return the cores of any camera, or of a described tube."""
     return [
         BlurModel2D(core=core, round=not described, pinhole_px=pinhole)
-        for core in (TUBES if described else CORES)
+        for core in (TUBES if described else ON_POINTS)
     ]
 
 
@@ -216,7 +207,7 @@ def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
 def _weight(fit: BlurModelFit2D) -> float:
     """Return ln evidence plus ln prior probability of a model."""
     form = fit.form
-    odds = CORES[form.core] * (SEPARABLE_ODDS if form.separable else 1.0)
+    odds = ON_POINTS[form.core][1] * (SEPARABLE_ODDS if form.separable else 1.0)
     odds *= 1.0 if form.wide is None or isinstance(form.wide, HaloComponent) else WIDE_ODDS
     return fit.log_evidence + float(np.log(odds * (DEPARTURES_ODDS if form.departures else 1.0)))
 

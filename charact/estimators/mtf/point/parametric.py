@@ -11,12 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import charact
-from charact.estimators.mtf.blur_models.one_dimensional import (
-    DiscComponent,
-    ExtendedComponent,
-    HaloComponent,
-    ScatterComponent,
-)
 from charact.estimators.mtf.curve import (
     FINE,
     LEVELS,
@@ -53,7 +47,13 @@ from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.inference import has_several_peaks, importance_sample, sample_posterior
 from charact.method import Context, register
-from charact.video_filter import VideoFilter, powers
+from charact.transfer.extended import (
+    DiscComponent,
+    ExtendedComponent,
+    HaloComponent,
+    ScatterComponent,
+)
+from charact.transfer.video_filter import VideoFilter, powers
 from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.frames import FrameStack

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.video_filter import VideoFilter
+from charact.transfer.video_filter import VideoFilter
 
 Array = NDArray[np.float64]
 

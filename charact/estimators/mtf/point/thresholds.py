@@ -127,9 +127,6 @@ class PointPriors:
     tail_prior: tuple[float, float] = (1.3, 0.25)  # Its mean and standard deviation
     blur_px: tuple[float, float] = (0.05, 2.0)  # Standard deviation of that Gaussian, px
     wide_share_sd: float = 0.1  # Scattered fraction: half-normal, a few per cent
-    # Square of the defocus, waves^2, in which a transfer is linear
-    defocus_square: tuple[float, float] = 0.0, 2.25
-    defocus_square_sd: float = 0.5  # Its half-normal prior
     cut_off_sd: float = 0.12  # ln cut-off of a camera about its description
     exponent_sd: float = 0.08  # Its exponent
     blur_sd: float = 0.25  # Its relative Gaussian blur

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, log_ndtr, ndtr
 
 import charact
-from charact.estimators.mtf.blur_models.one_dimensional import Core, HaloComponent
 from charact.estimators.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.session.constraints import MtfConstraint, constraints_from
@@ -22,6 +21,7 @@ from charact.inference import find_maximum, importance_sample, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from charact.transfer.extended import HaloComponent
 from labdata.camera.description import has_tube
 from labdata.measurement import (
     Measurement,
@@ -33,7 +33,7 @@ from labdata.measurement import (
 )
 
 Array = NDArray[np.float64]
-CORES: tuple[tuple[Core, bool], ...] = (
+CORES: tuple[tuple[str, bool], ...] = (
     ("gaussian", False),
     ("exponential", False),
     ("moffat", False),

@@ -8,44 +8,23 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.one_dimensional import BlurModel, Core, ExtendedComponent
 from charact.estimators.mtf.session.thresholds import THRESHOLDS
 from charact.method import Context
-from charact.video_filter import VideoFilter, powers
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.extended import ExtendedComponent
+from charact.transfer.video_filter import PixelAndVideo, VideoFilter, powers
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
-class KnownCameraTransfer:
-    """Described part of the transfer: aperture in column pitches, and the video filter along rows
-    or None.
-    """
-
-    height_px: float = 1.0
-    video: VideoFilter | None = None
+class KnownCameraTransfer(PixelAndVideo):
+    """Described part of the transfer of a context's camera."""
 
     @classmethod
     def of(cls, context: Context) -> "KnownCameraTransfer":
         """Return the described transfer of a context's camera."""
         rows = 2.0 if context.interlaced else 1.0
         return cls(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.camera))
-
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds by name of a parameter that is known within a range only."""
-        return self.video.parameters if self.video else {}
-
-    def bend(self, fx: Array) -> Array | None:
-        """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`;
-        None: it is exact.
-        """
-        return self.video.bend(fx).real if self.video and self.video.parameters else None
-
-    def __call__(self, fx: Array, fy: Array) -> Array:
-        """Return the modulus at frequencies along rows and columns, cycles per column pitch."""
-        filtered = 1.0 if self.video is None else np.abs(self.video(fx))
-        return np.abs(np.sinc(fx) * np.sinc(fy * self.height_px)) * filtered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +37,7 @@ class JointBlurModel:
     (`elliptical`), f^2 = fx^2 + fy^2, and A aperture and video (`known`).
     """
 
-    core: Core
+    core: str
     blurred: bool
     wide: ExtendedComponent | None
     elliptical: bool

@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from charact import video_filter
-from charact.estimators.mtf.blur_models import transfer as forms
 from charact.estimators.mtf.session.thresholds import THRESHOLDS
+from charact.transfer.extended import halo
+from charact.transfer.stages import fibres, lens
+from charact.transfer.video_filter import sampled_response, transfer
 from labdata.camera.description import Camera
 from labdata.camera.parameters import Parameter
 
@@ -98,25 +99,26 @@ class StageModel:
         along = direction == "horizontal"
         detector = frequency / float(ccd.pitch_x_um if along else ccd.pitch_y_um) * 1e3
         cathode = detector / float(taper.demagnification)
-        blur_um, cut_off = get["optics.aberration_blur_um"], get["tube.mtf_frequency_lp_per_mm"]
+        cut_off = get["tube.mtf_frequency_lp_per_mm"]
         tube = -np.exp(get["tube.mtf_exponent"] * np.log(np.maximum(cathode, 1e-9) / cut_off))
         post_gain_share = get["tube.post_gain_share"]
         interface = get["taper.interface_mtf_lp_per_mm"]
-        fibres = forms.disc(detector, float(taper.fibre_pitch_um) * 1e-3)
+        taper_fibres = fibres(detector, float(taper.fibre_pitch_um) * 1e-3, interface)
+        optics = lens(
+            cathode,
+            get["optics.aberration_blur_um"],
+            float(self.sensor.optics.f_number),
+            THRESHOLDS.wavelength_mm * 1e6,
+        )
         pixel = np.abs(np.sinc(frequency * (1.0 if along else self.rows_summed)))
         none = np.zeros((len(theta), len(frequency)))
-        # Diffraction by a round pupil.
-        x = np.minimum(
-            cathode * THRESHOLDS.wavelength_mm * float(self.sensor.optics.f_number), 0.999
-        )
-        diffraction = 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
         return np.stack(
             [
-                np.log(diffraction) - 2.0 * (np.pi * cathode * blur_um * 1e-3) ** 2,
+                np.log(np.maximum(optics, 1e-12)),
                 none + self._log_halo(get, cathode),
                 (1.0 - post_gain_share) * tube,
                 post_gain_share * tube,
-                np.log(np.maximum(np.abs(fibres), 1e-12)) - (detector / interface) ** 2,
+                np.log(np.maximum(taper_fibres, 1e-12)),
                 none + np.log(np.maximum(pixel, 1e-12)),
                 none + (self._log_video(get, frequency) if along else 0.0),
             ]
@@ -127,7 +129,7 @@ class StageModel:
         if HALO[0] not in get:
             return 0.0
         fraction, elastic, gap_mm = (get[name] for name in HALO)
-        return np.log1p(fraction * (forms.halo(cathode, 4.0 * gap_mm[:, 0], elastic[:, 0]) - 1.0))
+        return np.log1p(fraction * (halo(4.0 * np.pi * gap_mm * cathode, elastic) - 1.0))
 
     def _log_video(self, get: dict[str, Array], frequency: Array) -> Array | float:
         """Return ln of the transfer of the video, interpolated in bandwidth."""
@@ -151,15 +153,8 @@ def _video_table(frequency: tuple[float, ...], clock_mhz: float, order: int) -> 
     """Return ln of the video's transfer at every tabulated bandwidth, shape (bandwidth,
     frequency).
     """
-    at = np.array(frequency)
-    return np.log(
-        np.array(
-            [
-                np.abs(video_filter.transfer(at, float(bandwidth_mhz), clock_mhz, order))
-                for bandwidth_mhz in BANDWIDTHS_MHZ
-            ]
-        )
-    )
+    weights = sampled_response(BANDWIDTHS_MHZ, clock_mhz, order)
+    return np.log(np.abs(transfer(weights, np.array(frequency))))
 
 
 def prior_sd_of(parameter: Parameter) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.thresholds import GAIN, GAIN_PRIORS
-from charact.video_filter import VideoFilter
+from charact.transfer.video_filter import VideoFilter
 from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from charact.estimators import bloom
-from charact.estimators.bloom import transfer
 from charact.estimators.bloom.point_stack import read_point_stacks
 from charact.estimators.bloom.series.halo_models import HaloModel
 from charact.estimators.bloom.series.likelihood import SeriesLikelihood, series_of
@@ -19,6 +18,7 @@ from charact.estimators.bloom.series.rings import geometry_of, level_of, noise_o
 from charact.estimators.bloom.transfer import frequencies, onto_nodes
 from charact.method import Context
 from charact.method.registry import methods_of_kind
+from charact.transfer import spreads
 from tests.charact.estimators.noise.scenes import errors
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_light import BloomScene
@@ -47,7 +47,7 @@ def light_of(transform, rings):
 
 
 def test_a_gaussian_is_itself_over_ten_decades(rings):
-    light = light_of(transfer.gaussian(frequencies(), np.array([1.69])), rings)
+    light = light_of(spreads.gaussian(frequencies(), np.array([1.69])), rings)
     exact = np.exp(-(rings.node_px**2) / 3.38) / (3.38 * np.pi)
     seen = exact > 1e-11
     np.testing.assert_allclose(light[seen], exact[seen], rtol=1e-3)
@@ -55,7 +55,7 @@ def test_a_gaussian_is_itself_over_ten_decades(rings):
 
 @pytest.mark.parametrize("exponent", [1.3, 2.0, 3.5])
 def test_a_moffat_wing_is_itself_to_the_last_ring(rings, exponent):
-    light = light_of(transfer.moffat(frequencies(), np.array([2.5]), np.array([exponent])), rings)
+    light = light_of(spreads.moffat(frequencies(), np.array([2.5]), np.array([exponent])), rings)
     exact = (exponent - 1) / (np.pi * 2.5**2) * (1 + (rings.node_px / 2.5) ** 2) ** -exponent
     np.testing.assert_allclose(light, exact, rtol=2e-3, atol=1e-6 * exact[0])
 
@@ -68,8 +68,8 @@ def test_the_disc_is_where_thrown_electrons_land(rings, thrown, seed):
             x + 1.2 * rng.standard_normal(len(x)), y + 1.2 * rng.standard_normal(len(y))
         )
         edges = np.arange(0.0, 30.0, 2.0)
-        core = transfer.gaussian(frequencies(), np.array([1.44]))
-        blurred = core * transfer.disc(
+        core = spreads.gaussian(frequencies(), np.array([1.44]))
+        blurred = core * spreads.halo_disc(
             frequencies(), np.array([40.0]), np.array([[share, 1.0 - share, 0.0, 0.0]])
         )
         at = np.arange(0.02, 30.0, 0.04)

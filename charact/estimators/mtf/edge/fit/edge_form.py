@@ -11,10 +11,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.one_dimensional import BlurModel
 from charact.estimators.mtf.edge.thresholds import ACCURACY
 from charact.estimators.mtf.known_transfer import KnownTransfer
-from charact.video_filter import VideoFilter, powers
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
 

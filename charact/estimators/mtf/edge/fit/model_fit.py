@@ -15,13 +15,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.model_jacobian import (
-    Tables,
-    kind_of,
-    model_and_jacobian,
-    tables,
-)
-from charact.estimators.mtf.blur_models.one_dimensional import BlurModel
 from charact.estimators.mtf.edge.checks import FittedProfile
 from charact.estimators.mtf.edge.fit.edge_form import EdgeForm
 from charact.estimators.mtf.edge.fit.edge_maps import EdgeMaps, Marginal, apply_phases
@@ -37,6 +30,7 @@ from charact.inference.least_squares import (
     least_squares,
     ln_evidence,
 )
+from charact.transfer.blur_model import BlurModel
 
 Array = NDArray[np.float64]
 
@@ -179,12 +173,13 @@ class EdgeFitter:
     ) -> Optimum:
         """Return where so many steps lead from a starting point, and the model there."""
         mean, precision = self.prior(family, slope_sd_per_px)
-        kind, maps, pupil_tables = kind_of(family), self.maps, tables(pupils=family.core == "pupil")
+        maps = self.maps
 
         def linearise(point: Array) -> Linearisation:
             maps.rebuild_for(float(point[0]))
-            transfers = _transfer_and_jacobian(
-                kind, point, maps.centre_px, maps.grid, maps.fixed, pupil_tables
+            blur = family.derivatives(point[1:], maps.grid)
+            transfers = _shift_derivatives(
+                blur, float(point[0]) - maps.centre_px, maps.grid, maps.fixed
             )
             cost, gradient, normal, *model = _linearise(
                 transfers, point, maps.white, maps.levels, maps.data, mean, precision
@@ -379,25 +374,22 @@ def _flat(family: BlurModel) -> float:
 
 
 @njit(cache=True)
-def _transfer_and_jacobian(
-    kind: tuple, point: Array, centre_px: float, grid: Array, fixed: Array, tables: Tables
-) -> Array:
-    """Return the transfer at a point and its slopes with shift and parameters, shape (parameter +
-    1, 2 node).
+def _shift_derivatives(blur: Array, shift_px: float, grid: Array, fixed: Array) -> Array:
+    """Return the transfer of a blur at a shift and its slopes with shift and parameters, shape
+    (parameter + 1, 2 node), from `BlurModel.derivatives`.
     """
-    forms = model_and_jacobian(kind, point[1:], grid, tables)
     size = grid.size
-    out = np.empty((point.size + 1, 2 * size))
+    out = np.empty((blur.shape[0] + 1, 2 * size))
     for j in range(size):
-        turn = 2.0 * np.pi * (point[0] - centre_px) * grid[j]
+        turn = 2.0 * np.pi * shift_px * grid[j]
         cosine, sine = np.cos(turn), np.sin(turn)
         real = fixed[0, j] * cosine + fixed[1, j] * sine
         imaginary = fixed[1, j] * cosine - fixed[0, j] * sine
-        out[0, j], out[0, size + j] = forms[0, j] * real, forms[0, j] * imaginary
+        out[0, j], out[0, size + j] = blur[0, j] * real, blur[0, j] * imaginary
         out[1, j] = 2.0 * np.pi * grid[j] * out[0, size + j]
         out[1, size + j] = -2.0 * np.pi * grid[j] * out[0, j]
-        for k in range(1, forms.shape[0]):
-            out[k + 1, j], out[k + 1, size + j] = forms[k, j] * real, forms[k, j] * imaginary
+        for k in range(1, blur.shape[0]):
+            out[k + 1, j], out[k + 1, size + j] = blur[k, j] * real, blur[k, j] * imaginary
     return out
 
 
@@ -414,7 +406,7 @@ def _linearise(
     """Return cost, gradient, normal matrix, residual, design, best linear amplitudes, and prior
     mean less parameters.
 
-    Maps and priors as of `EdgeMaps` and `EdgeFitter.prior`, transfers as `_transfer_and_jacobian`
+    Maps and priors as of `EdgeMaps` and `EdgeFitter.prior`, transfers as `_shift_derivatives`
     gives them.
     """
     size = point.size

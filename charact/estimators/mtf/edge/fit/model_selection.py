@@ -16,15 +16,6 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.blur_models.one_dimensional import (
-    BlurModel,
-    Core,
-    DiscComponent,
-    ExtendedComponent,
-    HaloComponent,
-    ScatterComponent,
-    UnresolvedGlareComponent,
-)
 from charact.estimators.mtf.edge.fit.edge_form import KNOTS, PHASE_KNOTS, cosine_shapes
 from charact.estimators.mtf.edge.fit.model_fit import (
     LINEAR,
@@ -39,6 +30,15 @@ from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.inference.least_squares import weigh_by_evidence
 from charact.method import Context
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.cores import ON_EDGES
+from charact.transfer.extended import (
+    DiscComponent,
+    ExtendedComponent,
+    HaloComponent,
+    ScatterComponent,
+    UnresolvedGlareComponent,
+)
 from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
@@ -343,17 +343,17 @@ def _fit_cores(fitter: EdgeFitter, slope_sd_per_px: float) -> list[EdgeFit]:
     guess = fitter.guess()
     fits: list[EdgeFit] = []
 
-    def fit_core(core: Core, former: EdgeFit | None) -> None:
+    def fit_core(core: str, former: EdgeFit | None) -> None:
         family = BlurModel(core=core)
         start = np.concatenate([[0.0], family.start(guess)])
         start[:2] = start[:2] if former is None else former.point[:2]
         fits.append(fitter.fit(family, start, slope_sd_per_px))
 
-    cores: tuple[Core, ...] = ("gaussian", "exponential", "moffat", "airy")
-    for core in cores:
+    for core in ON_EDGES:
         fit_core(core, fits[-1] if fits else None)
     best = max(fits, key=_evidence)
-    lens_like = fits[-1].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
+    lens = fits[ON_EDGES.index("airy")]
+    lens_like = lens.log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
     if lens_like or exceeds_model(fitter, best, THRESHOLDS.pupil_departure_sd):
         fit_core("pupil", best)
     return fits

@@ -11,12 +11,6 @@ from scipy.special import ndtri
 from scipy.stats import lognorm
 
 from benchmarks.studies.edge_map import case_of, cell_of
-from charact.estimators.mtf.blur_models.one_dimensional import (
-    BlurModel,
-    DiscComponent,
-    ScatterComponent,
-    UnresolvedGlareComponent,
-)
 from charact.estimators.mtf.edge import result as edge_result
 from charact.estimators.mtf.edge.fit import model_selection as edge_beyond
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter
@@ -26,6 +20,8 @@ from charact.estimators.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_P
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.known_transfer import known_transfer
 from charact.method import Context
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.extended import DiscComponent, ScatterComponent, UnresolvedGlareComponent
 from labdata.measurement import measurement_from_draws
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from charact.estimators.mtf.blur_models.one_dimensional import BlurModel
 from charact.estimators.mtf.edge.fit.edge_maps import EdgeMaps, Marginal, apply_phases
 from charact.estimators.mtf.edge.fit.model_fit import BLOCK, EdgeFitter, form_of
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.estimators.mtf.known_transfer import known_transfer
 from charact.method import Context
+from charact.transfer.blur_model import BlurModel
 from tests.truth.edge import EdgeScene
 
 GRID = np.concatenate([[1e-5, 1e-3], np.linspace(0.01, 4.3, 40)])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
-from charact.estimators.mtf.blur_models.one_dimensional import BlurModel
 from charact.estimators.mtf.curve import crossing_frequency
 from charact.estimators.mtf.noise_spectrum.model import (
     KnownReadout,
@@ -25,6 +24,7 @@ from charact.estimators.mtf.noise_spectrum.result import (
     transfer_of,
 )
 from charact.method import Context
+from charact.transfer.blur_model import BlurModel
 from labdata import BadInput
 from tests.truth.scintillating_flats import ScintillatingFlats
 

@@ -7,17 +7,17 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import gamma, j1, kv, sici
 
-from charact.estimators.mtf.blur_models import transfer
-from charact.estimators.mtf.blur_models.model_jacobian import kind_of, model_and_jacobian, tables
-from charact.estimators.mtf.blur_models.one_dimensional import (
-    BlurModel,
+from charact.estimators.mtf.edge.fit.model_fit import _flat, _linearise, _shift_derivatives
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.cores import MOFFAT
+from charact.transfer.extended import (
     DiscComponent,
     HaloComponent,
     ScatterComponent,
     UnresolvedGlareComponent,
+    disc,
+    halo,
 )
-from charact.estimators.mtf.blur_models.transfer import moffat
-from charact.estimators.mtf.edge.fit.model_fit import _flat, _linearise, _transfer_and_jacobian
 
 FREQUENCY = np.concatenate([[1e-5, 1e-3], np.linspace(0.01, 4.3, 60)])
 WIDES = (
@@ -51,7 +51,7 @@ def test_a_form_alone_is_the_form_of_many_points_and_its_slopes_are_differences(
     rng, bounds = np.random.default_rng(seed), family.bounds
     for _ in range(5):
         theta = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * rng.uniform(0.05, 0.95, len(bounds))
-        value, *slopes = model_and_jacobian(kind_of(family), theta, FREQUENCY, tables())
+        value, *slopes = family.derivatives(theta, FREQUENCY)
         assert value == pytest.approx(family.modulus(theta[None], FREQUENCY)[0], abs=1e-12)
         for slope, move in zip(slopes, np.diag(1e-6 * (bounds[:, 1] - bounds[:, 0])), strict=True):
             ahead, behind = family.modulus(np.stack([theta + move, theta - move]), FREQUENCY)
@@ -65,8 +65,8 @@ def test_halo_and_disc_are_made_of_scipys_sines_and_bessel_functions():
         0.3,
     )
     expected = share * np.sin(x) / x + (1.0 - share) * sici(x)[0] / x
-    assert transfer.halo(x / np.pi, 1.0, share) == pytest.approx(expected, abs=2e-5)
-    assert transfer.disc(x / np.pi, 1.0) == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
+    assert halo(x, share) == pytest.approx(expected, abs=2e-5)
+    assert disc(x)[0] == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
 
 
 @pytest.mark.parametrize("exponent", [1.3, 1.5, 2.5, 6.0])
@@ -83,7 +83,7 @@ def test_a_moffat_spread_has_scipys_bessel_function_for_a_transfer(exponent):
 
     half_x = brentq(lambda x: transfer(x) - 0.5, 1e-6, 30.0)
     frequency = np.array([0.003, 0.02, 0.1, 0.2, 0.3, 0.5, 1.0])
-    found = np.exp(moffat(frequency, np.array([0.2]), np.array([exponent])))[0]
+    found = MOFFAT.transfer(np.array([[np.log(0.2), exponent]]), frequency)[0]
     assert found == pytest.approx(transfer(half_x * frequency / 0.2), abs=1e-3)
     assert found[3] == pytest.approx(0.5, abs=1e-3)
 
@@ -96,13 +96,13 @@ def test_the_model_made_linear_moves_as_the_model_itself(seed):
     white, levels = rng.standard_normal((80, 60)), rng.standard_normal((3, 60))
     point, move = np.array([0.1, np.log(0.2), 1.4]), np.array([1e-4, -1e-4, 2e-4])
     data = 30.0 * (
-        _transfer_and_jacobian(kind_of(family), point, 0.0, grid, fixed, tables())[0] @ white
+        _shift_derivatives(family.derivatives(point[1:], grid), point[0], grid, fixed)[0] @ white
     ) + rng.standard_normal(60)
     prior = np.zeros(7), np.full(7, 1e-9)
 
     def at(where):
         return _linearise(
-            _transfer_and_jacobian(kind_of(family), where, 0.0, grid, fixed, tables()),
+            _shift_derivatives(family.derivatives(where[1:], grid), where[0], grid, fixed),
             where,
             white,
             levels,

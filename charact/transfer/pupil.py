@@ -149,17 +149,25 @@ def pupil_table() -> PupilTable:
 def pupils_from_table(
     frequency: Array, half: Array, area: Array, squared: Array, table: PupilTable
 ) -> Array:
-    """Return the transfer of pupils of a half frequency, shape (f,), (n,), (n,), (n,) -> (n, f),
-    cycles per pixel.
+    """Return the transfer of pupils of a half frequency and its slopes with ln(f2), area and
+    defocus squared, shape (f,), (n,), (n,), (n,) -> (4, n, f), cycles per pixel.
 
     `area`: share of the pupil's area that is obscured, the obscuration squared; `squared`: defocus
     squared, waves^2.
     """
-    out = np.empty((half.size, frequency.size))
+    out = np.empty((4, half.size, frequency.size))
     for i in range(half.size):
         curves, halves = pupil_curves(area[i], squared[i], table)
         for j in range(frequency.size):
-            out[i, j] = pupil_and_slopes(frequency[j] / half[i], curves, halves)[0]
+            value, rise, by_area, by_squared = pupil_and_slopes(
+                frequency[j] / half[i], curves, halves
+            )
+            out[0, i, j], out[1, i, j], out[2, i, j], out[3, i, j] = (
+                value,
+                -rise,
+                by_area,
+                by_squared,
+            )
     return out
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from charact.estimators.mtf.blur_models.pupil_table import pupil
+from charact.transfer.pupil import pupil
 
 RATIO = np.linspace(0.0, 1.2, 61)
 

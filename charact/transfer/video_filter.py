@@ -1,7 +1,6 @@
 """Video filter: causal low-pass along the rows with an uncertain bandwidth."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,9 +107,47 @@ class VideoFilter:
         different, position = np.unique(flat, return_inverse=True)
         if different.size == 1:
             different, position = flat, slice(None)
-        return transfer(different, bandwidth, self.clock_mhz, self.order)[position].reshape(
-            np.shape(frequency)
-        )
+        weights = sampled_response(np.array([bandwidth]), self.clock_mhz, self.order)
+        return transfer(weights, different)[0, position].reshape(np.shape(frequency))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelAndVideo:
+    """Known part of a transfer: |sinc(fx) sinc(h fy)| |V(fx)|, pixel and video filter.
+
+    Parameters
+    ----------
+    height_px
+        Height h of a pixel as read, column pitches; its width is one.
+    video
+        Filter V along the rows, or None.
+    """
+
+    height_px: float = 1.0
+    video: VideoFilter | None = None
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds by name of a parameter that is known within a range only."""
+        return self.video.parameters if self.video else {}
+
+    def bend(self, fx: Array) -> Array | None:
+        """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`;
+        None: it is exact.
+        """
+        return self.video.bend(fx).real if self.video and self.video.parameters else None
+
+    def electronics(self, fx: Array) -> Array:
+        """Return |V| of the described video; it acts on pixels, so it has no replicas."""
+        return np.ones_like(fx) if self.video is None else np.abs(self.video(fx))
+
+    def aperture(self, fx: Array, fy: Array) -> Array:
+        """Return |sinc sinc| at frequencies along rows and columns, cycles per column pitch."""
+        return np.abs(np.sinc(fx) * np.sinc(fy * self.height_px))
+
+    def __call__(self, fx: Array, fy: Array) -> Array:
+        """Return the modulus at frequencies along rows and columns, cycles per column pitch."""
+        return self.aperture(fx, fy) * self.electronics(fx)
 
 
 def powers(ln_bandwidth: Array) -> Array:
@@ -120,39 +157,41 @@ def powers(ln_bandwidth: Array) -> Array:
     return ln_bandwidth[:, None] ** np.arange(1, len(NODES_SD) + 1)
 
 
-def transfer(
-    frequency: Array, bandwidth_mhz: float, clock_mhz: float, order: int
-) -> NDArray[np.complex128]:
-    """Return the complex transfer function of a Butterworth low-pass sampled at the pixel clock,
-    linear phase removed.
+def sampled_response(bandwidth_mhz: Array, clock_mhz: float, order: int, clocks: int = 40) -> Array:
+    """Return the weights of earlier pixels in one pixel, shape (n, clock), with sum 1.
+
+    Parameters
+    ----------
+    bandwidth_mhz
+        Frequency of 3 dB loss, shape (n,), MHz.
+    clock_mhz, order
+        Pixel clock, MHz, and order of the Butterworth filter.
+    clocks
+        Number of weights.
 
     Notes
     -----
-    Each pixel is held for one clock and sampled at its end, so the sampled response is the
-    difference of the step response at whole clocks. The step response is the impulse response's own
-    running integral, done numerically.
+    Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response s(t) = 1 + sum_k r_k exp(p_k
+    t)/p_k with the residues r_k = w^order / prod_{j != k} (p_k - p_j). Each pixel is held for one
+    clock and sampled at its end: a step that begins j clocks before the sampled pixel has risen to
+    s(j + 1) and, with its successor, contributes s(j + 1) - s(j).
     """
-    taps = _taps(bandwidth_mhz, clock_mhz, order)
-    clock = np.arange(len(taps))
-    delay = float(np.sum(clock * taps))
-    return np.asarray(
-        np.exp(-2j * np.pi * np.outer(frequency, clock - delay)) @ taps, np.complex128
-    )
+    unit = np.exp(1j * np.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order))
+    differences = np.where(np.eye(order, dtype=bool), 1.0, unit[:, None] - unit[None, :])
+    residue_over_pole = 1.0 / (differences.prod(axis=1) * unit)
+    omega = 2.0 * np.pi * np.asarray(bandwidth_mhz, float) / clock_mhz
+    time = np.arange(clocks) + 1.0
+    rise = np.exp(unit[None, :, None] * omega[:, None, None] * time)
+    step = 1.0 + np.einsum("k,nkt->nt", residue_over_pole, rise).real
+    weights = np.diff(step, axis=1, prepend=0.0)
+    return weights / weights.sum(axis=1, keepdims=True)
 
 
-@lru_cache(maxsize=64)
-def _taps(bandwidth_mhz: float, clock_mhz: float, order: int) -> Array:
-    """Return the sampled response at whole clocks, shape (clock,)."""
-    fine = 64
-    clocks = 40
-    omega = 2.0 * np.pi * bandwidth_mhz / clock_mhz
-    angles = np.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
-    poles = omega * np.exp(1j * angles)
-    # Impulse response by partial fractions, then its integral over each whole clock.
-    time = (np.arange(clocks * fine) + 0.5) / fine
-    pole_products = np.array(
-        [np.prod(np.delete(pole - poles, index)) for index, pole in enumerate(poles)]
-    )
-    impulse = np.real((omega**order / pole_products) @ np.exp(np.outer(poles, time)))
-    taps = impulse.reshape(clocks, fine).mean(axis=1)
-    return taps / taps.sum()
+def transfer(weights: Array, frequency: Array) -> NDArray[np.complex128]:
+    """Return the complex transfer function of weights of earlier pixels, linear phase removed,
+    shape (n, clock) and (f,) -> (n, f).
+    """
+    clock = np.arange(weights.shape[1])
+    delay = (weights @ clock)[:, None]
+    turns = np.exp(-2j * np.pi * np.outer(clock, frequency))
+    return (weights @ turns) * np.exp(2j * np.pi * delay * frequency)

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.blur_models import transfer
 from charact.estimators.mtf.edge.fit import esf_from_mtf
+from charact.transfer.extended import halo
+from charact.transfer.stages import aperture
 
 ERF = np.vectorize(math.erf)
 DISTANCE = np.concatenate(
@@ -34,7 +35,7 @@ def test_edge_spread_of_the_halo_is_its_ramp(weights):
     """
     grid, even = weights
     for diameter, share in ((47.0, 1.0), (47.0, 0.0), (60.0, 0.3)):
-        blurred = transfer.halo(grid, np.array(diameter), np.array(share)) * np.exp(
+        blurred = halo(np.pi * diameter * grid, np.array(share)) * np.exp(
             -2 * (np.pi * grid * 1.0) ** 2
         )
         # A ramp, and for uniform energies x (1 - ln|x|)/2, x = d/R.
@@ -49,14 +50,14 @@ def test_halo_transfer_at_low_frequency_follows_its_second_moment():
     """1 - 2 (pi f)^2 <d^2>: boxes of half width R have <d^2> = R^2/3; uniform energies R^2/9."""
     f, radius = np.array([1e-3]), 23.5
     for share, moment in ((1.0, radius**2 / 3), (0.0, radius**2 / 9)):
-        drop = 1 - transfer.halo(f, np.array(2 * radius), np.array(share))[0]
+        drop = 1 - halo(np.pi * 2 * radius * f, np.array(share))[0]
         assert drop == pytest.approx(2 * (np.pi * f[0]) ** 2 * moment, rel=0.02)
 
 
 def test_aperture_vanishes_where_a_whole_period_falls_on_the_pixel():
-    assert transfer.aperture(np.array([1.0]), 0.0)[0] == pytest.approx(0.0, abs=1e-12)
-    assert transfer.aperture(np.array([0.5]), 0.0, along_px=2.0)[0] == pytest.approx(0.0, abs=1e-12)
-    assert transfer.aperture(np.array([0.5]), 0.0)[0] == pytest.approx(2 / np.pi)
+    assert aperture(np.array([1.0]), 0.0)[0] == pytest.approx(0.0, abs=1e-12)
+    assert aperture(np.array([0.5]), 0.0, along_px=2.0)[0] == pytest.approx(0.0, abs=1e-12)
+    assert aperture(np.array([0.5]), 0.0)[0] == pytest.approx(2 / np.pi)
 
 
 def test_node_interpolation_is_exact_for_cubics():
