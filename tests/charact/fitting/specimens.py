@@ -3,7 +3,6 @@ a small chip.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from labdata import Camera, Conditions, Session, Target
 from labdata.sensors import load_camera
 from labdata.session import Kind, LoadedStackEntry
 from simulate.lab import LabBench
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512", "machine-vision")
 SHAPE_PX = (200, 260)
@@ -143,15 +143,8 @@ def session_of(name: str, seed: int) -> tuple[Session, dict[str, float]]:
     ) -> None:
         kept = bench.expose(shows, target, known, frames=frames, seed=1000 * seed + len(stacks))
         stacks.append(
-            LoadedStackEntry(
-                label=label,
-                kind=shows,
-                frames="-",
-                conditions=known,
-                target=target,
-                folder=Path(),
-                kept=kept,
-                bit_depth=specimen.video.bit_depth,
+            stack_in_memory(
+                shows, kept, known, label=label, target=target, bit_depth=specimen.video.bit_depth
             )
         )
 
@@ -164,11 +157,5 @@ def session_of(name: str, seed: int) -> tuple[Session, dict[str, float]]:
     add(
         "edge", "edge", replace(conditions, illuminance_lux=lux[3]), Target(angle_deg=5.0), frames=8
     )
-    session = Session(
-        folder=Path(),
-        name=name,
-        stacks=tuple(stacks),
-        camera=sheet,
-        bit_depth=specimen.video.bit_depth,
-    )
+    session = session_in_memory(stacks, camera=sheet, bit_depth=specimen.video.bit_depth)
     return session, truth

@@ -2,13 +2,11 @@
 formula of ours.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from labdata import Conditions, FrameStack, Session
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 DARK_DN = 12.0
 FULL_SCALE_DN = 255.0
@@ -67,14 +65,7 @@ def point_frames(
 def session_of(stacks: list[tuple[str, FrameStack, float]], *, darks: bool = True) -> Session:
     """A session of point stacks in memory, with a dark one."""
     held = [
-        InMemoryStack(
-            label=label,
-            kind="point",
-            frames=label,
-            conditions=Conditions(illuminance_lux=light),
-            folder=Path("."),
-            held=frames,
-        )
+        stack_in_memory("point", frames, Conditions(illuminance_lux=light), label=label)
         for label, frames, light in stacks
     ]
     if darks:
@@ -82,17 +73,8 @@ def session_of(stacks: list[tuple[str, FrameStack, float]], *, darks: bool = Tru
         dark = FrameStack(
             data=np.full((2, *shape), int(DARK_DN), np.uint8), full_scale_dn=FULL_SCALE_DN
         )
-        held.append(
-            InMemoryStack(
-                label="dark",
-                kind="dark",
-                frames="dark",
-                conditions=Conditions(),
-                folder=Path("."),
-                held=dark,
-            )
-        )
-    return Session(folder=Path("."), name="in memory", stacks=tuple(held))
+        held.append(stack_in_memory("dark", dark))
+    return session_in_memory(held)
 
 
 @pytest.fixture(scope="session")

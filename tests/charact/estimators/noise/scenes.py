@@ -4,7 +4,6 @@ its opinion.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from charact.method import Context
 from labdata import Conditions, FrameStack, Session
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 MARGIN = 16
 QUICK = Context(seed=1, quick=True)
@@ -119,17 +118,10 @@ def memory_of(share: float) -> tuple[float, ...]:
 def session_of(stacks: list[tuple[str, str, FrameStack, Conditions]]) -> Session:
     """A session of stacks in memory: label, kind, frames, conditions."""
     held = tuple(
-        InMemoryStack(
-            label=label,
-            kind=kind,
-            frames=label,
-            conditions=conditions,
-            folder=Path("."),
-            held=frames,
-        )
+        stack_in_memory(kind, frames, conditions, label=label)
         for label, kind, frames, conditions in stacks
     )
-    return Session(folder=Path("."), name="in memory", stacks=held)
+    return session_in_memory(held)
 
 
 def flat_series(
