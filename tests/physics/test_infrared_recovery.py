@@ -14,7 +14,7 @@ from labdata.measurement import make_measurement
 from labdata.sensors import load_camera, save_sensor
 from simulate.camera.thermal_imager import ThermalImager
 from tests.charact.cli.runner import done_well
-from tests.charact.estimators.infrared.cameras import entry
+from tests.truth.infrared import entry
 from tests.truth.thermal_targets import half_moon
 
 LEVELS = (17.0, 20.0, 22.0, 25.0, 28.0)

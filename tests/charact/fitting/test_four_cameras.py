@@ -18,8 +18,8 @@ from labdata.camera.description import Camera
 from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
 from simulate.lab import LabBench
-from tests.charact.fitting.specimens import session_of
 from tests.truth.sessions import session_in_memory, stack_in_memory
+from tests.truth.specimens import session_of
 
 CHIPS = ("emccd-512", "machine-vision")
 # Two specimens of each class.

@@ -10,8 +10,8 @@ from charact.estimators.bloom.lit_edge_halo import measure_lit_edge
 from charact.estimators.bloom.lit_edge_profile import edge_line
 from charact.method import Context
 from labdata import BadInput, Conditions, FrameStack, Session
-from tests.charact.estimators.noise.scenes import errors
 from tests.truth.bloom_light import BloomScene, radial_light
+from tests.truth.counted_pulses import errors
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 QUICK = Context(seed=1, quick=True, full_scale_dn=255.0)

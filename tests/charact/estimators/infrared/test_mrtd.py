@@ -11,7 +11,7 @@ from charact.method import Context
 from charact.session_measurement import measure
 from labdata import FrameStack, Target
 from labdata.sensors import load_camera
-from tests.charact.estimators.infrared.cameras import (
+from tests.truth.infrared import (
     NOISE_K,
     Camera,
     blackbody_session,

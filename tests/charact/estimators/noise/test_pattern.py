@@ -10,7 +10,7 @@ from charact.estimators.noise.stack.frame_block import measure_fixed_pattern
 from charact.estimators.noise.stack.pixels import pixel_sums
 from charact.estimators.noise.stack.spectrum import NO_BINS
 from charact.estimators.noise.stack.temporal import order_of
-from tests.charact.estimators.noise.scenes import METHODS, QUICK, gaussian
+from tests.truth.counted_pulses import METHODS, QUICK, gaussian
 
 
 def pattern_of(image):

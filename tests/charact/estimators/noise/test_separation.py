@@ -22,7 +22,7 @@ from charact.estimators.noise.illumination import (
 from charact.method import Context
 from labdata import Conditions, Result, load_sensor
 from labdata.measurement import measurement_from_draws
-from tests.charact.estimators.noise.scenes import errors, gaussian, one
+from tests.truth.counted_pulses import errors, gaussian, one
 
 ELECTRON_C = 1.602176634e-19
 SECONDS = 0.016

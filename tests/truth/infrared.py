@@ -80,8 +80,10 @@ class Camera:
         )
 
     def _part(self, rng, name, shape):
-        own = [n if axis else 1 for n, axis in zip(shape, AXES.get(name, (1, 1, 1)), strict=True)]
-        return self.sitf_dn_per_k * self.noise_k[name] * rng.standard_normal(own)
+        part_shape = [
+            n if axis else 1 for n, axis in zip(shape, AXES.get(name, (1, 1, 1)), strict=True)
+        ]
+        return self.sitf_dn_per_k * self.noise_k[name] * rng.standard_normal(part_shape)
 
 
 def entry(label, kind, stack, *, target=None, **conditions):

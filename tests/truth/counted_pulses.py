@@ -20,8 +20,8 @@ METHODS = ("covariance-sum", "variance")
 
 def one(result, quantity: str, unit: str | None = None) -> Any:
     """The only measurement of a quantity."""
-    (found,) = (m for m in result.find(quantity) if unit in (None, m.unit))
-    return found
+    (measurement,) = (m for m in result.find(quantity) if unit in (None, m.unit))
+    return measurement
 
 
 def errors(measurement, truth: float) -> float:
@@ -107,21 +107,23 @@ class Pulses:
         return self.electron_gain_dn + 2.0 * self.gain_dn
 
 
-def memory_of(share: float) -> tuple[float, ...]:
+def memory_of(fraction: float) -> tuple[float, ...]:
     """Light of a screen that keeps a share from frame to frame, as far back as a thousandth."""
-    if not share:
+    if not fraction:
         return (1.0,)
-    weights = (1.0 - share) * share ** np.arange(int(np.ceil(np.log(1e-3) / np.log(share))) + 1)
+    weights = (1.0 - fraction) * fraction ** np.arange(
+        int(np.ceil(np.log(1e-3) / np.log(fraction))) + 1
+    )
     return tuple(weights / weights.sum())
 
 
 def session_of(stacks: list[tuple[str, str, FrameStack, Conditions]]) -> Session:
     """A session of stacks in memory: label, kind, frames, conditions."""
-    held = tuple(
+    entries = tuple(
         stack_in_memory(kind, frames, conditions, label=label)
         for label, kind, frames, conditions in stacks
     )
-    return session_in_memory(held)
+    return session_in_memory(entries)
 
 
 def flat_series(

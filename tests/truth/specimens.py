@@ -141,10 +141,15 @@ def session_of(name: str, seed: int) -> tuple[Session, dict[str, float]]:
     def add(
         label: str, shows: Kind, known: Conditions, target: Target = FLAT, frames: int = FRAMES
     ) -> None:
-        kept = bench.expose(shows, target, known, frames=frames, seed=1000 * seed + len(stacks))
+        exposed = bench.expose(shows, target, known, frames=frames, seed=1000 * seed + len(stacks))
         stacks.append(
             stack_in_memory(
-                shows, kept, known, label=label, target=target, bit_depth=specimen.video.bit_depth
+                shows,
+                exposed,
+                known,
+                label=label,
+                target=target,
+                bit_depth=specimen.video.bit_depth,
             )
         )
 
@@ -152,8 +157,8 @@ def session_of(name: str, seed: int) -> tuple[Session, dict[str, float]]:
     if kind != "tube":
         longer_s = 0.99 * frame_s if kind == "register" else _longest_s(truth)
         add("dark, long", "dark", replace(conditions, exposure_s=longer_s))
-    for index, each in enumerate(lux):
-        add(f"flat {index}", "flat", replace(conditions, illuminance_lux=each))
+    for index, level in enumerate(lux):
+        add(f"flat {index}", "flat", replace(conditions, illuminance_lux=level))
     add(
         "edge", "edge", replace(conditions, illuminance_lux=lux[3]), Target(angle_deg=5.0), frames=8
     )

@@ -14,8 +14,8 @@ _ERF = np.vectorize(math.erf)
 def _second_integral(x, sigma):
     """Function whose second derivative is the normal distribution function of x / sigma."""
     density = np.exp(-0.5 * (x / sigma) ** 2) / np.sqrt(2 * np.pi)
-    share = 0.5 * (1 + _ERF(x / sigma / np.sqrt(2)))
-    return 0.5 * ((x**2 + sigma**2) * share + sigma * x * density)
+    cumulative = 0.5 * (1 + _ERF(x / sigma / np.sqrt(2)))
+    return 0.5 * ((x**2 + sigma**2) * cumulative + sigma * x * density)
 
 
 def edge_spread(distance, sigma_px, angle_deg):
@@ -89,13 +89,15 @@ def frame_of(mtf_along_normal, rows, cols, *, angle_deg, offset_px=0.0):
         * np.sinc(frequency * np.sin(turn))
     )
     weight = weight / (np.pi * frequency) / 8192.0
-    kept = np.abs(weight) > 1e-12
+    significant = np.abs(weight) > 1e-12
     distance = np.concatenate([np.arange(0.0, 16.0, 0.02), np.arange(16.0, 200.0, 0.25)])
-    spread = np.array([np.sin(2 * np.pi * d * frequency[kept]) @ weight[kept] for d in distance])
+    spread = np.array(
+        [np.sin(2 * np.pi * d * frequency[significant]) @ weight[significant] for d in distance]
+    )
     row = np.arange(rows)[:, None] - (rows - 1) / 2
     col = np.arange(cols)[None, :] - (cols - 1) / 2
-    away = col * np.cos(turn) + row * np.sin(turn) - offset_px
-    return 0.5 + np.sign(away) * np.interp(np.abs(away), distance, spread)
+    across = col * np.cos(turn) + row * np.sin(turn) - offset_px
+    return 0.5 + np.sign(across) * np.interp(np.abs(across), distance, spread)
 
 
 def transfer_of(mtf_along_normal, frequency, angle_deg):
@@ -108,5 +110,5 @@ def transfer_of(mtf_along_normal, frequency, angle_deg):
 def level_of(mtf_along_normal, angle_deg, level=0.5):
     """Frequency where the MTF along the normal falls to a level."""
     grid = np.linspace(1e-4, 1.5, 60001)
-    below = transfer_of(mtf_along_normal, grid, angle_deg) < level
-    return float(grid[np.argmax(below)])
+    under_level = transfer_of(mtf_along_normal, grid, angle_deg) < level
+    return float(grid[np.argmax(under_level)])
