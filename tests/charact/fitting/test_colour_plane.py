@@ -12,8 +12,7 @@ from charact.fitting import fit_sensor
 from charact.method import Context
 from charact.validation import Validation, validate
 from charact.validation.frames import MatchedFrames, simulate_frames
-from labdata import BadInput, Conditions, Curve, FrameStack, Result, Session, Target
-from labdata.camera.description import Camera
+from labdata import BadInput, Camera, Conditions, Curve, FrameStack, Result, Session, Target
 from labdata.camera.parameters import Draws
 from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera

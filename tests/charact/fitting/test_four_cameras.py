@@ -13,8 +13,7 @@ from charact.fitting.fitted_session import proposed_description
 from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
-from labdata import BadInput, Conditions, Result, Session, StackEntry, Target
-from labdata.camera.description import Camera
+from labdata import BadInput, Camera, Conditions, Result, Session, StackEntry, Target
 from labdata.measurement import measurement_from_sd
 from labdata.sensors import load_camera
 from simulate.lab import LabBench
