@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import Conditions, FrameStack, Session, StackEntry
-from labdata.measurement import make_refusal
+from labdata import Conditions, FrameStack, Session, StackEntry, make_refusal
 from tests.truth.sessions import session_in_memory
 
 Array = NDArray[Any]

@@ -8,8 +8,16 @@ import pytest
 
 from charact.method import Context
 from charact.session_measurement import _best_point, _with_measured_gap, measure, with_inputs
-from labdata import BadInput, FrameStack, Provenance, Result, load_sensor, open_session
-from labdata.measurement import make_refusal, measurement_from_sd
+from labdata import (
+    BadInput,
+    FrameStack,
+    Provenance,
+    Result,
+    load_sensor,
+    make_refusal,
+    measurement_from_sd,
+    open_session,
+)
 from labdata.session import sha256_of
 from tests.truth.edge import EdgeScene
 from tests.truth.sessions import session_in_memory, stack_in_memory

@@ -11,9 +11,7 @@ from charact.fitting import tube_dark_observations, tube_ions, tube_time_observa
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.stack_levels import levels_of
-from labdata import Camera, Conditions, Result, Target
-from labdata.measurement import measurement_from_sd
-from labdata.sensors import load_camera
+from labdata import Camera, Conditions, Result, Target, load_camera, measurement_from_sd
 from labdata.session import Kind
 from simulate.camera.phosphor import PhosphorDecay
 from simulate.camera.true_quantities import true_quantities

@@ -14,8 +14,7 @@ from benchmarks.studies.harness import percentile_limit, run, summary
 from benchmarks.studies.registry import STUDIES, methods_of
 from benchmarks.studies.stability import stability
 from charact.method import Context, Method, registry
-from labdata import BadInput, Result
-from labdata.measurement import make_measurement, make_refusal, measurement_from_sd
+from labdata import BadInput, Result, make_measurement, make_refusal, measurement_from_sd
 from tests.truth.blur import TrueBlur
 from tests.truth.cases import bars as bar_cases
 from tests.truth.cases import bloom as bloom_cases

@@ -8,8 +8,7 @@ import numpy as np
 
 from charact.fitting.prior import prior_of
 from charact.fitting.tube_observations import LAG, LEVEL, SHAPE
-from labdata import Camera, Conditions, Session, Target
-from labdata.sensors import load_camera
+from labdata import Camera, Conditions, Session, Target, load_camera
 from labdata.session import Kind, LoadedStackEntry
 from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory

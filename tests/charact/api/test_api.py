@@ -5,8 +5,7 @@ import pytest
 from scipy.special import erf
 
 import charact
-from labdata import FrameStack
-from labdata.measurement import measurement_from_sd
+from labdata import FrameStack, measurement_from_sd
 from tests.charact.cli.runner import small_camera
 
 SIGMA_PX = 1.06

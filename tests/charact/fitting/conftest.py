@@ -15,8 +15,17 @@ from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.sensor import Model, model_of
 from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_observations import LEVEL, SHAPE, tube_observations
-from labdata import Camera, Curve, Measurement, Result, Session, StackEntry, Target, load_sensor
-from labdata.measurement import measurement_from_sd
+from labdata import (
+    Camera,
+    Curve,
+    Measurement,
+    Result,
+    Session,
+    StackEntry,
+    Target,
+    load_sensor,
+    measurement_from_sd,
+)
 from tests.truth.sessions import session_in_memory
 
 GATE_S = 0.016

@@ -12,10 +12,19 @@ from charact.fitting import fit_sensor
 from charact.method import Context
 from charact.validation import Validation, validate
 from charact.validation.frames import MatchedFrames, simulate_frames
-from labdata import BadInput, Camera, Conditions, Curve, FrameStack, Result, Session, Target
+from labdata import (
+    BadInput,
+    Camera,
+    Conditions,
+    Curve,
+    FrameStack,
+    Result,
+    Session,
+    Target,
+    load_camera,
+    measurement_from_sd,
+)
 from labdata.camera.parameters import Draws
-from labdata.measurement import measurement_from_sd
-from labdata.sensors import load_camera
 from labdata.session import Kind, LoadedStackEntry
 from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory

@@ -7,9 +7,8 @@ from charact.estimators.noise.findings import Finding, notes_of
 from charact.estimators.noise.rounding import step_finding, step_of_codes
 from charact.fitting.observation import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
 from charact.session_measurement import measure_noise, method_context
-from labdata import FrameStack, Measurement, Result, Session
+from labdata import FrameStack, Measurement, Result, Session, measurement_from_sd
 from labdata.flags import FLAGS
-from labdata.measurement import measurement_from_sd
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 

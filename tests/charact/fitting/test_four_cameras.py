@@ -13,9 +13,17 @@ from charact.fitting.fitted_session import proposed_description
 from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
-from labdata import BadInput, Camera, Conditions, Result, Session, StackEntry, Target
-from labdata.measurement import measurement_from_sd
-from labdata.sensors import load_camera
+from labdata import (
+    BadInput,
+    Camera,
+    Conditions,
+    Result,
+    Session,
+    StackEntry,
+    Target,
+    load_camera,
+    measurement_from_sd,
+)
 from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
 from tests.truth.specimens import session_of

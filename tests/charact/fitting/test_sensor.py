@@ -18,9 +18,7 @@ from charact.fitting.sensor import (
     posterior_of,
 )
 from charact.fitting.tube_observations import tube_observations
-from labdata import BadInput, Camera, Result, load_sensor
-from labdata.measurement import measurement_from_sd
-from labdata.sensors import save_sensor
+from labdata import BadInput, Camera, Result, load_sensor, measurement_from_sd, save_sensor
 from tests.truth.sessions import session_in_memory
 
 SPECIMENS = 3

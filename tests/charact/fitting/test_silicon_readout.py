@@ -12,8 +12,7 @@ from charact.fitting.readout_observations import readout_observations, readout_s
 from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
 from charact.validation import validate
-from labdata import Camera, Conditions, Session, Target
-from labdata.sensors import load_camera
+from labdata import Camera, Conditions, Session, Target, load_camera
 from labdata.session_import import import_emva1288
 from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory

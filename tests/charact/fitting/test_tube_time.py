@@ -19,8 +19,7 @@ from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_darks import quiet_noise
 from charact.fitting.tube_pattern_observations import white_pattern
 from charact.fitting.tube_time_observations import Fields
-from labdata import Camera, FrameStack, Result
-from labdata.sensors import load_camera
+from labdata import Camera, FrameStack, Result, load_camera
 from tests.truth.sessions import stack_in_memory
 
 FRAMES, ROWS, COLUMNS = 12, 96, 128

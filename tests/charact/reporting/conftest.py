@@ -17,8 +17,10 @@ from labdata import (
     Session,
     StackEntry,
     Target,
+    make_refusal,
+    measurement_from_draws,
+    measurement_from_sd,
 )
-from labdata.measurement import make_refusal, measurement_from_draws, measurement_from_sd
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 HOSTILE = '<script>alert("edge")</script>'

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from charact.reporting.front_page import is_tube, leading, sheet, verdict
-from labdata import Measurement, Result, load_sensor, result_io
-from labdata.measurement import make_refusal, measurement_from_sd
+from labdata import Measurement, Result, load_sensor, make_refusal, measurement_from_sd, result_io
 from tests.truth.sessions import session_in_memory
 
 SESSION = session_in_memory(())

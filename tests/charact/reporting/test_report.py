@@ -16,9 +16,16 @@ from charact.reporting.report_images import bright_region, representative
 from charact.reporting.session_page import page, write
 from charact.reporting.tables import quantity_groups
 from charact.reporting.truth import compare_with_truth
-from labdata import BadInput, Conditions, FrameStack, Posterior, Result
+from labdata import (
+    BadInput,
+    Conditions,
+    FrameStack,
+    Posterior,
+    Result,
+    make_measurement,
+    measurement_from_sd,
+)
 from labdata.flags import FLAGS
-from labdata.measurement import make_measurement, measurement_from_sd
 from labdata.quantity import QUANTITIES
 from tests.truth.sessions import session_in_memory, stack_in_memory
 

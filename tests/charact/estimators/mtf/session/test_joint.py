@@ -17,8 +17,16 @@ from charact.estimators.mtf.session.constraints import constraints_from
 from charact.estimators.mtf.session.joint import fit_joint_mtf
 from charact.fitting.mtf_observations import mtf_observations
 from charact.method import Context
-from labdata import Camera, Conditions, Curve, Result, StackEntry, load_sensor
-from labdata.measurement import measurement_from_draws, measurement_from_sd
+from labdata import (
+    Camera,
+    Conditions,
+    Curve,
+    Result,
+    StackEntry,
+    load_sensor,
+    measurement_from_draws,
+    measurement_from_sd,
+)
 from tests.truth.sessions import session_in_memory
 
 QUICK = Context(seed=1, quick=True)

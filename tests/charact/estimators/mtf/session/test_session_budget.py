@@ -10,8 +10,7 @@ import pytest
 from charact.estimators.mtf.curve import REPORTED, curve_of
 from charact.estimators.mtf.session.mtf_budget import EVIDENCE, add_mtf_budget
 from charact.method import Context
-from labdata import Curve, Result, load_sensor
-from labdata.measurement import measurement_from_sd
+from labdata import Curve, Result, load_sensor, measurement_from_sd
 from tests.charact.estimators.mtf.session.test_mtf_budget import cascade
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
