@@ -18,7 +18,8 @@ import numpy as np
 
 from benchmarks.synthetic_rig import COLUMNS, ROWS, NoOperator, PacedCamera, SlowBench
 from charact.live.judge import SaturationJudge
-from drivers.acquisition.acquire import LOG, acquire
+from drivers import acquire
+from drivers.acquisition.acquire import LOG
 from labdata import Conditions, Session
 from labdata.capture import Frame
 from labdata.event_log import read_events

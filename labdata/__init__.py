@@ -7,8 +7,18 @@ if TYPE_CHECKING:
     from labdata.conditions import Conditions
     from labdata.errors import BadInput
     from labdata.frames import FrameStack
-    from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result
-    from labdata.sensors import load_sensor
+    from labdata.measurement import (
+        Curve,
+        Measurement,
+        Posterior,
+        Provenance,
+        Result,
+        make_measurement,
+        make_refusal,
+        measurement_from_draws,
+        measurement_from_sd,
+    )
+    from labdata.sensors import load_camera, load_sensor, save_sensor
     from labdata.session import Session, StackEntry, open_session
     from labdata.target import Target
 
@@ -25,8 +35,14 @@ __all__ = [
     "Session",
     "StackEntry",
     "Target",
+    "load_camera",
     "load_sensor",
+    "make_measurement",
+    "make_refusal",
+    "measurement_from_draws",
+    "measurement_from_sd",
     "open_session",
+    "save_sensor",
 ]
 
 _HOMES = {
@@ -34,8 +50,18 @@ _HOMES = {
     "labdata.conditions": ("Conditions",),
     "labdata.errors": ("BadInput",),
     "labdata.frames": ("FrameStack",),
-    "labdata.measurement": ("Curve", "Measurement", "Posterior", "Provenance", "Result"),
-    "labdata.sensors": ("load_sensor",),
+    "labdata.measurement": (
+        "Curve",
+        "Measurement",
+        "Posterior",
+        "Provenance",
+        "Result",
+        "make_measurement",
+        "make_refusal",
+        "measurement_from_draws",
+        "measurement_from_sd",
+    ),
+    "labdata.sensors": ("load_camera", "load_sensor", "save_sensor"),
     "labdata.session": ("Session", "StackEntry", "open_session"),
     "labdata.target": ("Target",),
 }

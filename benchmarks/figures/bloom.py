@@ -18,7 +18,7 @@ from labdata import Conditions, FrameStack, Result, Session
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_extents import truth
 from tests.truth.bloom_light import GLARE_SIDE_PX, BloomScene, radial_light
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 FOLDER = Path("docs/pictures/bloom")
 SEED = 5
@@ -126,20 +126,15 @@ def lit_door() -> Session:
             data=np.clip(np.rint(data), 0, 255).astype(np.uint8), full_scale_dn=SCENE.full_scale_dn
         )
         entries.append(
-            InMemoryStack(
-                label=f"door-{number}",
-                kind="edge",
-                frames="",
-                folder=Path("."),
-                held=stack,
-                conditions=Conditions(illuminance_lux=1e-6 * level),
+            stack_in_memory(
+                "edge", stack, Conditions(illuminance_lux=1e-6 * level), label=f"door-{number}"
             )
         )
     dark = FrameStack(
         data=np.full((2, 160, 220), int(SCENE.dark_dn), np.uint8), full_scale_dn=SCENE.full_scale_dn
     )
-    entries.append(InMemoryStack(label="dark", kind="dark", frames="", folder=Path("."), held=dark))
-    return Session(folder=Path("."), name="a lit door", stacks=tuple(entries))
+    entries.append(stack_in_memory("dark", dark))
+    return session_in_memory(entries)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.figures import effect_plans
 from benchmarks.figures.lab_card import CARD, card, luminance, radiance, shown
-from labdata import Camera, Conditions, load_sensor, open_session
-from labdata.sensors import save_sensor
+from labdata import Camera, Conditions, load_sensor, open_session, save_sensor
 from simulate.camera import true_quantities
 from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,

@@ -7,7 +7,6 @@ came of it.
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from tests.truth.blur import TrueBlur, level_crossing
 from tests.truth.edge import EdgeScene
 from tests.truth.point import PointScene
 from tests.truth.scintillating_flats import ScintillatingFlats
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 Array = NDArray[np.float64]
 
@@ -281,19 +280,15 @@ class SimulatedScene:
             *(("flat", lux) for lux in FLAT_LUX),
         )
         stacks = tuple(
-            InMemoryStack(
+            stack_in_memory(
+                kind,
+                _expose_stack(self.camera, kind, Target(), lux, rng),
+                _conditions(lux),
                 label=f"{kind}-{number}",
-                kind=kind,
-                frames="",
-                folder=Path("."),
-                conditions=_conditions(lux),
-                held=_expose_stack(self.camera, kind, Target(), lux, rng),
             )
             for number, (kind, lux) in enumerate(levels)
         )
-        return Session(
-            folder=Path("."), name="flats", stacks=stacks, camera=self.camera, bit_depth=8
-        )
+        return session_in_memory(stacks, camera=self.camera, bit_depth=8)
 
 
 def _expose_stack(

@@ -17,7 +17,7 @@ from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
 from labdata import Conditions, FrameStack, Session
 from labdata.measurement import intervals_of
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 Array = NDArray[np.float64]
 
@@ -96,15 +96,8 @@ class DarkScene:
             )
         stack = FrameStack(data=np.stack(codes), full_scale_dn=self.full_scale_dn)
         conditions = Conditions(exposure_s=self.exposure_s, mcp_v=800.0)
-        entry = InMemoryStack(
-            label="dark",
-            kind="dark",
-            frames="",
-            conditions=conditions,
-            folder=Path("."),
-            held=stack,
-        )
-        return Session(folder=Path("."), name="darks of known pulses", stacks=(entry,))
+        entry = stack_in_memory("dark", stack, conditions)
+        return session_in_memory((entry,))
 
     def _light(self, rng: np.random.Generator) -> Array:
         """Light of all frames, DN, shape (frame, row, col); the screen has glowed for long when

@@ -8,8 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from labdata import Conditions
-from labdata.sensors import load_camera
+from labdata import Conditions, load_camera
 from simulate.camera.scene_to_photoelectrons import camera_from_description
 from simulate.outdoor_rendering import OutdoorRendering, render_sensor_of
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings

@@ -29,10 +29,10 @@ from benchmarks.studies.scenario_map import (
 )
 from charact.method import Context
 from charact.method.registry import methods_of_kind
-from labdata import Camera, Conditions, FrameStack, Session, Target, load_sensor
+from labdata import Camera, Conditions, FrameStack, Session, StackEntry, Target, load_sensor
 from labdata.session import Kind
 from tests.truth.cases.case import Case
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 SENSOR = "pulnix-ag5745ef3"
 GATE_NS = 1.6e7
@@ -129,13 +129,8 @@ class GainScene:
             self._stack("dark", 0.0, rng),
             *(self._stack("flat", float(level), rng) for level in lux),
         ]
-        return Session(
-            folder=Path("."),
-            name="simulated flats",
-            stacks=tuple(stacks),
-            interlaced=self.interlaced,
-            camera=self.description,
-            bit_depth=8,
+        return session_in_memory(
+            stacks, interlaced=self.interlaced, camera=self.description, bit_depth=8
         )
 
     @cached_property
@@ -145,15 +140,10 @@ class GainScene:
 
         return LabBench(self.camera)
 
-    def _stack(self, kind: Kind, lux: float, rng: np.random.Generator) -> InMemoryStack:
+    def _stack(self, kind: Kind, lux: float, rng: np.random.Generator) -> StackEntry:
         told = replace(self.settings, illuminance_lux=lux, illuminance_relative_sd=0.03)
-        return InMemoryStack(
-            label=f"{kind}-{lux:.3g}",
-            kind=kind,
-            frames="",
-            folder=Path("."),
-            conditions=told,
-            held=self._expose_frames(kind, told, rng),
+        return stack_in_memory(
+            kind, self._expose_frames(kind, told, rng), told, label=f"{kind}-{lux:.3g}"
         )
 
     def _expose_frames(

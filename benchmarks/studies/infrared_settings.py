@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.studies import infrared_stability
-from labdata.sensors import load_camera
+from labdata import load_camera
 from simulate.camera.thermal_imager import ThermalImager
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene

@@ -23,7 +23,7 @@ from benchmarks.studies.harness import (
     summary,
 )
 from benchmarks.studies.registry import Study, argument_parser, methods_of, studies_of
-from charact.method import Context, Method
+from charact.method import Context, Method, choose
 from tests.truth.cases.case import Case
 
 
@@ -104,12 +104,19 @@ def _sentence(row: CaseResult) -> str:
 
 
 def _attempt_all(case: Case, methods: tuple[Method, ...], chains: bool) -> list[CaseResult]:
-    """One case through every method of its kind, in a process of its own."""
+    """Put one case to every method of its kind."""
     return [
         attempt(method, case, Context(quick=not chains))
         for method in methods
         if method.kind == case.kind
     ]
+
+
+def _attempt_named(
+    case: Case, names: tuple[tuple[str, str], ...], chains: bool
+) -> list[CaseResult]:
+    """Put one case to registered methods in a process of its own, which finds them by name."""
+    return _attempt_all(case, tuple(choose(kind, name) for kind, name in names), chains)
 
 
 def stability(
@@ -200,7 +207,8 @@ def _measure_cases(cases: Sequence[Case], methods: tuple[Method, ...], chains: b
         yield from map(_attempt_all, cases, repeat(methods), repeat(chains))
         return
     with one_thread_each(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_attempt_all, cases, repeat(methods), repeat(chains), chunksize=2)
+        names = tuple((method.kind, method.name) for method in methods)
+        yield from pool.map(_attempt_named, cases, repeat(names), repeat(chains), chunksize=2)
 
 
 @contextmanager

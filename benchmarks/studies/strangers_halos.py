@@ -9,7 +9,6 @@ benchmarks.studies.strangers_halos [--seed N] [--count N]`.
 import argparse
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from benchmarks.studies.harness import judge_measurement
 from charact.estimators import bloom
 from charact.method import Context
 from labdata import Conditions, FrameStack, Measurement, Session
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 Array = NDArray[np.float64]
 
@@ -188,17 +187,8 @@ def session_of(halo: Halo, rng: np.random.Generator) -> Session:
         conditions = Conditions(exposure_s=0.02, illuminance_lux=1e-5 * times if times else None)
         held = FrameStack(data=data, full_scale_dn=halo.full_dn)
         label = f"{kind}-{index}"
-        stacks.append(
-            InMemoryStack(
-                label=label,
-                kind=kind,
-                frames="",
-                conditions=conditions,
-                folder=Path("."),
-                held=held,
-            )
-        )
-    return Session(folder=Path("."), name="strangers", stacks=tuple(stacks))
+        stacks.append(stack_in_memory(kind, held, conditions, label=label))
+    return session_in_memory(stacks)
 
 
 def off_px(halo: Halo, found: Measurement) -> float:

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import Conditions, FrameStack, Session, StackEntry
-from labdata.measurement import make_refusal
+from labdata import Conditions, FrameStack, Session, StackEntry, make_refusal
+from tests.truth.sessions import session_in_memory
 
 Array = NDArray[Any]
 
@@ -246,9 +246,7 @@ def session_drawn(number: int) -> tuple[Session, Camera]:
         _entry(f"flat-{i}", "flat", drawn.stack(level, camera.frames), told)
         for i, level in enumerate(camera.levels_dn)
     ]
-    return Session(
-        folder=Path("."), name="strangers", stacks=tuple(stacks), bit_depth=camera.bits
-    ), camera
+    return session_in_memory(stacks, bit_depth=camera.bits), camera
 
 
 def _entry(label: str, kind: Any, frames: FrameStack, told: Conditions) -> Stack:

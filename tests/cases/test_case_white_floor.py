@@ -10,7 +10,7 @@ import pytest
 from charact.estimators import noise
 from charact.session_measurement import method_context
 from labdata import open_session
-from tests.charact.estimators.noise.scenes import Pulses, flat_series, gaussian
+from tests.truth.counted_pulses import Pulses, flat_series, gaussian
 
 ROOT = Path(__file__).resolve().parents[2]
 CASE = ROOT.parent / "shared" / "cases" / "p1-gaussian-blur-white-floor"

@@ -10,8 +10,8 @@ import pytest
 
 from charact.estimators import bloom
 from charact.method import Context
-from labdata import Conditions, FrameStack, Session, open_session
-from tests.truth.sessions import InMemoryStack
+from labdata import Conditions, FrameStack, open_session
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = ROOT.parent / "shared" / "cases"
@@ -54,9 +54,8 @@ def session_of(light, rng, *, bits=12, dark_dn=20.0, electrons_per_dn=8.0, frame
         kind = "point" if times else "dark"
         conditions = Conditions(exposure_s=0.02, illuminance_lux=1e-5 * times if times else None)
         held = FrameStack(data=data, full_scale_dn=full)
-        own = {"label": f"{kind}-{index}", "kind": kind, "conditions": conditions, "held": held}
-        stacks.append(InMemoryStack(frames="", folder=Path("."), **own))
-    return Session(folder=Path("."), name="drawn", stacks=tuple(stacks))
+        stacks.append(stack_in_memory(kind, held, conditions, label=f"{kind}-{index}"))
+    return session_in_memory(stacks)
 
 
 def test_the_flat_disc_of_the_case_is_44_px_wide_and_holds_12_percent():
@@ -95,15 +94,15 @@ def test_flat_and_rimmed_discs_are_as_wide_as_drawn(
 
 def with_bad_pixels(session, rng, fraction, hits):
     """The session with stuck pixels, the same in all stacks, and hits of single frames."""
-    shape = session.stacks[0].held.data.shape[1:]
+    shape = session.stacks[0].kept.data.shape[1:]
     stuck = rng.random(shape) < fraction
-    code = rng.choice([0, int(session.stacks[0].held.full_scale_dn)], shape)
+    code = rng.choice([0, int(session.stacks[0].kept.full_scale_dn)], shape)
     stacks = []
     for one in session.stacks:
-        data = one.held.data.copy()
+        data = one.kept.data.copy()
         data[:, stuck] = code[stuck]
-        data[rng.random(data.shape) < hits] = one.held.full_scale_dn
-        stacks.append(replace(one, held=replace(one.held, data=data)))
+        data[rng.random(data.shape) < hits] = one.kept.full_scale_dn
+        stacks.append(replace(one, kept=replace(one.kept, data=data)))
     return replace(session, stacks=tuple(stacks)), int(stuck.sum())
 
 

@@ -10,7 +10,7 @@ from charact.estimators import noise
 from charact.session_measurement import method_context
 from labdata import open_session
 from labdata.camera.chip import excess_noise_factor
-from tests.charact.estimators.noise.scenes import one
+from tests.truth.counted_pulses import one
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"

@@ -8,11 +8,19 @@ import pytest
 
 from charact.method import Context
 from charact.session_measurement import _best_point, _with_measured_gap, measure, with_inputs
-from labdata import BadInput, FrameStack, Provenance, Result, Session, load_sensor, open_session
-from labdata.measurement import make_refusal, measurement_from_sd
+from labdata import (
+    BadInput,
+    FrameStack,
+    Provenance,
+    Result,
+    load_sensor,
+    make_refusal,
+    measurement_from_sd,
+    open_session,
+)
 from labdata.session import sha256_of
 from tests.truth.edge import EdgeScene
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 
 @pytest.fixture
@@ -112,12 +120,10 @@ def test_of_sound_points_the_one_with_most_light_is_told_though_another_seems_su
 
     monkeypatch.setattr("charact.estimators.mtf.measure", measured)
     stacks = tuple(
-        InMemoryStack(
-            label=label, kind="point", frames="", folder=Path(), held=FrameStack(data=held)
-        )
+        stack_in_memory("point", FrameStack(data=held), label=label)
         for label, held in frames.items()
     )
-    session = Session(folder=Path(), name="points", stacks=stacks)
+    session = session_in_memory(stacks)
     found = _best_point(session, 2.0, Context(seed=1, quick=True))
     assert [m.stack for m in found.measurements] == ["bright"]
 

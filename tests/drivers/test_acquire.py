@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.acquisition.acquire import acquire
+from drivers import acquire
 from drivers.acquisition.plan_check import bytes_of, check_plan, picture_of
 from drivers.errors import BenchError, CameraError, InstrumentTripped
 from labdata import BadInput, Conditions, load_sensor, open_session

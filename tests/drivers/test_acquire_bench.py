@@ -5,16 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.acquisition.acquire import acquire
+from drivers import acquire
 from drivers.bench.local_bench import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.instruments.models import lines_on
-from labdata import BadInput, Conditions, Target, load_sensor
+from labdata import BadInput, Conditions, Target, load_sensor, save_sensor
 from labdata.calibration import LampCalibration
 from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Override, limits_in_force
 from labdata.plan import Plan, Step
-from labdata.sensors import save_sensor
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.bench import VirtualBench
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.acquisition.acquire import acquire
+from drivers import acquire
 from labdata import BadInput, Conditions, load_sensor
 from labdata.calibration import GainTable
 from labdata.plan import Plan, Step, by_calibration, in_volts

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.cameras import camera_named
+from drivers import camera_named
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.cameras.replay import ReplayCamera
 from drivers.cameras.v4l2 import V4l2Camera

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.acquisition.acquire import acquire
+from drivers import acquire
 from drivers.acquisition.run_control import PAUSED, STOPPING, RunControl
 from drivers.errors import InstrumentTripped
 from labdata import Conditions, open_session

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.acquisition.plan_check import plan_report
-from labdata import BadInput, open_session
+from drivers import plan_report
+from labdata import BadInput, load_camera, open_session
 from labdata.phosphors import load_phosphor
 from labdata.plan_file import plan_toml, read_plan
-from labdata.sensors import load_camera
 from labdata.session import MANIFEST
 from labdata.session_import import import_emva1288
 from labdata.tube_dose import Dose, DoseLedger

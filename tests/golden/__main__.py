@@ -125,7 +125,7 @@ def frames() -> list[Row]:
 
 def sensors() -> list[Row]:
     """SHA-256 of each sensor description, read and written again."""
-    from labdata.sensors import load_camera, save_sensor
+    from labdata import load_camera, save_sensor
 
     rows = []
     with tempfile.TemporaryDirectory() as scratch:

@@ -7,16 +7,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdata import BadInput, Conditions, FrameStack, Measurement, Posterior, Result, Target
-from labdata.camera.parameters import Parameter
-from labdata.flags import FLAGS, Finding, order_flags
-from labdata.limits import Limits
-from labdata.measurement import (
+from labdata import (
+    BadInput,
+    Conditions,
+    FrameStack,
+    Measurement,
+    Posterior,
+    Result,
+    Target,
     make_measurement,
     make_refusal,
     measurement_from_draws,
     measurement_from_sd,
 )
+from labdata.camera.parameters import Parameter
+from labdata.flags import FLAGS, Finding, order_flags
+from labdata.limits import Limits
 from labdata.plan import Plan, Step
 from labdata.quantity import QUANTITIES, convert_frequency
 

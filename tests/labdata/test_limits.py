@@ -6,10 +6,10 @@ from dataclasses import fields
 
 import pytest
 
-from labdata import BadInput, load_sensor
+from labdata import BadInput, load_camera, load_sensor
 from labdata.camera.tube import TubeLimits
 from labdata.limits import LIMITS, Limits, Override, limits_in_force
-from labdata.sensors import load_camera, sensor_names
+from labdata.sensors import sensor_names
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 TUBES = [name for name in sensor_names() if load_camera(name).has_tube]

@@ -6,8 +6,17 @@ import json
 import numpy as np
 import pytest
 
-from labdata import BadInput, Curve, Posterior, Provenance, Result, result_io
-from labdata.measurement import make_measurement, make_refusal, measurement_from_draws
+from labdata import (
+    BadInput,
+    Curve,
+    Posterior,
+    Provenance,
+    Result,
+    make_measurement,
+    make_refusal,
+    measurement_from_draws,
+    result_io,
+)
 
 
 def a_result(seed: int = 1) -> Result:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Camera, load_sensor
+from labdata import BadInput, Camera, load_camera, load_sensor, save_sensor
 from labdata.camera.description import camera_from_mapping
 from labdata.camera.parameters import Parameter
-from labdata.sensors import load_camera, save_sensor, sensor_names
+from labdata.sensors import sensor_names
 from labdata.serialiser import to_mapping, to_toml
 
 PLANCK_J_S = 6.62607015e-34

@@ -93,8 +93,7 @@ def test_what_one_file_of_a_stack_shows_holds_for_all_of_them(tmp_path):
 def test_a_sensor_beside_the_session_is_found(tmp_path):
     from dataclasses import replace
 
-    from labdata import load_sensor
-    from labdata.sensors import save_sensor
+    from labdata import load_sensor, save_sensor
 
     ours = replace(load_sensor("pulnix-ag5745ef3"), name="ours")
     session_of(

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Camera, load_sensor, open_session
+from labdata import BadInput, Camera, load_camera, load_sensor, open_session
 from labdata.camera.parameters import Parameter
-from labdata.sensors import load_camera
 from labdata.serialiser import to_toml
 
 

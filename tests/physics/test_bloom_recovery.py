@@ -3,7 +3,6 @@ makes them.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +10,13 @@ from scipy import ndimage
 
 from charact.estimators import bloom
 from charact.method import Context
-from labdata import Conditions, Session, Target, load_sensor
+from labdata import Conditions, Target, load_sensor
 from simulate.camera import true_quantities
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 ROWS, COLUMNS = 200, 260
 SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7)
@@ -38,17 +37,8 @@ def series(sensor, lights_lux, seed, *, frames, depletes=False, darks=False):
             kind, Target(pinhole_px=1.0), conditions, frames=frames, seed=100 * seed + index
         )
         label = f"{kind}-{index}"
-        stacks.append(
-            InMemoryStack(
-                label=label,
-                kind=kind,
-                frames="",
-                conditions=conditions,
-                folder=Path("."),
-                held=held,
-            )
-        )
-    return Session(folder=Path("."), name="simulated", stacks=tuple(stacks), interlaced=True)
+        stacks.append(stack_in_memory(kind, held, conditions, label=label))
+    return session_in_memory(stacks, interlaced=True)
 
 
 def specimen(sheet, seed, **values):

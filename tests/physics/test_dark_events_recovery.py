@@ -3,7 +3,6 @@ no formula.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
@@ -11,7 +10,7 @@ from labdata import Conditions, load_sensor
 from labdata.camera.parameters import Parameter
 from simulate.camera.true_quantities import true_quantities
 from simulate.lab import LabBench, Target
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import stack_in_memory
 
 SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167, illuminance_lux=0.0)
 SHEET = load_sensor("pulnix-ag5745ef3")
@@ -21,9 +20,7 @@ def darks(sensor, seed: int, frames: int = 64):
     """Darks of a part of the chip."""
     sensor = replace(sensor, ccd=replace(sensor.ccd, rows=246, columns=252))
     held = LabBench(sensor).expose("dark", Target(), SETTINGS, frames=frames, seed=seed)
-    entry = InMemoryStack(
-        label="dark", kind="dark", frames="", conditions=SETTINGS, folder=Path("."), held=held
-    )
+    entry = stack_in_memory("dark", held, SETTINGS)
     context = Context(
         seed=1,
         quick=True,

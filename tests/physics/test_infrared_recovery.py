@@ -9,12 +9,19 @@ import pytest
 
 from charact.reporting.frequency_unit import FrequencyUnit
 from charact.session_measurement import measure, measure_noise, method_context
-from labdata import BadInput, FrameStack, Session, Target, result_io
-from labdata.measurement import make_measurement
-from labdata.sensors import load_camera, save_sensor
+from labdata import (
+    BadInput,
+    FrameStack,
+    Session,
+    Target,
+    load_camera,
+    make_measurement,
+    result_io,
+    save_sensor,
+)
 from simulate.camera.thermal_imager import ThermalImager
 from tests.charact.cli.runner import done_well
-from tests.charact.estimators.infrared.cameras import entry
+from tests.truth.infrared import entry
 from tests.truth.thermal_targets import half_moon
 
 LEVELS = (17.0, 20.0, 22.0, 25.0, 28.0)

@@ -3,17 +3,16 @@ chain's closed form.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from charact.estimators import mtf
 from charact.method import Context
-from labdata import Conditions, Session, Target, load_sensor
+from labdata import Conditions, Target, load_sensor
 from simulate.camera import true_quantities
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 
 @pytest.fixture(scope="module")
@@ -145,14 +144,5 @@ def flats_before(specimen, seed):
         kind = "flat" if number else "dark"
         conditions = Conditions(mcp_v=800.0, gate_ns=1.6e7, illuminance_lux=lux)
         held = LabBench(specimen).expose(kind, Target(), conditions, frames=12, seed=seed + number)
-        stacks.append(
-            InMemoryStack(
-                label=f"{kind}-{number}",
-                kind=kind,
-                frames="",
-                folder=Path(),
-                conditions=conditions,
-                held=held,
-            )
-        )
-    return Session(folder=Path(), name="flats", stacks=tuple(stacks), camera=specimen, bit_depth=8)
+        stacks.append(stack_in_memory(kind, held, conditions, label=f"{kind}-{number}"))
+    return session_in_memory(stacks, camera=specimen, bit_depth=8)

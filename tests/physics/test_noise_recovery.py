@@ -3,7 +3,6 @@ formula.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from labdata import Conditions, Session, Target, load_sensor
 from simulate.camera import true_quantities
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 # A part of the chip: what is tested is independent of its size.
 ROWS, COLUMNS = 246, 384
@@ -33,17 +32,8 @@ def flats(sensor, seed: int) -> Session:
         conditions = replace(SETTINGS, illuminance_lux=lux, illuminance_relative_sd=0.03)
         kind = "flat" if lux else "dark"
         held = bench.expose(kind, Target(), conditions, frames=12, seed=seed + index)
-        stacks.append(
-            InMemoryStack(
-                label=f"{kind}-{index}",
-                kind=kind,
-                frames="",
-                conditions=conditions,
-                folder=Path("."),
-                held=held,
-            )
-        )
-    return Session(folder=Path("."), name="simulated", stacks=tuple(stacks), interlaced=True)
+        stacks.append(stack_in_memory(kind, held, conditions, label=f"{kind}-{index}"))
+    return session_in_memory(stacks, interlaced=True)
 
 
 def test_covariance_gain_and_blur_factor_of_a_specimen_are_found_again(seed):

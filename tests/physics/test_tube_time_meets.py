@@ -3,7 +3,6 @@ other's formula.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,14 +11,13 @@ from charact.fitting import tube_dark_observations, tube_ions, tube_time_observa
 from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.stack_levels import levels_of
-from labdata import Camera, Conditions, Result, Session, Target
-from labdata.measurement import measurement_from_sd
-from labdata.sensors import load_camera
-from labdata.session import Kind, LoadedStackEntry
+from labdata import Camera, Conditions, Result, Target, load_camera, measurement_from_sd
+from labdata.session import Kind
 from simulate.camera.phosphor import PhosphorDecay
 from simulate.camera.true_quantities import true_quantities
 from simulate.camera.video import VideoFilter
 from simulate.lab import LabBench
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 NAMES = ("pulnix-ag5745ef3", "gen3-digital-iccd")
 DRAWN = (
@@ -114,19 +112,12 @@ def observed_of(name: str, seed: int) -> tuple[list, Values]:
         ("flat", replace(shared, illuminance_lux=lux)),
     )
     stacks = tuple(
-        LoadedStackEntry(
-            label=kind,
-            kind=kind,
-            frames="-",
-            conditions=conditions,
-            folder=Path(),
-            kept=bench.expose(kind, Target(), conditions, frames=16, seed=seed),
+        stack_in_memory(
+            kind, bench.expose(kind, Target(), conditions, frames=16, seed=seed), conditions
         )
         for kind, conditions in shown
     )
-    session = Session(
-        folder=Path(), name="s", stacks=stacks, camera=specimen, bit_depth=specimen.video.bit_depth
-    )
+    session = session_in_memory(stacks, camera=specimen, bit_depth=specimen.video.bit_depth)
     gain = true_quantities(specimen, shared)["covariance_gain"]
     told = Result(
         measurements=(

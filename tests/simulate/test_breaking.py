@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labdata import BadInput, Camera, Conditions, Target
-from labdata.sensors import load_camera
+from labdata import BadInput, Camera, Conditions, Target, load_camera
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot
 from simulate.camera.scene_to_photoelectrons import (

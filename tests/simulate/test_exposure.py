@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, Target
-from labdata.sensors import load_camera
+from labdata import BadInput, Conditions, Target, load_camera
 from simulate.camera import tube_photometry
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot

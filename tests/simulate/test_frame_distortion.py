@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.sensors import load_camera
+from labdata import load_camera
 from simulate import conditions_of
 from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,

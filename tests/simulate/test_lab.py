@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, Target
-from labdata.sensors import load_camera
+from labdata import BadInput, Conditions, Target, load_camera
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import VARIED, draw_true_sensor
 

@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, Target
+from labdata import BadInput, Camera, Conditions, Target, load_camera
 from labdata.camera.chip import Readout, gain_at_no_signal
-from labdata.camera.description import Camera
-from labdata.sensors import load_camera
 from simulate.camera import readout_noise
 from simulate.camera.stage_image import StageImage
 from simulate.camera.video import Video

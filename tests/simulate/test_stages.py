@@ -8,8 +8,7 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions
-from labdata.sensors import load_camera
+from labdata import BadInput, Conditions, load_camera
 from simulate.camera.camera import CameraModel
 from simulate.camera.ccd import Ccd
 from simulate.camera.chain import Chain, Slot, Stage

@@ -4,6 +4,7 @@ good methods.
 
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +15,7 @@ from benchmarks.studies.harness import percentile_limit, run, summary
 from benchmarks.studies.registry import STUDIES, methods_of
 from benchmarks.studies.stability import stability
 from charact.method import Context, Method, registry
-from labdata import BadInput, Result
-from labdata.measurement import make_measurement, make_refusal, measurement_from_sd
+from labdata import BadInput, Result, make_measurement, make_refusal, measurement_from_sd
 from tests.truth.blur import TrueBlur
 from tests.truth.cases import bars as bar_cases
 from tests.truth.cases import bloom as bloom_cases
@@ -186,6 +186,17 @@ def test_the_map_of_stability_holds_every_axis_and_every_lie(tmp_path):
     assert "tilt (deg)" in svg
     assert "edge SNR (step / noise)" in svg
     assert found.text().count("SILENT edge-lying") == len(found.silent)
+
+
+def test_a_sweep_over_processes_has_the_rows_of_one_process():
+    methods = tuple(method for method in methods_of("mtf") if method.name == "bars-contrast")
+    alone, shared = (
+        stability("mtf", quick=True, axes=("tilt",), methods=methods, workers=workers).rows
+        for workers in (1, 2)
+    )
+    assert [replace(row, seconds=0.0) for row in shared] == [
+        replace(row, seconds=0.0) for row in alone
+    ]
 
 
 @pytest.mark.parametrize("cases", [edge_cases, bar_cases, point_cases, bloom_cases])

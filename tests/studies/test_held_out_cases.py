@@ -12,8 +12,7 @@ from benchmarks.studies.held_out_cases import SEED, TABLE, check_held_out_choice
 from benchmarks.studies.registry import POINT
 from charact.method import Method, choose
 from charact.method.registry import chart_table
-from labdata import FrameStack, Result
-from labdata.measurement import make_measurement
+from labdata import FrameStack, Result, make_measurement
 from tests.truth.cases.point import chart_cases
 
 

@@ -7,14 +7,13 @@ smears them, is held by an automatic gain, read and digitised.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata import FrameStack, Session
 from tests.truth.bloom_light import FINE, BloomScene, at_pixels, optics_of, picture_of
-from tests.truth.sessions import in_memory_stack
+from tests.truth.sessions import session_in_memory, tube_stack
 
 Array = NDArray[np.float64]
 
@@ -174,10 +173,10 @@ def bloom_session(
     for number, (overload, child) in enumerate(zip(overloads, children[1:], strict=True)):
         frames = stack(scene, overload, child, faintest=min(overloads))
         stated = 1e-6 * overload * float(np.exp(scene.light_sd * child.standard_normal()))
-        entries.append(in_memory_stack("point", f"point-{number}", frames, stated))
+        entries.append(tube_stack("point", f"point-{number}", frames, stated))
     if darks:
         level = np.full((scene.frames, scene.rows, scene.cols), scene.dark_dn + scene.wrong_dark_dn)
         entries.insert(
-            0, in_memory_stack("dark", "dark", digitise_frames(scene, level, children[0]), 0.0)
+            0, tube_stack("dark", "dark", digitise_frames(scene, level, children[0]), 0.0)
         )
-    return Session(folder=Path("."), name="a point source of closed form", stacks=tuple(entries))
+    return session_in_memory(entries, name="a point source of closed form")

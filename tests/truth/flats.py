@@ -3,14 +3,13 @@ simulator.
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import FrameStack, Session
+from labdata import FrameStack, Session, StackEntry
 from labdata.session import Kind
-from tests.truth.sessions import InMemoryStack, in_memory_stack
+from tests.truth.sessions import session_in_memory, tube_stack
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +54,9 @@ class FlatScene:
         """Draw the dark stack and one flat stack for each level."""
         levels = (0.0, *self.photoelectrons)
         stacks = tuple(self._entry(number, level, rng) for number, level in enumerate(levels))
-        return Session(folder=Path("."), name="flats of known gain", stacks=stacks)
+        return session_in_memory(stacks, name="flats of known gain")
 
-    def _entry(self, number: int, level: float, rng: np.random.Generator) -> InMemoryStack:
+    def _entry(self, number: int, level: float, rng: np.random.Generator) -> StackEntry:
         kind: Kind = "flat" if number else "dark"
         light = self._light(level, rng)
         if self.agc and number:
@@ -71,7 +70,7 @@ class FlatScene:
         stack = FrameStack(
             data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn
         )
-        return in_memory_stack(kind, f"{kind}-{number}", stack, 1e-6 * level)
+        return tube_stack(kind, f"{kind}-{number}", stack, 1e-6 * level)
 
     def _light(self, level: float, rng: np.random.Generator) -> NDArray[np.floating]:
         """Light signal, DN, shape (frame, row, col): pulses, blur after the gain, then

@@ -10,15 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import FrameStack, Session
+from labdata import FrameStack, Session, StackEntry
 from labdata.session import Kind
-from tests.truth.sessions import InMemoryStack, in_memory_stack
+from tests.truth.sessions import session_in_memory, tube_stack
 
 Array = NDArray[np.floating]
 
@@ -102,15 +101,11 @@ class ScintillatingFlats:
         levels = (*((0.0,) if self.darks else ()), *self.photoelectrons)
         stacks = tuple(self._entry(number, level, rng) for number, level in enumerate(levels))
         depth = int(np.log2(self.full_scale_dn + 1))
-        return Session(
-            folder=Path("."),
-            name="scintillating flats",
-            stacks=stacks,
-            interlaced=self.interlaced,
-            bit_depth=depth,
+        return session_in_memory(
+            stacks, name="scintillating flats", interlaced=self.interlaced, bit_depth=depth
         )
 
-    def _entry(self, number: int, level: float, rng: np.random.Generator) -> InMemoryStack:
+    def _entry(self, number: int, level: float, rng: np.random.Generator) -> StackEntry:
         kind: Kind = "flat" if level else "dark"
         signal = np.stack(self._frames(level, rng)) + self._read_noise(rng)
         top = self.full_scale_dn - self.black_dn
@@ -119,7 +114,7 @@ class ScintillatingFlats:
         frames = FrameStack(
             data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn
         )
-        return in_memory_stack(kind, f"{kind}-{number}", frames, 1e-6 * level)
+        return tube_stack(kind, f"{kind}-{number}", frames, 1e-6 * level)
 
     def _frames(self, level: float, rng: np.random.Generator) -> Sequence[Array]:
         """Light signal of each frame, DN; of interlaced ones each field has an exposure of its

@@ -2,36 +2,28 @@
 
 import numpy as np
 import pytest
-from scipy.special import erf
 
 import charact
-from labdata import FrameStack
-from labdata.measurement import measurement_from_sd
+from labdata import FrameStack, measurement_from_sd
 from tests.charact.cli.runner import small_camera
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
-SIGMA_PX = 1.06
-# Gaussian blur times the pixel: exp(-2 (pi sigma f)^2) sinc(f) is 0.5 here, by bisection.
-MTF50 = 0.17213
+SCENE = EdgeScene(
+    blur=TrueBlur(sigma_px=1.06),
+    rows=80,
+    cols=96,
+    dark_dn=500.0,
+    bright_dn=3500.0,
+    snr=67.0,
+    full_scale_dn=65535.0,
+)
 
 
 @pytest.fixture(scope="module")
 def edge() -> np.ndarray:
-    """An edge at 5.71 degrees, Gaussian blur of 1.06 px, integrated over each pixel, with Poisson
-    noise.
-    """
-    row, col = np.mgrid[:80, :96].astype(float)
-    slope = 0.1
-    fine = np.mean(
-        [
-            erf(
-                (col + dx - 48 + slope * (row + dy - 40)) / (SIGMA_PX * np.sqrt(2 * (1 + slope**2)))
-            )
-            for dx in (-0.375, -0.125, 0.125, 0.375)
-            for dy in (-0.375, -0.125, 0.125, 0.375)
-        ],
-        axis=0,
-    )
-    return np.random.default_rng(5).poisson(2000 + 1500 * fine).astype(np.uint16)
+    """One frame of the edge."""
+    return SCENE.frames_drawn(np.random.default_rng(5)).data[0]
 
 
 def test_an_array_a_stack_and_a_file_have_one_result(edge, tmp_path):
@@ -51,7 +43,7 @@ def test_an_array_a_stack_and_a_file_have_one_result(edge, tmp_path):
 def test_the_mtf_of_an_array_is_that_of_its_blur(edge):
     m = charact.mtf(edge, quick=True).mtf50
     assert m.status == "ok"
-    assert m.interval95[0] < MTF50 < m.interval95[1]
+    assert m.interval95[0] < SCENE.truth_mtf50 < m.interval95[1]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typer.testing import CliRunner, Result
 
 from charact.cli.application import app
-from labdata.sensors import load_camera, save_sensor
+from labdata import load_camera, save_sensor
 
 
 def charact(*arguments: object) -> Result:

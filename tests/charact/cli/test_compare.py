@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import charact
-from labdata import Measurement, open_session, result_io
+from labdata import Measurement, make_refusal, measurement_from_sd, open_session, result_io
 from labdata import Result as Measured
-from labdata.measurement import make_refusal, measurement_from_sd
 from tests.charact.cli.runner import charact as run
 
 QUANTITIES = (

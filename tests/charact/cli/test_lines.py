@@ -7,8 +7,7 @@ import pytest
 from charact.cli.demo_loop import lines
 from charact.cli.output import print_result
 from charact.reporting.truth import compare_with_truth
-from labdata import Measurement, Result
-from labdata.measurement import measurement_from_sd
+from labdata import Measurement, Result, measurement_from_sd
 
 
 def bars(col: int, **fields) -> Measurement:

@@ -17,10 +17,8 @@ from charact.reporting.annotated_image import (
     unusable_edges,
 )
 from charact.reporting.frequency_unit import FrequencyUnit
-from labdata import BadInput, FrameStack
+from labdata import BadInput, FrameStack, load_camera, make_measurement, make_refusal
 from labdata import Result as Measured
-from labdata.measurement import make_measurement, make_refusal
-from labdata.sensors import load_camera
 from tests.charact.cli.runner import charact
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from labdata import open_session
+from labdata import load_camera, open_session, save_sensor
 from labdata.phosphors import load_phosphor
-from labdata.sensors import load_camera, save_sensor
 from tests.charact.cli.runner import assert_one_sentence, charact, done_well, small_camera
 
 ROWS, COLS = 48, 64

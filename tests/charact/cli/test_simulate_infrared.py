@@ -7,8 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from labdata import BadInput, open_session
-from labdata.sensors import load_camera
+from labdata import BadInput, load_camera, open_session
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.scene import RigSensor, SceneCamera
 from simulate.radiance_files import save_view_radiance

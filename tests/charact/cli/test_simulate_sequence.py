@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from labdata import open_session
-from labdata.sensors import load_camera
+from labdata import load_camera, open_session
 from tests.charact.cli.runner import LAWN, done_well, small_camera, small_imager
 
 # The front of the box is 10 m before the cameras. ACROSS is its velocity (east), m/s.

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import simulate
-from labdata import BadInput
-from labdata.sensors import load_camera, save_sensor
+from labdata import BadInput, load_camera, save_sensor
 from tests.charact.cli.runner import LAWN, charact, done_well
 
 SCENE = (

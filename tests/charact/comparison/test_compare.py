@@ -8,8 +8,17 @@ import pytest
 
 from charact import session, stack
 from charact.comparison import Comparison, compare, condition_pairs, draws_of
-from labdata import BadInput, Measurement, Result, Session, load_sensor, open_session
-from labdata.measurement import make_measurement, make_refusal, measurement_from_sd
+from labdata import (
+    BadInput,
+    Measurement,
+    Result,
+    Session,
+    load_sensor,
+    make_measurement,
+    make_refusal,
+    measurement_from_sd,
+    open_session,
+)
 
 PAIRS = 200
 

@@ -5,8 +5,14 @@ from pathlib import Path
 import pytest
 
 from charact.comparison import Limit, Limits, check, load_check, load_limits, save_check
-from labdata import BadInput, Measurement, Result
-from labdata.measurement import make_measurement, make_refusal, measurement_from_sd
+from labdata import (
+    BadInput,
+    Measurement,
+    Result,
+    make_measurement,
+    make_refusal,
+    measurement_from_sd,
+)
 from labdata.serialiser import from_toml, to_toml
 
 

@@ -15,8 +15,18 @@ from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.sensor import Model, model_of
 from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_observations import LEVEL, SHAPE, tube_observations
-from labdata import Camera, Curve, Measurement, Result, Session, StackEntry, Target, load_sensor
-from labdata.measurement import measurement_from_sd
+from labdata import (
+    Camera,
+    Curve,
+    Measurement,
+    Result,
+    Session,
+    StackEntry,
+    Target,
+    load_sensor,
+    measurement_from_sd,
+)
+from tests.truth.sessions import session_in_memory
 
 GATE_S = 0.016
 LUX = (0.0, 2e-5, 8e-5, 1.6e-4, 3e-4)
@@ -59,7 +69,7 @@ def told_of(sheet: Camera) -> Callable[[int], Told]:
                 folder=Path(),
             ),
         )
-        session = Session(folder=Path(), name="told", stacks=stacks, camera=sheet, bit_depth=8)
+        session = session_in_memory(stacks, camera=sheet, bit_depth=8)
         result = Result(
             measurements=_numbers(values, rng), curves={"mtf:edge": _curve(values, rng)}
         )

@@ -3,7 +3,6 @@ camera.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +12,22 @@ from charact.fitting import fit_sensor
 from charact.method import Context
 from charact.validation import Validation, validate
 from charact.validation.frames import MatchedFrames, simulate_frames
-from labdata import BadInput, Conditions, Curve, FrameStack, Result, Session, Target
-from labdata.camera.description import Camera
+from labdata import (
+    BadInput,
+    Camera,
+    Conditions,
+    Curve,
+    FrameStack,
+    Result,
+    Session,
+    Target,
+    load_camera,
+    measurement_from_sd,
+)
 from labdata.camera.parameters import Draws
-from labdata.measurement import measurement_from_sd
-from labdata.sensors import load_camera
 from labdata.session import Kind, LoadedStackEntry
 from simulate.lab import LabBench
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 # The pitch of the shipped description: light stated in photons leaves it, and lengths can be
 # compared.
@@ -72,15 +80,8 @@ def session_of(
         ).data
         kept = FrameStack(data=whole[:, row::2, col::2], plane=plane, sample_pitch_px=2)
         stacks.append(
-            LoadedStackEntry(
-                label=f"{kind} {len(stacks)}",
-                kind=kind,
-                frames="-",
-                conditions=stated,
-                target=target,
-                folder=Path(),
-                kept=kept,
-                bit_depth=12,
+            stack_in_memory(
+                kind, kept, stated, label=f"{kind} {len(stacks)}", target=target, bit_depth=12
             )
         )
 
@@ -89,13 +90,7 @@ def session_of(
     for light in photons:
         add("flat", light, Target())
     add("edge", photons[-1], EDGE)
-    return Session(
-        folder=Path(),
-        name=f"plane {plane}",
-        stacks=tuple(stacks),
-        camera=load_camera("machine-vision"),
-        bit_depth=12,
-    )
+    return session_in_memory(stacks, camera=load_camera("machine-vision"), bit_depth=12)
 
 
 def result_of(session: Session, rng: np.random.Generator) -> Result:
@@ -260,12 +255,12 @@ def test_a_validation_fails_with_another_plane_and_with_frames_taken_for_all_pix
 
 def small(plane: str, pitch_px: int, label: str) -> LoadedStackEntry:
     kept = FrameStack(data=np.zeros((3, 8, 8), np.uint16), plane=plane, sample_pitch_px=pitch_px)
-    return LoadedStackEntry(label=label, kind="dark", frames="-", folder=Path(), kept=kept)
+    return stack_in_memory("dark", kept, label=label)
 
 
 def test_stacks_of_two_planes_are_refused_by_name() -> None:
     stacks = small("r", 2, "dark"), small("g1", 2, "flat")
-    session = Session(folder=Path(), name="s", stacks=stacks, camera=load_camera("machine-vision"))
+    session = session_in_memory(stacks, name="s", camera=load_camera("machine-vision"))
     for use in (lambda: fit_sensor(session, Result()), lambda: validate(session, camera(2, 2))):
         with pytest.raises(
             BadInput, match="one colour plane, got r in 'dark' and g1 in 'flat' of session 's'"
@@ -275,7 +270,7 @@ def test_stacks_of_two_planes_are_refused_by_name() -> None:
 
 def test_a_mosaic_behind_an_image_tube_is_refused() -> None:
     tube = load_camera("gen3-digital-iccd")
-    session = Session(folder=Path(), name="s", stacks=(small("g1", 2, "dark"),), camera=tube)
+    session = session_in_memory((small("g1", 2, "dark"),), name="s", camera=tube)
     with pytest.raises(
         BadInput, match=f"without an image tube, got g1 of session 's', camera '{tube.name}'"
     ):

@@ -1,7 +1,5 @@
 """The fit says what flags of measurements, a misfit and coarse grey values speak of."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,10 +7,9 @@ from charact.estimators.noise.findings import Finding, notes_of, step_finding
 from charact.fitting.observation import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
 from charact.frames.rounding import step_of_codes
 from charact.session_measurement import measure_noise, method_context
-from labdata import Conditions, FrameStack, Measurement, Result, Session
+from labdata import FrameStack, Measurement, Result, Session, measurement_from_sd
 from labdata.flags import FLAGS
-from labdata.measurement import measurement_from_sd
-from labdata.session import LoadedStackEntry
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 
 def measured(
@@ -58,16 +55,8 @@ def test_a_note_begins_with_its_flag_once() -> None:
 
 
 def session_of_codes(codes: np.ndarray) -> Session:
-    entry = LoadedStackEntry(
-        label="dark",
-        kind="dark",
-        frames="-",
-        conditions=Conditions(),
-        folder=Path(),
-        kept=FrameStack(data=codes),
-        bit_depth=12,
-    )
-    return Session(folder=Path(), name="s", stacks=(entry,), bit_depth=12)
+    entry = stack_in_memory("dark", FrameStack(data=codes), bit_depth=12)
+    return session_in_memory((entry,), bit_depth=12)
 
 
 @pytest.mark.parametrize(

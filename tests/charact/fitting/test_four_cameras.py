@@ -13,13 +13,20 @@ from charact.fitting.fitted_session import proposed_description
 from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
-from labdata import BadInput, Conditions, Result, Session, StackEntry, Target
-from labdata.camera.description import Camera
-from labdata.measurement import measurement_from_sd
-from labdata.sensors import load_camera
-from labdata.session import LoadedStackEntry
+from labdata import (
+    BadInput,
+    Camera,
+    Conditions,
+    Result,
+    Session,
+    StackEntry,
+    Target,
+    load_camera,
+    measurement_from_sd,
+)
 from simulate.lab import LabBench
-from tests.charact.fitting.specimens import session_of
+from tests.truth.sessions import session_in_memory, stack_in_memory
+from tests.truth.specimens import session_of
 
 CHIPS = ("emccd-512", "machine-vision")
 # Two specimens of each class.
@@ -52,21 +59,11 @@ def settings(name: str) -> Conditions:
 def stack_of(camera: Camera, kind: str, conditions: Conditions, *, frames: int, seed: int):
     """Return a stack of the bench in memory."""
     kept = LabBench(camera).expose(kind, Target(), conditions, frames=frames, seed=seed)
-    return LoadedStackEntry(
-        label=kind,
-        kind=kind,
-        frames="-",
-        conditions=conditions,
-        folder=Path(),
-        kept=kept,
-        bit_depth=camera.video.bit_depth,
-    )
+    return stack_in_memory(kind, kept, conditions, bit_depth=camera.video.bit_depth)
 
 
 def session_with(camera: Camera, *stacks: StackEntry) -> Session:
-    return Session(
-        folder=Path(), name="s", stacks=stacks, camera=camera, bit_depth=camera.video.bit_depth
-    )
+    return session_in_memory(stacks, camera=camera, bit_depth=camera.video.bit_depth)
 
 
 @pytest.mark.parametrize("specimens", SPECIMENS.values(), ids=SPECIMENS)
@@ -157,16 +154,14 @@ def test_a_session_without_a_description_gets_one_proposed(
     entry = StackEntry(
         label="a", kind="flat", frames="-", conditions=Conditions(**conditions), folder=Path()
     )
-    session = Session(
-        folder=Path(), name="s", stacks=(entry,), bit_depth=bits, interlaced=interlaced
-    )
+    session = session_in_memory((entry,), bit_depth=bits, interlaced=interlaced)
     assert proposed_description(session) == expected
     with pytest.raises(BadInput, match=f"sensor = '{expected}'"):
         fit_sensor(session, Result())
 
 
 def test_a_camera_of_the_thermal_infrared_is_refused() -> None:
-    session = Session(folder=Path(), name="s", stacks=(), camera=load_camera("vox-lwir-640"))
+    session = session_in_memory((), camera=load_camera("vox-lwir-640"))
     with pytest.raises(BadInput, match="of visible light"):
         fit_sensor(session, Result())
 

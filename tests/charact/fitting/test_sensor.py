@@ -18,9 +18,8 @@ from charact.fitting.sensor import (
     posterior_of,
 )
 from charact.fitting.tube_observations import tube_observations
-from labdata import BadInput, Camera, Result, Session, load_sensor
-from labdata.measurement import measurement_from_sd
-from labdata.sensors import save_sensor
+from labdata import BadInput, Camera, Result, load_sensor, measurement_from_sd, save_sensor
+from tests.truth.sessions import session_in_memory
 
 SPECIMENS = 3
 
@@ -222,7 +221,7 @@ def test_prior_draws_fill_the_ranges_of_the_description(sheet: Camera, seed: int
 
 
 def test_a_session_without_a_sensor_or_without_numbers_is_refused(sheet: Camera) -> None:
-    bare = Session(folder=Path(), name="bare", stacks=())
+    bare = session_in_memory(())
     with pytest.raises(BadInput, match="needs a sensor"):
         fit_sensor(bare, Result())
     with pytest.raises(BadInput, match="at least one measurement"):

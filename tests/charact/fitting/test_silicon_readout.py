@@ -3,7 +3,6 @@ reference set 001.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,12 +12,10 @@ from charact.fitting.readout_observations import readout_observations, readout_s
 from charact.fitting.stack_levels import levels_of
 from charact.session_measurement import measure
 from charact.validation import validate
-from labdata import Conditions, Session, Target
-from labdata.camera.description import Camera
-from labdata.sensors import load_camera
-from labdata.session import LoadedStackEntry
+from labdata import Camera, Conditions, Session, Target, load_camera
 from labdata.session_import import import_emva1288
 from simulate.lab import LabBench
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 FRAMES = 16
 # A noisy read-out: DN^2, cy/px.
@@ -49,24 +46,16 @@ def session_of(camera: Camera, seed: int, *, lit: bool = True) -> Session:
         known = replace(dark, photons_per_px=photons, wavelength_nm=530.0) if photons else dark
         kept = bench.expose(kind, Target(), known, frames=FRAMES, seed=1000 * seed + index)
         stacks.append(
-            LoadedStackEntry(
+            stack_in_memory(
+                kind,
+                kept,
+                known if lit else dark,
                 label=f"{kind} {index}",
-                kind=kind,
-                frames="-",
-                folder=Path(),
-                kept=kept,
-                conditions=known if lit else dark,
                 bit_depth=camera.video.bit_depth,
             )
         )
     sheet = load_camera("machine-vision")
-    return Session(
-        folder=Path(),
-        name="s",
-        stacks=tuple(stacks),
-        camera=sheet,
-        bit_depth=camera.video.bit_depth,
-    )
+    return session_in_memory(stacks, camera=sheet, bit_depth=camera.video.bit_depth)
 
 
 def dark_of(camera: Camera, seed: int, frames: int = FRAMES) -> np.ndarray:
@@ -188,15 +177,7 @@ def basler(shared_data, tmp_path_factory) -> Session:
             frames = one.read()
             kept = replace(frames, data=frames.data[:, :240, :320])
             stacks.append(
-                LoadedStackEntry(
-                    label=one.label,
-                    kind=one.kind,
-                    frames="-",
-                    folder=Path(),
-                    kept=kept,
-                    conditions=known,
-                    bit_depth=one.bit_depth,
-                )
+                stack_in_memory(one.kind, kept, known, label=one.label, bit_depth=one.bit_depth)
             )
     return replace(session, stacks=tuple(stacks), camera=load_camera("machine-vision"))
 

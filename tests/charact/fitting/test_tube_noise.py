@@ -9,8 +9,7 @@ from charact.fitting import predicted_quantities
 from charact.fitting.prior import values_of_description
 from charact.fitting.sensor import model_of
 from charact.fitting.tube_observations import SENSITIVITY, noise_observations
-from labdata import Camera, Posterior, Result
-from labdata.measurement import measurement_from_draws
+from labdata import Camera, Posterior, Result, measurement_from_draws
 
 SIGNAL_DN = np.array([5.0, 30.0, 120.0])
 POWER_SD, VARIANCE_SD = 0.01, 0.002

@@ -2,8 +2,6 @@
 nothing shows.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -21,9 +19,8 @@ from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_darks import quiet_noise
 from charact.fitting.tube_pattern_observations import white_pattern
 from charact.fitting.tube_time_observations import Fields
-from labdata import Camera, Conditions, FrameStack, Result
-from labdata.sensors import load_camera
-from labdata.session import LoadedStackEntry
+from labdata import Camera, FrameStack, Result, load_camera
+from tests.truth.sessions import stack_in_memory
 
 FRAMES, ROWS, COLUMNS = 12, 96, 128
 GATE_S = 0.016
@@ -41,14 +38,7 @@ def level_of(
     """Return a stack of frames as the fit sees it."""
     numbers = np.arange(len(data)) if numbers is None else numbers
     stack = FrameStack(data=data, frame_number=numbers)
-    entry = LoadedStackEntry(
-        label="a",
-        kind="flat" if lux else "dark",
-        frames="-",
-        conditions=Conditions(),
-        folder=Path(),
-        kept=stack,
-    )
+    entry = stack_in_memory("flat" if lux else "dark", stack, label="a")
     return StackMean(
         label="a",
         mean_dn=float(data.mean()),

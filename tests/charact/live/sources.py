@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from charact.live.frame_source import SourceFrame
 from charact.method import Context
 from labdata.capture import Frame
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 
 def seen(
@@ -49,19 +51,11 @@ def noisy(
     return np.rint(rng.normal(mean_dn, sd_dn, shape)).astype(np.uint8)
 
 
-def edge(
-    rng: np.random.Generator, *, blur_px: float, shape=(160, 160), sd_dn: float = 2.0
-) -> NDArray:
-    """A slanted edge blurred by a Gaussian of `blur_px`: its MTF50 is sqrt(ln 2 / 2) / (pi blur_px)
-    cy/px.
-    """
-    from scipy.special import erf
-
-    rows, cols = np.indices(shape)
-    tilt = np.deg2rad(5.0)
-    distance = (cols - shape[1] / 2) * np.cos(tilt) + (rows - shape[0] / 2) * np.sin(tilt)
-    light = 40.0 + 150.0 * 0.5 * (1.0 + erf(distance / (np.sqrt(2.0) * blur_px)))
-    return np.clip(np.rint(light + rng.normal(0.0, sd_dn, shape)), 0, 255).astype(np.uint8)
+def edge(rng: np.random.Generator, *, blur_px: float, shape=(160, 160)) -> NDArray:
+    """A slanted edge blurred by a Gaussian and the pixel, with noise of 2 DN."""
+    blur, (rows, cols) = TrueBlur(sigma_px=blur_px), shape
+    scene = EdgeScene(blur=blur, rows=rows, cols=cols, snr=75.0, shot_share=0.0)
+    return scene.frames_drawn(rng).data[0].copy()
 
 
 class AtOnce(Executor):

@@ -6,6 +6,7 @@ import pytest
 from charact.live.focus import AVERAGED_FRAMES, BestFocus, Focus, FocusReader, read_focus
 from charact.method import Context
 from tests.charact.live.sources import AtOnce, edge
+from tests.truth.blur import TrueBlur
 
 CONTEXT = Context(quick=True, full_scale_dn=255.0)
 
@@ -17,8 +18,7 @@ def reading(value: float, half: float = 0.01, flags: tuple[str, ...] = ()) -> Fo
 def test_focus_is_the_mtf50_of_the_blur(seed) -> None:
     rng = np.random.default_rng(seed)
     frames = np.stack([edge(rng, blur_px=1.5) for _ in range(4)])
-    # A Gaussian's transform falls to one half there; the pixel's own aperture is not in it.
-    truth = np.sqrt(np.log(2.0) / 2.0) / (np.pi * 1.5)
+    truth = TrueBlur(sigma_px=1.5).mtf50(5.0)
     focus = read_focus(frames, None, CONTEXT)
     assert focus.mtf50_cy_per_px is not None and focus.interval95 is not None
     assert focus.interval95[0] < truth < focus.interval95[1]
@@ -40,9 +40,9 @@ def test_the_best_is_held_while_the_lens_is_turned_through_focus(seed) -> None:
                 reader.look_at(edge(rng, blur_px=blur_px, shape=(100, 100)))
                 seen += reader.newest is not None
         assert seen > 0 and reader.newest is not None and reader.best.best is not None
-        sharpest = np.sqrt(np.log(2.0) / 2.0) / (np.pi * 1.2)
+        sharpest, blurred = (TrueBlur(sigma_px=sigma).mtf50(5.0) for sigma in (1.2, 3.0))
         assert reader.best.best.mtf50_cy_per_px == pytest.approx(sharpest, rel=0.06)
-        assert reader.newest.mtf50_cy_per_px == pytest.approx(sharpest * 1.2 / 3.0, rel=0.1)
+        assert reader.newest.mtf50_cy_per_px == pytest.approx(blurred, rel=0.1)
         assert reader.best.is_reached_by(reader.newest) is False
         reader.forget_best()
         assert reader.best.best is None
@@ -92,5 +92,5 @@ def test_readings_that_share_frames_are_held_against_the_best_once(seed) -> None
         ):
             reader.look_at(edge(rng, blur_px=blur_px, shape=(100, 100)))
         assert reader.best.best is not None and reader.best.best.mtf50_cy_per_px is not None
-        blurred = np.sqrt(np.log(2.0) / 2.0) / (np.pi * 2.0)
+        blurred = TrueBlur(sigma_px=2.0).mtf50(5.0)
         assert reader.best.best.mtf50_cy_per_px == pytest.approx(blurred, rel=0.1)

@@ -9,8 +9,7 @@ import pytest
 
 import charact
 from charact.method import METHODS, register, registry
-from labdata import Result
-from labdata.measurement import measurement_from_sd
+from labdata import Result, measurement_from_sd
 
 
 @pytest.fixture

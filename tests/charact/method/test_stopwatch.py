@@ -12,8 +12,7 @@ from numba.core import event
 
 from charact.method import METHODS, Context, register, stopwatch
 from charact.method.stopwatch import Stopwatch, announce_compilation, time_text, with_timing
-from labdata import Result
-from labdata.measurement import make_measurement, make_refusal
+from labdata import Result, make_measurement, make_refusal
 
 KIND = "kind of this test"
 # What a toy works besides compiling, and how far its time may be from that on a busy machine, s.

@@ -8,7 +8,7 @@ import pytest
 from charact.estimators import mtf
 from charact.method import Context, registry
 from charact.method.registry import beyond_note, meets
-from labdata.measurement import make_measurement, make_refusal
+from labdata import make_measurement, make_refusal
 from tests.truth.bars import BarScene
 from tests.truth.edge import EdgeScene
 from tests.truth.point import PointScene

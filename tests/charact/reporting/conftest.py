@@ -2,15 +2,26 @@
 them.
 """
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from labdata import Conditions, Curve, FrameStack, Posterior, Provenance, Result, Session, Target
-from labdata.measurement import make_refusal, measurement_from_draws, measurement_from_sd
-from tests.truth.sessions import InMemoryStack
+from labdata import (
+    Conditions,
+    Curve,
+    FrameStack,
+    Posterior,
+    Provenance,
+    Result,
+    Session,
+    StackEntry,
+    Target,
+    make_refusal,
+    measurement_from_draws,
+    measurement_from_sd,
+)
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 HOSTILE = '<script>alert("edge")</script>'
 REASON = "a halo needs a point source, and the session holds none"
@@ -19,11 +30,9 @@ NOTE = "Noise is correlated and was treated as such."
 DIGEST = "ab" * 32
 
 
-def held(label: str, kind, data: np.ndarray, **fields) -> InMemoryStack:
+def held(label: str, kind, data: np.ndarray, **fields) -> StackEntry:
     """A stack in memory."""
-    return InMemoryStack(
-        label=label, kind=kind, frames="", folder=Path("."), held=FrameStack(data=data), **fields
-    )
+    return stack_in_memory(kind, FrameStack(data=data), label=label, **fields)
 
 
 def session(name: str = "day 1") -> Session:
@@ -42,9 +51,7 @@ def session(name: str = "day 1") -> Session:
             target=Target(angle_deg=5.0, region=(10, 20, 60, 80)),
         ),
     )
-    return Session(
-        folder=Path("."), name=name, stacks=stacks, bit_depth=8, interlaced=True, notes=(WIRES,)
-    )
+    return session_in_memory(stacks, name=name, bit_depth=8, interlaced=True, notes=(WIRES,))
 
 
 def posterior(

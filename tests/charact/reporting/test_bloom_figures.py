@@ -9,8 +9,7 @@ from charact.reporting import blooms
 from charact.reporting.bloom_images import add_extent_data, plot_bloom_frames, plot_bloom_map
 from charact.reporting.figure_registry import figure_of
 from charact.reporting.style import white_style
-from labdata import Posterior, Result
-from labdata.measurement import measurement_from_draws, measurement_from_sd
+from labdata import Posterior, Result, measurement_from_draws, measurement_from_sd
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_extents import truth
 from tests.truth.bloom_light import BloomScene

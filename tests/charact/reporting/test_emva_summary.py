@@ -8,8 +8,7 @@ import numpy as np
 
 from charact.reporting.emva_sheet import SHEET, emva_summary, emva_xml, in_standard_unit
 from charact.reporting.session_page import fragment
-from labdata import Result
-from labdata.measurement import make_refusal, measurement_from_sd
+from labdata import Result, make_refusal, measurement_from_sd
 
 PLAIN = {"method": "variance"}
 

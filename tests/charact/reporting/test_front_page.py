@@ -1,17 +1,16 @@
 """The first page says no more than the numbers do."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from charact.reporting.front_page import is_tube, leading, sheet, verdict
-from labdata import Measurement, Result, Session, load_sensor, result_io
-from labdata.measurement import make_refusal, measurement_from_sd
+from labdata import Measurement, Result, load_sensor, make_refusal, measurement_from_sd, result_io
+from tests.truth.sessions import session_in_memory
 
-SESSION = Session(folder=Path(), name="s", stacks=())
+SESSION = session_in_memory(())
 NOTHING = Result(measurements=(make_refusal("mtf50", "cy/px", "no edge", method="m"),))
 UNITS = {"mtf50": "cy/px", "system_gain": "DN/e-", "read_noise": "DN", "prnu": "%"}
 

@@ -5,7 +5,6 @@ the network.
 import re
 import sys
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,11 +16,18 @@ from charact.reporting.report_images import bright_region, representative
 from charact.reporting.session_page import page, write
 from charact.reporting.tables import quantity_groups
 from charact.reporting.truth import compare_with_truth
-from labdata import BadInput, Conditions, FrameStack, Posterior, Result, Session
+from labdata import (
+    BadInput,
+    Conditions,
+    FrameStack,
+    Posterior,
+    Result,
+    make_measurement,
+    measurement_from_sd,
+)
 from labdata.flags import FLAGS
-from labdata.measurement import make_measurement, measurement_from_sd
 from labdata.quantity import QUANTITIES
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 
 @pytest.fixture(scope="module")
@@ -170,17 +176,12 @@ def test_what_is_noted_of_some_stacks_of_a_series_names_them():
 def test_the_picture_of_a_kind_is_of_its_most_exposed_stack():
     def chosen(*stacks: tuple[float, Conditions]) -> str:
         held_stacks = tuple(
-            InMemoryStack(
-                label=str(number),
-                kind="flat",
-                frames="",
-                folder=Path("."),
-                conditions=conditions,
-                held=FrameStack(data=np.full((1, 4, 4), level)),
+            stack_in_memory(
+                "flat", FrameStack(data=np.full((1, 4, 4), level)), conditions, label=str(number)
             )
             for number, (level, conditions) in enumerate(stacks)
         )
-        (picture,) = representative(Session(folder=Path("."), name="a", stacks=held_stacks), ())
+        (picture,) = representative(session_in_memory(held_stacks), ())
         return picture.title
 
     lit = Conditions(illuminance_lux=1e-4, exposure_s=0.01)

@@ -3,8 +3,7 @@
 import pytest
 
 from charact.reporting.summary import rows_of_file, sparkline, summary
-from labdata import Result
-from labdata.measurement import make_refusal, measurement_from_sd
+from labdata import Result, make_refusal, measurement_from_sd
 from labdata.quantity import QUANTITIES
 
 LONG = (

@@ -14,9 +14,8 @@ from charact.validation.frame_features import Numbers, features_of
 from charact.validation.frames import MatchedFrames, MatchedStacks, simulate_frames
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_test import ParameterChange
-from labdata import Camera, Conditions, Target
+from labdata import Camera, Conditions, Target, load_camera
 from labdata.camera.parameters import Draws
-from labdata.sensors import load_camera
 from labdata.session import Kind
 from tests.charact.validation.defects import Defect, Digitiser
 

@@ -26,9 +26,9 @@ from charact.validation.thresholds import VALIDATION
 from labdata import BadInput, FrameStack, Result, Session
 from labdata.flags import FLAGS
 from labdata.session import LoadedStackEntry
-from tests.charact.fitting.specimens import draw_specimen, session_of
 from tests.charact.validation import defects
 from tests.charact.validation.defects import Digitiser, Frames
+from tests.truth.specimens import draw_specimen, session_of
 
 Put = Callable[[Frames, Digitiser, np.random.Generator], Frames]
 LIT = ("flat", "edge", "point")

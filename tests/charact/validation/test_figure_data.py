@@ -3,7 +3,6 @@ sets.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +18,9 @@ from charact.validation.figure_data import (
 )
 from charact.validation.frame_features import features_of
 from charact.validation.frames import MatchedFrames, MatchedStacks
-from labdata import Conditions, FrameStack, Session, Target
+from labdata import Conditions, FrameStack, Target
 from labdata.session import Kind
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 SHAPE, FRAMES, DRAWS = (48, 64), 8, 6
 CYCLES = 10  # of the hum over the height of a frame
@@ -170,17 +169,15 @@ def test_the_blind_pair_is_another_frame_than_the_pairs_show(
 def test_levels_of_the_point_source_span_the_dim_to_the_bright(chosen: MatchedStacks) -> None:
     light = (0.5, 8.0, 2.0, 1.0, 4.0, None, 9.0)
     stacks = tuple(
-        InMemoryStack(
+        stack_in_memory(
+            "point",
+            FrameStack(data=np.zeros((FRAMES, *SHAPE), np.uint8)),
+            Conditions(illuminance_lux=lux),
             label="source" if lux == 9.0 else f"at {lux}",
-            kind="point",
-            frames="",
-            folder=Path(),
-            held=FrameStack(data=np.zeros((FRAMES, *SHAPE), np.uint8)),
-            conditions=Conditions(illuminance_lux=lux),
         )
         for lux in light
     )
-    session = Session(folder=Path(), name="levels", stacks=stacks, bit_depth=8)
+    session = session_in_memory(stacks, bit_depth=8)
     levels, frames = point_levels(session, chosen)
     assert [shot.label for shot in levels] == ["at 0.5", "at 2.0", "at 8.0"]
     assert {data.shape[1:] for data in frames.values()} == {SHAPE}

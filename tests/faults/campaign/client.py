@@ -18,7 +18,8 @@ import numpy as np
 
 from charact.cli.prompting import PromptingOperator
 from charact.live.judge import SaturationJudge
-from drivers.acquisition.acquire import PLAN, acquire
+from drivers import acquire
+from drivers.acquisition.acquire import PLAN
 from drivers.acquisition.run_control import RunControl
 from drivers.bench.local_bench import open_bench
 from drivers.cameras.aravis.camera import AravisCamera

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labdata.sensors import load_camera
+from labdata import load_camera
 from simulate.camera.thermal_imager import ThermalImager
 from tests.truth.thermal_targets import half_moon
 

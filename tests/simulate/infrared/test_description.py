@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labdata import BadInput, load_sensor
+from labdata import BadInput, load_camera, load_sensor, save_sensor
 from labdata.camera.description import ThermalImagerFile
-from labdata.sensors import load_camera, save_sensor
 from labdata.serialiser import from_mapping
 from simulate import api
 from simulate.camera.thermal_imager import ThermalImager

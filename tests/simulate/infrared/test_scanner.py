@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from labdata import BadInput
-from labdata.sensors import load_camera
+from labdata import BadInput, load_camera
 from simulate.camera.scanner import noise_equivalent_radiance
 from simulate.camera.thermal_imager import ThermalImager
 from tests.simulate.infrared.measures import (

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import Conditions
-from labdata.sensors import load_camera
+from labdata import Conditions, load_camera
 from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     photoelectrons_from_radiance,

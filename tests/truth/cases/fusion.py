@@ -12,8 +12,7 @@ from charact.fusion.fuse import fuse
 from charact.fusion.fused import Fused
 from charact.fusion.truth_scores import fit_to_truth, restoration_errors
 from charact.method import Context, Method
-from labdata import Result
-from labdata.measurement import make_measurement
+from labdata import Result, make_measurement
 from tests.truth.cases.case import (
     Axes,
     AxisPosition,

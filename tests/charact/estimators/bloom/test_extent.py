@@ -15,6 +15,7 @@ from labdata import FrameStack, Measurement, load_sensor
 from tests.truth.bloom import bloom_session, stack
 from tests.truth.bloom_extents import truth
 from tests.truth.bloom_light import BloomScene
+from tests.truth.thrown_halos import point_frames, point_session
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
@@ -138,7 +139,7 @@ def test_smear_at_the_level_is_a_streak_to_the_border_however_thin_it_is(seed):
     assert found.area == pytest.approx((image >= 100.0).sum(), rel=0.03)
 
 
-def test_extents_of_few_codes_are_flagged(in_memory, seed):
+def test_extents_of_few_codes_are_flagged(seed):
     """Eleven codes from dark to the highest: rounding moves where the light falls through a
     level.
     """
@@ -209,7 +210,7 @@ def test_two_sources_are_told_apart(seed):
             )
 
 
-def test_a_gaussian_core_blooms_by_the_root_of_the_logarithm(in_memory, seed):
+def test_a_gaussian_core_blooms_by_the_root_of_the_logarithm(seed):
     """D = 2 s sqrt(2 ln OL) with OL the peak over the threshold (physics reference, 2.1)."""
     rng = np.random.default_rng(seed)
     rows, cols = np.indices((111, 121))
@@ -221,7 +222,7 @@ def test_a_gaussian_core_blooms_by_the_root_of_the_logarithm(in_memory, seed):
         noisy = light + rng.normal(0.0, 1.0, (4, 111, 121))
         data = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
         stacks.append((f"point-{index}", FrameStack(data=data, full_scale_dn=255.0), overload))
-    result = bloom.measure(in_memory(stacks), context=QUICK)
+    result = bloom.measure(point_session(stacks), context=QUICK)
     assert result.find("bloom_diameter", stack="point-0")[0].status == "refused"
     for index, overload in ((1, 3.0), (2, 30.0), (3, 300.0)):
         (found,) = result.find("bloom_diameter", stack=f"point-{index}")
@@ -235,13 +236,13 @@ def test_a_gaussian_core_blooms_by_the_root_of_the_logarithm(in_memory, seed):
     assert all(m.status == "refused" for m in result.find("bloom_diameter_background"))
 
 
-def test_without_darks_the_interval_holds_the_extent_that_they_give(point, in_memory, seed):
+def test_without_darks_the_interval_holds_the_extent_that_they_give(seed):
     """A level between 0 DN and what most pixels show: wider, never narrower, and no flag for what
     is merely unknown.
     """
-    frames = point(np.random.default_rng(seed), 1e5)
+    frames = point_frames(np.random.default_rng(seed), 1e5)
     (bare,), (known,) = (
-        bloom.measure(in_memory([("point", frames, 1.0)], darks=darks), context=QUICK).find(
+        bloom.measure(point_session([("point", frames, 1.0)], darks=darks), context=QUICK).find(
             "bloom_diameter"
         )
         for darks in (False, True)

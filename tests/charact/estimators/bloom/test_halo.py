@@ -9,7 +9,8 @@ from charact.estimators import bloom
 from charact.estimators.bloom.series.series_measurements import levels_apart
 from charact.method import Context
 from labdata import BadInput, FrameStack
-from tests.charact.estimators.noise.scenes import errors
+from tests.truth.counted_pulses import errors
+from tests.truth.thrown_halos import point_frames, point_session, thrown_halo
 
 QUICK = Context(seed=1, quick=True)
 LIGHTS = (1e3, 1e4, 1e5)
@@ -20,29 +21,30 @@ def halo_of(result):
     return found
 
 
-def series(point, in_memory, rng, lights=LIGHTS, **settings):
-    return in_memory(
-        [(f"point-{i}", point(rng, light, **settings), light) for i, light in enumerate(lights)]
+def series(rng, lights=LIGHTS, **settings):
+    return point_session(
+        [
+            (f"point-{i}", point_frames(rng, light, **settings), light)
+            for i, light in enumerate(lights)
+        ]
     )
 
 
 @pytest.mark.parametrize("diameter_px, elastic_share", [(30.0, 0.4), (40.0, 1.0), (40.0, 0.15)])
 def test_the_diameter_before_blur_is_found_behind_a_saturated_core(
-    point, in_memory, seed, diameter_px, elastic_share
+    seed, diameter_px, elastic_share
 ):
     rng = np.random.default_rng(seed)
-    session = series(point, in_memory, rng, diameter_px=diameter_px, elastic_share=elastic_share)
+    session = series(rng, diameter_px=diameter_px, elastic_share=elastic_share)
     halo = halo_of(bloom.measure(session, method="series-forward", context=QUICK))
     assert halo.status == "ok", (halo.flags, halo.notes, halo.interval95)
     assert abs(errors(halo, diameter_px)) < 4.5
     assert (halo.interval68[1] - halo.interval68[0]) / 2 < 0.03 * diameter_px
 
 
-def test_geometry_not_light_sets_the_diameter(point, in_memory, seed):
+def test_geometry_not_light_sets_the_diameter(seed):
     """Two decades of light: each level's own diameter agrees with the common one."""
-    session = series(
-        point, in_memory, np.random.default_rng(seed), lights=(3e3, 3e4, 3e5), frames=8
-    )
+    session = series(np.random.default_rng(seed), lights=(3e3, 3e4, 3e5), frames=8)
     result = bloom.measure(session, method="series-forward", context=QUICK)
     levels = result.evidence["halo-constancy"]
     assert len(levels["halo_diameter_px"]) >= 2
@@ -50,35 +52,35 @@ def test_geometry_not_light_sets_the_diameter(point, in_memory, seed):
         assert abs(own - levels["joint_px"]) < 4.5 * (high - low) / 3.92
 
 
-def test_a_source_without_halo_is_refused_one(point, in_memory, seed):
-    session = series(point, in_memory, np.random.default_rng(seed), halo_fraction=0.0)
+def test_a_source_without_halo_is_refused_one(seed):
+    session = series(np.random.default_rng(seed), halo_fraction=0.0)
     assert halo_of(bloom.measure(session, context=QUICK)).status == "refused"
 
 
 @pytest.mark.parametrize("kind", ["uniform", "normal", "sparse"])
-def test_pure_noise_has_neither_halo_nor_bloom(in_memory, seed, kind):
+def test_pure_noise_has_neither_halo_nor_bloom(seed, kind):
     rng = np.random.default_rng(seed)
     data = {
         "uniform": lambda: rng.integers(0, 256, (6, 110, 120)),
         "normal": lambda: np.clip(rng.normal(120, 30, (6, 110, 120)), 0, 255),
         "sparse": lambda: 12 + rng.poisson(0.02, (6, 110, 120)) * 5,
     }[kind]()
-    session = in_memory(
+    session = point_session(
         [("noise", FrameStack(data=data.astype(np.uint8), full_scale_dn=255.0), 1.0)]
     )
     for measurement in bloom.measure(session, context=QUICK).measurements:
         assert measurement.status != "ok", measurement
 
 
-def test_a_session_without_point_sources_is_bad_input(in_memory):
-    session = in_memory([("point", FrameStack(data=np.zeros((1, 8, 8), np.uint8)), 1.0)])
+def test_a_session_without_point_sources_is_bad_input():
+    session = point_session([("point", FrameStack(data=np.zeros((1, 8, 8), np.uint8)), 1.0)])
     bare = type(session)(folder=session.folder, name="bare", stacks=session.of_kind("dark"))
     with pytest.raises(BadInput, match="point"):
         bloom.measure(bare, context=QUICK)
 
 
-def test_no_electron_lands_farther_than_two_gaps(thrown, seed):
-    x, y = thrown(np.random.default_rng(seed), 100_000, 40.0, 1.0)
+def test_no_electron_lands_farther_than_two_gaps(seed):
+    x, y = thrown_halo(np.random.default_rng(seed), 100_000, 40.0, 1.0)
     radius = np.hypot(x, y)
     assert radius.max() <= 20.0 + 1e-9
     # Physics reference, 1.5: the rim is four times as dense as the middle.

@@ -2,8 +2,6 @@
 saturated and not.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,9 +10,9 @@ from charact.estimators.bloom.lit_edge_halo import measure_lit_edge
 from charact.estimators.bloom.lit_edge_profile import edge_line
 from charact.method import Context
 from labdata import BadInput, Conditions, FrameStack, Session
-from tests.charact.estimators.noise.scenes import errors
 from tests.truth.bloom_light import BloomScene, radial_light
-from tests.truth.sessions import InMemoryStack
+from tests.truth.counted_pulses import errors
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 QUICK = Context(seed=1, quick=True, full_scale_dn=255.0)
 SCENE = BloomScene(rows=150, cols=200)
@@ -58,18 +56,16 @@ def session_of(levels, world, rng, scene=SCENE, *, turned=False, frames=4) -> Se
         data = np.clip(np.rint(data), 0, 255).astype(np.uint8)
         data = np.swapaxes(data, 1, 2)[:, ::-1] if turned else data
         entries.append(
-            InMemoryStack(
+            stack_in_memory(
+                "edge",
+                FrameStack(data=data, full_scale_dn=255.0),
+                Conditions(illuminance_lux=1e-6 * level),
                 label=f"edge-{number}",
-                kind="edge",
-                frames="",
-                folder=Path("."),
-                conditions=Conditions(illuminance_lux=1e-6 * level),
-                held=FrameStack(data=data, full_scale_dn=255.0),
             )
         )
     dark = FrameStack(data=np.full((2, 8, 8), 12, np.uint8), full_scale_dn=255.0)
-    entries.append(InMemoryStack(label="dark", kind="dark", frames="", folder=Path("."), held=dark))
-    return Session(folder=Path("."), name="edges", stacks=tuple(entries))
+    entries.append(stack_in_memory("dark", dark))
+    return session_in_memory(entries)
 
 
 def found_of(session, context=QUICK):
@@ -133,4 +129,4 @@ def test_bloom_takes_the_edge_where_there_is_no_point(seed):
     session = session_of((150.0, 3000.0), half_plane, np.random.default_rng(seed))
     assert bloom.measure(session, context=QUICK).find("halo_diameter")[0].method == "lit-edge"
     with pytest.raises(BadInput, match="edge"):
-        measure_lit_edge(Session(folder=Path("."), name="none", stacks=()), context=QUICK)
+        measure_lit_edge(session_in_memory(()), context=QUICK)

@@ -19,9 +19,10 @@ from charact.estimators.bloom.transfer import frequencies, onto_nodes
 from charact.method import Context
 from charact.method.registry import methods_of_kind
 from charact.transfer import spreads
-from tests.charact.estimators.noise.scenes import errors
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_light import BloomScene
+from tests.truth.counted_pulses import errors
+from tests.truth.thrown_halos import thrown_halo
 
 QUICK = Context(seed=1, quick=True)
 TWO_DECADES = tuple(np.geomspace(0.5, 5e4, 7))
@@ -60,10 +61,10 @@ def test_a_moffat_wing_is_itself_to_the_last_ring(rings, exponent):
     np.testing.assert_allclose(light, exact, rtol=2e-3, atol=1e-6 * exact[0])
 
 
-def test_the_disc_is_where_thrown_electrons_land(rings, thrown, seed):
+def test_the_disc_is_where_thrown_electrons_land(rings, seed):
     rng = np.random.default_rng(seed)
     for share in (0.0, 0.3, 1.0):
-        x, y = thrown(rng, 400_000, 40.0, share)
+        x, y = thrown_halo(rng, 400_000, 40.0, share)
         radius = np.hypot(
             x + 1.2 * rng.standard_normal(len(x)), y + 1.2 * rng.standard_normal(len(y))
         )

@@ -12,7 +12,7 @@ from charact.method import Context
 from labdata import FrameStack
 from tests.truth.bloom import bloom_session, noiseless_frame
 from tests.truth.bloom_light import BloomScene
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import stack_in_memory
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = (0.7, 10.0, 300.0, 1e4)
@@ -97,13 +97,8 @@ def going_out(rng, decay_s, *, frames=24, lit=8, phase=0.4, stamps=True) -> Any:
     data = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
     held = FrameStack(data=data, time_s=times if stamps else np.empty(0), full_scale_dn=255.0)
     entry: Any = faint.stack("point-0")
-    bright = InMemoryStack(
-        label="fading",
-        kind="point",
-        frames="",
-        folder=entry.folder,
-        held=held,
-        conditions=replace(entry.conditions, illuminance_lux=4e-5),
+    bright = stack_in_memory(
+        "point", held, replace(entry.conditions, illuminance_lux=4e-5), label="fading"
     )
     series = replace(faint, stacks=(*faint.stacks, bright))
     return check_consistency(series, read_point_stacks(series, context=QUICK), QUICK, method="test")

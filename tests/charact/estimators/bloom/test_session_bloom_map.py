@@ -8,8 +8,14 @@ import pytest
 from charact.estimators.bloom.bloom_map import map_of, spread_from
 from charact.method import Context
 from charact.reporting.bloom_images import write_bloom_map
-from labdata import BadInput, Posterior, Result
-from labdata.measurement import make_refusal, measurement_from_draws, measurement_from_sd
+from labdata import (
+    BadInput,
+    Posterior,
+    Result,
+    make_refusal,
+    measurement_from_draws,
+    measurement_from_sd,
+)
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_light import BloomScene
 

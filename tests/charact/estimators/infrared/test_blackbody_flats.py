@@ -8,9 +8,8 @@ import pytest
 import charact
 from charact.estimators import noise
 from charact.session_measurement import measure_noise, method_context
-from labdata import BadInput
-from labdata.sensors import load_camera
-from tests.charact.estimators.infrared.cameras import NOISE_K, Camera, blackbody_session
+from labdata import BadInput, load_camera
+from tests.truth.infrared import NOISE_K, Camera, blackbody_session
 
 LEVELS = (17.0, 20.0, 22.0, 25.0, 28.0)
 SMALL = (16, 48, 48)

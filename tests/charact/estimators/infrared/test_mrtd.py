@@ -9,9 +9,8 @@ from charact.estimators.infrared.mrtd import FOUR_BARS, mrtd
 from charact.estimators.infrared.scan_directions import scan_directions
 from charact.method import Context
 from charact.session_measurement import measure
-from labdata import FrameStack, Target
-from labdata.sensors import load_camera
-from tests.charact.estimators.infrared.cameras import (
+from labdata import FrameStack, Target, load_camera
+from tests.truth.infrared import (
     NOISE_K,
     Camera,
     blackbody_session,

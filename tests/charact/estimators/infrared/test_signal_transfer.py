@@ -7,7 +7,7 @@ from scipy.special import chdtrc
 from charact.estimators.infrared.signal_transfer import Response, fit_signal_transfer
 from charact.estimators.infrared.thresholds import INFRARED
 from labdata import BadInput
-from tests.charact.estimators.infrared.cameras import Camera, band_radiance
+from tests.truth.infrared import Camera, band_radiance
 
 PHOTON_J_UM = 6.62607015e-34 * 2.99792458e8 * 1e6
 # T (K), band (um): L, dL/dT, photon radiance by quadrature and by series, CODATA 2018.

@@ -12,9 +12,9 @@ from charact.estimators import mtf
 from charact.estimators.mtf.edge.checks import edge_flags
 from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.method import Context
-from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
+from tests.truth.photoelectron_targets import PulseEdge
 
 QUICK = Context(quick=True)
 EDGE = EdgeScene(frames=8, snr=25.0, rows=90, cols=90)

@@ -11,10 +11,10 @@ from charact.estimators.mtf.target_motion import TargetMotion, measure_target_mo
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.method import Context
 from labdata import FrameStack
-from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
 from tests.truth.bars import BarScene
 from tests.truth.blur import TrueBlur, level_crossing
 from tests.truth.edge import EdgeScene
+from tests.truth.photoelectron_targets import PulseEdge
 from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)

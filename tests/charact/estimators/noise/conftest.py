@@ -1,11 +1,11 @@
-"""The cameras and sessions of `scenes` as fixtures."""
+"""The cameras and sessions of `counted_pulses` as fixtures."""
 
 from collections.abc import Callable
 
 import pytest
 
 from labdata import Session
-from tests.charact.estimators.noise.scenes import Pulses, flat_series, memory_of, session_of
+from tests.truth.counted_pulses import Pulses, flat_series, memory_of, session_of
 
 
 @pytest.fixture(scope="session")

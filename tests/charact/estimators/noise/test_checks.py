@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators import noise
 from labdata import BadInput, Conditions, FrameStack
-from tests.charact.estimators.noise.scenes import METHODS, QUICK, errors, gaussian
+from tests.truth.counted_pulses import METHODS, QUICK, errors, gaussian
 
 LEVELS = (5.0, 15.0, 30.0)
 SMALL = (96, 128)

@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators import noise
 from charact.method import Context
-from tests.charact.estimators.noise.scenes import QUICK, errors, gaussian, one
+from tests.truth.counted_pulses import QUICK, errors, gaussian, one
 
 
 def gaussian_power(sigma_px: float) -> float:

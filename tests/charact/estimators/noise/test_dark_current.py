@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators import noise
 from labdata import Conditions, FrameStack
-from tests.charact.estimators.noise.scenes import QUICK, errors
+from tests.truth.counted_pulses import QUICK, errors
 
 GAIN_DN = 0.5
 CURRENT_E_PER_S = 40.0

@@ -8,7 +8,7 @@ import pytest
 from charact.estimators import noise
 from charact.method import Context
 from labdata import Conditions, FrameStack
-from tests.charact.estimators.noise.scenes import QUICK, gaussian
+from tests.truth.counted_pulses import QUICK, gaussian
 
 HOT = ((3, 5), (40, 77), (95, 127))
 DEAD = ((10, 10), (60, 3))

@@ -17,7 +17,7 @@ from charact.estimators.noise.events.event_measurements import measure_events, p
 from charact.estimators.noise.events.frames import Filter, boxes
 from charact.estimators.noise.gain.series import read_levels
 from labdata import Conditions
-from tests.charact.estimators.noise.scenes import QUICK, one
+from tests.truth.counted_pulses import QUICK, one
 
 # What a scene of these holds can be told to a few percent; cheap enough for a test run.
 BRIGHT = DarkScene(height_dn=150.0)

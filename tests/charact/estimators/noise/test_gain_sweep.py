@@ -14,7 +14,7 @@ from charact.estimators.noise.sweep.settings import KNOBS, Sweep
 from charact.estimators.noise.sweep.sweep import measure_sweep
 from charact.method import Context
 from labdata import Conditions
-from tests.charact.estimators.noise.scenes import QUICK, gaussian, one
+from tests.truth.counted_pulses import QUICK, gaussian, one
 
 VOLTS, LIGHTS = (600.0, 675.0, 750.0, 850.0), (3.0, 10.0, 30.0)
 GAIN_DN, EXPONENT, READ_DN, ELECTRON_DN, DARK_PE = 20.0, 10.0, 2.0, 0.05, 0.02

@@ -14,7 +14,7 @@ from charact.estimators.noise.gain.single_setting import fit_single_setting
 from charact.frames.spectrum import bins_of
 from charact.frames.temporal import autocovariance, centring, usable_lags
 from charact.method import Context
-from tests.charact.estimators.noise.scenes import gaussian
+from tests.truth.counted_pulses import gaussian
 
 
 def order(frames: int, fields: int):

@@ -21,7 +21,7 @@ from charact.estimators.noise.snr_against_light import (
 from charact.frames.rounding import rounding_sd
 from charact.frames.stack_statistics import SIDE_PX
 from labdata import Conditions, Measurement
-from tests.charact.estimators.noise.scenes import QUICK, errors, gaussian
+from tests.truth.counted_pulses import QUICK, errors, gaussian
 
 LUX_PER_PE = 1e-6
 

@@ -8,7 +8,7 @@ import pytest
 from charact.estimators import noise
 from charact.method import Context
 from labdata import BadInput, Conditions, FrameStack
-from tests.charact.estimators.noise.scenes import METHODS, QUICK
+from tests.truth.counted_pulses import METHODS, QUICK
 
 LEVELS = (100.0, 300.0, 600.0)
 PLAIN = Conditions()

@@ -10,7 +10,7 @@ from charact.frames.frame_block import measure_fixed_pattern
 from charact.frames.pixels import pixel_sums
 from charact.frames.spectrum import NO_BINS
 from charact.frames.temporal import order_of
-from tests.charact.estimators.noise.scenes import METHODS, QUICK, gaussian
+from tests.truth.counted_pulses import METHODS, QUICK, gaussian
 
 
 def pattern_of(image):

@@ -16,7 +16,7 @@ from charact.estimators.noise.gain.series import read_levels, series_of
 from charact.estimators.noise.gain.single_setting import fit_single_setting
 from charact.estimators.noise.predictive_check import LightNoise
 from labdata import FrameStack
-from tests.charact.estimators.noise.scenes import QUICK, gaussian
+from tests.truth.counted_pulses import QUICK, gaussian
 
 LEVELS = (1.0, 4.0, 12.0, 36.0)
 SHAPE = 112, 112

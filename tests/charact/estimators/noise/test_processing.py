@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators import noise
 from labdata import Conditions, FrameStack
-from tests.charact.estimators.noise.scenes import METHODS, QUICK, gaussian
+from tests.truth.counted_pulses import METHODS, QUICK, gaussian
 
 # Electrons, and the light that brings them.
 LEVELS = (400.0, 1000.0, 2500.0, 6000.0, 12000.0)

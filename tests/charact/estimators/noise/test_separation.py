@@ -20,9 +20,8 @@ from charact.estimators.noise.illumination import (
     photoelectrons_per_photon,
 )
 from charact.method import Context
-from labdata import Conditions, Result, load_sensor
-from labdata.measurement import measurement_from_draws
-from tests.charact.estimators.noise.scenes import errors, gaussian, one
+from labdata import Conditions, Result, load_sensor, measurement_from_draws
+from tests.truth.counted_pulses import errors, gaussian, one
 
 ELECTRON_C = 1.602176634e-19
 SECONDS = 0.016

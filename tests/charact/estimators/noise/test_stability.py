@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import noise
-from tests.charact.estimators.noise.scenes import METHODS, QUICK, gaussian
+from tests.truth.counted_pulses import METHODS, QUICK, gaussian
 
 SESSIONS = 8
 # A silent failure is this many standard errors and this share away from the truth.

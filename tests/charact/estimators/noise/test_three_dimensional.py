@@ -12,7 +12,7 @@ from charact.estimators import noise
 from charact.frames.components import components, contrasts
 from charact.method import Context
 from labdata import Conditions, FrameStack
-from tests.charact.estimators.noise.scenes import QUICK
+from tests.truth.counted_pulses import QUICK
 
 NAMES = ("t", "v", "h", "tv", "th", "vh", "tvh")
 CUBES = 40

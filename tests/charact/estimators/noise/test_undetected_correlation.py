@@ -15,7 +15,7 @@ from charact.frames.pixels import (
 from charact.frames.spectrum import NO_BINS
 from charact.frames.temporal import order_of
 from labdata import FrameStack
-from tests.charact.estimators.noise.scenes import METHODS, QUICK, errors, one
+from tests.truth.counted_pulses import METHODS, QUICK, errors, one
 
 ELECTRONS = (400.0, 1500.0, 4000.0)
 

@@ -10,8 +10,7 @@ import pytest
 from charact.estimators.tube import add_resolution
 from charact.estimators.tube.resolution import contrast_threshold, highest_resolved
 from charact.method import Context
-from labdata import Conditions, Curve, Result, load_sensor
-from labdata.measurement import measurement_from_sd
+from labdata import Conditions, Curve, Result, load_sensor, measurement_from_sd
 
 ELECTRON_C = 1.602176634e-19
 FREQUENCY = np.linspace(0.0, 0.5, 101)

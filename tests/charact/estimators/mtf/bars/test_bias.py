@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from bar_frames import STEP_DN, frames_of, gaussian, strip, tube
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.bar_image_model import BarLikelihood, initial_parameters
 from charact.estimators.mtf.bars.detection import strip_of
 from charact.estimators.mtf.bars.fit import BarFit, fit_bars, mtf_bias
 from charact.estimators.mtf.bars.noise import BarWindowNoise
+from tests.truth.long_bars import STEP_DN, frames_of, gaussian, strip, tube
 
 PAIRS, ANGLE_DEG, PHASE_PX = 80, 3.0, 0.2
 Fits = Callable[[NDArray, dict[str, float] | None], tuple[BarFit, BarLikelihood]]

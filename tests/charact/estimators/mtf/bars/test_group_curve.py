@@ -4,16 +4,15 @@ where they can.
 
 import numpy as np
 import pytest
-from bar_frames import frames_of, gaussian, mtf_of, strip
-from charts import BarChart, Bars, noisy
 from scipy.special import sici
-from test_strip import read
 
 from charact.estimators import mtf
 from charact.estimators.mtf.bars.group_curve import fit_group_curve, frame_curves, session_curves
 from charact.method import Context
-from labdata import BadInput, FrameStack, Measurement, Result, load_sensor
-from labdata.measurement import measurement_from_sd
+from labdata import BadInput, FrameStack, Measurement, Result, load_sensor, measurement_from_sd
+from tests.charact.estimators.mtf.bars.test_strip import read
+from tests.truth.charts import BarChart, Bars, noisy
+from tests.truth.long_bars import frames_of, gaussian, mtf_of, strip
 
 QUICK = Context(seed=1, quick=True)
 CAMERA = load_sensor("pulnix-ag5745ef3")

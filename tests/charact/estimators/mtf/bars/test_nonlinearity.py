@@ -12,9 +12,9 @@ from charact.estimators.mtf.bars import bar_measurement, nonlinearity
 from charact.estimators.mtf.bars.nonlinearity import BarNonlinearity, linearise_mtf_draws
 from charact.method import Context
 from labdata import FrameStack
-from tests.charact.estimators.mtf.bars.photoelectron_bars import PulsedBars
 from tests.truth.bars import BarScene
 from tests.truth.blur import TrueBlur
+from tests.truth.photoelectron_targets import PulsedBars
 
 FINE = PulsedBars(
     blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3),

@@ -7,9 +7,9 @@ import pytest
 
 from charact.estimators.mtf import measure
 from charact.method import Context
-from tests.charact.estimators.mtf.bars.photoelectron_bars import PulsedBars
 from tests.truth.bars import BarScene
 from tests.truth.blur import TrueBlur
+from tests.truth.photoelectron_targets import PulsedBars
 
 BRIGHT = {
     "photoelectrons": 1e5,

@@ -4,11 +4,11 @@ every pose.
 
 import numpy as np
 import pytest
-from bar_frames import frames_of, gaussian, mtf_of, strip, tube
 
 from benchmarks.studies.harness import CaseTimer
 from charact.estimators.mtf import measure
 from charact.method import Context
+from tests.truth.long_bars import frames_of, gaussian, mtf_of, strip, tube
 
 CORES = {
     "gaussian 0.8 px": gaussian(0.8),
@@ -139,7 +139,7 @@ def test_a_fundamental_under_the_noise_is_an_upper_limit(seed) -> None:
 def test_one_wide_bar_is_never_four_narrow_ones(seed) -> None:
     rng = np.random.default_rng(seed)
     for frequency in (0.1, 0.2):
-        wide = strip(gaussian(0.8), 0.5 * frequency / 4.0, 3.0, 0.2, bars=1, reach=24)
+        wide = strip(gaussian(0.8), 0.5 * frequency / 4.0, 3.0, 0.2, bars=1, ground_px=24)
         assert read(frames_of(wide, rng, snr=30.0), frequency).status != "ok"
 
 

@@ -22,7 +22,7 @@ from charact.estimators.mtf.known_transfer import known_transfer
 from charact.method import Context
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.extended import DiscComponent, ScatterComponent, UnresolvedGlareComponent
-from labdata.measurement import measurement_from_draws
+from labdata import measurement_from_draws
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
 

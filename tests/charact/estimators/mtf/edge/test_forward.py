@@ -4,13 +4,13 @@ told.
 
 from dataclasses import replace
 
-import edges
 import numpy as np
 import pytest
 
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import FrameStack, Result
+from tests.truth import gaussian_edges as edges
 from tests.truth.cases.edge import chart_cases
 
 QUICK = Context(quick=True)

@@ -2,7 +2,6 @@
 noise.
 """
 
-import edges
 import numpy as np
 import pytest
 
@@ -11,6 +10,7 @@ from benchmarks.studies.edge_peers import answers
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import FrameStack
+from tests.truth import gaussian_edges as edges
 
 QUICK = Context(quick=True)
 

@@ -2,7 +2,6 @@
 of them.
 """
 
-import edges
 import numpy as np
 import pytest
 
@@ -13,6 +12,7 @@ from charact.estimators.mtf.edge.pixels.profile import with_shading
 from charact.estimators.mtf.edge.thresholds import ACCURACY
 from charact.method import Context
 from labdata import FrameStack
+from tests.truth import gaussian_edges as edges
 
 QUICK = Context(quick=True)
 

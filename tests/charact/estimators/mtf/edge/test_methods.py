@@ -4,7 +4,6 @@ honest intervals.
 
 from dataclasses import replace
 
-import edges
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from charact.estimators.mtf.edge import parametric as edge_parametric
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.method import Context
 from labdata import FrameStack
+from tests.truth import gaussian_edges as edges
 
 QUICK = Context(quick=True)
 

@@ -14,9 +14,9 @@ from charact.estimators.mtf.edge.pixels.plateau_noise import (
 from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR
 from charact.method import Context
-from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
+from tests.truth.photoelectron_targets import PulseEdge
 
 STRAIGHT = EdgeScene(
     blur=TrueBlur(sigma_px=1.0),

@@ -11,9 +11,9 @@ from benchmarks.studies.consistency_scenes import TrueCameraChain
 from charact.estimators import mtf
 from charact.estimators.mtf.edge.checks import _has_bow
 from charact.method import Context
-from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import edge_spread
+from tests.truth.photoelectron_targets import PulseEdge
 
 SCENE = PulseEdge(
     blur=TrueBlur(form="exponential", frequency_cy_per_px=0.3, exponent=1.3),

@@ -10,9 +10,9 @@ import pytest
 from charact.estimators import mtf
 from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.method import Context
-from tests.charact.estimators.mtf.edge.photoelectron_edges import PulseEdge
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
+from tests.truth.photoelectron_targets import PulseEdge
 
 QUICK = Context(quick=True)
 ROUGH = EdgeScene(blur=TrueBlur(sigma_px=1.3), frames=4, snr=25.0, roughness_px=0.7)

@@ -2,13 +2,13 @@
 `test_burns` has a real one.
 """
 
-import edges
 import numpy as np
 import pytest
 
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import FrameStack
+from tests.truth import gaussian_edges as edges
 
 
 def measured(stack):

@@ -13,8 +13,8 @@ from charact.estimators.mtf.point.nonlinearity import fit_nonlinearity, power_lo
 from charact.estimators.mtf.point.parametric import point_parametric
 from charact.estimators.mtf.point.thresholds import ACCURACY
 from charact.method import Context
-from tests.charact.estimators.mtf.point.photon_spots import Spot, SpotCamera
 from tests.truth.blur import TrueBlur
+from tests.truth.photon_spots import Spot, SpotCamera
 from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)

@@ -23,8 +23,8 @@ from charact.estimators.mtf.point.spot_image_matrix import FREQUENCIES, Aperture
 from charact.inference import importance_sample, sampling
 from charact.method import Context
 from labdata import BadInput, FrameStack
-from tests.charact.estimators.mtf.point.photon_spots import Spot, SpotCamera
 from tests.truth.blur import TrueBlur
+from tests.truth.photon_spots import Spot, SpotCamera
 from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)

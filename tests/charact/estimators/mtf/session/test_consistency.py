@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from charact.estimators.mtf.session.consistency import mtf_consistency
-from labdata import Curve, Result
-from labdata.measurement import measurement_from_sd
+from labdata import Curve, Result, measurement_from_sd
 
 FREQUENCIES = (0.08, 0.15, 0.25)
 KINDS = {"a": "edge", "b1": "bars", "b2": "bars", "b3": "bars", "p": "point"}

@@ -17,8 +17,17 @@ from charact.estimators.mtf.session.constraints import constraints_from
 from charact.estimators.mtf.session.joint import fit_joint_mtf
 from charact.fitting.mtf_observations import mtf_observations
 from charact.method import Context
-from labdata import Camera, Conditions, Curve, Result, Session, StackEntry, load_sensor
-from labdata.measurement import measurement_from_draws, measurement_from_sd
+from labdata import (
+    Camera,
+    Conditions,
+    Curve,
+    Result,
+    StackEntry,
+    load_sensor,
+    measurement_from_draws,
+    measurement_from_sd,
+)
+from tests.truth.sessions import session_in_memory
 
 QUICK = Context(seed=1, quick=True)
 KINDS = {"e": "edge", "b1": "bars", "b2": "bars", "b3": "bars", "p": "point"}
@@ -271,7 +280,7 @@ def test_the_curve_through_the_bars_is_taken_for_no_further_target(seed: int) ->
         StackEntry(label=label, kind=kind, frames="", folder=Path())
         for label, kind in KINDS.items()
     )
-    held = Session(folder=Path(), name="s", stacks=entries)
+    held = session_in_memory(entries)
     sensor = load_sensor("pulnix-ag5745ef3")
 
     def said(result: Result) -> str:

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_mtf_budget import cascade
 
 from charact.estimators.mtf.curve import REPORTED, curve_of
 from charact.estimators.mtf.session.mtf_budget import EVIDENCE, add_mtf_budget
 from charact.method import Context
-from labdata import Curve, Result, load_sensor
-from labdata.measurement import measurement_from_sd
+from labdata import Curve, Result, load_sensor, measurement_from_sd
+from tests.charact.estimators.mtf.session.test_mtf_budget import cascade
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 CONTEXT = Context(seed=1, quick=True, camera=SENSOR, interlaced=True)

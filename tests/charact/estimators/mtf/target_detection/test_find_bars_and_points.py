@@ -4,7 +4,6 @@ from them.
 
 import numpy as np
 import pytest
-from charts import BarChart, Bars, noisy
 
 from charact.estimators import mtf
 from charact.estimators.mtf.point import source
@@ -12,6 +11,7 @@ from charact.estimators.mtf.target_detection import find_bar_groups, find_pinhol
 from charact.method import Context
 from labdata import BadInput
 from tests.truth.blur import TrueBlur
+from tests.truth.charts import BarChart, Bars, noisy
 from tests.truth.edge import edge_spread
 from tests.truth.point import PointScene
 

@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 import pytest
-from charts import BarChart, Bars, TiltedSquares, noisy
 from scipy.ndimage import gaussian_filter
 
 from charact.estimators import mtf
@@ -14,6 +13,7 @@ from charact.estimators.mtf.target_detection import DetectedEdge, find_edges
 from charact.method import Context
 from labdata import FrameStack
 from tests.truth.blur import TrueBlur
+from tests.truth.charts import BarChart, Bars, TiltedSquares, noisy
 from tests.truth.edge import EdgeScene
 
 CHART = TiltedSquares()

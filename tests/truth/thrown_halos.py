@@ -2,13 +2,10 @@
 formula of ours.
 """
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 
 from labdata import Conditions, FrameStack, Session
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 DARK_DN = 12.0
 FULL_SCALE_DN = 255.0
@@ -48,8 +45,8 @@ def point_frames(
     for _ in range(frames):
         bounced = rng.poisson(electrons * halo_fraction)
         x, y = thrown_halo(rng, bounced, diameter_px, elastic_share)
-        straight = rng.poisson(electrons * (1 - halo_fraction))
-        x, y = np.concatenate([x, np.zeros(straight)]), np.concatenate([y, np.zeros(straight)])
+        direct = rng.poisson(electrons * (1 - halo_fraction))
+        x, y = np.concatenate([x, np.zeros(direct)]), np.concatenate([y, np.zeros(direct)])
         # Half of the blur moves single electrons, half spreads whole pulses.
         x += core_px * np.sqrt(0.5) * rng.standard_normal(len(x)) + 0.3
         y += core_px * np.sqrt(0.5) * rng.standard_normal(len(y)) - 0.2
@@ -64,17 +61,10 @@ def point_frames(
     return FrameStack(data=data, full_scale_dn=FULL_SCALE_DN)
 
 
-def session_of(stacks: list[tuple[str, FrameStack, float]], *, darks: bool = True) -> Session:
+def point_session(stacks: list[tuple[str, FrameStack, float]], *, darks: bool = True) -> Session:
     """A session of point stacks in memory, with a dark one."""
-    held = [
-        InMemoryStack(
-            label=label,
-            kind="point",
-            frames=label,
-            conditions=Conditions(illuminance_lux=light),
-            folder=Path("."),
-            held=frames,
-        )
+    entries = [
+        stack_in_memory("point", frames, Conditions(illuminance_lux=light), label=label)
         for label, frames, light in stacks
     ]
     if darks:
@@ -82,29 +72,5 @@ def session_of(stacks: list[tuple[str, FrameStack, float]], *, darks: bool = Tru
         dark = FrameStack(
             data=np.full((2, *shape), int(DARK_DN), np.uint8), full_scale_dn=FULL_SCALE_DN
         )
-        held.append(
-            InMemoryStack(
-                label="dark",
-                kind="dark",
-                frames="dark",
-                conditions=Conditions(),
-                folder=Path("."),
-                held=dark,
-            )
-        )
-    return Session(folder=Path("."), name="in memory", stacks=tuple(held))
-
-
-@pytest.fixture(scope="session")
-def point():
-    return point_frames
-
-
-@pytest.fixture(scope="session")
-def in_memory():
-    return session_of
-
-
-@pytest.fixture(scope="session")
-def thrown():
-    return thrown_halo
+        entries.append(stack_in_memory("dark", dark))
+    return session_in_memory(entries)

@@ -41,7 +41,7 @@ def strip(
     *,
     bars: int = 4,
     rows: int = 20,
-    reach: int = 16,
+    ground_px: int = 16,
 ) -> NDArray[np.float64]:
     """Rows across N bars that run through them, sampled at whole pixels, 1 on a wide bar, shape
     (row, col).
@@ -49,7 +49,7 @@ def strip(
     O(v) = w sinc(v w) sin(pi N v P) / sin(pi v P), w = P/2; the pixel's sincs make each sample its
     pixel's mean.
     """
-    cols = int(np.ceil(bars / frequency)) + 2 * reach
+    cols = int(np.ceil(bars / frequency)) + 2 * ground_px
     v = np.arange(3 * PERIOD_PX) / PERIOD_PX
     angle, width = np.deg2rad(angle_deg), 0.5 / frequency
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,12 +1,11 @@
 """Infrared cameras drawn here: band radiance by series, 3-D noise of seven terms, sampled edges."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from labdata import Conditions, FrameStack, Session, Target
-from labdata.session import LoadedStackEntry
+from labdata import Conditions, FrameStack, Target
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 AXES = {
     "t": (1, 0, 0),
@@ -81,19 +80,15 @@ class Camera:
         )
 
     def _part(self, rng, name, shape):
-        own = [n if axis else 1 for n, axis in zip(shape, AXES.get(name, (1, 1, 1)), strict=True)]
-        return self.sitf_dn_per_k * self.noise_k[name] * rng.standard_normal(own)
+        part_shape = [
+            n if axis else 1 for n, axis in zip(shape, AXES.get(name, (1, 1, 1)), strict=True)
+        ]
+        return self.sitf_dn_per_k * self.noise_k[name] * rng.standard_normal(part_shape)
 
 
 def entry(label, kind, stack, *, target=None, **conditions):
-    return LoadedStackEntry(
-        label=label,
-        kind=kind,
-        frames=label,
-        conditions=Conditions(**conditions),
-        target=target or Target(),
-        folder=Path("."),
-        kept=stack,
+    return stack_in_memory(
+        kind, stack, Conditions(**conditions), label=label, target=target or Target()
     )
 
 
@@ -112,13 +107,7 @@ def blackbody_session(
         stacks.append(
             entry(f"bb-{number}", "flat", stack, blackbody_c=blackbody_c, background_c=background_c)
         )
-    return Session(
-        folder=Path("."),
-        name="in memory",
-        stacks=(*stacks, *more),
-        camera=imager,
-        bit_depth=camera.bits,
-    )
+    return session_in_memory((*stacks, *more), camera=imager, bit_depth=camera.bits)
 
 
 def edge_frames(camera, rng, pattern, *, blur_px, angle_deg=5.0, contrast_k=8.0, frames=None):

@@ -9,7 +9,7 @@ measured.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata import BadInput, FrameStack
-from tests.truth.blur import TrueBlur
+from tests.truth.bars import spectrum_of_bars
+from tests.truth.blur import TrueBlur, level_crossing
 from tests.truth.camera_effects import boost, correlate_noise, sharpen_images
+from tests.truth.edge import distance_across, edge_spread
 
 Array = NDArray[np.floating]
 
@@ -180,17 +182,17 @@ class PhotoelectronTarget(ABC):
         own.
         """
         fields = 2 if self.interlaced or self.motion_px else 1
-        moved = self.drift_px * np.linspace(
+        displaced = self.drift_px * np.linspace(
             -0.5, 0.5, self.frames
         ) + self.jitter_px * rng.standard_normal(self.frames)
-        places = [
+        positions = [
             frame + number * self.motion_px
-            for frame in [moved[0], *moved]
+            for frame in [displaced[0], *displaced]
             for number in range(fields)
         ]
         # A target at rest has one mean for all exposures.
-        means = {place: self._mean(place) for place in set(places)}
-        shots = [self._exposure(means[place], rng) for place in places[fields - 1 :]]
+        means = {position: self._mean(position) for position in set(positions)}
+        shots = [self._exposure(means[position], rng) for position in positions[fields - 1 :]]
         lagged = [(1 - self.lag) * new + self.lag * old for old, new in pairwise(shots)]
         if fields == 1:
             return lagged
@@ -268,3 +270,105 @@ class PhotoelectronTarget(ABC):
 def _fine_places(size: int) -> Array:
     """Places along one axis of the fine grid, margins included, px off the middle of the frame."""
     return np.arange(FINER * (size + 2 * MARGIN_PX)) / FINER - MARGIN_PX - (size - 1) / 2
+
+
+@dataclass(frozen=True)
+class _BeforePixel:
+    """A blur without the pixel, usable where an edge's spread is asked for."""
+
+    blur: TrueBlur
+
+    def mtf(self, frequency_cy_per_px: Array, angle_deg: float) -> Array:
+        """MTF at frequencies, the same in any direction."""
+        return self.blur.before_pixel(frequency_cy_per_px)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PulseEdge(PhotoelectronTarget):
+    """A blurred step before an intensified camera.
+
+    Parameters
+    ----------
+    offset_px
+        Where the edge passes the middle of the frame, px along the normal.
+    sagitta_px
+        Bow of the edge over its length, px.
+    """
+
+    offset_px: float = 0.0
+    sagitta_px: float = 0.0
+
+    @property
+    def truth_mtf50(self) -> float:
+        """MTF50 along the edge's normal of the camera at rest, cycles per pixel."""
+        return level_crossing(self.mtf, 0.5)
+
+    def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
+        distance = distance_across(
+            row,
+            col,
+            (self.rows, self.cols),
+            angle_deg=self.angle_deg,
+            moved_px=moved_px,
+            sagitta_px=self.sagitta_px,
+        )
+        distance = distance - self.offset_px
+        spread: Any = edge_spread(_BeforePixel(self.blur), distance, self.angle_deg)  # pyright: ignore[reportArgumentType]
+        return spread
+
+
+@dataclass(frozen=True, kw_only=True)
+class PulsedBars(PhotoelectronTarget):
+    """Bright bars before an intensified camera; the ground around them is the dark side.
+
+    Parameters
+    ----------
+    bars, frequency_cy_per_px
+        Number of bars, and their frequency across them.
+    row_px, col_px
+        Where the target's middle stands off the middle of the frame, px.
+    """
+
+    bars: int = 4
+    frequency_cy_per_px: float = 0.12
+    row_px: float = 0.0
+    col_px: float = 0.0
+
+    @property
+    def truth_mtf(self) -> float:
+        """MTF at the bars' frequency across them, pixel included, dimensionless."""
+        return float(self.mtf(self.frequency_cy_per_px))
+
+    def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
+        shape, first = (row.size, col.size), (float(row[0, 0]), float(col[0, 0]))
+        centre = self.row_px - first[0], self.col_px + moved_px - first[1]
+        return _blurred(
+            self.blur, self.bars, self.frequency_cy_per_px, self.angle_deg, shape, centre
+        )
+
+
+@lru_cache(maxsize=4)
+def _blurred(
+    blur: TrueBlur,
+    bars: int,
+    frequency: float,
+    angle_deg: float,
+    shape: tuple[int, int],
+    centre: tuple[float, float],
+) -> Array:
+    """Bars through the blur alone, 1 on a wide bar, on the fine grid; their middle at a place from
+    its corner, px.
+
+    What lies beyond the grid's own Nyquist frequency, 2 cycles per pixel, is left out: there a blur
+    has nothing left.
+    """
+    from scipy.fft import irfft2
+
+    fy, fx = np.fft.fftfreq(shape[0])[:, None] * FINER, np.fft.rfftfreq(shape[1])[None, :] * FINER
+    shift = np.exp(-2j * np.pi * (fy * centre[0] + fx * centre[1]))
+    spectrum = (
+        spectrum_of_bars(bars, frequency, angle_deg, fx, fy)
+        * blur.before_pixel(np.hypot(fx, fy))
+        * shift
+    )
+    return np.asarray(irfft2(spectrum, shape)) * FINER**2

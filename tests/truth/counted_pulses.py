@@ -4,7 +4,6 @@ its opinion.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from charact.method import Context
 from labdata import Conditions, FrameStack, Session
-from tests.truth.sessions import InMemoryStack
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 MARGIN = 16
 QUICK = Context(seed=1, quick=True)
@@ -21,8 +20,8 @@ METHODS = ("covariance-sum", "variance")
 
 def one(result, quantity: str, unit: str | None = None) -> Any:
     """The only measurement of a quantity."""
-    (found,) = (m for m in result.find(quantity) if unit in (None, m.unit))
-    return found
+    (measurement,) = (m for m in result.find(quantity) if unit in (None, m.unit))
+    return measurement
 
 
 def errors(measurement, truth: float) -> float:
@@ -108,28 +107,23 @@ class Pulses:
         return self.electron_gain_dn + 2.0 * self.gain_dn
 
 
-def memory_of(share: float) -> tuple[float, ...]:
+def memory_of(fraction: float) -> tuple[float, ...]:
     """Light of a screen that keeps a share from frame to frame, as far back as a thousandth."""
-    if not share:
+    if not fraction:
         return (1.0,)
-    weights = (1.0 - share) * share ** np.arange(int(np.ceil(np.log(1e-3) / np.log(share))) + 1)
+    weights = (1.0 - fraction) * fraction ** np.arange(
+        int(np.ceil(np.log(1e-3) / np.log(fraction))) + 1
+    )
     return tuple(weights / weights.sum())
 
 
 def session_of(stacks: list[tuple[str, str, FrameStack, Conditions]]) -> Session:
     """A session of stacks in memory: label, kind, frames, conditions."""
-    held = tuple(
-        InMemoryStack(
-            label=label,
-            kind=kind,
-            frames=label,
-            conditions=conditions,
-            folder=Path("."),
-            held=frames,
-        )
+    entries = tuple(
+        stack_in_memory(kind, frames, conditions, label=label)
         for label, kind, frames, conditions in stacks
     )
-    return Session(folder=Path("."), name="in memory", stacks=held)
+    return session_in_memory(entries)
 
 
 def flat_series(

@@ -41,25 +41,25 @@ class TiltedSquares:
         """Return (row, col) of the middle of every edge and the direction of its normal, degrees in
         [0, 180).
         """
-        found = []
+        edges = []
         for row, col in self.centres():
             for turn in range(4):
                 angle = np.deg2rad(self.tilt_deg + 90.0 * turn)
                 half = self.side_px / 2
-                place = (row + half * np.sin(angle), col + half * np.cos(angle))
-                found.append((*place, float(np.rad2deg(angle)) % 180.0))
-        return found
+                middle = (row + half * np.sin(angle), col + half * np.cos(angle))
+                edges.append((*middle, float(np.rad2deg(angle)) % 180.0))
+        return edges
 
     def mean(self) -> NDArray[np.float64]:
         """Return the noiseless frame, DN, shape (row, col)."""
-        inside = np.zeros((self.rows, self.cols))
+        covered = np.zeros((self.rows, self.cols))
         row, col = np.mgrid[: self.rows, : self.cols].astype(float)
         angle = np.deg2rad(self.tilt_deg)
         for middle_row, middle_col in self.centres():
             x = (col - middle_col) * np.cos(angle) + (row - middle_row) * np.sin(angle)
             y = (row - middle_row) * np.cos(angle) - (col - middle_col) * np.sin(angle)
-            inside += self._slab(x, self.tilt_deg) * self._slab(y, self.tilt_deg + 90.0)
-        return self.bright_dn - (self.bright_dn - self.dark_dn) * inside
+            covered += self._slab(x, self.tilt_deg) * self._slab(y, self.tilt_deg + 90.0)
+        return self.bright_dn - (self.bright_dn - self.dark_dn) * covered
 
     def _slab(self, distance: NDArray, angle_deg: float) -> NDArray:
         """Return a blurred strip of the square's width."""
@@ -115,12 +115,18 @@ class BarChart:
         """Return the noiseless frame, DN, shape (row, col)."""
         light = np.zeros((self.rows, self.cols))
         for group in self.groups:
-            reach = 0.5 * max(group.bars, group.aspect / 2) / group.frequency * 1.5 + 12
-            top, left = max(int(group.row - reach), 0), max(int(group.col - reach), 0)
-            cut = (slice(top, int(group.row + reach)), slice(left, int(group.col + reach)))
+            half_size = 0.5 * max(group.bars, group.aspect / 2) / group.frequency * 1.5 + 12
+            first_row, first_col = (
+                max(int(group.row - half_size), 0),
+                max(int(group.col - half_size), 0),
+            )
+            cut = (
+                slice(first_row, int(group.row + half_size)),
+                slice(first_col, int(group.col + half_size)),
+            )
             part = light[cut]
-            row = np.arange(top, top + part.shape[0])[:, None] - group.row
-            col = np.arange(left, left + part.shape[1])[None, :] - group.col
+            row = np.arange(first_row, first_row + part.shape[0])[:, None] - group.row
+            col = np.arange(first_col, first_col + part.shape[1])[None, :] - group.col
             angle = np.deg2rad(group.angle_deg)
             across, along = (
                 col * np.cos(angle) + row * np.sin(angle),
@@ -128,8 +134,8 @@ class BarChart:
             )
             width = 0.5 / group.frequency
             strip = self._slab(along, group.angle_deg + 90.0, group.aspect * width)
-            for place in (np.arange(group.bars) - (group.bars - 1) / 2) / group.frequency:
-                part += self._slab(across - place, group.angle_deg, width) * strip
+            for centre in (np.arange(group.bars) - (group.bars - 1) / 2) / group.frequency:
+                part += self._slab(across - centre, group.angle_deg, width) * strip
         return self.dark_dn + (self.bright_dn - self.dark_dn) * light
 
     def _slab(self, distance: NDArray, angle_deg: float, width: float) -> NDArray:

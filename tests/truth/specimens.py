@@ -3,16 +3,15 @@ a small chip.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from charact.fitting.prior import prior_of
 from charact.fitting.tube_observations import LAG, LEVEL, SHAPE
-from labdata import Camera, Conditions, Session, Target
-from labdata.sensors import load_camera
+from labdata import Camera, Conditions, Session, Target, load_camera
 from labdata.session import Kind, LoadedStackEntry
 from simulate.lab import LabBench
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512", "machine-vision")
 SHAPE_PX = (200, 260)
@@ -141,16 +140,14 @@ def session_of(name: str, seed: int) -> tuple[Session, dict[str, float]]:
     def add(
         label: str, shows: Kind, known: Conditions, target: Target = FLAT, frames: int = FRAMES
     ) -> None:
-        kept = bench.expose(shows, target, known, frames=frames, seed=1000 * seed + len(stacks))
+        exposed = bench.expose(shows, target, known, frames=frames, seed=1000 * seed + len(stacks))
         stacks.append(
-            LoadedStackEntry(
+            stack_in_memory(
+                shows,
+                exposed,
+                known,
                 label=label,
-                kind=shows,
-                frames="-",
-                conditions=known,
                 target=target,
-                folder=Path(),
-                kept=kept,
                 bit_depth=specimen.video.bit_depth,
             )
         )
@@ -159,16 +156,10 @@ def session_of(name: str, seed: int) -> tuple[Session, dict[str, float]]:
     if kind != "tube":
         longer_s = 0.99 * frame_s if kind == "register" else _longest_s(truth)
         add("dark, long", "dark", replace(conditions, exposure_s=longer_s))
-    for index, each in enumerate(lux):
-        add(f"flat {index}", "flat", replace(conditions, illuminance_lux=each))
+    for index, level in enumerate(lux):
+        add(f"flat {index}", "flat", replace(conditions, illuminance_lux=level))
     add(
         "edge", "edge", replace(conditions, illuminance_lux=lux[3]), Target(angle_deg=5.0), frames=8
     )
-    session = Session(
-        folder=Path(),
-        name=name,
-        stacks=tuple(stacks),
-        camera=sheet,
-        bit_depth=specimen.video.bit_depth,
-    )
+    session = session_in_memory(stacks, camera=sheet, bit_depth=specimen.video.bit_depth)
     return session, truth

@@ -1,59 +1,30 @@
-"""Edges of closed form: a step blurred by a Gaussian and collected by square pixels, and noise of
-known covariance.
+"""Edges of a Gaussian blur without noise, noise of known covariance, and edges of any blur by a sum
+of their own.
 """
-
-import math
 
 import numpy as np
 
 from labdata import FrameStack
-
-_ERF = np.vectorize(math.erf)
-
-
-def _second_integral(x, sigma):
-    """Function whose second derivative is the normal distribution function of x / sigma."""
-    density = np.exp(-0.5 * (x / sigma) ** 2) / np.sqrt(2 * np.pi)
-    share = 0.5 * (1 + _ERF(x / sigma / np.sqrt(2)))
-    return 0.5 * ((x**2 + sigma**2) * share + sigma * x * density)
-
-
-def edge_spread(distance, sigma_px, angle_deg):
-    """Edge spread from 0 to 1 of a Gaussian and a unit square whose normal direction stands at an
-    angle.
-    """
-    c, s = (max(abs(f(np.deg2rad(angle_deg))), 1e-4) for f in (np.cos, np.sin))
-    grid = np.arange(-40.0, 40.0, 0.01)
-    corners = [(c + s, 1), (c - s, -1), (-c + s, -1), (-c - s, 1)]
-    table = sum(sign * _second_integral(grid + half / 2, sigma_px) for half, sign in corners) / (
-        c * s
-    )
-    return np.interp(distance, grid, table)
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 
 def mtf(frequency, sigma_px, angle_deg):
     """MTF along the edge's normal."""
-    turn = np.deg2rad(angle_deg)
-    pixel = np.sinc(frequency * np.cos(turn)) * np.sinc(frequency * np.sin(turn))
-    return np.exp(-2 * (np.pi * frequency * sigma_px) ** 2) * pixel
+    return TrueBlur(sigma_px=sigma_px).mtf(frequency, angle_deg)
 
 
 def frequency_at(level, sigma_px, angle_deg):
     """Frequency where the MTF falls to a level."""
-    grid = np.linspace(1e-4, 1.0, 20001)
-    return float(np.interp(-level, -mtf(grid, sigma_px, angle_deg), grid))
+    return TrueBlur(sigma_px=sigma_px).mtf50(angle_deg, level)
 
 
-def mean_edge(
-    rows, cols, *, sigma_px=0.9, angle_deg=5.0, offset_px=0.0, dark=30.0, bright=180.0, gradient=0.0
-):
-    """Noiseless frame; the angle is that of the edge's normal to the rows."""
-    row = np.arange(rows)[:, None] - (rows - 1) / 2
-    col = np.arange(cols)[None, :] - (cols - 1) / 2
-    turn = np.deg2rad(angle_deg)
-    distance = col * np.cos(turn) + row * np.sin(turn) - offset_px
-    light = dark + (bright - dark) * edge_spread(distance, sigma_px, angle_deg)
-    return light * (1 + gradient * (col / cols + 0.5))
+def mean_edge(rows, cols, *, sigma_px=0.9, dark=30.0, bright=180.0, **scene):
+    """Noiseless frame; `scene` are further fields of `EdgeScene`."""
+    light = {"black_dn": 0.0, "dark_dn": dark, "bright_dn": bright}
+    return EdgeScene(
+        blur=TrueBlur(sigma_px=sigma_px), rows=rows, cols=cols, **light, **scene
+    ).mean()
 
 
 def noisy(mean, rng, *, snr, step, frames=1, shot=0.5, blur=False):
@@ -89,13 +60,15 @@ def frame_of(mtf_along_normal, rows, cols, *, angle_deg, offset_px=0.0):
         * np.sinc(frequency * np.sin(turn))
     )
     weight = weight / (np.pi * frequency) / 8192.0
-    kept = np.abs(weight) > 1e-12
+    significant = np.abs(weight) > 1e-12
     distance = np.concatenate([np.arange(0.0, 16.0, 0.02), np.arange(16.0, 200.0, 0.25)])
-    spread = np.array([np.sin(2 * np.pi * d * frequency[kept]) @ weight[kept] for d in distance])
+    spread = np.array(
+        [np.sin(2 * np.pi * d * frequency[significant]) @ weight[significant] for d in distance]
+    )
     row = np.arange(rows)[:, None] - (rows - 1) / 2
     col = np.arange(cols)[None, :] - (cols - 1) / 2
-    away = col * np.cos(turn) + row * np.sin(turn) - offset_px
-    return 0.5 + np.sign(away) * np.interp(np.abs(away), distance, spread)
+    across = col * np.cos(turn) + row * np.sin(turn) - offset_px
+    return 0.5 + np.sign(across) * np.interp(np.abs(across), distance, spread)
 
 
 def transfer_of(mtf_along_normal, frequency, angle_deg):
@@ -108,5 +81,5 @@ def transfer_of(mtf_along_normal, frequency, angle_deg):
 def level_of(mtf_along_normal, angle_deg, level=0.5):
     """Frequency where the MTF along the normal falls to a level."""
     grid = np.linspace(1e-4, 1.5, 60001)
-    below = transfer_of(mtf_along_normal, grid, angle_deg) < level
-    return float(grid[np.argmax(below)])
+    under_level = transfer_of(mtf_along_normal, grid, angle_deg) < level
+    return float(grid[np.argmax(under_level)])
