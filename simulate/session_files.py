@@ -70,7 +70,7 @@ def save_session(
         bit_depth=video.bit_depth,
         interlaced=video.interlaced,
     ) as writer:
-        save_sensor(shot.description or description, out / "sensor.toml")
+        save_sensor(shot.camera.description, out / "sensor.toml")
         _save_stack(writer, shot, shot.kind, out / "truth", frames, seed, notes, progress)
         if shot.view is not None:
             save_view(shot.view, out, shot.delay_s, shot.frame_distortion)
@@ -103,7 +103,7 @@ def save_rig_session(
         for name, shot in shots.items():
             description, files = descriptions[name], {}
             (out / "sensor").mkdir(exist_ok=True)
-            save_sensor(shot.description or description, out / "sensor" / f"{name}.toml")
+            save_sensor(shot.camera.description, out / "sensor" / f"{name}.toml")
             stack_fields = {
                 "sensor": f"sensor/{name}.toml",
                 "bit_depth": description.video.bit_depth,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
@@ -64,11 +63,6 @@ class Shot:
     view: "RenderedView | InfraredView | None" = None
     delay_s: float = 0.0
     motion: Motion | None = None
-
-    @property
-    def description(self) -> Camera | None:
-        """Description of the camera where the scene set its level and span."""
-        return None
 
     @property
     def frame_distortion(self) -> tuple[float, ...]:
@@ -176,11 +170,6 @@ class Shot:
 @dataclass(frozen=True, kw_only=True)
 class InfraredShot(Shot):
     """A thermal imager before an outdoor scene; `seen` is its `InfraredView`."""
-
-    @property
-    def description(self) -> Camera:
-        """The imager with level and span for the scene."""
-        return self.seen.camera.description
 
     @property
     def frame_distortion(self) -> tuple[float, ...]:

@@ -157,13 +157,6 @@ class ThermalImager:
         return self.description.shape
 
     @property
-    def oversample(self) -> int:
-        """Cells of a picture on each side of a pixel at which nothing of the lens' transfer is
-        lost; 1 will do.
-        """
-        return LIMITS.oversample
-
-    @property
     def band_um(self) -> tuple[float, float]:
         """Ends of the spectral band."""
         return float(self.description.band.short_um), float(self.description.band.long_um)
@@ -327,7 +320,8 @@ class ThermalImager:
         radiance
             Radiance in each spectral bin, averaged over cells, shape (row, col, bin) of a static
             scene or (frame, row, col, bin), W m-2 sr-1. A whole number of cells on each side of a
-            pixel, see `oversample`. The scene goes on beyond the frame as it ends there.
+            pixel: of four nothing of the transfer of an f/1 lens is lost. The scene goes on beyond
+            the frame as it ends there.
         bin_edges_um
             Edges of the bins, shape (bin + 1,); they must hold the band.
         seed
