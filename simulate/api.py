@@ -26,7 +26,7 @@ from labdata.session import Kind
 from labdata.target import Target
 from simulate.image_source import name_of, read_cube, read_image
 from simulate.motion import Look, Motion
-from simulate.shot import InfraredShot, Shot
+from simulate.shot import InfraredShot, Progress, Shot, ignore_progress
 
 if TYPE_CHECKING:
     from simulate.infrared_view import InfraredView
@@ -34,13 +34,8 @@ if TYPE_CHECKING:
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.thermal.temperatures import Temperatures
 
-Progress = Callable[[str, float], None]
 # Field of a target, and its kind of target.
 OF_A_TARGET: dict[str, Kind] = {"frequency_cy_per_px": "bars", "pinhole_px": "point"}
-
-
-def _ignore_progress(sentence: str, share: float) -> None:
-    """Ignore progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +94,7 @@ def simulate(
     request: SimulationRequest,
     description: Camera,
     conditions: Conditions,
-    progress: Progress = _ignore_progress,
+    progress: Progress = ignore_progress,
 ) -> Shot:
     """Return camera and light of a request, without the effects that its tolerance allows to
     neglect.
@@ -292,7 +287,7 @@ def _infrared_shot(
 def simulate_rig(
     request: SimulationRequest,
     sensors: "Mapping[str, tuple[Camera, Conditions]]",
-    progress: Progress = _ignore_progress,
+    progress: Progress = ignore_progress,
 ) -> dict[str, Shot]:
     """Return camera and light of each sensor of a rig before one outdoor scene, which share its
     surface temperatures.
@@ -345,7 +340,7 @@ def preview(
 ) -> "RenderedView | InfraredView":
     """Return an outdoor scene in few pixels of a camera; another source raises BadInput."""
     if description.is_thermal:
-        return _infrared_shot(request, description, conditions, _ignore_progress, preview=True).seen
+        return _infrared_shot(request, description, conditions, ignore_progress, preview=True).seen
     from simulate.camera.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
 

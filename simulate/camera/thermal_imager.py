@@ -104,7 +104,6 @@ class ThermalImager:
 
     description: Camera
     left_out: frozenset[str] = frozenset()  # names of effects, see `effects`
-    is_thermal = True
     has_tube = False
 
     def __post_init__(self) -> None:
