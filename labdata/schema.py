@@ -18,7 +18,7 @@ from labdata.serialiser import adapter, dataclasses_in
 from labdata.session import SessionFile
 
 # Titles of the schemas of camera files.
-_TITLES = {
+_TITLES: dict[type, str] = {
     IntensifiedCameraFile: "Sensor",
     SolidStateCameraFile: "SolidStateCamera",
     ThermalImagerFile: "InfraredImager",

@@ -26,7 +26,7 @@ from labdata.session import Kind
 from labdata.target import Target
 from simulate.image_source import name_of, read_cube, read_image
 from simulate.motion import Look, Motion
-from simulate.shot import InfraredShot, Shot
+from simulate.shot import InfraredShot, Progress, Shot, ignore_progress
 
 if TYPE_CHECKING:
     from simulate.infrared_view import InfraredView
@@ -34,14 +34,8 @@ if TYPE_CHECKING:
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.thermal.temperatures import Temperatures
 
-Description = Camera
-Progress = Callable[[str, float], None]
 # Field of a target, and its kind of target.
 OF_A_TARGET: dict[str, Kind] = {"frequency_cy_per_px": "bars", "pinhole_px": "point"}
-
-
-def _ignore_progress(sentence: str, share: float) -> None:
-    """Ignore progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +77,7 @@ class SimulationRequest:
     temperatures: "Temperatures | None" = None
 
 
-def load_described_camera(sensor: str, phosphor: str | None = None) -> Description:
+def load_described_camera(sensor: str, phosphor: str | None = None) -> Camera:
     """Return the sensor description of a camera, with another phosphor if one is given."""
     from labdata.phosphors import load_phosphor
     from labdata.sensors import load_camera
@@ -98,9 +92,9 @@ def load_described_camera(sensor: str, phosphor: str | None = None) -> Descripti
 
 def simulate(
     request: SimulationRequest,
-    description: Description,
+    description: Camera,
     conditions: Conditions,
-    progress: Progress = _ignore_progress,
+    progress: Progress = ignore_progress,
 ) -> Shot:
     """Return camera and light of a request, without the effects that its tolerance allows to
     neglect.
@@ -160,7 +154,7 @@ def simulate(
 def _outdoor_shot(
     request: SimulationRequest,
     scene: "OutdoorScene",
-    description: Description,
+    description: Camera,
     conditions: Conditions,
     progress: Progress,
 ) -> Shot:
@@ -292,8 +286,8 @@ def _infrared_shot(
 
 def simulate_rig(
     request: SimulationRequest,
-    sensors: "Mapping[str, tuple[Description, Conditions]]",
-    progress: Progress = _ignore_progress,
+    sensors: "Mapping[str, tuple[Camera, Conditions]]",
+    progress: Progress = ignore_progress,
 ) -> dict[str, Shot]:
     """Return camera and light of each sensor of a rig before one outdoor scene, which share its
     surface temperatures.
@@ -342,11 +336,11 @@ def _outdoor_scene(request: SimulationRequest, needed: str) -> "OutdoorScene":
 
 
 def preview(
-    request: SimulationRequest, description: Description, conditions: Conditions
+    request: SimulationRequest, description: Camera, conditions: Conditions
 ) -> "RenderedView | InfraredView":
     """Return an outdoor scene in few pixels of a camera; another source raises BadInput."""
     if description.is_thermal:
-        return _infrared_shot(request, description, conditions, _ignore_progress, preview=True).seen
+        return _infrared_shot(request, description, conditions, ignore_progress, preview=True).seen
     from simulate.camera.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
 
@@ -382,7 +376,7 @@ def _render(
 
 
 def _bench_shot(
-    request: SimulationRequest, scene: Any, description: Description, conditions: Conditions
+    request: SimulationRequest, scene: Any, description: Camera, conditions: Conditions
 ) -> Shot:
     from simulate.lab import LabBench
     from simulate.radiance.lab_target import as_stood
@@ -473,7 +467,7 @@ def _select_effects(
 _OF_A_TUBE = ("mcp_v", "gain_control", "gate_ns", "brightness_control")
 
 
-def conditions_of(camera: Description, *, gain: float | None = None, **options: Any) -> Conditions:
+def conditions_of(camera: Camera, *, gain: float | None = None, **options: Any) -> Conditions:
     """Return the conditions of the options that are not None; others have their nominal values.
 
     `gain`: luminous gain of the tube, lm/lm, or multiplication of an electron-multiplying register.
@@ -526,7 +520,7 @@ def voltage_of(sensor: Camera, luminous_gain: float | None) -> float:
     )
 
 
-def voltage_limit_warnings(camera: Description, conditions: Conditions) -> tuple[str, ...]:
+def voltage_limit_warnings(camera: Camera, conditions: Conditions) -> tuple[str, ...]:
     """Return a warning if the MCP voltage exceeds the limit of the description, which the bench
     would refuse.
     """

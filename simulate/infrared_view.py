@@ -184,15 +184,13 @@ def _set_for_scene(
     """Set level and span of an imager that has them so that surfaces lie within, as an operator
     would.
     """
-    video = camera.description.video
-    if video.span_k is None:
+    set_span_k = camera.description.span_k
+    if set_span_k is None:
         return camera, ()
     celsius = picture.apparent_k() - KELVIN
     surface = celsius[np.isfinite(picture.truth.temperature_k)]
     low, high = np.percentile(surface if surface.size else celsius, INSIDE)
-    span = next(
-        (step for step in SPANS_K if step >= max(float(video.span_k), high - low)), SPANS_K[-1]
-    )
+    span = next((step for step in SPANS_K if step >= max(set_span_k, high - low)), SPANS_K[-1])
     level = float(np.round(0.5 * (low + high)))
     return camera.with_span(level, span), (
         f"level {level:g} C and span {span:g} K set for the surfaces of the scene",

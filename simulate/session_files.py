@@ -23,7 +23,7 @@ distortion.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,18 +32,12 @@ import numpy as np
 
 from labdata.camera.description import Camera
 from labdata.file_io import write_atomically
-from simulate.shot import Shot
+from simulate.shot import Progress, Shot, ignore_progress
 
 if TYPE_CHECKING:
     from labdata.session_writer import SessionWriter
     from simulate.infrared_view import InfraredView
     from simulate.outdoor_rendering import RenderedView
-
-Progress = Callable[[str, float], None]
-
-
-def _ignore_progress(sentence: str, share: float) -> None:
-    """Ignore progress."""
 
 
 def save_session(
@@ -54,7 +48,7 @@ def save_session(
     frames: int,
     seed: int,
     notes: tuple[str, ...] = (),
-    progress: Progress = _ignore_progress,
+    progress: Progress = ignore_progress,
 ) -> None:
     """Simulate frames and store them as a session, one frame at a time, with effect selection and
     auxiliary layers.
@@ -70,7 +64,7 @@ def save_session(
         bit_depth=video.bit_depth,
         interlaced=video.interlaced,
     ) as writer:
-        save_sensor(shot.description or description, out / "sensor.toml")
+        save_sensor(shot.camera.description, out / "sensor.toml")
         _save_stack(writer, shot, shot.kind, out / "truth", frames, seed, notes, progress)
         if shot.view is not None:
             save_view(shot.view, out, shot.delay_s, shot.frame_distortion)
@@ -88,7 +82,7 @@ def save_rig_session(
     frames: int,
     seed: int,
     notes: Mapping[str, tuple[str, ...]],
-    progress: Progress = _ignore_progress,
+    progress: Progress = ignore_progress,
 ) -> None:
     """Simulate frames of several sensors and store them as one session, each with a stack of its
     name.
@@ -103,7 +97,7 @@ def save_rig_session(
         for name, shot in shots.items():
             description, files = descriptions[name], {}
             (out / "sensor").mkdir(exist_ok=True)
-            save_sensor(shot.description or description, out / "sensor" / f"{name}.toml")
+            save_sensor(shot.camera.description, out / "sensor" / f"{name}.toml")
             stack_fields = {
                 "sensor": f"sensor/{name}.toml",
                 "bit_depth": description.video.bit_depth,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
@@ -21,7 +20,12 @@ if TYPE_CHECKING:
     from simulate.outdoor_rendering import RenderedView
 
 Stage = tuple[str, str, NDArray[Any]]  # name, quantity with unit, image (row, col)
+Progress = Callable[[str, float], None]  # called with a message and the fraction done
 Keep = Callable[[int, Any], None]  # called with the number of a frame and its view
+
+
+def ignore_progress(sentence: str, fraction: float) -> None:
+    """Discard a progress message."""
 
 
 def _ignore_view(number: int, view: Any) -> None:
@@ -64,11 +68,6 @@ class Shot:
     view: "RenderedView | InfraredView | None" = None
     delay_s: float = 0.0
     motion: Motion | None = None
-
-    @property
-    def description(self) -> Camera | None:
-        """Description of the camera where the scene set its level and span."""
-        return None
 
     @property
     def frame_distortion(self) -> tuple[float, ...]:
@@ -176,11 +175,6 @@ class Shot:
 @dataclass(frozen=True, kw_only=True)
 class InfraredShot(Shot):
     """A thermal imager before an outdoor scene; `seen` is its `InfraredView`."""
-
-    @property
-    def description(self) -> Camera:
-        """The imager with level and span for the scene."""
-        return self.seen.camera.description
 
     @property
     def frame_distortion(self) -> tuple[float, ...]:

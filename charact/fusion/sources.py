@@ -319,7 +319,7 @@ def _thermal_scale(source: Source, frames: int) -> tuple[float, NoiseLaw]:
     assert is_thermal(imager)
     video, array = imager.video, imager.bolometer
     full = source.stack.full_scale_dn or 2.0**video.bit_depth - 1.0
-    kelvin = 1.0 if video.span_k is None else float(video.span_k) / full
+    kelvin = 1.0 if imager.span_k is None else imager.span_k / full
     measured = source.values_of("netd")
     if source.noise is not None:
         netd_k = source.noise.read_dn * kelvin

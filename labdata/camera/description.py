@@ -138,6 +138,14 @@ class Camera:
         return pitch, pitch
 
     @property
+    def span_k(self) -> float | None:
+        """Temperatures from black to full scale, K; None of an imager without, and in visible
+        light.
+        """
+        span_k: Parameter | None = getattr(self.video, "span_k", None)
+        return None if span_k is None else float(span_k)
+
+    @property
     def footprint_mrad(self) -> float:
         """Side of the footprint of a thermal imager's detector in the scene (IFOV), mrad."""
         return self.pitch_mrad[0] if self.scanner is None else float(self.scanner.ifov_mrad)
@@ -278,7 +286,7 @@ def _require_thermal_imager(camera: Camera) -> None:
                 "a mirror must scan all lines_per_field within a field, got "
                 f"{scanner.lines_per_field} of {lines:.4g} lines"
             )
-    if (video.span_k is None) != (camera.cooled_array is not None):
+    if (camera.span_k is None) != (camera.cooled_array is not None):
         raise BadInput(
             "a cooled array must have no level_c and span_k, and other imagers must have both"
         )

@@ -15,7 +15,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera import tube_photometry
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
-from simulate.camera.ccd import Ccd, Register, Silicon
+from simulate.camera.ccd import Ccd
 from simulate.camera.chain import Chain, Slot, Stage, stages_with_section, values_of
 from simulate.camera.grid import ACCURACY, CameraFrame
 from simulate.camera.lens import Optics, RadiometricLens
@@ -23,6 +23,8 @@ from simulate.camera.microchannel import MicrochannelPlate
 from simulate.camera.phosphor import Phosphor, PhosphorDecay, apply_phosphor_decay
 from simulate.camera.photocathode import Photocathode, ProximityGap
 from simulate.camera.pixels import Collection, FieldReadout
+from simulate.camera.register import Register
+from simulate.camera.silicon import Silicon
 from simulate.camera.stage_image import StageImage
 from simulate.camera.taper import FibreGeometry, Taper
 from simulate.camera.video import Video

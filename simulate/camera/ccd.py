@@ -1,6 +1,4 @@
-"""Silicon, CCD and output register: detection, charge, full well, read noise, electron
-multiplication.
-"""
+"""CCD as it is read: charge, full well, smear, fixed patterns and read noise."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -12,66 +10,11 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.camera import pattern
 from simulate.camera.chain import Slot, Stage, values_of
-from simulate.camera.grid import CameraFrame, Grid
-from simulate.camera.readout_noise import draw_read_noise
+from simulate.camera.grid import CameraFrame
 from simulate.camera.stage_image import StageImage
 
 # Dark current is stated at this temperature.
 DARK_REFERENCE_C = 25.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Silicon(
-    Stage,
-    slot=Slot.SILICON,
-    section="silicon",
-    quantity="photoelectrons per exposure and cell, expected",
-    takes="photons",
-    emits="photoelectrons in the chip",
-):
-    """Photosensitive chip behind an electronic shutter.
-
-    Notes
-    -----
-    Takes photons per second and cell, emits the expected photoelectrons per exposure and cell.
-    Photoelectrons collected in a well are drawn there: independent photons are Poisson in number,
-    and so are those that a blur before detection has displaced.
-    """
-
-    # Photoelectrons per photon at the wavelength to which the photons have been referred,
-    # dimensionless.
-    quantum_efficiency: float
-    exposure_s: float  # time the shutter is open, s
-    # cells on which the chip's pixels collect, half as many per pixel as those of the light
-    grid: Grid
-
-    @classmethod
-    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the chip that detects."""
-        efficiency = max(camera.description.silicon.quantum_efficiency)
-        # Stated exposure and offset of the shutter.
-        exposure_s = camera.open_s(conditions) + 1e-6 * float(
-            camera.description.readout.exposure_offset_us
-        )
-        return cls(quantum_efficiency=efficiency, exposure_s=exposure_s, grid=camera.cells)
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.quantum_efficiency <= 1.0:
-            raise BadInput(
-                f"quantum_efficiency must lie in (0, 1], got {self.quantum_efficiency:g}"
-            )
-        if not self.exposure_s > 0.0:
-            raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
-
-    def detect(self, light: StageImage) -> StageImage:
-        """Return photoelectrons per exposure on the cells of the light."""
-        return light.with_values(
-            light.values * np.asarray(self.quantum_efficiency * self.exposure_s, np.float32)
-        )
-
-    def mean(self, light: StageImage) -> StageImage:
-        """Return photoelectrons per exposure and cell, pending blurs applied."""
-        return self.detect(light).resample_to(self.grid)
 
 
 def dark_charge(camera: CameraFrame, conditions: Conditions) -> tuple[float, float]:
@@ -257,122 +200,3 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             "read noise": budget.of_white(budget.of_chain.white * self.read_noise_e**2),
             "PRNU": budget.extreme(pixels) * self.prnu * budget.of_gain(1.0),
         }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Register(
-    Stage,
-    slot=Slot.REGISTER,
-    section="register",
-    quantity="electrons per pixel behind the register",
-    takes="charge in the wells",
-    emits="charge",
-):
-    """Serial register and output amplifier.
-
-    Notes
-    -----
-    A register of N stages has the excess noise F^2 = 2 (G - 1) G^(-(N + 1)/N) + 1/G (Robbins and
-    Hadwen, IEEE T-ED 50, 1227, 2003), 1 without gain and nearly 2 with much. n electrons come out
-    as n plus gamma of mean n (G - 1) and of that variance: exact in mean and variance at every
-    gain, and at high gain the gamma law of shape n (Basden, Haniff and Mackay, MNRAS 345, 985,
-    2003).
-    """
-
-    # mean electrons out per electron in; 1 is a plain register, which adds nothing
-    gain: float = 1.0
-    stages: int = 500  # stages of the register, in each of which an electron may free another
-    # Shape of the law of what one electron becomes at high gain; 1 is exponential, as impact
-    # ionisation is.
-    pulse_height_shape: float = 1.0
-    # electrons that clocking sets free, per pixel and frame, before the gain
-    clock_induced_e: float = 0.0
-    read_noise_e: float = 0.0  # standard deviation of reading, e- behind the gain
-    # Mean dark charge in a pixel, e- before the gain, which the clamp subtracts together with that
-    # of clocking.
-    dark_e: float = 0.0
-    # Density of read noise along a row at 0.5 cy/px over that at 0, see
-    # `readout_noise.draw_read_noise`.
-    fine_noise_ratio: float = 1.0
-
-    @classmethod
-    def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the register at the gain of the conditions, by default its highest; tube gain is
-        refused.
-        """
-        if conditions.mcp_v is not None or conditions.gain_control is not None:
-            raise BadInput(
-                f"mcp_v and gain_control must be left out of a camera without a tube, "
-                f"got {conditions.mcp_v} and {conditions.gain_control}"
-            )
-        register = camera.description.register
-        highest = float(register.em_gain)
-        gain = highest if conditions.em_gain is None else conditions.em_gain
-        if not 1.0 <= gain <= highest:
-            raise BadInput(f"em_gain must lie between 1 and the camera's {highest:g}, got {gain:g}")
-        read_noise_e = float(camera.description.ccd.read_noise_e)
-        dark_e, _ = dark_charge(camera, conditions)
-        ratio = float(camera.description.readout.fine_noise_ratio)
-        return values_of(
-            cls,
-            register,
-            gain=gain,
-            read_noise_e=read_noise_e,
-            dark_e=dark_e,
-            fine_noise_ratio=ratio,
-        )
-
-    def __post_init__(self) -> None:
-        if not 1.0 <= self.gain < np.inf:
-            raise BadInput(f"em_gain must be at least 1 and finite, got {self.gain:g}")
-        if self.stages < 1 or not self.pulse_height_shape > 0.0:
-            raise BadInput(
-                "a register must have a stage and a positive pulse_height_shape, got "
-                f"{self.stages} and {self.pulse_height_shape:g}"
-            )
-        if not self.fine_noise_ratio > 0.0:
-            raise BadInput(f"fine_noise_ratio must be positive, got {self.fine_noise_ratio:g}")
-        for name in ("clock_induced_e", "read_noise_e", "dark_e"):
-            if not getattr(self, name) >= 0.0:
-                raise BadInput(f"{name} must not be negative, got {getattr(self, name):g}")
-
-    @property
-    def excess_noise_factor(self) -> float:
-        """F^2 of the multiplication, dimensionless."""
-        gain = self.gain
-        exact = 2.0 * (gain - 1.0) * gain ** (-(self.stages + 1.0) / self.stages) + 1.0 / gain
-        return 1.0 + (exact - 1.0) / self.pulse_height_shape
-
-    @property
-    def _clamp_level_e(self) -> float:
-        return self.gain * (self.dark_e + self.clock_induced_e)
-
-    def mean(self, light: StageImage) -> StageImage:
-        """Return electrons at the output above the clamped level."""
-        charge = self.gain * (light.values + np.float32(self.clock_induced_e))
-        return light.with_values((charge - np.float32(self._clamp_level_e)).astype(np.float32))
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return electrons at the output above the clamped level, of whole electrons in the
-        wells.
-        """
-        charge = np.array(light.values, np.float32)
-        if self.clock_induced_e > 0.0:
-            charge += rng.poisson(self.clock_induced_e, size=charge.shape).astype(np.float32)
-        if self.gain > 1.0:
-            charge += self._draw_multiplication(charge, rng)
-        if self.read_noise_e > 0.0:
-            charge += np.float32(self.read_noise_e) * draw_read_noise(
-                rng, charge.shape, self.fine_noise_ratio
-            )
-        return light.with_values(charge - np.float32(self._clamp_level_e))
-
-    def _draw_multiplication(
-        self, charge: NDArray[np.float32], rng: np.random.Generator
-    ) -> NDArray[np.float32]:
-        """Electrons that the register adds to those that enter it."""
-        more = self.gain - 1.0
-        scale = self.gain**2 * (self.excess_noise_factor - 1.0) / more
-        return np.float32(scale) * rng.standard_gamma(
-            charge * np.float32(more / scale), dtype=np.float32
-        )

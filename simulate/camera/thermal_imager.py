@@ -104,7 +104,6 @@ class ThermalImager:
 
     description: Camera
     left_out: frozenset[str] = frozenset()  # names of effects, see `effects`
-    is_thermal = True
     has_tube = False
 
     def __post_init__(self) -> None:
@@ -155,13 +154,6 @@ class ThermalImager:
     def shape(self) -> tuple[int, int]:
         """Rows and columns of a frame."""
         return self.description.shape
-
-    @property
-    def oversample(self) -> int:
-        """Cells of a picture on each side of a pixel at which nothing of the lens' transfer is
-        lost; 1 will do.
-        """
-        return LIMITS.oversample
 
     @property
     def band_um(self) -> tuple[float, float]:
@@ -327,7 +319,8 @@ class ThermalImager:
         radiance
             Radiance in each spectral bin, averaged over cells, shape (row, col, bin) of a static
             scene or (frame, row, col, bin), W m-2 sr-1. A whole number of cells on each side of a
-            pixel, see `oversample`. The scene goes on beyond the frame as it ends there.
+            pixel: of four nothing of the transfer of an f/1 lens is lost. The scene goes on beyond
+            the frame as it ends there.
         bin_edges_um
             Edges of the bins, shape (bin + 1,); they must hold the band.
         seed

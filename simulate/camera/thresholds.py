@@ -10,9 +10,6 @@ class ImagerLimits:
     # The picture goes on beyond the frame as it ends there, for so many pixels: ten times the blur
     # of a lens.
     margin_px: int = 8
-    # Cells on each side of a pixel that hold all that a lens of f/1 and 10 um transfers to pixels
-    # of 17 um.
-    oversample: int = 4
     # Steps of time in an active line: a sixteenth of the shortest dwell; and time constants of lead
     # before it.
     line_steps: int = 4096
