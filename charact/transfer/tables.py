@@ -20,7 +20,7 @@ SINE_PER_UNIT, SINE_END = 100, 400.0
 DISC_STEP, DISC_END = 0.02, 400.0
 
 
-def ln_bessel_transfer(x: Array, order: float) -> Array:
+def ln_bessel_transfer(x: Array, order: Array | float) -> Array:
     """Return ln of 2^(1-m)/Gamma(m) x^m K_m(x), the transform of (1 + r^2/a^2)^-(m+1) at x = 2 pi a
     f.
     """

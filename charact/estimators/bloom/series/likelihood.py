@@ -37,7 +37,7 @@ class Misfit:
 
     def of_rings(self, radius_px: Array) -> Array:
         """Return the relative model error of each ring, shape (ring,)."""
-        return np.where(about_core(radius_px), self.core, self.share)
+        return np.where(about_core(radius_px), self.core, self.outer)
 
 
 def about_core(radius_px: Array) -> NDArray[np.bool_]:

@@ -115,7 +115,7 @@ def candidates(
     cores = {
         model.form.core: model
         for model in plausible
-        if not has_tube(sensor) or model.form.core == "tube"
+        if sensor is None or not sensor.has_tube or model.form.core == "tube"
     }
     tiring = [
         saturating
