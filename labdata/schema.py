@@ -46,28 +46,14 @@ def json_schema(type_: type) -> dict[str, Any]:
     """Return the JSON Schema of the file form of a dataclass, for editors that complete and check
     TOML.
     """
-    schema = adapter(type_).json_schema()
+    schema, types = adapter(type_).json_schema(), dataclasses_in(type_)
     definitions = schema["$defs"]
-    tables = definitions.pop(type_.__name__)
-    described = with_descriptions(
-        {
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
-            **tables,
-            "$defs": definitions,
-        },
-        dataclasses_in(type_),
-    )
-    return {**described, "title": _TITLES.get(type_, type_.__name__)}
-
-
-def with_descriptions(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
-    """Return a schema with the descriptions of its tables and keys; `types` are its dataclasses by
-    name.
-    """
-    return {
-        **_table(schema, types.get(schema["title"])),
-        "$defs": {name: _table(table, types.get(name)) for name, table in schema["$defs"].items()},
+    keys = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **definitions.pop(type_.__name__),
+        "$defs": {name: _table(table, types.get(name)) for name, table in definitions.items()},
     }
+    return {**_table(keys, type_), "title": _TITLES.get(type_, type_.__name__)}
 
 
 def _table(table: dict[str, Any], type_: type | None) -> dict[str, Any]:
