@@ -141,7 +141,7 @@ def import_frames(
         reader_of(path)
     if label is not None and name_pattern is not None:
         raise BadInput(
-            "--stack gathers all files, --name those of equal conditions: give one of them"
+            "`label` gathers all files, `name_pattern` those of equal conditions: give one of them"
         )
     if label is not None:
         groups = [(label, kind or "scene", Conditions(), paths)]
@@ -172,7 +172,7 @@ def _session_to_add_to(out: Path) -> SessionFile:
     BadInput.
     """
     if not (out / MANIFEST).is_file():
-        raise BadInput(f"--add needs the folder of a session, got {out} without a {MANIFEST}")
+        raise BadInput(f"`add` needs the folder of a session, got {out} without a {MANIFEST}")
     return from_toml(out / MANIFEST, SessionFile)
 
 

@@ -77,14 +77,15 @@ def frames(
             )
         ),
     ] = None,
-    name: Annotated[
+    name_pattern: Annotated[
         str | None,
         typer.Option(
-            help="Pattern of conditions in the file names, e.g. '{mcp_v}V_{gate_ns}ns_*'."
+            "--name", help="Pattern of conditions in the file names, e.g. '{mcp_v}V_{gate_ns}ns_*'."
         ),
     ] = None,
-    stack: Annotated[
-        str | None, typer.Option(help="Label of one stack that has all files as its frames.")
+    label: Annotated[
+        str | None,
+        typer.Option("--stack", help="Label of one stack that has all files as its frames."),
     ] = None,
     axis: FrameAxis = None,
     plane: Plane = None,
@@ -120,8 +121,8 @@ def frames(
                 sources,
                 out,
                 kind=None if kind is None else parse_kind(kind),
-                name_pattern=name,
-                label=stack,
+                name_pattern=name_pattern,
+                label=label,
                 axis=axis,
                 plane=plane,
                 add=add,

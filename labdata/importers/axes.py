@@ -249,7 +249,7 @@ def _with_frame_axis(
     at = _index(names, axis)
     if at is None or len(names) < 3:
         raise BadInput(
-            f"--axis must be one of the axes of {name}, {_describe_axes(names, shape)}, got "
+            f"`axis` must be one of the axes of {name}, {_describe_axes(names, shape)}, got "
             f"{axis!r}"
         )
     names = [UNNAMED if what == FRAME else what for what in names]
@@ -285,11 +285,11 @@ def _plane_index(
         if shape[first] in (3, 4) and len(further_axes) == 1
         else ""
     )
-    frames = "" if FRAME in names else f"--axis {first} takes axis {first} for frames, "
+    frames = "" if FRAME in names else f"`axis` {first} takes axis {first} for frames, "
     raise BadInput(
         f"an axis must be known to count frames, got the axes {_describe_axes(names, shape)} in "
-        f"{name}: {frames}--plane {','.join('0' for _ in further_axes)} takes one plane, counted "
-        f"from 0{colours}" + ("" if plane is None else f"; got --plane {plane}")
+        f"{name}: {frames}`plane` {','.join('0' for _ in further_axes)} takes one plane, counted "
+        f"from 0{colours}" + ("" if plane is None else f"; got `plane` {plane}")
     )
 
 

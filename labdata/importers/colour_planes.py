@@ -42,7 +42,7 @@ def require_monochrome(
             raise BadInput(
                 f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} "
                 f"of {name}; a mosaic that does not show is stated with the colours of its first "
-                f"2x2 pixels, --plane rggb:{plane}"
+                f"2x2 pixels, `plane` rggb:{plane}"
             )
         return _of_mosaic(
             data,
@@ -63,7 +63,7 @@ def require_monochrome(
         if greens is None
         else (
             "the pixels alternate in a 2x2 pattern like a colour mosaic that was taken for grey: "
-            "--plane r, g1, g2 or b measures one colour; its frequencies count its own pixels, "
+            "`plane` r, g1, g2 or b measures one colour; its frequencies count its own pixels, "
             "which are twice as wide",
         )
     )

@@ -61,7 +61,7 @@ def _read_series(file, path: Path) -> Recorded:
         doubts=(
             (
                 "its writer marked the three planes of the file as colours; if they are frames: "
-                "--axis 0"
+                "`axis` 0"
             ),
         )
         * planar,

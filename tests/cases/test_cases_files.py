@@ -125,14 +125,14 @@ def test_an_axis_counts_frames_only_where_the_file_says_so(tmp_path, name):
         path = written(tmp_path / f"{letter}{name}", data, f"{letter}YX")
         with pytest.raises(
             BadInput,
-            match=rf"\(0 \w+ of {frames}, 1 row of 96, 2 col of 96\) .* --axis 0 .* --plane 0",
+            match=rf"\(0 \w+ of {frames}, 1 row of 96, 2 col of 96\) .* `axis` 0 .* `plane` 0",
         ):
             read_frames(path)
         assert np.array_equal(read_frames(path, axis="0").data, data)
         assert np.array_equal(read_frames(path, "1").data, data[1:2])
-        with pytest.raises(BadInput, match=f"got --plane {frames}"):
+        with pytest.raises(BadInput, match=f"got `plane` {frames}"):
             read_frames(path, str(frames))
-        with pytest.raises(BadInput, match="--axis must be one of the axes"):
+        with pytest.raises(BadInput, match="`axis` must be one of the axes"):
             read_frames(path, axis="5")
 
 
@@ -141,7 +141,7 @@ def test_frames_of_several_channels_and_focus_positions_are_cut_by_plane_numbers
     tifffile.imwrite(tmp_path / "a.ome.tif", data, metadata={"axes": "TCZYX"})
     with pytest.raises(
         BadInput,
-        match=r"0 frame of 2, 1 channel of 3, 2 focus of 4, .* --plane 0,0 takes one plane",
+        match=r"0 frame of 2, 1 channel of 3, 2 focus of 4, .* `plane` 0,0 takes one plane",
     ):
         read_frames(tmp_path / "a.ome.tif")
     assert np.array_equal(read_frames(tmp_path / "a.ome.tif", "2,1").data, data[:, 2, 1])
@@ -184,7 +184,7 @@ def test_a_transposed_stack_is_told_its_axis(tmp_path, name):
     )
     with pytest.raises(
         BadInput,
-        match=r"0 row of 96, 1 col of 96, 2 unnamed of 16\) .* --axis 2 takes axis 2 for frames",
+        match=r"0 row of 96, 1 col of 96, 2 unnamed of 16\) .* `axis` 2 takes axis 2 for frames",
     ):
         read_frames(tmp_path / name)
     assert np.array_equal(read_frames(tmp_path / name, axis="2").data, data)
@@ -208,7 +208,7 @@ def test_three_frames_that_their_writer_marked_as_colours_get_a_warning(tmp_path
 def test_a_session_keeps_the_axis_and_the_plane_of_its_files(tmp_path):
     data = np.moveaxis(edge(frames=16), 0, -1)
     np.save(tmp_path / "a.npy", data)
-    with pytest.raises(BadInput, match="--axis 2"):
+    with pytest.raises(BadInput, match="`axis` 2"):
         import_frames([tmp_path / "a.npy"], tmp_path / "S")
     import_frames([tmp_path / "a.npy"], tmp_path / "S", axis="2", kind="edge")
     assert np.array_equal(
@@ -473,7 +473,7 @@ def mosaic(red: float, blue: float, green: tuple[tuple[int, int], ...]) -> np.nd
 def test_a_mosaic_taken_for_grey_is_reported_with_its_planes(tmp_path, red, blue, green):
     data = mosaic(red, blue, green)
     np.save(tmp_path / "a.npy", data)
-    assert any("--plane r, g1, g2 or b" in note for note in read_frames(tmp_path / "a.npy").notes)
+    assert any("`plane` r, g1, g2 or b" in note for note in read_frames(tmp_path / "a.npy").notes)
     (row, col), _ = green
     assert np.array_equal(read_frames(tmp_path / "a.npy", "g1").data, data[:, row::2, col::2])
 

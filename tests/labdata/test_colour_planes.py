@@ -30,7 +30,7 @@ def test_a_mosaic_that_does_not_show_is_stated_with_the_plane(
 ) -> None:
     data = dark()
     cv2.imwrite(str(tmp_path / "dark.png"), data[0])
-    with pytest.raises(BadInput, match=f"got plane '{plane}' of dark.png; .* --plane rggb:{plane}"):
+    with pytest.raises(BadInput, match=f"got plane '{plane}' of dark.png; .* `plane` rggb:{plane}"):
         read_frames(tmp_path / "dark.png", plane)
     for stack in (
         read_frames(tmp_path / "dark.png", f"rggb:{plane}"),

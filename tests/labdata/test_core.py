@@ -150,12 +150,12 @@ def test_a_number_without_flags_is_ok_and_with_flags_suspect():
 
 def test_a_finding_makes_a_number_suspect_and_says_its_effect_and_remedy():
     number = make_measurement("mtf50", "cy/px", 0.2, None, None, method="m", notes=("first",))
-    found = Finding(flag="gamma", effect="MTF50 may be up to 1.3 % high", remedy="--black-dn 0")
+    found = Finding(flag="gamma", effect="MTF50 may be up to 1.3 % high", remedy="`black_dn` 0")
     suspect = number.with_(findings=(found,))
     assert (suspect.status, suspect.flags) == ("suspect", ("gamma",))
     assert suspect.notes == (
         "first",
-        "gamma: MTF50 may be up to 1.3 % high; what settles it: --black-dn 0",
+        "gamma: MTF50 may be up to 1.3 % high; what settles it: `black_dn` 0",
     )
     with pytest.raises(ValueError, match="must be one of"):
         Finding(flag="odd", effect="", remedy="")

@@ -228,7 +228,7 @@ def test_files_of_one_stack_are_named_and_added_to_a_session(tmp_path):
     ):
         with pytest.raises(BadInput, match=rule):
             import_frames([tmp_path / "lit" / "c.npy"], tmp_path / "S", kind="flat", **keys)
-    with pytest.raises(BadInput, match="--add needs the folder of a session"):
+    with pytest.raises(BadInput, match="`add` needs the folder of a session"):
         import_frames([tmp_path / "lit" / "c.npy"], tmp_path / "none", add=True)
     assert (tmp_path / "S" / "session.toml").read_bytes() == before
 

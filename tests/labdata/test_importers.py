@@ -114,7 +114,7 @@ def test_colour_planes_are_kept_apart_and_the_luminance_is_said(tmp_path, planar
     luminance = read_frames(tmp_path / "a.tif")
     assert luminance.data[0] == pytest.approx(data @ np.array([0.2125, 0.7154, 0.0721]))
     assert "0.2125 R + 0.7154 G + 0.0721 B" in luminance.notes[-1]
-    assert ("if they are frames: --axis 0" in luminance.notes[0]) == (planar == "separate")
+    assert ("if they are frames: `axis` 0" in luminance.notes[0]) == (planar == "separate")
     assert luminance.full_scale_dn == 255
     assert luminance.plane == "luminance"
     assert np.array_equal(read_frames(tmp_path / "a.tif", plane="luminance").data, luminance.data)
