@@ -59,6 +59,10 @@ class NoiseLaw:
         variance = self.read_dn**2 + self.gain_dn * mu + square * mu**2
         return np.sqrt(np.maximum(variance, 1e-300))
 
+    def sum_variance(self, total: float) -> float:
+        """Return the variance of the sum of many pixels by the light in them, DN^2."""
+        return float(self.correlation_factor * self.gain_dn * max(total, 0.0))
+
     def signal_at(self, snr: float) -> Array:
         """Return the signal at which mu / sigma(mu), PRNU included, is an SNR; inf if none is."""
         square = 1.0 - snr**2 * np.asarray(self.pattern + self.bend)

@@ -230,10 +230,8 @@ def pattern_of(series: FlatSeries) -> tuple[float, float]:
     known = np.isfinite(sd) & (sd > 0)
     if not known.any():
         return 0.0, 0.0
-    weight = 1.0 / sd[known] ** 2
-    mean = float(weight @ value[known] / weight.sum())
-    excess = float(weight @ (value[known] - mean) ** 2) / max(1, known.sum() - 1)
-    return mean, float(np.sqrt(max(1.0, excess) / weight.sum()))
+    fit = linear_fit([np.ones(known.sum())], value[known], sd[known])
+    return float(fit.best[0]), float(np.sqrt(fit.covariance[0, 0])) * fit.stretch(known.sum())
 
 
 def _stacks(series: FlatSeries) -> list[StackStatistics]:
