@@ -5,7 +5,8 @@ import numpy as np
 from charact.estimators.bloom.posterior_psf import PosteriorPsf
 from charact.fitting import predicted_quantities as predicted
 from charact.fitting.prior import values_of_description
-from charact.fusion.noise_law import NoiseLaw, blur_px_of
+from charact.frames.noise_law import NoiseLaw
+from charact.fusion.noise_law import blur_px_of
 from labdata.camera.description import Camera
 
 

@@ -26,7 +26,6 @@ def median(values: NDArray[np.floating] | NDArray[np.integer]) -> float:
     return 0.5 * (float(parted[:middle].max()) + float(parted[middle]))
 
 
-def robust_sd(values: NDArray[np.floating], about: float | None = None) -> float:
+def robust_sd(values: NDArray[np.floating], middle: float | None = None) -> float:
     """Return s of values about their median, or about a known middle."""
-    middle = median(values) if about is None else about
-    return NORMAL * median(np.abs(values - middle))
+    return NORMAL * median(np.abs(values - (median(values) if middle is None else middle)))

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.bloom.bloom_map import BloomMap
-from charact.fusion.noise_law import NoiseLaw, estimate_noise
+from charact.frames.noise_law import NoiseLaw
+from charact.fusion.noise_law import estimate_noise
 from charact.fusion.pyramid import NoiseGains, fill_holes, level_count, noise_gains, reduce_image
 from charact.fusion.thresholds import FUSION
 from labdata.errors import BadInput

@@ -44,7 +44,7 @@ def fuse_noise_aware(
     Examples
     --------
     >>> rng = np.random.default_rng(0)
-    >>> from charact.fusion.noise_law import NoiseLaw
+    >>> from charact.frames.noise_law import NoiseLaw
     >>> law = NoiseLaw(gain_dn=0.0, read_dn=1.0)
     >>> frames = rng.normal(0.0, 1.0, (2, 64, 64))
     >>> frames[:, 24:40, 24:40] += 5.0

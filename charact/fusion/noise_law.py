@@ -2,7 +2,6 @@
 of the frame.
 """
 
-from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -12,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from charact.frames.noise_law import NoiseLaw
 from charact.fusion.pyramid import decompose, noise_gains, reduce_image
 from charact.fusion.thresholds import FUSION
-from labdata.errors import check
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -23,32 +22,6 @@ Image = NDArray[Any]  # float32
 LEAST_FRAMES, MOST_FRAMES = 4, 33
 # Share of full scale below which noise grows with the mean.
 LINEAR_SHARE = 0.8
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoiseLaw:
-    """Noise power of a camera at the scale of objects: gain_dn * (mean above dark) + read_dn^2, per
-    pixel.
-
-    `gain_dn`: covariance gain K + k F^2, in the unit of the band (0 of a thermal imager);
-    `read_dn`: standard deviation of the noise without light (NETD of a thermal imager); `blur_px`:
-    standard deviation of the Gaussian blur after the gain, that hides noise of single pixels;
-    `read_blur_px`: that of the noise without light, by a warp; `is_known`: whether it was measured
-    or described, not estimated from the frame to be fused.
-    """
-
-    gain_dn: float
-    read_dn: float
-    blur_px: float = 0.0
-    read_blur_px: float = 0.0
-    is_known: bool = True
-
-    def __post_init__(self) -> None:
-        check(self, not_negative="gain_dn read_dn blur_px read_blur_px", of=" of a noise law")
-
-    def scaled(self, ratio: float) -> "NoiseLaw":
-        """Return the law with a ratio of the noise power."""
-        return replace(self, gain_dn=self.gain_dn * ratio, read_dn=self.read_dn * ratio**0.5)
 
 
 def blur_px_of(blur_factor: float) -> float:

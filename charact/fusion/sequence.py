@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.frames.noise_law import NoiseLaw
 from charact.fusion.alignment import crop_band, move_band, place_source
 from charact.fusion.bands import Band, Image, Span, display_planes
 from charact.fusion.fuse import fuse
 from charact.fusion.fused import Fused
 from charact.fusion.geometry import Placement
-from charact.fusion.noise_law import LEAST_FRAMES, NoiseLaw
+from charact.fusion.noise_law import LEAST_FRAMES
 from charact.fusion.sources import Source, band_of
 from charact.fusion.thresholds import FILTER, FUSION
 from labdata.errors import BadInput

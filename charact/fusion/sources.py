@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom.bloom_map import BloomMap, bloom_map, spread_from
 from charact.estimators.bloom.posterior_psf import PosteriorPsf
+from charact.frames.noise_law import NoiseLaw
 from charact.frames.stack import Stack
 from charact.fusion.bands import Band
 from charact.fusion.geometry import CameraGeometry
-from charact.fusion.noise_law import NoiseLaw, measure_noise
+from charact.fusion.noise_law import measure_noise
 from charact.fusion.thresholds import FUSION
 from labdata import result_io
 from labdata.camera.description import Camera, has_tube, is_thermal

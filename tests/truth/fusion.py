@@ -16,8 +16,8 @@ from scipy.ndimage import gaussian_filter
 
 from charact.estimators.bloom.bloom_map import bloom_map
 from charact.estimators.bloom.posterior_psf import PosteriorPsf
+from charact.frames.noise_law import NoiseLaw
 from charact.fusion.bands import Band
-from charact.fusion.noise_law import NoiseLaw
 from charact.fusion.truth_scores import FusionTruth
 
 SHAPE = (240, 320)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.bloom.point_stack import PointStack
+from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
@@ -222,32 +223,9 @@ def _around(bright: Mask, position: int) -> Mask:
 PATCH_PX = 6
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeanFrameNoise:
-    """Noise of a mean frame.
-
-    `floor_variance`: variance of a pixel of the background, DN^2; `per_light`: variance of a pixel
-    over its signal, DN; 0 where the background is too faint to measure it; `neighbours`: variance
-    of the sum of many adjacent pixels over that of as many independent ones, dimensionless;
-    `background_dn`: background above dark, DN.
-    """
-
-    floor_variance: float
-    per_light: float
-    neighbours: float
-    background_dn: float
-
-    def pixel_variance(self, light_dn: float) -> float:
-        """Variance of a pixel at a signal above dark, DN^2."""
-        return self.floor_variance + self.per_light * max(light_dn - self.background_dn, 0.0)
-
-    def sum_variance(self, light_dn: float) -> float:
-        """Variance of the total signal of a spot, DN^2."""
-        return self.neighbours * self.per_light * max(light_dn, 0.0)
-
-
-def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
-    """Estimate the noise of a mean frame far from a source.
+def mean_frame_noise(image: Array, col: float, dark_dn: float) -> tuple[NoiseLaw, float]:
+    """Return the noise law of a pixel of a mean frame, and the background far from a source above
+    dark, DN.
 
     `image`: mean frame, shape (row, col), DN; `col`: column of the source, px; `dark_dn`: black
     level, DN. The scatter of patches includes temporal noise and fixed pattern, since both affect a
@@ -268,12 +246,11 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     background = float(np.median(patches[:, far_patches])) - dark_dn
     # Below 0.5 DN the noise is not photon noise.
     measurable = background > 0.5
-    return MeanFrameNoise(
-        floor_variance=floor,
-        per_light=floor / background if measurable else 0.0,
-        neighbours=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)),
-        background_dn=max(background, 0.0),
-    )
+    return NoiseLaw(
+        gain_dn=floor / background if measurable else 0.0,
+        read_dn=0.0 if measurable else floor**0.5,
+        correlation_factor=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)),
+    ), max(background, 0.0)
 
 
 LEAST_ROWS = 3
@@ -312,12 +289,12 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     every second row counts near the ends.
     """
     columns = compare_columns(spot, context)
-    grain = grain_of(spot.image, spot.col, spot.dark_dn)
-    length, sd = _rows_above(spot, grain, round(spot.col))
+    noise, _ = mean_frame_noise(spot.image, spot.col, spot.dark_dn)
+    length, sd = _rows_above(spot, noise, round(spot.col))
     other = round(spot.col) + (1 if spot.col > round(spot.col) else -1)
     # Near the middle between two columns either may be the source's.
     if 0.5 - abs(spot.col - round(spot.col)) < 0.15 and 0 <= other < spot.image.shape[1]:
-        sd = float(np.hypot(sd, 0.5 * abs(length - _rows_above(spot, grain, other)[0])))
+        sd = float(np.hypot(sd, 0.5 * abs(length - _rows_above(spot, noise, other)[0])))
     rows_above, rows_below = (_full_rows(spot, columns, side) for side in (-1, 1))
     full = np.concatenate([rows_above, rows_below])
     rows = spot.image.shape[0]
@@ -343,20 +320,20 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     )
 
 
-def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[float, float]:
+def _rows_above(spot: PointStack, noise: NoiseLaw, col: int) -> tuple[float, float]:
     """Number of rows of a column with a mean at or above half of full scale, and its standard
     error.
     """
     from scipy.special import ndtr
 
     half = 0.5 * (spot.full_scale_dn - spot.dark_dn)
-    above_probability = ndtr(
-        (spot.image[:, col] - spot.dark_dn - half) / np.sqrt(grain.pixel_variance(half))
-    )
+    above_probability = ndtr((spot.image[:, col] - spot.dark_dn - half) / noise.sd(half))
     rows = float(above_probability.sum())
-    counted = float((above_probability * (1.0 - above_probability)).sum()) * grain.neighbours
+    counted = (
+        float((above_probability * (1.0 - above_probability)).sum()) * noise.correlation_factor
+    )
     # The column's total signal determines the streak's length and its scatter.
-    spilled = float(grain.sum_variance(half * rows)) / (2.0 * half) ** 2 if rows > 12 else 0.0
+    spilled = noise.sum_variance(half * rows) / (2.0 * half) ** 2 if rows > 12 else 0.0
     frames = spot.frame_streak_px
     frame_variance = float(frames.var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
     return rows, float(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom.source_view import (
     SECTORS,
-    PixelNoise,
     Polar,
     SourceView,
     mean_with_clipping,
@@ -64,31 +63,22 @@ class Contour:
 
 
 def fit_contour(
-    signal: Array,
-    polar: Polar,
-    profile: tuple[Array, Array],
-    level: float,
-    radius: float,
-    noise: PixelNoise,
-    top: float,
-    sectors: NDArray[np.bool_],
-    *,
-    width: float = 1.0,
+    view: SourceView, level: float, radius: float, sectors: NDArray[np.bool_], *, width: float = 1.0
 ) -> Contour | None:
     """Fit the contour at a threshold near a radius; None where the pixels there do not cross it.
 
-    `signal`: mean frame above dark, shape (row, col), DN; `profile`: radius and mean signal of
-    rings, which select the pixels near the threshold; `level`: threshold above dark, DN; `radius`:
-    start radius, column pitches; `top`: full scale above dark, DN; `sectors`: sectors used;
+    `view`: mean frame around the source, whose rings select the pixels near the threshold; `level`:
+    threshold above dark, DN; `radius`: start radius, column pitches; `sectors`: sectors used;
     `width`: fraction of the usual annulus that is fitted.
     """
+    polar, profile, noise, top = view.polar, view.profile, view.noise, view.top
     base = _surroundings(profile, level, radius)
     # Close to full scale the rings are clipped on one side and locate the threshold less well.
     nearest = 1.5 if width >= 1.0 and level > CUT_SHARE * top else 0.75
     pixels = _near(polar, profile, (level, base), radius, sectors, (width, nearest))
-    value, x, y = signal[pixels], polar.dx[pixels] / radius, polar.dy[pixels] / radius
+    value, x, y = view.signal[pixels], polar.dx[pixels] / radius, polar.dy[pixels] / radius
     start = np.interp(polar.radius[pixels], *profile)
-    clear = start < top - 2.0 * float(noise.sd(top)) / np.sqrt(noise.frames)
+    clear = start < top - 2.0 * float(view.mean_sd(top))
     bends = (clear & (x**2 + y**2 < 1.0)).sum() > 10
     terms = _terms(radius, len(value), bends=bends, round_only=not sectors.all())
     basis = _basis(x, y, terms)
@@ -115,7 +105,7 @@ def fit_contour(
         mean = threshold_height * np.exp(np.clip(linear, -4.0, 4.0))
         expected, unclipped_fraction = mean_with_clipping(base + mean, noise, top)
         lever = unclipped_fraction * mean
-        variance = noise.sd(base + mean) ** 2 / noise.frames
+        variance = view.mean_sd(base + mean) ** 2
         weight = lever**2 / (variance + (0.05 * mean) ** 2)
         working = linear + (value - expected) * lever / np.maximum(
             lever**2, 1e-3 * threshold_height**2
@@ -296,7 +286,7 @@ def extent_at(
         return _extent_from_pixels(view, level_dn, visible)
     rng = np.random.default_rng(seed)
     sd = view.noise.sd(profile)
-    sd = sd * np.clip((view.top - profile) / sd, 0.0, 1.0) / np.sqrt(view.noise.frames)
+    sd = sd * np.clip((view.top - profile) / sd, 0.0, 1.0) / np.sqrt(view.frames)
     means = view.rings.draws(sd, DRAWS, rng, sectors)[:, :usable]
     shift = level_sd * rng.standard_normal(DRAWS)
     crossings = _crossings(radius[:usable], means, visible + shift[:, None])
@@ -326,9 +316,7 @@ def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
     sectors = ~_find_pulled_sectors(view, visible, first)
     if sectors.sum() < SECTORS // 3:
         return None
-    contour = fit_contour(
-        view.signal, view.polar, view.profile, level, max(first, 0.7), view.noise, view.top, sectors
-    )
+    contour = fit_contour(view, level, max(first, 0.7), sectors)
     return None if contour is None else (contour, bool(sectors.all()))
 
 
@@ -366,7 +354,7 @@ def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask
     """Find the sectors in which the region extends clearly beyond its rings, shape (sector,)."""
     if np.isinf(first):
         return np.zeros(SECTORS, bool)
-    clear_level = visible + 2.0 * float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
+    clear_level = visible + 2.0 * float(view.mean_sd(visible))
     picture = view.smooth if first > NARROW_PX else view.signal
     region = _component(view, picture >= min(clear_level, 0.5 * (visible + view.top)))
     margin = max(min(2.0, 0.4 * first), 0.1 * first, 1.0)
@@ -395,17 +383,7 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
     """Fit the contour at the rings' crossing, then again at the radius of the fit."""
     contour, width = None, 1.0
     for _ in range(4):
-        fitted = fit_contour(
-            view.signal,
-            view.polar,
-            view.profile,
-            level,
-            radius,
-            view.noise,
-            view.top,
-            sectors,
-            width=width,
-        )
+        fitted = fit_contour(view, level, radius, sectors, width=width)
         if fitted is None:
             return contour
         again = float(np.sqrt(fitted.area / np.pi))
@@ -439,7 +417,7 @@ def _extent_from_contour(
         parts = _component(view, within_contour | (view.signal >= visible))
         extra = np.where(pulled & ~within_contour, parts, 0.0)
         area += float(extra.sum()) * view.polar.row_pitch
-        noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
+        noise = float(view.mean_sd(visible))
         open_ = (extra > 0) & (np.abs(view.signal - visible) < noise)
         variance += view.polar.row_pitch**2 * (
             0.25 * open_.sum() + (0.5 * (extra > 0).sum() ** 0.5) ** 2
@@ -488,7 +466,7 @@ def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) 
 
 def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Extent | None:
     """Extent of a region that is not round, or as large as the frame, by counting pixels."""
-    noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
+    noise = float(view.mean_sd(visible))
     # Smoothing preserves faint contours, but would blur sharp narrow streaks.
     picture = view.signal if noise < 0.12 * visible else view.smooth
     parts = _component(view, picture >= visible)

@@ -71,7 +71,7 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     )
     rings = max(int(min(*border, REACH_PX)), 1)
     rng = np.random.default_rng(seed)
-    sd = view.noise.sd(view.profile[1]) / np.sqrt(view.noise.frames)
+    sd = view.mean_sd(view.profile[1])
     area = np.diff(np.pi * np.arange(rings + 1.0) ** 2)
     mean = view.rings.mean()[:rings]
     noise = view.rings.draws(sd, DRAWS, rng, np.ones(SECTORS, bool))[:, :rings] - mean

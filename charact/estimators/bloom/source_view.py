@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
 
 Array = NDArray[np.float64]
@@ -124,26 +125,7 @@ SMOOTHING_PX = 1.0
 APART_ROWS = 3
 
 
-@dataclass(frozen=True, kw_only=True)
-class PixelNoise:
-    """Variance of a pixel in one frame, `floor + slope * signal`, DN^2, and the number of averaged
-    frames.
-
-    `correlation_factor` is the variance of a sum of many pixels over that of as many independent
-    ones.
-    """
-
-    floor: float
-    slope: float
-    frames: int
-    correlation_factor: float = 1.0
-
-    def sd(self, signal: Array | float) -> Array:
-        """Return the standard deviation of a pixel in one frame, DN."""
-        return np.sqrt(np.maximum(self.floor + self.slope * np.maximum(signal, 0.0), 1e-6))
-
-
-def mean_with_clipping(mean: Array, noise: PixelNoise, top: float) -> tuple[Array, Array]:
+def mean_with_clipping(mean: Array, noise: NoiseLaw, top: float) -> tuple[Array, Array]:
     """Return the mean of a noisy signal clipped at `top`, and the unclipped fraction; shapes of
     `mean`.
     """
@@ -160,7 +142,7 @@ def mean_with_clipping(mean: Array, noise: PixelNoise, top: float) -> tuple[Arra
 
 def noise_of(
     frames: NDArray, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings
-) -> PixelNoise:
+) -> NoiseLaw:
     """Estimate pixel noise from frame differences or, in a single frame, from differences within
     rings.
 
@@ -195,7 +177,7 @@ def noise_of(
 
 def _line(
     variance: Array, signal: Array, top: float, frames: int, correlation_factor: float
-) -> PixelNoise:
+) -> NoiseLaw:
     """Fit variance against signal from the faint half of the pixels and from well exposed ones."""
     known = np.isfinite(variance)
     variance, signal = variance[known], signal[known]
@@ -204,28 +186,17 @@ def _line(
     at_faint, of_faint = float(np.maximum(signal[faint], 0.0).mean()), float(variance[faint].mean())
     if lit.sum() < 8:
         # Noise of intensified cameras is mostly photon noise.
-        slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, 1.0)
-        return PixelNoise(
-            floor=ROUNDING, slope=slope, frames=frames, correlation_factor=correlation_factor
-        )
-    # Medians, since pixels at the end of a streak or under a moving source vary by more than their
-    # noise.
-    at_lit = float(np.median(signal[lit]))
-    of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
-    if at_lit < 1.5 * at_faint:
-        return PixelNoise(
-            floor=ROUNDING,
-            slope=max(of_lit - ROUNDING, 0.0) / at_lit,
-            frames=frames,
-            correlation_factor=correlation_factor,
-        )
-    slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
-    return PixelNoise(
-        floor=max(of_faint - slope * at_faint, ROUNDING),
-        slope=slope,
-        frames=frames,
-        correlation_factor=correlation_factor,
-    )
+        slope, floor = max(of_faint - ROUNDING, 0.0) / max(at_faint, 1.0), ROUNDING
+    else:
+        # Medians, since pixels at the end of a streak or under a moving source vary by more than
+        # their noise.
+        at_lit = float(np.median(signal[lit]))
+        of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
+        slope, floor = max(of_lit - ROUNDING, 0.0) / at_lit, ROUNDING
+        if at_lit >= 1.5 * at_faint:
+            slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
+            floor = max(of_faint - slope * at_faint, ROUNDING)
+    return NoiseLaw(gain_dn=slope, read_dn=floor**0.5, correlation_factor=correlation_factor)
 
 
 def _median_share(freedom: int) -> float:
@@ -239,7 +210,8 @@ class SourceView:
 
     `signal`: mean frame above dark, shape (row, col), DN; `smooth`: the same smoothed by one pixel;
     `dark_dn`: black level, DN; `top`: full scale above dark, DN; `polar`, `rings`, `noise`: polar
-    coordinates of the pixels, sums over cells, and noise of a pixel.
+    coordinates of the pixels, sums over cells, and noise of a pixel in one frame; `frames`: how
+    many are averaged.
     """
 
     signal: Array
@@ -248,7 +220,12 @@ class SourceView:
     top: float
     polar: Polar
     rings: Rings
-    noise: PixelNoise
+    noise: NoiseLaw
+    frames: int
+
+    def mean_sd(self, signal: Array | float) -> Array:
+        """Return the standard deviation of a pixel of the mean frame at signals above dark, DN."""
+        return self.noise.sd(signal) / np.sqrt(self.frames)
 
     @cached_property
     def profile(self) -> tuple[Array, Array]:
@@ -278,6 +255,7 @@ def view_of(
         polar=polar,
         rings=rings,
         noise=noise_of(frames, signal, smooth, top, polar, rings),
+        frames=len(frames),
     )
 
 

@@ -1,8 +1,7 @@
 """Noise law of one gain setting: variance against signal.
 
-One exposure less the mean dark has the variance v(mu) = r^2 + a mu + b mu^2: read noise, shot noise
-and nonlinearity (MCP saturation). PRNU adds p mu^2 without flat-field correction. For a pixel a is
-(K + k F^2) times the blur factor, for an area (K + k F^2) over its number of pixels.
+One exposure less the mean dark obeys `charact.frames.noise_law`. For a pixel g is (K + k F^2) times
+the blur factor, for an area (K + k F^2) over its number of pixels.
 """
 
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from charact.estimators.noise.gain.series import CLIPPED_SHARE, FlatSeries
 from charact.estimators.noise.illumination import signal_sd
 from charact.estimators.noise.linear_fit import linear_fit
 from charact.estimators.noise.thresholds import SNR
+from charact.frames.noise_law import NoiseLaw
 from charact.frames.rounding import rounding_sd
 from charact.frames.stack_statistics import (
     StackStatistics,
@@ -73,30 +73,22 @@ class SignalNoiseSeries:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoiseLaw:
-    """Posterior of the noise law."""
+class FittedNoiseLaw:
+    """Noise law fitted to levels."""
 
     posterior: Posterior  # draws of `NAMES`
     misfit: str | None  # note on deviations from the law, or None
 
-    def snr(self, signal: Array, *, pattern: bool = False) -> Array:
-        """Return the SNR, shape (draw, signal), with or without PRNU."""
-        read, shot, bend, fixed = (self.posterior[name][:, None] for name in NAMES)
-        return signal / np.sqrt(
-            np.maximum(read + shot * signal + (bend + fixed * pattern) * signal**2, 1e-300)
-        )
-
-    def signal_at(self, snr: float) -> Array:
-        """Return draws of the signal at an SNR including PRNU; inf if not reached."""
-        read, shot, bend, fixed = (self.posterior[name] for name in NAMES)
-        square = 1.0 - snr**2 * (fixed + bend)
-        root = np.sqrt(snr**4 * shot**2 + 4.0 * np.maximum(square, 0.0) * snr**2 * read)
-        return np.where(
-            square > 0, (snr**2 * shot + root) / np.maximum(2.0 * square, 1e-12), np.inf
-        )
+    @property
+    def law(self) -> NoiseLaw:
+        """The law of every draw, shape (draw, 1)."""
+        read, shot, bend, pattern = (self.posterior[name][:, None] for name in NAMES)
+        return NoiseLaw(read_dn=np.sqrt(read), gain_dn=shot, bend=bend, pattern=pattern)
 
 
-def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference: int) -> NoiseLaw:
+def fit_noise_law(
+    levels: SignalNoiseSeries, rng: np.random.Generator, *, reference: int
+) -> FittedNoiseLaw:
     """Fit the noise law to the levels of the linear range.
 
     `levels`: the levels; at least one is fitted; `reference`: index of the dark that gives the read
@@ -118,7 +110,7 @@ def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference:
         [drawn[:, reference], drawn[:, -2], drawn[:, -1] / brightest**2, pattern], axis=1
     )
     posterior = Posterior(names=NAMES, units=UNITS, draws=draws, sampler="laplace")
-    return NoiseLaw(posterior=posterior, misfit=_misfit(residual, levels, chi2, freedom))
+    return FittedNoiseLaw(posterior=posterior, misfit=_misfit(residual, levels, chi2, freedom))
 
 
 def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
@@ -238,10 +230,8 @@ def pattern_of(series: FlatSeries) -> tuple[float, float]:
     known = np.isfinite(sd) & (sd > 0)
     if not known.any():
         return 0.0, 0.0
-    weight = 1.0 / sd[known] ** 2
-    mean = float(weight @ value[known] / weight.sum())
-    excess = float(weight @ (value[known] - mean) ** 2) / max(1, known.sum() - 1)
-    return mean, float(np.sqrt(max(1.0, excess) / weight.sum()))
+    fit = linear_fit([np.ones(known.sum())], value[known], sd[known])
+    return float(fit.best[0]), float(np.sqrt(fit.covariance[0, 0])) * fit.stretch(known.sum())
 
 
 def _stacks(series: FlatSeries) -> list[StackStatistics]:

@@ -34,11 +34,11 @@ from charact.estimators.noise.illumination import (
 from charact.estimators.noise.noise_law import (
     NAMES,
     UNITS,
-    NoiseLaw,
+    FittedNoiseLaw,
     SignalNoiseSeries,
     area_levels,
+    fit_noise_law,
     flats_without_clipping,
-    noise_law,
     pixel_levels,
 )
 from charact.estimators.noise.thresholds import SNR
@@ -71,7 +71,7 @@ class Scope:
     suffix: str  # suffix of the quantity names
     sentence: str  # description for notes
     levels: SignalNoiseSeries  # signal and noise
-    law: NoiseLaw  # fitted noise law
+    fit: FittedNoiseLaw  # of the levels
 
 
 def minimum_illumination(
@@ -89,7 +89,7 @@ def minimum_illumination(
     those of the series.
     """
     name = f"minimum_illumination{scope.suffix}"
-    amount = scope.law.signal_at(LEAST_SNR) / response
+    amount = scope.fit.law.signal_at(LEAST_SNR)[:, 0] / response
     try:
         if "agc" in flags_of(findings):
             raise Unmeasurable(ALTERNATIVE)
@@ -97,7 +97,7 @@ def minimum_illumination(
     except Unmeasurable as reason:
         return make_refusal(name, light.unit, str(reason), **fields)
     scale = light.scale(seed, len(amount))
-    misfit = [] if scope.law.misfit is None else [Finding("model-misfit", scope.law.misfit)]
+    misfit = [] if scope.fit.misfit is None else [Finding("model-misfit", scope.fit.misfit)]
     causes = [*findings, *farther, *misfit]
     unequal = ", unequal pixels counted" if scope.levels.pattern_sd else ""
     time = "" if light.seconds is None else f", light gathered for {light.seconds:.3g} s"
@@ -105,7 +105,7 @@ def minimum_illumination(
     posterior = Posterior(
         names=(*NAMES, "response", "light_scale", name),
         units=(*UNITS, f"DN/{light.unit}", "1", light.unit),
-        draws=np.column_stack([scope.law.posterior.draws, response, scale, amount * scale]),
+        draws=np.column_stack([scope.fit.posterior.draws, response, scale, amount * scale]),
         sampler="laplace",
         seed=seed,
     )
@@ -189,22 +189,22 @@ def _scope(
         for m in measurements
         if m.quantity == f"minimum_illumination{scope.suffix}" and m.value is not None
     ]
-    middle = float(np.median(scope.law.signal_at(LEAST_SNR))) / per_amount
+    law = scope.fit.law
+    middle = float(np.median(law.signal_at(LEAST_SNR))) / per_amount
     low = (
         min(float(amount[shown].min(initial=np.inf)), middle if np.isfinite(middle) else np.inf)
         / 2.0
     )
     grid = np.geomspace(low, 2.0 * float(amount[shown].max(initial=low)), 60)
-    temporal = np.quantile(scope.law.snr(grid * per_amount), [0.025, 0.5, 0.975], axis=0).tolist()
+    signal = grid * per_amount
+    temporal = np.quantile(signal / law.sd(signal), [0.025, 0.5, 0.975], axis=0).tolist()
     return {
         "name": "area" if scope.suffix else "pixel",
         "snr": scope.levels.snr[shown].tolist(),
         "snr_sd": scope.levels.snr_sd[shown].tolist(),
         "law_amount": grid.tolist(),
         **dict(zip(("law_low", "law_snr", "law_high"), temporal, strict=True)),
-        "law_with_pattern": np.median(
-            scope.law.snr(grid * per_amount, pattern=True), axis=0
-        ).tolist(),
+        "law_with_pattern": np.median(signal / law.sd(signal, pattern=True), axis=0).tolist(),
         "minimum": minima[0].value if minima else None,
         "minimum_interval95": list(minima[0].interval95 or ()) if minima else None,
     }
@@ -310,8 +310,8 @@ def _measure_setting(
     scopes = []
     for suffix, sentence, levels in parts:
         rng = np.random.default_rng([context.seed, 23, len(suffix)])
-        law = noise_law(levels, rng, reference=int(levels.dark[reference]))
-        scopes.append(Scope(suffix=suffix, sentence=sentence, levels=levels, law=law))
+        fit = fit_noise_law(levels, rng, reference=int(levels.dark[reference]))
+        scopes.append(Scope(suffix=suffix, sentence=sentence, levels=levels, fit=fit))
     out = [m for scope in scopes for m in _ratios(series, scope, findings, fields)]
     if lit is None:
         out += [

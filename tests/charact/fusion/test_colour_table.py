@@ -5,7 +5,8 @@ is stated.
 import numpy as np
 import pytest
 
-from charact.fusion.bands import Band, NoiseLaw
+from charact.frames.noise_law import NoiseLaw
+from charact.fusion.bands import Band
 from charact.fusion.colour_table import ColourTable, fuse_by_table, make_colour_table
 from labdata import BadInput
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from charact.frames.noise_law import NoiseLaw
 from charact.fusion.fuse import fuse
-from charact.fusion.noise_law import NoiseLaw
 from labdata import BadInput
 from tests.truth.fusion import Pair, bands_of
 

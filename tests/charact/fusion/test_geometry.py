@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from charact.frames.noise_law import NoiseLaw
 from charact.fusion.alignment import align_bands, common_field, crop_band
 from charact.fusion.bands import Band
 from charact.fusion.geometry import CameraGeometry, place_pixels
-from charact.fusion.noise_law import NoiseLaw, blur_px_of, measure_noise
+from charact.fusion.noise_law import blur_px_of, measure_noise
 from charact.fusion.sources import Source
 from labdata import BadInput, FrameStack
 

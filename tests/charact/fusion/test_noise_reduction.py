@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.fusion.bands import NoiseLaw
+from charact.frames.noise_law import NoiseLaw
 from charact.fusion.sequence import filtered_law, reduce_noise, variance_ratio
 from charact.fusion.truth_scores import detectability2, object_channels
 from labdata import BadInput

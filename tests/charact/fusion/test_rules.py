@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from skimage import data
 
+from charact.frames.noise_law import NoiseLaw
 from charact.fusion import rules
 from charact.fusion.bands import Band
 from charact.fusion.fuse import fuse
-from charact.fusion.noise_law import NoiseLaw
 from tests.truth.fusion import Pair, bands_of, gaussian
 
 

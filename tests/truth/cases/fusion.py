@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from charact.fusion.bands import Band, NoiseLaw
+from charact.frames.noise_law import NoiseLaw
+from charact.fusion.bands import Band
 from charact.fusion.fuse import fuse
 from charact.fusion.fused import Fused
 from charact.fusion.truth_scores import fit_to_truth, restoration_errors

@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.frames.noise_law import NoiseLaw
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -236,14 +238,13 @@ def _along(geometry: Geometry, mean: Array) -> Array:
 class RingNoise:
     """Noise of a series, estimated from its frames.
 
-    `floor_dn2`, `slope_dn`: variance of a pixel, floor + slope x (signal - dark); `dark_dn`: black
-    level, DN; `sharing`: variance of a ring's mean over that of independent pixels, shape (ring,);
-    `correlation`: correlation of ring means by distance 0, 1, 2, .., shape (lag,); `fewer`: frames
-    per independent frame.
+    `law`: noise of a pixel against its signal above the black level `dark_dn`, DN; `sharing`:
+    variance of a ring's mean over that of independent pixels, shape (ring,); `correlation`:
+    correlation of ring means by distance 0, 1, 2, .., shape (lag,); `fewer`: frames per independent
+    frame.
     """
 
-    floor_dn2: float
-    slope_dn: float
+    law: NoiseLaw
     dark_dn: float
     sharing: Array
     correlation: Array
@@ -251,7 +252,7 @@ class RingNoise:
 
     def pixel_sd(self, level_dn: Array) -> Array:
         """Return the standard deviation of a pixel at given signals, DN."""
-        return np.sqrt(np.maximum(self.floor_dn2 + self.slope_dn * (level_dn - self.dark_dn), 1e-4))
+        return self.law.sd(level_dn - self.dark_dn)
 
     def covariance(self, level_dn: Array, count: Array, frames: int) -> Array:
         """Return the covariance of a stack's ring means at given signals, shape (ring, ring),
@@ -268,8 +269,7 @@ class RingNoise:
 
         Rare pulses do not dither the values between them: below 1 DN only the dark noise counts.
         """
-        stirred = self.floor_dn2 + self.slope_dn * np.maximum(level_dn - self.dark_dn - 1.0, 0.0)
-        return np.exp(-2.0 * np.pi**2 * stirred) / np.pi
+        return np.exp(-2.0 * np.pi**2 * self.law.sd(level_dn - self.dark_dn - 1.0) ** 2) / np.pi
 
     @cached_property
     def _matrix(self) -> Array:
@@ -284,10 +284,9 @@ class RingNoise:
 def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
     """Estimate the noise common to all stacks of a series."""
     free = np.array([(level.cut_share < HARDLY_CUT) & ~level.geometry.lost for level in levels])
-    floor, slope = _variance_law(levels, free, dark_dn)
+    law = _noise_law(levels, free, dark_dn)
     bare = RingNoise(
-        floor_dn2=floor,
-        slope_dn=slope,
+        law=law,
         dark_dn=dark_dn,
         sharing=np.ones(1),
         correlation=np.ones(1),
@@ -306,8 +305,7 @@ def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
     sharing = _smooth_over_rings(square, freedom @ free)
     normalised = [scatter / np.sqrt(sharing) for scatter in scaled]
     return RingNoise(
-        floor_dn2=floor,
-        slope_dn=slope,
+        law=law,
         dark_dn=dark_dn,
         sharing=sharing,
         correlation=_correlation(normalised),
@@ -315,10 +313,8 @@ def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
     )
 
 
-def _variance_law(
-    levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_dn: float
-) -> tuple[float, float]:
-    """Floor and slope of the pixel variance against signal, by weighted least squares."""
+def _noise_law(levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_dn: float) -> NoiseLaw:
+    """Noise law of a pixel, by weighted least squares."""
     mean = (
         np.concatenate([level.mean_dn[use] for level, use in zip(levels, free, strict=True)])
         - dark_dn
@@ -330,14 +326,14 @@ def _variance_law(
         [level.geometry.count[use] for level, use in zip(levels, free, strict=True)]
     )
     if len(mean) < 3:
-        return 1.0, 0.0
+        return NoiseLaw(gain_dn=0.0, read_dn=1.0)
     design = np.stack([np.ones_like(mean), np.maximum(mean, 0.0)], axis=1)
     fitted = np.full(len(mean), np.median(variance))
     for _ in range(4):
         weight = np.sqrt(pixels) / np.maximum(fitted, 1e-3)
         floor, slope = np.linalg.lstsq(design * weight[:, None], variance * weight, rcond=None)[0]
         fitted = np.maximum(design @ [max(floor, 1e-3), max(slope, 0.0)], 1e-3)
-    return float(max(floor, 1e-3)), float(max(slope, 0.0))
+    return NoiseLaw(gain_dn=float(max(slope, 0.0)), read_dn=float(max(floor, 1e-3)) ** 0.5)
 
 
 def _smooth_over_rings(square: Array, number_per_ring: Array) -> Array:

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from charact.estimators import noise
 from charact.estimators.noise.gain.series import read_levels
 from charact.estimators.noise.illumination import StatedIllumination, response_draws
-from charact.estimators.noise.noise_law import SignalNoiseSeries, noise_law
+from charact.estimators.noise.noise_law import SignalNoiseSeries, fit_noise_law
 from charact.estimators.noise.snr_against_light import (
     Scope,
     minimum_illumination,
@@ -177,7 +177,7 @@ def test_the_minimum_illumination_lies_in_its_interval_as_often_as_promised(seed
     for case in range(200):
         levels, light, truth = exact_case(rng)
         # What is known of the light is its ratio to the record, drawn once for the whole session.
-        law = noise_law(levels, np.random.default_rng([seed, case]), reference=0)
+        fit = fit_noise_law(levels, np.random.default_rng([seed, case]), reference=0)
         draws = response_draws(
             light.amount,
             levels.signal_dn,
@@ -185,7 +185,7 @@ def test_the_minimum_illumination_lies_in_its_interval_as_often_as_promised(seed
             np.random.default_rng([case, seed]),
             2000,
         )
-        scope = Scope(suffix="", sentence="", levels=levels, law=law)
+        scope = Scope(suffix="", sentence="", levels=levels, fit=fit)
         found = minimum_illumination(scope, light, draws, [], seed=case, method="")
         low, high = found.interval95
         inside += low < truth < high
@@ -207,10 +207,10 @@ def test_the_law_has_slopes_one_one_half_and_none():
         pattern=1e-4,
         pattern_sd=1e-7,
     )
-    law = noise_law(levels, np.random.default_rng(1), reference=0)
+    law = fit_noise_law(levels, np.random.default_rng(1), reference=0).law
     for signal, slope, pattern in ((1e-2, 1.0, True), (1e6, 0.5, False), (1e9, 0.0, True)):
         around = signal * np.array([0.99, 1.01])
-        ratio = np.median(law.snr(around, pattern=pattern), axis=0)
+        ratio = np.median(around / law.sd(around, pattern=pattern), axis=0)
         assert np.diff(np.log(ratio))[0] / np.diff(np.log(around))[0] == pytest.approx(
             slope, abs=0.01
         )
