@@ -198,7 +198,7 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(
             ("a phosphor must be one of p20, p43, p46, p47",),
         ),
         ("half.tif", (*SCALE, "--kind", "house"), ("--kind must be one of dark, flat",)),
-        ("half.tif", (*SCALE, "--gate-ns", 1e9), ("gate_ns", "at most one exposure")),
+        ("half.tif", (*SCALE, "--gate-ns", 1e9), ("--gate-ns", "at most one exposure")),
         ("letter.tif", SCALE, ("letter.tif",)),
         ("picture.xyz", SCALE, (".xyz", ".tif")),
         ("cube.npz", (), ("must be a complete .npz file",)),
@@ -235,7 +235,7 @@ def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(
         (
             "bench",
             ("--kind", "point", "--pinhole-px", "inf"),
-            ("pinhole_px must be a finite number, got inf",),
+            ("--pinhole-px must be a finite number, got inf",),
         ),
         (
             "bench",
