@@ -13,6 +13,7 @@ from charact.frames.clipping import is_clipped
 from charact.method import Context
 from labdata import FrameStack
 from labdata.importers import read_frames
+from tests.truth import gaussian_edges
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = ROOT.parent / "shared" / "cases"
@@ -45,22 +46,9 @@ def gaussian(sigma_px):
 
 
 def drawn(transfer, angle_deg, rows=150, cols=140, shift=0.3):
-    """Edge from 0 to 1 of a blur and square pixels, and its MTF50 along the normal, both by sums
-    over frequencies.
-    """
-    turn = np.deg2rad(angle_deg)
-    frequency = (np.arange(32768) + 0.5) / 8192.0
-    modulus = (
-        transfer(frequency) * np.sinc(frequency * np.cos(turn)) * np.sinc(frequency * np.sin(turn))
-    )
-    place = np.concatenate([np.arange(0.0, 16.0, 0.04), np.arange(16.0, 220.0, 0.5)])
-    kept = np.abs(modulus) > 1e-9
-    weight = (modulus / np.pi / frequency / 8192.0)[kept]
-    spread = np.array([np.sin(2.0 * np.pi * d * frequency[kept]) @ weight for d in place])
-    row, col = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols)[None, :] - (cols - 1) / 2
-    away = col * np.cos(turn) + row * np.sin(turn) - shift
-    half = float(frequency[np.argmax(np.abs(modulus) < 0.5)])
-    return 0.5 + np.sign(away) * np.interp(np.abs(away), place, spread), half
+    """Edge from 0 to 1 of a blur and square pixels, and its MTF50 along the normal."""
+    edge = gaussian_edges.frame_of(transfer, rows, cols, angle_deg=angle_deg, offset_px=shift)
+    return edge, gaussian_edges.level_of(transfer, angle_deg)
 
 
 def recorded(

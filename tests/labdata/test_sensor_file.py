@@ -9,7 +9,7 @@ import pytest
 
 from labdata import BadInput, Camera, load_camera, load_sensor, save_sensor
 from labdata.camera.description import camera_from_mapping
-from labdata.camera.parameters import Parameter
+from labdata.camera.parameters import Draws, Parameter
 from labdata.sensors import sensor_names
 from labdata.serialiser import to_mapping, to_toml
 
@@ -199,7 +199,6 @@ def test_a_sensor_written_and_read_is_the_same(sensor, tmp_path):
 
 
 def test_posterior_draws_survive_the_file_to_the_last_bit(sensor, seed, tmp_path):
-    from labdata.camera.parameters import Draws
 
     values = np.random.default_rng(seed).normal(size=(50, 2))
     draws = Draws(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from labdata import BadInput, Conditions, Session, Target, open_session
+from labdata import BadInput, Conditions, Session, Target, load_sensor, open_session, save_sensor
 
 
 def session_of(folder: Path, manifest: str, **files: np.ndarray) -> Path:
@@ -92,8 +92,6 @@ def test_what_one_file_of_a_stack_shows_holds_for_all_of_them(tmp_path):
 
 def test_a_sensor_beside_the_session_is_found(tmp_path):
     from dataclasses import replace
-
-    from labdata import load_sensor, save_sensor
 
     ours = replace(load_sensor("pulnix-ag5745ef3"), name="ours")
     session_of(

@@ -101,7 +101,6 @@ def test_impossible_exposures_are_refused(bench, call):
 
 
 def test_frames_of_the_sheets_camera_are_bytes_with_a_black_border_of_nothing(sheet):
-    from dataclasses import replace
 
     small = replace(sheet, ccd=replace(sheet.ccd, rows=33, columns=48))
     stack = LabBench(small).expose("flat", Target(), LUX, frames=2, seed=1)
@@ -110,7 +109,6 @@ def test_frames_of_the_sheets_camera_are_bytes_with_a_black_border_of_nothing(sh
 
 
 def test_progressive_camera_has_one_exposure_a_frame(plain):
-    from dataclasses import replace
 
     sensor = plain(40, 60)
     progressive = replace(sensor, video=replace(sensor.video, interlaced=False))

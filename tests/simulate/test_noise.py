@@ -16,7 +16,7 @@ from simulate.camera.phosphor import Phosphor
 from simulate.camera.pixels import Collection
 from simulate.camera.stage_image import StageImage
 from simulate.camera.taper import Taper
-from simulate.camera.transfer import PixelAperture, TubeShare
+from simulate.camera.transfer import PixelAperture, TubeShare, product
 from simulate.lab import LabBench
 
 LUX = 1e-4
@@ -157,7 +157,6 @@ def _captured(sensor, rows: int, columns: int) -> float:
     frequencies.
     """
     from simulate.camera.camera import CameraModel
-    from simulate.camera.transfer import product
 
     camera = CameraModel(sensor)
     # As many points as three times this on either axis tell the same to a millionth.

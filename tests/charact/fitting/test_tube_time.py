@@ -197,7 +197,6 @@ def test_the_spectrum_of_a_pulse_is_computed_anew_for_other_values() -> None:
 
 
 def test_the_white_pattern_is_parted_from_coarse_ones_and_from_noise(seed: int) -> None:
-    from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng([seed, 8])
     coarse = gaussian_filter(rng.standard_normal((2 * ROWS, 2 * COLUMNS)), 3.0, mode="wrap")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact.frames.stack import Stack
-from labdata.frames import FrameStack
+from labdata import FrameStack
 
 TOP_DN = 4095
 

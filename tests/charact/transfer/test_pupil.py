@@ -4,7 +4,7 @@ sampled pupil.
 
 import numpy as np
 import pytest
-from scipy.special import j1
+from scipy.special import j0, j1
 
 from charact.transfer.pupil import pupil
 
@@ -46,7 +46,6 @@ def test_a_pupil_with_a_hole_has_the_transform_of_its_spread():
     """
     hole, u = 0.4, np.maximum(np.linspace(0.0, 4000.0, 400001), 1e-9)
     spread = ((2 * j1(u) / u - hole**2 * 2 * j1(hole * u) / (hole * u)) / (1 - hole**2)) ** 2
-    from scipy.special import j0
 
     for ratio in (0.1, 0.3, 0.55, 0.9):
         # Frequency v of the cut-off is 2 v in units of u; the tail of spread x u falls as 1/u^2.
