@@ -119,11 +119,10 @@ def memory_of(fraction: float) -> tuple[float, ...]:
 
 def session_of(stacks: list[tuple[str, str, FrameStack, Conditions]]) -> Session:
     """A session of stacks in memory: label, kind, frames, conditions."""
-    entries = tuple(
+    return session_in_memory(
         stack_in_memory(kind, frames, conditions, label=label)
         for label, kind, frames, conditions in stacks
     )
-    return session_in_memory(entries)
 
 
 def flat_series(

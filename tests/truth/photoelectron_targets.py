@@ -134,13 +134,6 @@ class PhotoelectronTarget(ABC):
         return self.bright_dn / self.photoelectrons
 
     @property
-    def pulse_peak_dn(self) -> float:
-        """Brightest pixel of a mean pulse in the middle of it, DN."""
-        from scipy.special import erf
-
-        return self.gain_dn * float(erf(0.5 / (np.sqrt(2.0) * self.pulse_px))) ** 2
-
-    @property
     def snr(self) -> float:
         """Step over the standard deviation of the mean frame half way up, dimensionless."""
         # Squares of a pixel's shares of a pulse, over all places of it: the integral of the pulse's

@@ -134,9 +134,8 @@ class SpotCamera:
         variance = 0.0 if not np.isfinite(self.snr) else (self.peak_dn / self.snr) ** 2
         noise = [
             np.sqrt(variance * (1.0 - self.shot_share)) * self._noise(rng)
-            + self._shot(
-                np.sqrt(np.maximum(variance * self.shot_share * light / self.peak_dn, 0.0)), rng
-            )
+            + np.sqrt(np.maximum(variance * self.shot_share * light / self.peak_dn, 0.0))
+            * self._noise(rng)
             for _ in range(self.frames if variance else 1)
         ]
         data = np.minimum(20.0 + light + np.array(noise), self.full_scale_dn)
@@ -148,6 +147,3 @@ class SpotCamera:
         return correlate_noise(rng.standard_normal((1, self.size, self.size)), self.noise_blur_px)[
             0
         ]
-
-    def _shot(self, sd: Array, rng: np.random.Generator) -> Array:
-        return sd * self._noise(rng)

@@ -114,8 +114,6 @@ def test_devices_are_told_with_the_kernels_name_and_with_whether_they_may_be_ope
 def test_the_verb_prints_ok_or_the_fix_and_ends_with_the_cores_verdict(
     tmp_path, monkeypatch
 ) -> None:
-    from charact.live import doctor
-
     # Nothing is asked of the network in a test.
     monkeypatch.setattr(
         doctor,
