@@ -194,8 +194,8 @@ class TwoGaussians(Core):
     def attenuation(self, x: Array, shape: Sequence[float]) -> Array:
         """As of `Core`, x as in the equation."""
         square, (fraction, ln_wider) = np.minimum(x**2, -MIN_LN), shape
-        wide = np.exp(-np.minimum(np.exp(2.0 * ln_wider) * square, -MIN_LN))
-        return -np.log((1.0 - fraction) * np.exp(-square) + fraction * wide)
+        wider_part = np.exp(-np.minimum(np.exp(2.0 * ln_wider) * square, -MIN_LN))
+        return -np.log((1.0 - fraction) * np.exp(-square) + fraction * wider_part)
 
 
 GAUSSIAN, EXPONENTIAL, MOFFAT, AIRY = Gaussian(), Exponential(), Moffat(), ClearPupil()
@@ -226,7 +226,7 @@ ON_BARS = (
         first=_ln_parameter("ln_exponent", 0.3, 4.0, 1.5, 0.8, 1.6),
         second=replace(NONE, low=0.0),
         shape=lambda ln_exponent, _: (exp(ln_exponent),),
-        gaussian_share=lambda _, share: share,
+        gaussian_share=lambda _, fraction: fraction,
     ),
     BarForm(
         name="a tube and a lens",
@@ -236,7 +236,7 @@ ON_BARS = (
             name="gaussian_share", unit="1", low=0.0, high=1.0, mean=0.2, sd=0.25, start=0.2
         ),
         shape=lambda ln_exponent, _: (exp(ln_exponent),),
-        gaussian_share=lambda _, share: share,
+        gaussian_share=lambda _, fraction: fraction,
     ),
     BarForm(
         name="a lens",
@@ -246,7 +246,7 @@ ON_BARS = (
         ),
         second=NONE,
         shape=lambda _first, _second: (),
-        gaussian_share=lambda share, _: share,
+        gaussian_share=lambda fraction, _: fraction,
     ),
     BarForm(
         name="a Moffat",

@@ -127,9 +127,9 @@ class BarForm:
 
     def ln(self, ln_ratio: Array, attenuation: float, first: float, second: float) -> Array:
         """Return ln transfer at ln(r/f)."""
-        share, shape = self.gaussian_share(first, second), self.shape(first, second)
-        core = self.core.ln_scaled(ln_ratio, (1.0 - share) * attenuation, shape)
-        return np.maximum(core - share * attenuation * np.exp(2.0 * ln_ratio), MIN_LN)
+        fraction, shape = self.gaussian_share(first, second), self.shape(first, second)
+        core = self.core.ln_scaled(ln_ratio, (1.0 - fraction) * attenuation, shape)
+        return np.maximum(core - fraction * attenuation * np.exp(2.0 * ln_ratio), MIN_LN)
 
     def table(self, ln_ratios: Array, attenuation: float, first: float, second: float) -> Array:
         """Return ln transfer and its derivatives by ln A and both parameters at ln(r/f), shape (4,

@@ -56,13 +56,13 @@ def lens(
 
 
 def image_tube(
-    frequency: Array, cut_off: ArrayLike, exponent: ArrayLike, share: ArrayLike = 1.0
+    frequency: Array, cut_off: ArrayLike, exponent: ArrayLike, fraction: ArrayLike = 1.0
 ) -> Array:
-    """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson, Proc.
+    """Return exp(-q (f/fc)^n), the part q (`fraction`) of an image tube's transfer (Johnson, Proc.
     SPIE 1979).
     """
     logarithm = exponent * np.log(np.maximum(frequency / np.asarray(cut_off), 1e-9))
-    return np.exp(-np.asarray(share) * np.exp(np.minimum(logarithm, 700.0)))
+    return np.exp(-np.asarray(fraction) * np.exp(np.minimum(logarithm, 700.0)))
 
 
 def fibres(frequency: Array, pitch: ArrayLike, interface: ArrayLike) -> Array:

@@ -13,8 +13,9 @@ MoffatTable = tuple[Array, Array, Array]
 
 # Exponents b of the table of the Moffat spread (1 + r^2/a^2)^-b.
 MOFFAT_EXPONENT = (1.2, 8.0)
-# Nodes of the table of Si in a unit, and where it ends.
-SINE_PER_UNIT, SINE_END = 100, 400.0
+# Nodes of the table of Si in a unit, and where it ends; beyond it its expansion is off by less than
+# 1e-7.
+SINE_PER_UNIT, SINE_END = 25, 400.0
 # Step and end of the table of a disc's transfer; beyond it Hankel's expansion is off by less than
 # 1e-6.
 DISC_STEP, DISC_END = 0.02, 400.0
@@ -81,7 +82,7 @@ def moffat_at(ratio: float, exponent: float, table: MoffatTable) -> tuple[float,
 
 
 def sine_integral(x: Array) -> Array:
-    """Return Si(x), x > 0 of any shape, linear between nodes of a table."""
+    """Return Si(x), x > 0 of any shape, cubic between nodes of a table."""
     return _sine_integrals(np.ravel(x), _sine_table()).reshape(np.shape(x))
 
 
@@ -94,12 +95,13 @@ def disc(x: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _sine_table() -> Array:
-    """Return Si by Simpson's rule at nodes from 0 on, 1/`SINE_PER_UNIT` apart."""
+    """Return Si by Simpson's rule and its slope sin x/x at nodes from 0 on, shape (node, 2)."""
     x = np.linspace(0.0, SINE_END, int(SINE_END) * SINE_PER_UNIT + 1)
     middle = 0.5 * (x[1:] + x[:-1])
     step = x[1] - x[0]
     ends, inner = np.sinc(x / np.pi), np.sinc(middle / np.pi)
-    return np.concatenate([[0.0], np.cumsum((ends[1:] + 4.0 * inner + ends[:-1]) * step / 6.0)])
+    sums = np.cumsum((ends[1:] + 4.0 * inner + ends[:-1]) * step / 6.0)
+    return np.stack([np.append(0.0, sums), ends], axis=1)
 
 
 @njit(cache=True)
@@ -107,11 +109,15 @@ def _sine_integrals(x: Array, table: Array) -> Array:
     out = np.empty(x.size)
     for i in range(x.size):
         position = x[i] * SINE_PER_UNIT
-        if position >= table.size - 1:
-            out[i] = np.pi / 2 - np.cos(x[i]) / x[i]
+        if position >= len(table) - 1:
+            out[i] = np.pi / 2 - np.cos(x[i]) / x[i] - np.sin(x[i]) / x[i] ** 2
         else:
             node = int(position)
-            out[i] = table[node] + (table[node + 1] - table[node]) * (position - node)
+            t = position - node
+            low, high = table[node, 0], table[node + 1, 0]
+            rise, last = table[node, 1] / SINE_PER_UNIT, table[node + 1, 1] / SINE_PER_UNIT
+            bend, twist = 3.0 * (high - low) - 2.0 * rise - last, rise + last - 2.0 * (high - low)
+            out[i] = low + t * (rise + t * (bend + t * twist))
     return out
 
 

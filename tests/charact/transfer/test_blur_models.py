@@ -65,7 +65,7 @@ def test_halo_and_disc_are_made_of_scipys_sines_and_bessel_functions():
         0.3,
     )
     expected = share * np.sin(x) / x + (1.0 - share) * sici(x)[0] / x
-    assert halo(x, share) == pytest.approx(expected, abs=2e-5)
+    assert halo(x, share) == pytest.approx(expected, abs=1e-8)
     assert disc(x)[0] == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
 
 
