@@ -112,7 +112,7 @@ class Plane:
         The mean is the total light, blooming included, since subtraction leaves its noise.
         """
         scale = (self.span[1] - self.span[0]) ** 2
-        dark = self.law.read_dn**2 / scale
+        dark = float(self.law.read_dn) ** 2 / scale
         if self.law.gain_dn == 0.0:
             return None, dark
         means = reduce_image(self.band.image, self.levels)[FUSION.map_level :]
