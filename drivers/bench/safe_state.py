@@ -252,25 +252,27 @@ class _Task:
 
 
 class _Falling(_Task):
-    """Switches the high voltage off and follows its decay; repeated while the supply does not
-    answer.
+    """Switches the high voltage off and follows its decay; the order is repeated until the output
+    is seen to fall.
     """
 
     residual_v: float | None = None
-    _answers = False
+    _answers = _falls = False
 
     @property
     def patience_s(self) -> float:
         return FALL_S if self._answers else super().patience_s
 
     def secure(self) -> bool:
-        if not (self._answers and self.ordered):
+        if not self._falls:
             self.order()
         self._answers, reading = self.attempt(
             self._instrument.reading, self._instrument.read_voltage_v
         )
+        before_v, self._falls = self.residual_v, False
         if isinstance(reading, float):
             self.residual_v = reading
+            self._falls = self.ordered and before_v is not None and reading < before_v
         self.verified = (
             self._answers and self.residual_v is not None and self.residual_v <= DISCHARGED_V
         )

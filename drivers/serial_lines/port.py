@@ -1,6 +1,7 @@
 """Serial ports with bounded waits."""
 
 import contextlib
+import fcntl
 import math
 import os
 import select
@@ -129,7 +130,13 @@ class SerialPort(_DescriptorPort):
         self._usb = adapter if sum(other == adapter for other in adapters.values()) == 1 else None
 
     def reopen(self) -> None:
-        """Reopen the port, at the present path of its USB serial number, if it has one."""
+        """Reopen the port, at the present path of its USB serial number, if it has one.
+
+        The lock belongs to the open file, of which another process may hold a copy: to close the
+        descriptor alone would not free it.
+        """
+        with contextlib.suppress(*_OPENING_ERRORS):
+            fcntl.flock(self._descriptor, fcntl.LOCK_UN)
         self.close()
         if self._usb is None:
             self._open(self._path)

@@ -225,7 +225,9 @@ def test_every_safety_step_is_logged(bench, tmp_path):
         bench.set_conditions(Conditions(mcp_v=300))
     events = [json.loads(line) for line in (tmp_path / "safety.jsonl").read_text().splitlines()]
     steps = [event["event"] for event in events]
-    assert steps.count("gate: TSRC 5") == steps.count("high voltage: HVOF") == 1
+    assert steps.count("gate: TSRC 5") == 1
+    # given again until the output is seen to fall
+    assert 1 <= steps.count("high voltage: HVOF") <= 2
     volts = [event["result"] for event in events if event["event"] == "high voltage: VOUT?"]
     assert volts == sorted(volts, reverse=True)
     assert volts[-1] <= 10

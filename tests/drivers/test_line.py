@@ -302,6 +302,18 @@ def test_a_port_held_by_another_is_lost(terminal):
     first.close()
 
 
+def test_a_port_whose_copy_another_process_holds_opens_again(terminal):
+    port = SerialPort(os.ttyname(terminal[1]), name="supply")
+    copy = os.dup(port.fileno())
+    port.reopen()
+    port.send(b"HVOF\n")
+    assert os.read(terminal[0], 64) == b"HVOF\n"
+    with pytest.raises(InstrumentDisconnected, match="must be free to open"):
+        SerialPort(os.ttyname(terminal[1]), name="supply")
+    port.close()
+    os.close(copy)
+
+
 def test_a_line_that_takes_no_more_bytes_is_silent(terminal):
     port = SerialPort(os.ttyname(terminal[1]), name="supply")
     with pytest.raises(InstrumentTimeout, match="must take a command within"):

@@ -1,5 +1,7 @@
 """Making safe tries every step on each line, and neither line waits for the other."""
 
+import time
+
 import pytest
 
 from drivers.bench.safe_state import make_safe
@@ -54,6 +56,16 @@ def test_a_supply_that_hears_again_is_switched_off_after_all(virtual, drivers, r
 
     assert make_safe(**drivers, record=healing).whole
     assert virtual.outputs().mcp_v < 11
+
+
+def test_an_order_that_was_lost_is_given_again(virtual, drivers, record):
+    line = drivers["supply"].line
+    order, lost = line.order, []
+    line.order = lambda command: order(command) if lost else lost.append(command)
+    began_s = time.monotonic()
+    assert make_safe(**drivers, record=record).whole
+    assert lost == ["HVOF"] and virtual.outputs().mcp_v < 11
+    assert time.monotonic() - began_s < 2.0
 
 
 def test_a_line_that_could_not_be_opened_leaves_the_other_to_be_made_safe(virtual, drivers, record):
