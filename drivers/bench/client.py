@@ -293,6 +293,10 @@ class BenchClient:
         finally:
             self._hang_up()
         sentences = [] if self.report is None or self.report.whole else [self.report.not_whole()]
+        if sentences and self.process.poll() is None:
+            sentences[0] += (
+                f"; the bench server, process {self.process.pid}, goes on until they are seen safe"
+            )
         sentences += [unwritten] if unwritten else []
         for sentence in sentences:
             if error is None:
@@ -304,8 +308,10 @@ class BenchClient:
         if threading.current_thread() is not self._guard:
             self._guard.join(1.0)
         self._server.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
+        try:
             self.process.wait(1.0)
+        except subprocess.TimeoutExpired:  # it stands guard
+            threading.Thread(target=self.process.wait, daemon=True).start()
         for descriptor in self._ports.values():
             with contextlib.suppress(OSError):
                 os.close(descriptor)

@@ -1,4 +1,5 @@
-"""Bench server: the process that owns ports, drivers and interlock, and outlives its client.
+"""Bench server: the process that owns ports, drivers and interlock, and outlives its client until
+the outputs are seen safe.
 
 A high-voltage supply has no watchdog. When the client ends (the kernel closes its socket), hangs or
 is silent, or an instrument fails, gate and high voltage are switched off at once. The main loop
@@ -31,7 +32,7 @@ from drivers.bench.connection import (
     Request,
 )
 from drivers.bench.light_control import Station
-from drivers.bench.safe_state import DANGEROUS, Record
+from drivers.bench.safe_state import DANGEROUS, FOLLOW_S, Record
 from drivers.bench.setup import BenchSetup, with_present_ports
 from drivers.bench.state import Failed
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
@@ -189,7 +190,28 @@ class BenchServer:
         if leaving:
             self._client.send(Reply(number=leaving, value=(report, unwritten)))
         self._over.set()
+        if report is not None and not report.whole:
+            self._stand_guard()
         self._log("end", reason=reason, longest_silence_s=round(self._longest_silence_s, 3))
+
+    def _stand_guard(self) -> None:
+        """Repeat the safe action until gate, voltage and lamp are seen safe, whoever else has left.
+
+        A signal ends it, and so does the end of a virtual bench: ports that are no devices go with
+        its outputs, while a device may come back.
+        """
+        assert self._bench is not None
+        self._stop_signal = None
+        ports = [Path(each.port) for each in self._setup.wires.instruments if each.port]
+        self._log("standing guard", pid=os.getpid())
+        record = _OnChange(self._log)
+        while self._stop_signal is None:
+            if not any(port.exists() or port.is_relative_to("/dev") for port in ports):
+                return
+            if (report := self._bench.secure(record)).whole:
+                self._log("made safe", whole=True, sentence=report.sentence())
+                return
+            time.sleep(FOLLOW_S)
 
     # Threads
 
@@ -312,6 +334,18 @@ class SafeOrder:
     reason: str
     number: int = 0
     done: threading.Event = field(default_factory=threading.Event)
+
+
+class _OnChange:
+    """Records a step when it ends otherwise than the last time, so that no log fills a disk."""
+
+    def __init__(self, record: Record) -> None:
+        self._record, self._outcomes = record, dict[str, bool]()
+
+    def __call__(self, step: str, *, ok: bool = True, **details: Any) -> None:
+        if self._outcomes.get(step) is not ok:
+            self._record(step, ok=ok, **details)
+        self._outcomes[step] = ok
 
 
 def inhibit_suspend(log: Record) -> subprocess.Popen | None:

@@ -362,16 +362,9 @@ class TubeBench(LightControl):
                 station.line.take_over()
             self._record("making safe", reason=reason)
             self.interlock.tell(SafeOrdered())
-            drivers: dict[Role, Any] = {role: station.driver for role, station in dangerous.items()}
-            report = make_safe(
-                gate=drivers.get("gate"),
-                supply=drivers.get("supply"),
-                lamps=[drivers.get("light-source")] if self._setup.wires.light else [],
-                record=self._record,
-                crew=self._crew,
-            )
-            if "supply" in drivers:
-                drivers["supply"].is_on = False
+            report = self.secure(self._record, self._crew)
+            if "supply" in dangerous:
+                dangerous["supply"].driver.is_on = False
             self._record(
                 "made safe", whole=report.whole, sentence=report.sentence(), **vars(report)
             )
@@ -388,6 +381,17 @@ class TubeBench(LightControl):
                     station.line.release()
                     station.procedure.release()
             return report
+
+    def secure(self, record: Record, crew: Crew | None = None) -> SafeStateReport:
+        """Run the safe action on the instruments that have a line, whatever the state says."""
+        drivers: dict[Role, Any] = {role: station.driver for role, station in self.stations.items()}
+        return make_safe(
+            gate=drivers.get("gate"),
+            supply=drivers.get("supply"),
+            lamps=[drivers.get("light-source")] if self._setup.wires.light else [],
+            record=record,
+            crew=crew,
+        )
 
     def safe_at_once(self) -> None:
         """Make the tube safe now, from any thread."""

@@ -12,6 +12,7 @@ import time
 
 import pytest
 
+from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.outputs import read_outputs
 from simulate.virtual_bench.process import VirtualInstruments
 
@@ -94,3 +95,17 @@ def test_a_starved_process_makes_safe_within_a_second_of_the_death_of_the_other(
     if killed == "client":
         events = [json.loads(line) for line in (tmp_path / "safety.jsonl").read_text().splitlines()]
         assert "the client is gone" in [event.get("reason") for event in events]
+
+
+def test_the_server_stands_guard_until_silent_instruments_answer(virtual, pair, tmp_path):
+    for instrument in ("delay_generator", "high_voltage"):
+        inject_faults(virtual.folder, instrument, Faults(silent=True))
+    pair[0].kill()
+    time.sleep(5.0)  # longer than the attempts of one safe action
+    assert read_outputs(virtual.folder).gate_open
+    for instrument in ("delay_generator", "high_voltage"):
+        inject_faults(virtual.folder, instrument, Faults())
+    assert ms_until_safe(virtual, time.monotonic()) < 2e3
+    while '"end"' not in (log := (tmp_path / "safety.jsonl").read_text()):
+        time.sleep(0.1)
+    assert "standing guard" in log
