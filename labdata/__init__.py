@@ -7,6 +7,9 @@ if TYPE_CHECKING:
     from labdata.conditions import Conditions
     from labdata.errors import BadInput
     from labdata.frames import FrameStack
+    from labdata.importers import read_frames
+    from labdata.instrument_config import InstrumentConfig
+    from labdata.limits import Limits
     from labdata.measurement import (
         Curve,
         Measurement,
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
         measurement_from_draws,
         measurement_from_sd,
     )
+    from labdata.plan import Plan, Step
     from labdata.sensors import load_camera, load_sensor, save_sensor
     from labdata.session import Session, StackEntry, open_session
     from labdata.target import Target
@@ -28,12 +32,16 @@ __all__ = [
     "Conditions",
     "Curve",
     "FrameStack",
+    "InstrumentConfig",
+    "Limits",
     "Measurement",
+    "Plan",
     "Posterior",
     "Provenance",
     "Result",
     "Session",
     "StackEntry",
+    "Step",
     "Target",
     "load_camera",
     "load_sensor",
@@ -42,6 +50,7 @@ __all__ = [
     "measurement_from_draws",
     "measurement_from_sd",
     "open_session",
+    "read_frames",
     "save_sensor",
 ]
 
@@ -50,6 +59,9 @@ _HOMES = {
     "labdata.conditions": ("Conditions",),
     "labdata.errors": ("BadInput",),
     "labdata.frames": ("FrameStack",),
+    "labdata.importers": ("read_frames",),
+    "labdata.instrument_config": ("InstrumentConfig",),
+    "labdata.limits": ("Limits",),
     "labdata.measurement": (
         "Curve",
         "Measurement",
@@ -61,6 +73,7 @@ _HOMES = {
         "measurement_from_draws",
         "measurement_from_sd",
     ),
+    "labdata.plan": ("Plan", "Step"),
     "labdata.sensors": ("load_camera", "load_sensor", "save_sensor"),
     "labdata.session": ("Session", "StackEntry", "open_session"),
     "labdata.target": ("Target",),

@@ -11,8 +11,7 @@ from scipy.special import erf
 
 from charact.estimators.mtf import measure, measure_all
 from charact.method import Context
-from labdata import FrameStack, Measurement
-from labdata.importers import read_frames
+from labdata import FrameStack, Measurement, read_frames
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"

@@ -11,8 +11,7 @@ import pytest
 from charact.estimators.mtf import measure
 from charact.frames.clipping import is_clipped
 from charact.method import Context
-from labdata import FrameStack
-from labdata.importers import read_frames
+from labdata import FrameStack, read_frames
 from tests.truth import gaussian_edges
 
 ROOT = Path(__file__).resolve().parents[2]

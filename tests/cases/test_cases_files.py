@@ -16,8 +16,7 @@ import pytest
 import tifffile
 from scipy.special import erf
 
-from labdata import BadInput, open_session
-from labdata.importers import read_frames
+from labdata import BadInput, open_session, read_frames
 from labdata.session_import import import_frames
 from tests.charact.cli.runner import charact
 

@@ -10,8 +10,7 @@ from scipy.special import erf, j1
 
 from charact.estimators import mtf
 from charact.method import Context
-from labdata import FrameStack
-from labdata.importers import read_frames
+from labdata import FrameStack, read_frames
 
 CASES = Path(__file__).resolve().parents[2].parent / "shared" / "cases"
 QUICK = Context(quick=True)

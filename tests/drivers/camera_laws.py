@@ -180,10 +180,3 @@ class CameraLaws(WaitingLaws):
 def _set_of(settings: CameraSettings, names: dict[str, Any]) -> CameraSettings:
     """The settings of the given names alone."""
     return CameraSettings(**{name: getattr(settings, name) for name in names})
-
-
-def ends_within(seconds: float, doing: Callable[[], Any]) -> None:
-    """Fail unless something ends in time."""
-    began_s = time.monotonic()
-    doing()
-    assert time.monotonic() - began_s < seconds

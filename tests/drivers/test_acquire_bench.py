@@ -5,15 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers import acquire
-from drivers.bench.local_bench import open_bench
+from drivers import acquire, bench_of
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.instruments.models import lines_on
-from labdata import BadInput, Conditions, Target, load_sensor, save_sensor
+from labdata import (
+    BadInput,
+    Conditions,
+    InstrumentConfig,
+    Plan,
+    Step,
+    Target,
+    load_sensor,
+    save_sensor,
+)
 from labdata.calibration import LampCalibration
-from labdata.instrument_config import InstrumentConfig
-from labdata.limits import Override, limits_in_force
-from labdata.plan import Plan, Step
+from labdata.limits import Override
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.bench import VirtualBench
 
@@ -80,11 +86,9 @@ def taken(folder, wires, lamp=None):
             lines = lines_on(inside.ports, rig.wires)
         elif rig.camera:
             camera = AravisCamera(rig.camera.identifier, silence_s=rig.silence_s)
-        limits = limits_in_force(plan.limits, small, plan.overrides)
-        bench = open_bench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines, lamp=lamp)
-        session = acquire(
-            plan, folder / "session", camera=camera, bench=bench, operator=rig.operator
-        )
+        out = folder / "session"
+        bench = bench_of(plan, out, wires=rig.wires, log=folder / "safety.jsonl", lines=lines)
+        session = acquire(plan, out, camera=camera, bench=bench, operator=rig.operator)
         left_open, left_v = rig.outputs().gate_open, rig.outputs().mcp_v
         return session, rig.left_out, left_open, left_v
 

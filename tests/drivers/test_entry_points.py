@@ -46,7 +46,7 @@ MODULE = """
     )
     VIRTUAL = VirtualModel(
         name="room-sensor",
-        place="thermometer",
+        bench_name="thermometer",
         make=lambda address, scale: Virtual(),
         baud=9600,
     )

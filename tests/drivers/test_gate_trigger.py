@@ -9,9 +9,8 @@ import pytest
 from drivers.acquisition.plan_check import check_plan
 from drivers.errors import InstrumentRejected
 from drivers.instruments import delay_generator, dg535, gate_limits
-from labdata import BadInput, Conditions
+from labdata import BadInput, Conditions, Plan, Step
 from labdata.gating import HOLDOFF, Gating
-from labdata.plan import Plan, Step
 from simulate.virtual_bench.in_process import InProcessPort
 from simulate.virtual_bench.instruments.delay_generator import FIELD_HZ
 from simulate.virtual_bench.instruments.delay_generator import DelayGenerator as VirtualDg645

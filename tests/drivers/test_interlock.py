@@ -19,9 +19,7 @@ from drivers.bench.state import InterlockRefused, OpenGate
 from drivers.errors import BenchError, InstrumentTimeout, InstrumentTripped
 from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
-from labdata import BadInput, Conditions, Target
-from labdata.instrument_config import InstrumentConfig
-from labdata.limits import Limits
+from labdata import BadInput, Conditions, InstrumentConfig, Limits, Target
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
 

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import load_sensor
-from labdata.instrument_config import InstrumentConfig
+from labdata import InstrumentConfig, load_sensor
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.in_process import InProcessCamera
 from simulate.virtual_bench.outputs import Outputs

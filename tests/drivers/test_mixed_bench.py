@@ -5,9 +5,7 @@ rest is virtual.
 import pytest
 
 from drivers.bench.local_bench import open_bench
-from labdata import BadInput, Conditions, load_sensor
-from labdata.instrument_config import InstrumentConfig
-from labdata.limits import Limits
+from labdata import BadInput, Conditions, InstrumentConfig, Limits, load_sensor
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.faults import Faults

@@ -14,9 +14,8 @@ import pytest
 from drivers import acquire
 from drivers.acquisition.run_control import PAUSED, STOPPING, RunControl
 from drivers.errors import InstrumentTripped
-from labdata import Conditions, open_session
+from labdata import Conditions, Plan, Step, open_session
 from labdata.event_log import read_events
-from labdata.plan import Plan, Step
 
 _spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
 fake_rig = importlib.util.module_from_spec(_spec)

@@ -7,9 +7,7 @@ import pytest
 
 from drivers.bench.local_bench import open_bench
 from drivers.errors import BenchError, BenchServerLost, InstrumentDisconnected
-from labdata import BadInput, Conditions
-from labdata.instrument_config import InstrumentConfig
-from labdata.limits import Limits
+from labdata import BadInput, Conditions, InstrumentConfig, Limits
 from simulate.virtual_bench.outputs import read_outputs
 from simulate.virtual_bench.process import VirtualInstruments
 

@@ -8,11 +8,18 @@ import pytest
 
 from charact.cli.benches import acquire_session
 from charact.cli.output import Progress
-from labdata import BadInput, Conditions, load_sensor, open_session, save_sensor
+from labdata import (
+    BadInput,
+    Conditions,
+    InstrumentConfig,
+    Plan,
+    Step,
+    load_sensor,
+    open_session,
+    save_sensor,
+)
 from labdata.event_log import read_events
-from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Override
-from labdata.plan import Plan, Step
 from simulate.virtual_bench.rehearsal import FaultScript, ScriptedFault
 
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")

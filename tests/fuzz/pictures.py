@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 import tifffile
 
-from labdata import BadInput
-from labdata.importers import read_frames
+from labdata import BadInput, read_frames
 from labdata.store.array_writer import ArrayWriter
 from labdata.store.journal import METADATA
 from simulate.radiance.outdoor.build import KINDS as MESHES

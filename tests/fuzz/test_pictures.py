@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from labdata import BadInput
-from labdata.importers import read_frames
+from labdata import BadInput, read_frames
 from labdata.store.journal import chunk
 from simulate.radiance.outdoor.build import build_surfaces
 from tests.fuzz import pictures

@@ -11,9 +11,12 @@ from labdata import (
     BadInput,
     Conditions,
     FrameStack,
+    Limits,
     Measurement,
+    Plan,
     Posterior,
     Result,
+    Step,
     Target,
     make_measurement,
     make_refusal,
@@ -22,8 +25,6 @@ from labdata import (
 )
 from labdata.camera.parameters import Parameter
 from labdata.flags import FLAGS, Finding, order_flags
-from labdata.limits import Limits
-from labdata.plan import Plan, Step
 from labdata.quantity import QUANTITIES, convert_frequency
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from labdata import BadInput
-from labdata.importers import read_frames
+from labdata import BadInput, read_frames
 from labdata.session_import import import_frames
 from tests.labdata import dng
 

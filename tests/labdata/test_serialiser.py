@@ -11,11 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from labdata import BadInput, Conditions, Target
+from labdata import BadInput, Conditions, InstrumentConfig, Limits, Plan, Step, Target
 from labdata.capture import LostFrames
-from labdata.instrument_config import InstrumentConfig
-from labdata.limits import Limits
-from labdata.plan import Plan, Step
 from labdata.plan_file import plan_of, plan_toml, read_plan
 from labdata.schema import file_schema
 from labdata.serialiser import from_mapping, to_toml

@@ -12,8 +12,7 @@ from PIL import Image
 from scipy.special import erf
 
 from charact.live.quick_look import watch_files
-from labdata import Result, make_refusal, measurement_from_sd, result_io
-from labdata.importers import read_frames
+from labdata import Result, make_refusal, measurement_from_sd, read_frames, result_io
 from tests.charact.cli.runner import assert_one_sentence, charact
 
 PLAIN = {"method": "covariance-sum"}

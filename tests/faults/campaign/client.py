@@ -25,10 +25,9 @@ from drivers.bench.local_bench import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
 from drivers.interface import Operator
-from labdata import BadInput, Conditions
+from labdata import BadInput, Conditions, Plan
 from labdata.capture import Frame
 from labdata.limits import limits_in_force
-from labdata.plan import Plan
 from labdata.tube_dose import DoseLedger
 from tests.faults.campaign.rig import CampaignRig, StoppablePipe
 

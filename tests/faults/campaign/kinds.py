@@ -14,9 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labdata import Conditions
+from labdata import Conditions, Plan, Step
 from labdata.gating import Gating
-from labdata.plan import Plan, Step
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import Outputs
 from tests.faults.campaign.client import Client

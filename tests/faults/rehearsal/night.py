@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from drivers.acquisition.acquire import LOG
-from labdata import Conditions
+from labdata import Conditions, Plan, Step
 from labdata.event_log import EventLog, read_events
 from labdata.limits import Override
-from labdata.plan import Plan, Step
 from tests.faults.campaign.client import Client
 from tests.faults.campaign.kinds import draw_fault
 from tests.faults.campaign.rig import CampaignRig

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import serial
 
-from labdata import Target, load_sensor
-from labdata.instrument_config import InstrumentConfig
+from labdata import InstrumentConfig, Target, load_sensor
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.in_process import InProcessInstruments

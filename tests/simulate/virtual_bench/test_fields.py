@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Target, load_sensor
+from labdata import BadInput, InstrumentConfig, Target, load_sensor
 from labdata.capture import CameraSettings
 from labdata.gating import Gating, fields_open_ns, out_of_step
-from labdata.instrument_config import InstrumentConfig
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.in_process import InProcessCamera
 from simulate.virtual_bench.outputs import Outputs

@@ -24,15 +24,15 @@ def with_leak(drawn, fraction, radius_px):
     """Add even light about the source, a fraction of the source's own at every level."""
     stacks = []
     for stack, overload in zip(drawn.stacks, (0.0, *LEVELS), strict=True):
-        data = stack.held.data
+        data = stack.read().data
         rows, cols = np.ogrid[: data.shape[1], : data.shape[2]]
         lit = np.hypot(rows - data.shape[1] / 2.0, cols - data.shape[2] / 2.0) < radius_px
         # Overload 1 puts the peak of a Gaussian core of 1.3 px at full scale.
-        light = fraction * overload * 2.0 * np.pi * 1.3**2 * stack.held.full_scale_dn / lit.sum()
+        light = fraction * overload * 2.0 * np.pi * 1.3**2 * stack.read().full_scale_dn / lit.sum()
         leaked = np.random.default_rng(1).poisson(np.broadcast_to(light * lit, data.shape))
-        codes = np.minimum(data + leaked, stack.held.full_scale_dn).astype(data.dtype)
+        codes = np.minimum(data + leaked, stack.read().full_scale_dn).astype(data.dtype)
         stacks.append(
-            replace(stack, held=FrameStack(data=codes, full_scale_dn=stack.held.full_scale_dn))
+            replace(stack, kept=FrameStack(data=codes, full_scale_dn=stack.read().full_scale_dn))
         )
     return replace(drawn, stacks=tuple(stacks))
 

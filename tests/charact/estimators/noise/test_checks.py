@@ -7,7 +7,15 @@ import pytest
 
 from charact.estimators import noise
 from labdata import BadInput, Conditions, FrameStack
-from tests.truth.counted_pulses import METHODS, QUICK, errors, gaussian
+from tests.truth.counted_pulses import (
+    METHODS,
+    QUICK,
+    Pulses,
+    errors,
+    flat_series,
+    gaussian,
+    session_of,
+)
 
 LEVELS = (5.0, 15.0, 30.0)
 SMALL = (96, 128)
@@ -22,7 +30,7 @@ def gain_of(result):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_frames_of_pure_noise_are_never_ok(in_memory, seed, method):
+def test_frames_of_pure_noise_are_never_ok(seed, method):
     rng = np.random.default_rng(seed)
     stacks = [
         (
@@ -41,25 +49,25 @@ def test_frames_of_pure_noise_are_never_ok(in_memory, seed, method):
             Conditions(),
         )
     ]
-    for session in (in_memory(dark + stacks), in_memory(stacks)):
+    for session in (session_of(dark + stacks), session_of(stacks)):
         gain = gain_of(noise.measure(session, method=method, context=QUICK))
         assert gain.status != "ok", gain
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_frames_that_never_change_are_refused(in_memory, method):
+def test_frames_that_never_change_are_refused(method):
     stacks = [
         ("dark", "dark", FrameStack(data=np.full((4, 96, 128), 10, np.uint8)), Conditions()),
         ("flat", "flat", FrameStack(data=np.full((4, 96, 128), 90, np.uint8)), Conditions()),
     ]
-    gain = gain_of(noise.measure(in_memory(stacks), method=method, context=QUICK))
+    gain = gain_of(noise.measure(session_of(stacks), method=method, context=QUICK))
     assert gain.status == "refused" and "noisier" in gain.reason
 
 
-def test_a_session_without_flats_or_darks_is_bad_input(in_memory, seed):
+def test_a_session_without_flats_or_darks_is_bad_input(seed):
     stacks = [("edge", "edge", FrameStack(data=np.zeros((2, 8, 8), np.uint8)), Conditions())]
     with pytest.raises(BadInput, match="dark or flat"):
-        noise.measure(in_memory(stacks), context=QUICK)
+        noise.measure(session_of(stacks), context=QUICK)
 
 
 def blurred_faint_pulses(pulses):
@@ -67,14 +75,12 @@ def blurred_faint_pulses(pulses):
     return pulses(shape=(128, 160), gain_dn=3.0, read_noise_dn=0.2, transfer=gaussian(0.7))
 
 
-def test_pulses_whose_faint_parts_the_steps_cut_off_are_flagged_until_the_light_lifts_them(
-    pulses, series, seed
-):
+def test_pulses_whose_faint_parts_the_steps_cut_off_are_flagged_until_the_light_lifts_them(seed):
     rng = np.random.default_rng(seed)
     dim, bright = (
         gain_of(
             noise.measure(
-                series(blurred_faint_pulses(pulses), rng, levels, frames=8), context=QUICK
+                flat_series(blurred_faint_pulses(Pulses), rng, levels, frames=8), context=QUICK
             )
         )
         for levels in ((0.1, 0.2, 0.4), (4.0, 8.0, 16.0))
@@ -83,10 +89,8 @@ def test_pulses_whose_faint_parts_the_steps_cut_off_are_flagged_until_the_light_
     assert "quantised" not in bright.flags
 
 
-def test_light_within_the_steps_of_the_digitiser_ends_in_verdicts_and_not_in_a_traceback(
-    pulses, in_memory, seed
-):
-    rng, camera = np.random.default_rng(seed), blurred_faint_pulses(pulses)
+def test_light_within_the_steps_of_the_digitiser_ends_in_verdicts_and_not_in_a_traceback(seed):
+    rng, camera = np.random.default_rng(seed), blurred_faint_pulses(Pulses)
     stacks = [
         (
             f"{kind}-{level}",
@@ -96,19 +100,21 @@ def test_light_within_the_steps_of_the_digitiser_ends_in_verdicts_and_not_in_a_t
         )
         for kind, level in (("dark", 0.0), ("flat", 0.03), ("flat", 0.05), ("flat", 0.08))
     ]
-    result = noise.measure(in_memory(stacks), context=QUICK)
+    result = noise.measure(session_of(stacks), context=QUICK)
     assert gain_of(result).status != "ok"
     assert all(m.status != "ok" for m in result.find("minimum_illumination"))
 
 
-def test_drift_and_flicker_are_told_apart(pulses, series, seed):
-    drifting = pulses(shape=SMALL, light_of_frame=lambda n: 1.0 + 0.01 * n)
-    flickering = pulses(shape=SMALL, light_of_frame=lambda n: 1.0 + 0.04 * (-1) ** n)
-    steady = pulses(shape=SMALL)
+def test_drift_and_flicker_are_told_apart(seed):
+    drifting = Pulses(shape=SMALL, light_of_frame=lambda n: 1.0 + 0.01 * n)
+    flickering = Pulses(shape=SMALL, light_of_frame=lambda n: 1.0 + 0.04 * (-1) ** n)
+    steady = Pulses(shape=SMALL)
     seen = [
         flags_of(
             noise.measure(
-                series(c, np.random.default_rng(seed), LEVELS), method="variance", context=QUICK
+                flat_series(c, np.random.default_rng(seed), LEVELS),
+                method="variance",
+                context=QUICK,
             )
         )
         & {"drift", "flicker"}
@@ -117,28 +123,28 @@ def test_drift_and_flicker_are_told_apart(pulses, series, seed):
     assert seen == [{"drift"}, {"flicker"}, set()]
 
 
-def test_a_mean_that_stays_while_the_light_changes_betrays_automatic_gain(pulses, in_memory, seed):
+def test_a_mean_that_stays_while_the_light_changes_betrays_automatic_gain(seed):
     rng = np.random.default_rng(seed)
     stacks = [
-        ("dark", "dark", pulses(shape=SMALL).frames(rng, 0.0, 8), Conditions(illuminance_lux=0.0))
+        ("dark", "dark", Pulses(shape=SMALL).frames(rng, 0.0, 8), Conditions(illuminance_lux=0.0))
     ]
     for index, level in enumerate((4.0, 12.0, 36.0)):
-        held = pulses(shape=SMALL, gain_dn=20.0 * 20.0 / level * (1 + 0.01 * index))
+        held = Pulses(shape=SMALL, gain_dn=20.0 * 20.0 / level * (1 + 0.01 * index))
         stacks.append(
             (f"flat-{index}", "flat", held.frames(rng, level, 8), Conditions(illuminance_lux=level))
         )
     for method in METHODS:
         assert (
-            "agc" in gain_of(noise.measure(in_memory(stacks), method=method, context=QUICK)).flags
+            "agc" in gain_of(noise.measure(session_of(stacks), method=method, context=QUICK)).flags
         )
 
 
 @pytest.mark.parametrize("control", ["automatic_gain", "brightness_control"])
 def test_an_automatic_gain_that_the_session_states_is_flagged_though_no_flat_betrays_it(
-    pulses, series, seed, control
+    seed, control
 ):
     """A gain that all levels share alike is no other than the camera's own."""
-    session = series(pulses(shape=SMALL), np.random.default_rng(seed), LEVELS, frames=4)
+    session = flat_series(Pulses(shape=SMALL), np.random.default_rng(seed), LEVELS, frames=4)
     told = tuple(
         replace(s, conditions=replace(s.conditions, **{control: True})) for s in session.stacks
     )
@@ -151,10 +157,10 @@ def test_an_automatic_gain_that_the_session_states_is_flagged_though_no_flat_bet
         )
 
 
-def test_levels_beyond_the_variance_peak_are_left_out(pulses, series, seed):
-    camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, full_scale_dn=4095.0)
+def test_levels_beyond_the_variance_peak_are_left_out(seed):
+    camera = Pulses(gain_dn=0.0, electron_gain_dn=0.5, full_scale_dn=4095.0)
     levels = (400.0, 1200.0, 2500.0, 4000.0, 5500.0, 7000.0, 8400.0)
-    session = series(camera, np.random.default_rng(seed), levels, frames=4)
+    session = flat_series(camera, np.random.default_rng(seed), levels, frames=4)
     result = noise.measure(session, method="variance", context=QUICK)
     (saturation,), (gain,) = result.find("saturation"), result.find("system_gain")
     assert saturation.value == pytest.approx(100 + 0.5 * 7000, rel=0.02)
@@ -164,9 +170,7 @@ def test_levels_beyond_the_variance_peak_are_left_out(pulses, series, seed):
 
 
 @pytest.mark.parametrize("levels", [(600.0,), (600.0, 1200.0)])
-def test_what_few_levels_leave_open_of_the_response_is_in_the_interval(
-    pulses, series, seed, levels
-):
+def test_what_few_levels_leave_open_of_the_response_is_in_the_interval(seed, levels):
     """One or two levels cannot tell a response that bends by 2 % from a straight one of another
     gain.
 
@@ -174,8 +178,8 @@ def test_what_few_levels_leave_open_of_the_response_is_in_the_interval(
     0.02).
     """
     for bend in (0.0, 0.02):
-        camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, bend_per_dn=bend / (0.5 * levels[-1]))
-        session = series(camera, np.random.default_rng(seed), levels)
+        camera = Pulses(gain_dn=0.0, electron_gain_dn=0.5, bend_per_dn=bend / (0.5 * levels[-1]))
+        session = flat_series(camera, np.random.default_rng(seed), levels)
         for method in METHODS:
             found = noise.measure(session, method=method, context=QUICK).find("system_gain")[0]
             assert "nonlinear" in found.flags or found.interval95[0] < 0.5 < found.interval95[1], (
@@ -184,54 +188,55 @@ def test_what_few_levels_leave_open_of_the_response_is_in_the_interval(
             assert bend or (found.status == "ok" and found.value == pytest.approx(0.5, rel=0.02))
 
 
-def test_saturation_that_no_flat_reaches_is_refused(pulses, series, seed):
+def test_saturation_that_no_flat_reaches_is_refused(seed):
     result = noise.measure(
-        series(pulses(shape=SMALL), np.random.default_rng(seed), LEVELS, frames=4), context=QUICK
+        flat_series(Pulses(shape=SMALL), np.random.default_rng(seed), LEVELS, frames=4),
+        context=QUICK,
     )
     (saturation,) = result.find("saturation")
     assert saturation.status == "refused" and "still rises" in saturation.reason
 
 
-def test_missing_darks_are_flagged_and_the_slope_still_found(pulses, series, seed):
-    camera = pulses()
-    session = series(camera, np.random.default_rng(seed), (3.0, 10.0, 20.0, 30.0), dark_frames=0)
+def test_missing_darks_are_flagged_and_the_slope_still_found(seed):
+    camera = Pulses()
+    session = flat_series(
+        camera, np.random.default_rng(seed), (3.0, 10.0, 20.0, 30.0), dark_frames=0
+    )
     gain = gain_of(noise.measure(session, context=QUICK))
     assert gain.status == "suspect" and "no-darks" in gain.flags
     assert abs(errors(gain, camera.covariance_gain_dn)) < 4.5
 
 
-def test_noise_finer_than_the_digitiser_is_flagged(pulses, series, seed):
-    camera = pulses(read_noise_dn=0.2, shape=SMALL)
-    session = series(camera, np.random.default_rng(seed), LEVELS, frames=4)
+def test_noise_finer_than_the_digitiser_is_flagged(seed):
+    camera = Pulses(read_noise_dn=0.2, shape=SMALL)
+    session = flat_series(camera, np.random.default_rng(seed), LEVELS, frames=4)
     result = noise.measure(session, method="variance", context=QUICK)
     read = next(m for m in result.find("read_noise") if m.unit == "DN")
     assert "quantised" in read.flags
 
 
-def test_a_dark_clipped_at_zero_is_flagged(pulses, series, seed):
-    camera = pulses(black_dn=1.0, shape=SMALL)
-    session = series(camera, np.random.default_rng(seed), LEVELS, frames=4)
+def test_a_dark_clipped_at_zero_is_flagged(seed):
+    camera = Pulses(black_dn=1.0, shape=SMALL)
+    session = flat_series(camera, np.random.default_rng(seed), LEVELS, frames=4)
     result = noise.measure(session, method="variance", context=QUICK)
     assert "clipped" in gain_of(result).flags
 
 
-def test_darks_alone_give_read_noise_and_blur_factor(in_memory, seed):
+def test_darks_alone_give_read_noise_and_blur_factor(seed):
     rng = np.random.default_rng(seed)
     white = rng.normal(0.0, 9.0, (12, 128, 160))
     # The mean of two neighbours: half the variance, the same covariance sum.
     smooth = 0.5 * (white + np.roll(white, 1, axis=2))
     for noisy, blur in ((white, 1.0), (smooth, 0.5)):
         stack = FrameStack(data=np.rint(100 + noisy).astype(np.uint16))
-        result = noise.measure(in_memory([("dark", "dark", stack, Conditions())]), context=QUICK)
+        result = noise.measure(session_of([("dark", "dark", stack, Conditions())]), context=QUICK)
         (read,), (factor,) = result.find("read_noise"), result.find("blur_factor")
         assert read.value == pytest.approx(9.0 * np.sqrt(blur), rel=0.02)
         assert abs(errors(factor, blur)) < 4.5
         assert result.find("covariance_gain")[0].status == "refused"
 
 
-def test_images_too_small_for_a_covariance_are_refused_one_and_still_have_a_variance(
-    in_memory, seed
-):
+def test_images_too_small_for_a_covariance_are_refused_one_and_still_have_a_variance(seed):
     """Nine pixels: the mean of the frame takes a ninth of the noise along, which is put back."""
     rng = np.random.default_rng(seed)
     gain = 0.5
@@ -246,7 +251,7 @@ def test_images_too_small_for_a_covariance_are_refused_one_and_still_have_a_vari
         )
         for level in (0, 3000, 6000, 9000)
     ]
-    session = in_memory(stacks)
+    session = session_of(stacks)
     assert (
         gain_of(noise.measure(session, method="covariance-sum", context=QUICK)).status == "refused"
     )
@@ -255,19 +260,19 @@ def test_images_too_small_for_a_covariance_are_refused_one_and_still_have_a_vari
     assert abs(errors(found, gain)) < 4.5
 
 
-def test_stacks_that_take_no_part_are_named(pulses, series, in_memory, seed):
+def test_stacks_that_take_no_part_are_named(seed):
     rng = np.random.default_rng(seed)
-    session = series(pulses(shape=SMALL), rng, LEVELS, frames=4)
+    session = flat_series(Pulses(shape=SMALL), rng, LEVELS, frames=4)
     stacks = [
         (s.label, s.kind, s.read(), replace(s.conditions, mcp_v=800.0)) for s in session.stacks
     ]
     other = (
         "other-gain",
         "flat",
-        pulses(gain_dn=40.0, shape=SMALL).frames(rng, 9.0, 4),
+        Pulses(gain_dn=40.0, shape=SMALL).frames(rng, 9.0, 4),
         Conditions(mcp_v=850.0),
     )
-    lone = ("lone", "flat", pulses(shape=SMALL).frames(rng, 9.0, 1), Conditions(mcp_v=800.0))
-    gain = gain_of(noise.measure(in_memory([*stacks, other, lone]), context=QUICK))
+    lone = ("lone", "flat", Pulses(shape=SMALL).frames(rng, 9.0, 1), Conditions(mcp_v=800.0))
+    gain = gain_of(noise.measure(session_of([*stacks, other, lone]), context=QUICK))
     assert any("different gain): other-gain" in note for note in gain.notes)
     assert any("excluded (single frame, no noise): lone" in note for note in gain.notes)

@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators import noise
 from labdata import Conditions, FrameStack
-from tests.truth.counted_pulses import QUICK, errors
+from tests.truth.counted_pulses import QUICK, errors, session_of
 
 GAIN_DN = 0.5
 CURRENT_E_PER_S = 40.0
@@ -61,8 +61,8 @@ def measured(
     return noise.measure(in_memory(stacks), method="variance", context=QUICK)
 
 
-def test_dark_current_is_the_rise_of_the_level_with_the_exposure(in_memory, seed):
-    result = measured(in_memory, np.random.default_rng(seed))
+def test_dark_current_is_the_rise_of_the_level_with_the_exposure(seed):
+    result = measured(session_of, np.random.default_rng(seed))
     (in_dn,), (in_e,) = (result.find("dark_current", unit=unit) for unit in ("DN/s", "e-/s"))
     assert (in_dn.status, in_e.status) == ("ok", "ok")
     assert abs(errors(in_dn, GAIN_DN * CURRENT_E_PER_S)) < 4.5
@@ -72,9 +72,12 @@ def test_dark_current_is_the_rise_of_the_level_with_the_exposure(in_memory, seed
     assert "25.0 degrees" in in_dn.notes[0]
 
 
-def test_it_doubles_at_the_temperature_step_that_was_put_in(in_memory, seed):
+def test_it_doubles_at_the_temperature_step_that_was_put_in(seed):
     result = measured(
-        in_memory, np.random.default_rng(seed), temperatures_c=(15.0, 20.0, 25.0, 30.0), flats=False
+        session_of,
+        np.random.default_rng(seed),
+        temperatures_c=(15.0, 20.0, 25.0, 30.0),
+        flats=False,
     )
     (doubling,) = result.find("dark_doubling_temperature")
     assert doubling.status == "ok"
@@ -94,27 +97,27 @@ def test_it_doubles_at_the_temperature_step_that_was_put_in(in_memory, seed):
         ),
     ],
 )
-def test_what_the_darks_do_not_tell_is_refused_in_a_sentence(in_memory, seed, more, quantity, word):
-    found = measured(in_memory, np.random.default_rng(seed), flats=False, **more).find(quantity)
+def test_what_the_darks_do_not_tell_is_refused_in_a_sentence(seed, more, quantity, word):
+    found = measured(session_of, np.random.default_rng(seed), flats=False, **more).find(quantity)
     assert [m.status for m in found] == ["refused"]
     assert word in found[0].reason
 
 
-def test_electrons_need_a_gain(in_memory, seed):
-    (found,) = measured(in_memory, np.random.default_rng(seed), flats=False).find(
+def test_electrons_need_a_gain(seed):
+    (found,) = measured(session_of, np.random.default_rng(seed), flats=False).find(
         "dark_current", unit="e-/s"
     )
     assert found.status == "refused" and "system gain" in found.reason
 
 
-def test_a_camera_that_warms_up_while_it_is_read_is_told(in_memory, seed):
-    (found,) = measured(in_memory, np.random.default_rng(seed), flats=False, drift_dn=8.0).find(
+def test_a_camera_that_warms_up_while_it_is_read_is_told(seed):
+    (found,) = measured(session_of, np.random.default_rng(seed), flats=False, drift_dn=8.0).find(
         "dark_current", unit="DN/s"
     )
     assert "drift" in found.flags
 
 
-def test_an_interval_of_95_percent_holds_the_truth_as_often(in_memory, seed):
+def test_an_interval_of_95_percent_holds_the_truth_as_often(seed):
     """Levels move by more than their noise from stack to stack, as they do: Student's law allows
     for it.
     """
@@ -134,7 +137,7 @@ def test_an_interval_of_95_percent_holds_the_truth_as_often(in_memory, seed):
                     Conditions(exposure_s=exposure_s),
                 )
             )
-        (found,) = noise.measure(in_memory(stacks), method="variance", context=QUICK).find(
+        (found,) = noise.measure(session_of(stacks), method="variance", context=QUICK).find(
             "dark_current", unit="DN/s"
         )
         low, high = found.interval95

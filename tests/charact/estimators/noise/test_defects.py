@@ -8,7 +8,7 @@ import pytest
 from charact.estimators import noise
 from charact.method import Context
 from labdata import Conditions, FrameStack
-from tests.truth.counted_pulses import QUICK, gaussian
+from tests.truth.counted_pulses import QUICK, Pulses, gaussian, session_of
 
 HOT = ((3, 5), (40, 77), (95, 127))
 DEAD = ((10, 10), (60, 3))
@@ -52,10 +52,10 @@ def counts(result):
 
 
 @pytest.mark.parametrize("interlaced", [False, True])
-def test_every_defect_is_counted_once_and_named(in_memory, seed, interlaced):
+def test_every_defect_is_counted_once_and_named(seed, interlaced):
     found = counts(
         measured(
-            in_memory,
+            session_of,
             np.random.default_rng(seed),
             interlaced,
             hot=HOT,
@@ -71,17 +71,17 @@ def test_every_defect_is_counted_once_and_named(in_memory, seed, interlaced):
     assert all(str(place) in found["dark"].notes[1] for place in HOT)
 
 
-def test_a_sound_camera_has_none(in_memory, seed):
-    result = measured(in_memory, np.random.default_rng(seed))
+def test_a_sound_camera_has_none(seed):
+    result = measured(session_of, np.random.default_rng(seed))
     for m in counts(result).values():
         assert (m.value, m.interval95, m.status) == (0.0, (0.0, 0.0), "ok")
     assert all("defects" not in m.flags for m in result.measurements)
 
 
-def test_blinking_pixels_are_left_out_of_the_noise(in_memory, seed):
+def test_blinking_pixels_are_left_out_of_the_noise(seed):
     rng = np.random.default_rng(seed)
     many = tuple((row, 64) for row in range(0, 96, 4))
-    spoiled = measured(in_memory, rng, restless=many)
+    spoiled = measured(session_of, rng, restless=many)
     (random,) = spoiled.find("noise_tvh", stack="dark")
     (read_noise,) = spoiled.find("read_noise", unit="DN")
     # 2 DN of any sound pixel and the steps; the pixels put in would make it 2.9.
@@ -92,32 +92,32 @@ def test_blinking_pixels_are_left_out_of_the_noise(in_memory, seed):
     assert any("24 defective pixels" in note for note in read_noise.notes)
 
 
-def test_pulses_of_light_are_no_defects(pulses, in_memory, seed):
+def test_pulses_of_light_are_no_defects(seed):
     """Rare bright events of a tube change a pixel once, not half of the time."""
-    camera = pulses(shape=(96, 128), transfer=gaussian(0.7))
+    camera = Pulses(shape=(96, 128), transfer=gaussian(0.7))
     rng = np.random.default_rng(seed)
-    dim = in_memory([("dark", "dark", camera.frames(rng, 0.02, 32), Conditions())])
+    dim = session_of([("dark", "dark", camera.frames(rng, 0.02, 32), Conditions())])
     (found,) = noise.measure(dim, method="variance", context=QUICK).find("defect_pixels")
     assert "0 blinking" in found.notes[0]
 
 
-def test_pairs_of_frames_show_defects_too(in_memory, seed):
+def test_pairs_of_frames_show_defects_too(seed):
     rng = np.random.default_rng(seed)
     stacks = [
         (kind, kind, frames(rng, level, 2, hot=HOT, dead=DEAD), Conditions())
         for kind, level in (("dark", 0.0), ("flat", 900.0))
     ]
-    found = counts(noise.measure(in_memory(stacks), method="variance", context=QUICK))
+    found = counts(noise.measure(session_of(stacks), method="variance", context=QUICK))
     assert (found["dark"].value, found["flat"].value) == (len(HOT), len(DEAD))
 
 
-def test_images_of_a_few_pixels_count_no_defects(in_memory, seed):
+def test_images_of_a_few_pixels_count_no_defects(seed):
     rng = np.random.default_rng(seed)
     stacks = [
         (kind, kind, FrameStack(data=rng.poisson(level, (8, 3, 3)).astype(np.uint16)), Conditions())
         for kind, level in (("dark", 100.0), ("flat", 400.0))
     ]
-    (found,) = noise.measure(in_memory(stacks), method="variance", context=QUICK).find(
+    (found,) = noise.measure(session_of(stacks), method="variance", context=QUICK).find(
         "defect_pixels"
     )
     assert found.status == "refused" and "32 x 32 px" in found.reason

@@ -14,7 +14,7 @@ from charact.estimators.noise.sweep.settings import KNOBS, Sweep
 from charact.estimators.noise.sweep.sweep import measure_sweep
 from charact.method import Context
 from labdata import Conditions
-from tests.truth.counted_pulses import QUICK, gaussian, one
+from tests.truth.counted_pulses import QUICK, Pulses, gaussian, one, session_of
 
 VOLTS, LIGHTS = (600.0, 675.0, 750.0, 850.0), (3.0, 10.0, 30.0)
 GAIN_DN, EXPONENT, READ_DN, ELECTRON_DN, DARK_PE = 20.0, 10.0, 2.0, 0.05, 0.02
@@ -88,8 +88,8 @@ def true_knee_dn() -> float:
     return float(roots.max())
 
 
-def test_law_knee_saturation_and_excess_noise_are_those_of_the_camera(pulses, in_memory, seed):
-    result = measured(swept(pulses, in_memory, seed, saturation_dn=SATURATION_DN))
+def test_law_knee_saturation_and_excess_noise_are_those_of_the_camera(seed):
+    result = measured(swept(Pulses, session_of, seed, saturation_dn=SATURATION_DN))
     exponent, saturation = one(result, "gain_exponent"), one(result, "mcp_saturation")
     knee = true_knee_dn()
     for found, truth in (
@@ -251,27 +251,25 @@ def test_a_camera_that_bends_behind_the_plate_is_not_taken_for_a_plate_that_tire
 
 
 @pytest.mark.parametrize("recorded", [lambda v: {}, lambda v: {"mcp_v": 800.0 + 1e-3 * v}])
-def test_where_no_gain_was_turned_or_none_was_recorded_nothing_is_said_of_its_law(
-    pulses, in_memory, seed, recorded
-):
+def test_where_no_gain_was_turned_or_none_was_recorded_nothing_is_said_of_its_law(seed, recorded):
     session = swept(
-        pulses, in_memory, seed, volts=(800.0, 801.0), lights=(5.0, 20.0), recorded=recorded
+        Pulses, session_of, seed, volts=(800.0, 801.0), lights=(5.0, 20.0), recorded=recorded
     )
     assert not any(m.method == "gain-sweep" for m in measured(session).measurements)
 
 
-def test_a_setting_at_full_scale_is_left_out_and_named(pulses, in_memory, seed):
-    session = swept(pulses, in_memory, seed, lights=(10.0, 30.0), full_scale_dn=450.0)
+def test_a_setting_at_full_scale_is_left_out_and_named(seed):
+    session = swept(Pulses, session_of, seed, lights=(10.0, 30.0), full_scale_dn=450.0)
     exponent = one(measured(session), "gain_exponent")
     assert any("at 850 V: every flat is saturated" in note for note in exponent.notes)
     assert abs(errors(exponent, EXPONENT)) < 4.5
 
 
-def test_darks_of_other_settings_are_told(pulses, in_memory, seed):
+def test_darks_of_other_settings_are_told(seed):
     result = measured(
         swept(
-            pulses,
-            in_memory,
+            Pulses,
+            session_of,
             seed,
             volts=(600.0, 700.0, 850.0),
             lights=(10.0, 30.0),
@@ -282,11 +280,11 @@ def test_darks_of_other_settings_are_told(pulses, in_memory, seed):
     assert all(m.status != "ok" for m in result.find("gain_knee"))
 
 
-def test_a_gain_that_something_else_holds_is_flagged(pulses, in_memory):
+def test_a_gain_that_something_else_holds_is_flagged():
     """An automatic gain holds the mean at every light and voltage; in this draw brighter flats have
     less covariance.
     """
-    result = measured(swept(pulses, in_memory, 434601851, exponent=0.0, seen=lambda light: 10.0))
+    result = measured(swept(Pulses, session_of, 434601851, exponent=0.0, seen=lambda light: 10.0))
     assert one(result, "gain_exponent").status != "ok"
     assert all(
         m.status != "ok"
@@ -295,19 +293,17 @@ def test_a_gain_that_something_else_holds_is_flagged(pulses, in_memory):
     )
 
 
-def test_a_stated_automatic_gain_is_flagged(pulses, in_memory, seed):
+def test_a_stated_automatic_gain_is_flagged(seed):
     recorded = lambda v: {"mcp_v": v, "automatic_gain": True}  # noqa: E731
-    told = swept(pulses, in_memory, seed, volts=(600.0, 850.0), lights=(10.0,), recorded=recorded)
+    told = swept(Pulses, session_of, seed, volts=(600.0, 850.0), lights=(10.0,), recorded=recorded)
     assert "agc" in one(measured(told), "gain_exponent").flags
 
 
-def test_steps_of_the_digitiser_larger_than_the_noise_widen_the_gain_and_flag_it(
-    pulses, in_memory, seed
-):
+def test_steps_of_the_digitiser_larger_than_the_noise_widen_the_gain_and_flag_it(seed):
     """Read noise of 0.15 DN under steps of 1 DN: variance at the lowest gain is off by what the
     steps add.
     """
-    session = swept(pulses, in_memory, seed, read_noise_dn=0.15, lights=(3.0, 10.0))
+    session = swept(Pulses, session_of, seed, read_noise_dn=0.15, lights=(3.0, 10.0))
     result = measured(session)
     (lowest,) = [m for m in result.find("responsivity") if m.stack.startswith("flat-600")]
     assert "quantised" in lowest.flags

@@ -14,7 +14,7 @@ from charact.estimators.noise.gain.single_setting import fit_single_setting
 from charact.frames.spectrum import bins_of
 from charact.frames.temporal import autocovariance, centring, usable_lags
 from charact.method import Context
-from tests.truth.counted_pulses import gaussian
+from tests.truth.counted_pulses import Pulses, flat_series, gaussian
 
 
 def order(frames: int, fields: int):
@@ -78,14 +78,12 @@ def test_the_error_of_the_sum_over_lags_is_the_scatter_of_sums(frames, fields, s
 
 
 @pytest.mark.parametrize(("bend_per_dn", "seen"), [(-1.3e-5, True), (0.0, False), (1.3e-5, False)])
-def test_covariance_that_rises_with_the_signal_is_no_tiring_plate(
-    pulses, series, seed, bend_per_dn, seen
-):
+def test_covariance_that_rises_with_the_signal_is_no_tiring_plate(seed, bend_per_dn, seen):
     """A response that steepens by 2 % makes covariance over signal rise by 6 %, one that tires
     makes it fall.
     """
-    camera = pulses(gain_dn=20.0, transfer=gaussian(0.7), bend_per_dn=bend_per_dn)
-    session = series(camera, np.random.default_rng(seed), (8.0, 20.0, 40.0, 80.0), frames=8)
+    camera = Pulses(gain_dn=20.0, transfer=gaussian(0.7), bend_per_dn=bend_per_dn)
+    session = flat_series(camera, np.random.default_rng(seed), (8.0, 20.0, 40.0, 80.0), frames=8)
     darks, flats, _ = read_levels(session, context=Context(), spectra=True)
     one = fit_single_setting(series_of(flats, darks), context=Context(), quick=True)
     assert any(flag == "nonlinear" for flag, _ in one.departures()) is seen

@@ -21,7 +21,7 @@ from charact.estimators.noise.snr_against_light import (
 from charact.frames.rounding import rounding_sd
 from charact.frames.stack_statistics import SIDE_PX
 from labdata import Conditions, Measurement
-from tests.truth.counted_pulses import QUICK, errors, gaussian
+from tests.truth.counted_pulses import QUICK, Pulses, errors, gaussian, session_of
 
 LUX_PER_PE = 1e-6
 
@@ -89,17 +89,15 @@ def least_level(camera, variance) -> float:
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, 1.5])
-def test_ratios_of_pixel_and_area_are_those_of_counted_pulses_behind_a_blur(
-    pulses, in_memory, seed, sigma_px
-):
+def test_ratios_of_pixel_and_area_are_those_of_counted_pulses_behind_a_blur(seed, sigma_px):
     """Blur smooths a pixel's noise and leaves most of an area's: the area is not as good as its
     pixels over n.
     """
-    camera = pulses(
+    camera = Pulses(
         gain_dn=4.0, transfer=gaussian(sigma_px) if sigma_px else None, read_noise_dn=3.0
     )
     levels = (0.02, 0.1, 0.5, 3.0, 20.0)
-    session = light_series(camera, np.random.default_rng(seed), in_memory, levels)
+    session = light_series(camera, np.random.default_rng(seed), session_of, levels)
     result = measured(session)
     for quantity, variance in (("snr", pixel_variance), ("snr_area", area_variance)):
         found = of(result, quantity)
@@ -120,10 +118,10 @@ def test_ratios_of_pixel_and_area_are_those_of_counted_pulses_behind_a_blur(
 
 
 def test_pixels_averaged_over_an_area_of_blurred_pulses_gain_less_than_the_root_of_their_number(
-    pulses, in_memory, seed
+    seed,
 ):
-    camera = pulses(transfer=gaussian(1.0))
-    session = light_series(camera, np.random.default_rng(seed), in_memory, (2.0, 10.0, 30.0))
+    camera = Pulses(transfer=gaussian(1.0))
+    session = light_series(camera, np.random.default_rng(seed), session_of, (2.0, 10.0, 30.0))
     result = measured(session)
     for pixel, area in zip(of(result, "snr"), of(result, "snr_area"), strict=True):
         gained = area.value / pixel.value
@@ -228,15 +226,15 @@ def test_steps_of_the_digitiser_shift_mean_and_variance_by_as_much_as_is_allowed
     assert np.std(variance) < 1.4 * allowed[1]
 
 
-def test_noise_finer_than_the_steps_leaves_the_truth_in_the_interval(pulses, in_memory, seed):
+def test_noise_finer_than_the_steps_leaves_the_truth_in_the_interval(seed):
     """Read noise of 0.2 DN under pulses of 4 DN: dim signals are rounded away by some tenths of a
     DN.
     """
-    camera = pulses(
+    camera = Pulses(
         gain_dn=4.0, transfer=gaussian(0.8), read_noise_dn=0.2, black_dn=12.3, shape=(96, 128)
     )
     levels = (0.02, 0.1, 1.0, 10.0)
-    result = measured(light_series(camera, np.random.default_rng(seed), in_memory, levels))
+    result = measured(light_series(camera, np.random.default_rng(seed), session_of, levels))
     for one in of(result, "snr"):
         level = levels[int(one.stack[-1])]
         if one.value is not None:
@@ -254,12 +252,12 @@ def test_noise_finer_than_the_steps_leaves_the_truth_in_the_interval(pulses, in_
 
 
 @pytest.mark.parametrize("off", [-2.0, 1.0])
-def test_a_meter_wrong_by_its_stated_error_is_in_the_interval(pulses, in_memory, seed, off):
-    camera = pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
+def test_a_meter_wrong_by_its_stated_error_is_in_the_interval(seed, off):
+    camera = Pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
     session = light_series(
         camera,
         np.random.default_rng(seed),
-        in_memory,
+        session_of,
         (0.1, 1.0, 10.0),
         meter=float(np.exp(0.1 * off)),
         illuminance_relative_sd=0.1,
@@ -270,12 +268,12 @@ def test_a_meter_wrong_by_its_stated_error_is_in_the_interval(pulses, in_memory,
     assert errors(found, truth) == pytest.approx(-off, abs=0.4)
 
 
-def test_light_without_a_stated_error_is_not_taken_for_exact(pulses, in_memory, seed):
-    camera = pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
+def test_light_without_a_stated_error_is_not_taken_for_exact(seed):
+    camera = Pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
     session = light_series(
         camera,
         np.random.default_rng(seed),
-        in_memory,
+        session_of,
         (0.1, 1.0, 10.0),
         illuminance_relative_sd=None,
     )
@@ -296,12 +294,10 @@ def test_light_without_a_stated_error_is_not_taken_for_exact(pulses, in_memory, 
         ((500.0, 900.0, 1500.0), {}, "refused", "too far below the dimmest flat"),
     ],
 )
-def test_a_light_that_cannot_be_told_is_refused_or_flagged(
-    pulses, in_memory, seed, levels, changes, status, says
-):
-    camera = pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
+def test_a_light_that_cannot_be_told_is_refused_or_flagged(seed, levels, changes, status, says):
+    camera = Pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
     lit = changes.pop("illuminance", True)
-    session = light_series(camera, np.random.default_rng(seed), in_memory, levels, **changes)
+    session = light_series(camera, np.random.default_rng(seed), session_of, levels, **changes)
     if not lit:
         dark = tuple(
             replace(one, conditions=replace(one.conditions, illuminance_lux=None))
@@ -313,9 +309,9 @@ def test_a_light_that_cannot_be_told_is_refused_or_flagged(
     assert any(says in text for text in (*found.flags, *found.notes, found.reason or "")), found
 
 
-def test_a_mean_that_an_automatic_gain_holds_has_no_minimum_illumination(pulses, in_memory, seed):
+def test_a_mean_that_an_automatic_gain_holds_has_no_minimum_illumination(seed):
     camera, rng = (
-        pulses(gain_dn=4.0, read_noise_dn=3.0, shape=(96, 128)),
+        Pulses(gain_dn=4.0, read_noise_dn=3.0, shape=(96, 128)),
         np.random.default_rng(seed),
     )
     told = Conditions(exposure_s=0.02)
@@ -324,23 +320,21 @@ def test_a_mean_that_an_automatic_gain_holds_has_no_minimum_illumination(pulses,
         (f"flat-{lux:g}", "flat", camera.frames(rng, 20.0, 8), replace(told, illuminance_lux=lux))
         for lux in (1e-6, 1e-5, 1e-4)
     ]
-    (found,) = of(measured(in_memory(stacks)), "minimum_illumination")
+    (found,) = of(measured(session_of(stacks)), "minimum_illumination")
     assert found.status == "refused" and "automatic gain" in found.reason
 
 
 @pytest.mark.parametrize("full_scale_dn", [255.0, 400.0])
-def test_a_saturated_flat_has_no_ratio_and_leaves_the_others_theirs(
-    pulses, in_memory, seed, full_scale_dn
-):
+def test_a_saturated_flat_has_no_ratio_and_leaves_the_others_theirs(seed, full_scale_dn):
     """Also where only its brightest pixels are cut off, and the variance still rises."""
-    camera = pulses(
+    camera = Pulses(
         gain_dn=4.0,
         transfer=gaussian(0.6),
         read_noise_dn=3.0,
         shape=(96, 128),
         full_scale_dn=full_scale_dn,
     )
-    session = light_series(camera, np.random.default_rng(seed), in_memory, (0.2, 2.0, 15.0, 60.0))
+    session = light_series(camera, np.random.default_rng(seed), session_of, (0.2, 2.0, 15.0, 60.0))
     result = measured(session)
     *dim, top = of(result, "snr")
     assert top.status == "refused" and "saturated" in top.reason
@@ -349,10 +343,10 @@ def test_a_saturated_flat_has_no_ratio_and_leaves_the_others_theirs(
         assert abs(errors(one, truth)) < 4.5
 
 
-def test_every_gain_has_its_own_ratios_and_minimum(pulses, in_memory, seed):
+def test_every_gain_has_its_own_ratios_and_minimum(seed):
     rng, stacks = np.random.default_rng(seed), []
     for voltage, gain in ((700.0, 2.0), (800.0, 16.0)):
-        camera = pulses(gain_dn=gain, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
+        camera = Pulses(gain_dn=gain, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128))
         told = Conditions(mcp_v=voltage, exposure_s=0.02, illuminance_relative_sd=0.05)
         stacks.append((f"dark-{voltage:g}", "dark", camera.frames(rng, 0.0, 8), told))
         stacks += [
@@ -364,7 +358,7 @@ def test_every_gain_has_its_own_ratios_and_minimum(pulses, in_memory, seed):
             )
             for level in (0.1, 1.0, 10.0)
         ]
-    result = measured(in_memory(stacks))
+    result = measured(session_of(stacks))
     low, high = of(result, "minimum_illumination")
     assert low.value > 2.0 * high.value
     assert "MCP at 700 V" in low.notes and "MCP at 800 V" in high.notes
@@ -374,11 +368,9 @@ def test_every_gain_has_its_own_ratios_and_minimum(pulses, in_memory, seed):
 
 
 @pytest.mark.parametrize("relative_sd", [None, 0.04])
-def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(
-    pulses, in_memory, seed, relative_sd
-):
+def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(seed, relative_sd):
     """Efficiency 50 %, photons recorded 4 % too many: one standard error where it is stated."""
-    camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, shape=(96, 128))
+    camera = Pulses(gain_dn=0.0, electron_gain_dn=0.5, shape=(96, 128))
     rng = np.random.default_rng(seed)
     stacks = [("dark", "dark", camera.frames(rng, 0.0, 16), Conditions())]
     stacks += [
@@ -391,7 +383,7 @@ def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(
         for electrons in (400.0, 1500.0, 4000.0, 9000.0)
     ]
     (found,) = of(
-        noise.measure(in_memory(stacks), method="variance", context=QUICK), "quantum_efficiency"
+        noise.measure(session_of(stacks), method="variance", context=QUICK), "quantum_efficiency"
     )
     if relative_sd is None:
         assert any("assumed exact" in note for note in found.notes)

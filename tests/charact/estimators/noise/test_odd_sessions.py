@@ -8,7 +8,7 @@ import pytest
 from charact.estimators import noise
 from charact.method import Context
 from labdata import BadInput, Conditions, FrameStack
-from tests.truth.counted_pulses import METHODS, QUICK
+from tests.truth.counted_pulses import METHODS, QUICK, session_of
 
 LEVELS = (100.0, 300.0, 600.0)
 PLAIN = Conditions()
@@ -100,8 +100,8 @@ ODD += [
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("case", "method", "interlaced"), ODD)
-def test_a_session_that_lacks_something_is_answered(in_memory, seed, case, method, interlaced):
-    given = session(in_memory, *CASES[case](np.random.default_rng(seed)))
+def test_a_session_that_lacks_something_is_answered(seed, case, method, interlaced):
+    given = session(session_of, *CASES[case](np.random.default_rng(seed)))
     context = Context(seed=1, quick=True, interlaced=interlaced)
     if interlaced and case in ("one pixel", "one row"):
         with pytest.raises(BadInput, match="two rows"):
@@ -122,10 +122,10 @@ def test_a_session_that_lacks_something_is_answered(in_memory, seed, case, metho
         ({"temperature_c": -20.0}, {"temperature_c": 20.0}),
     ],
 )
-def test_darks_of_other_conditions_are_unlike(in_memory, seed, method, dark, flat):
+def test_darks_of_other_conditions_are_unlike(seed, method, dark, flat):
     rng = np.random.default_rng(seed)
     given = session(
-        in_memory,
+        session_of,
         [(frames(rng, 0.0), Conditions(**dark))],
         [(frames(rng, s), Conditions(**flat)) for s in LEVELS],
     )
@@ -135,16 +135,14 @@ def test_darks_of_other_conditions_are_unlike(in_memory, seed, method, dark, fla
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_biases_under_timed_flats_leave_the_gain_alone_and_the_efficiency_not(
-    in_memory, seed, method
-):
+def test_biases_under_timed_flats_leave_the_gain_alone_and_the_efficiency_not(seed, method):
     """Dark current arrives at random as light does: it is on the line of variance over signal."""
     rng = np.random.default_rng(seed)
     lit = [
         (frames(rng, s), Conditions(exposure_s=t, photons_per_px=4.0 * s))
         for t, s in enumerate(LEVELS, start=1)
     ]
-    given = session(in_memory, [(frames(rng, 0.0), Conditions(exposure_s=0.0))], lit)
+    given = session(session_of, [(frames(rng, 0.0), Conditions(exposure_s=0.0))], lit)
     result = noise.measure(given, method=method, context=QUICK)
     (gain,), (efficiency,) = result.find("system_gain"), result.find("quantum_efficiency")
     assert gain.status == "ok"
@@ -153,21 +151,21 @@ def test_biases_under_timed_flats_leave_the_gain_alone_and_the_efficiency_not(
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_flat_below_its_dark_is_no_read_noise(in_memory, seed, method):
+def test_a_flat_below_its_dark_is_no_read_noise(seed, method):
     rng = np.random.default_rng(seed)
-    given = session(in_memory, [(frames(rng, 900.0), PLAIN)], [(frames(rng, 0.0), PLAIN)])
+    given = session(session_of, [(frames(rng, 900.0), PLAIN)], [(frames(rng, 0.0), PLAIN)])
     (noise_dn,) = noise.measure(given, method=method, context=QUICK).find("read_noise", unit="DN")
     assert noise_dn.flags == ("dark-mismatch",)
     assert any("exchanged" in note for note in noise_dn.notes)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_one_light_that_gives_several_levels_is_contradicted(in_memory, seed, method):
+def test_one_light_that_gives_several_levels_is_contradicted(seed, method):
     """Variance over signal stays: the gain is right, and no number per photon is."""
     rng = np.random.default_rng(seed)
     state = {"exposure_s": 0.01, "photons_per_px": 5000.0}
     lit = [(frames(rng, s), Conditions(**state)) for s in (100.0, 400.0, 900.0, 1600.0)]
-    given = session(in_memory, [(frames(rng, 0.0), Conditions(exposure_s=0.01))], lit)
+    given = session(session_of, [(frames(rng, 0.0), Conditions(exposure_s=0.01))], lit)
     result = noise.measure(given, method=method, context=QUICK)
     (gain,), (efficiency,) = result.find("system_gain"), result.find("quantum_efficiency")
     assert gain.status == "ok"
@@ -176,39 +174,37 @@ def test_one_light_that_gives_several_levels_is_contradicted(in_memory, seed, me
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_frames_that_do_not_belong_together_are_bad_input(in_memory, seed, method):
+def test_frames_that_do_not_belong_together_are_bad_input(seed, method):
     rng = np.random.default_rng(seed)
-    cut = session(in_memory, plain(rng, (0.0,)), plain(rng, shape=(64, 80)))
+    cut = session(session_of, plain(rng, (0.0,)), plain(rng, shape=(64, 80)))
     with pytest.raises(BadInput, match="one size"):
         noise.measure(cut, method=method, context=QUICK)
-    same = session(in_memory, plain(rng, (0.0,)), plain(rng, number=(3, 3, 3, 3)))
+    same = session(session_of, plain(rng, (0.0,)), plain(rng, number=(3, 3, 3, 3)))
     with pytest.raises(BadInput, match="must be unique"):
         noise.measure(same, method=method, context=QUICK)
     huge = FrameStack(data=1e30 * rng.standard_normal((4, 96, 128)))
     with pytest.raises(BadInput, match="must lie below"):
-        noise.measure(session(in_memory, [(huge, PLAIN)], []), method=method, context=QUICK)
+        noise.measure(session(session_of, [(huge, PLAIN)], []), method=method, context=QUICK)
 
 
-def test_flats_that_cannot_be_used_leave_no_blur_factor_to_the_darks(in_memory, seed):
+def test_flats_that_cannot_be_used_leave_no_blur_factor_to_the_darks(seed):
     rng = np.random.default_rng(seed)
     given = session(
-        in_memory, plain(rng, (0.0,), highest=150.0), plain(rng, (500.0,), highest=150.0)
+        session_of, plain(rng, (0.0,), highest=150.0), plain(rng, (500.0,), highest=150.0)
     )
     assert not noise.measure(given, method="covariance-sum", context=QUICK).find("blur_factor")
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_darks_alone_that_are_cut_at_zero_are_flagged(in_memory, seed, method):
+def test_darks_alone_that_are_cut_at_zero_are_flagged(seed, method):
     cut = FrameStack(
         data=np.clip(np.rint(np.random.default_rng(seed).normal(1.0, 3.0, (4, 96, 128))), 0, None)
     )
-    result = noise.measure(session(in_memory, [(cut, PLAIN)], []), method=method, context=QUICK)
+    result = noise.measure(session(session_of, [(cut, PLAIN)], []), method=method, context=QUICK)
     assert all("clipped" in m.flags for m in result.find("read_noise") + result.find("dark_signal"))
 
 
-def test_of_gains_with_as_many_flats_the_brightest_unclipped_one_is_taken_and_named(
-    in_memory, seed
-):
+def test_of_gains_with_as_many_flats_the_brightest_unclipped_one_is_taken_and_named(seed):
     """Three flats at each of three voltages: the first are dim, the last are cut by the highest
     code.
     """
@@ -219,7 +215,7 @@ def test_of_gains_with_as_many_flats_the_brightest_unclipped_one_is_taken_and_na
         for level in LEVELS
     ]
     found = noise.measure(
-        session(in_memory, plain(rng, (0.0,)), flats), method="variance", context=QUICK
+        session(session_of, plain(rng, (0.0,)), flats), method="variance", context=QUICK
     )
     (gain,) = found.find("system_gain")
     assert any("mcp_v 700" in note for note in gain.notes)
@@ -228,9 +224,9 @@ def test_of_gains_with_as_many_flats_the_brightest_unclipped_one_is_taken_and_na
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("levels", [(300.0,), LEVELS])
-def test_a_dark_of_a_single_frame_is_told_apart_from_no_dark(in_memory, seed, method, levels):
+def test_a_dark_of_a_single_frame_is_told_apart_from_no_dark(seed, method, levels):
     rng = np.random.default_rng(seed)
-    given = session(in_memory, plain(rng, (0.0,), count=1), plain(rng, levels))
+    given = session(session_of, plain(rng, (0.0,), count=1), plain(rng, levels))
     found = noise.measure(given, method=method, context=QUICK).measurements
     told = [sentence for m in found for sentence in (m.reason or "", *m.notes)]
     assert any("excluded (single frame, no noise): dark-0" in sentence for sentence in told)

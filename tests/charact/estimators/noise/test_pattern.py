@@ -10,7 +10,7 @@ from charact.frames.frame_block import measure_fixed_pattern
 from charact.frames.pixels import pixel_sums
 from charact.frames.spectrum import NO_BINS
 from charact.frames.temporal import order_of
-from tests.truth.counted_pulses import METHODS, QUICK, gaussian
+from tests.truth.counted_pulses import METHODS, QUICK, Pulses, flat_series, gaussian, memory_of
 
 
 def pattern_of(image):
@@ -55,18 +55,16 @@ def test_noise_that_fades_is_waited_for(seed, share):
 
 
 @pytest.mark.parametrize(("share", "frames"), [(0.0, 8), (0.2, 2), (0.2, 8), (0.8, 16), (0.6, 32)])
-def test_non_uniformity_of_an_intensified_camera_is_right_or_flagged(
-    pulses, keeping, series, seed, share, frames
-):
-    camera = pulses(
+def test_non_uniformity_of_an_intensified_camera_is_right_or_flagged(seed, share, frames):
+    camera = Pulses(
         gain_dn=5.0,
         transfer=gaussian(0.7),
-        memory=keeping(share),
+        memory=memory_of(share),
         pattern=0.02,
         offset_dn=1.0,
         shape=(128, 160),
     )
-    session = series(
+    session = flat_series(
         camera, np.random.default_rng(seed), (40.0, 120.0, 360.0), frames=frames, dark_frames=frames
     )
     realised = 100.0 * np.random.default_rng(7).standard_normal(camera.shape).std() * 0.02

@@ -16,7 +16,7 @@ from charact.estimators.noise.gain.series import read_levels, series_of
 from charact.estimators.noise.gain.single_setting import fit_single_setting
 from charact.estimators.noise.predictive_check import LightNoise
 from labdata import FrameStack
-from tests.truth.counted_pulses import QUICK, gaussian
+from tests.truth.counted_pulses import QUICK, Pulses, flat_series, gaussian, memory_of, session_of
 
 LEVELS = (1.0, 4.0, 12.0, 36.0)
 SHAPE = 112, 112
@@ -34,7 +34,7 @@ def changed(session, in_memory, change):
     """The same with other flats, each changed as a whole, shape (frame, row, col)."""
     stacks = []
     for entry in session.stacks:
-        data = entry.held.data.astype(float)
+        data = entry.read().data.astype(float)
         data = np.clip(np.rint(change(data) if entry.kind == "flat" else data), 0, 65535).astype(
             np.uint16
         )
@@ -50,22 +50,20 @@ def changed(session, in_memory, change):
 
 
 @pytest.mark.parametrize("kind", ["wings", "lag", "white"])
-def test_a_camera_that_is_as_the_model_has_it_is_not_called_wrong(
-    pulses, keeping, series, seed, kind
-):
+def test_a_camera_that_is_as_the_model_has_it_is_not_called_wrong(seed, kind):
     camera = {
-        "wings": pulses(transfer=lambda f: np.exp(-((f / 0.25) ** 1.2)), shape=SHAPE),
-        "lag": pulses(transfer=gaussian(0.9), memory=keeping(0.3), shape=SHAPE),
-        "white": pulses(gain_dn=0.0, electron_gain_dn=0.5, shape=SHAPE),
+        "wings": Pulses(transfer=lambda f: np.exp(-((f / 0.25) ** 1.2)), shape=SHAPE),
+        "lag": Pulses(transfer=gaussian(0.9), memory=memory_of(0.3), shape=SHAPE),
+        "white": Pulses(gain_dn=0.0, electron_gain_dn=0.5, shape=SHAPE),
     }[kind]
     levels = tuple(100.0 * level for level in LEVELS) if kind == "white" else LEVELS
-    found = told(series(camera, np.random.default_rng(seed), levels, frames=6, dark_frames=6))
+    found = told(flat_series(camera, np.random.default_rng(seed), levels, frames=6, dark_frames=6))
     assert {one.stack for one in found} == {"flat-0", "flat-2", "flat-3"}
     assert not predictive_check.findings_of(found)
 
 
 @pytest.mark.parametrize("wrong", ["flicker", "blobs", "gamma", "patches"])
-def test_what_the_model_has_not_is_found_by_its_own_sign(pulses, series, in_memory, seed, wrong):
+def test_what_the_model_has_not_is_found_by_its_own_sign(seed, wrong):
     rng = np.random.default_rng(seed)
 
     def flicker(data):
@@ -89,11 +87,11 @@ def test_what_the_model_has_not_is_found_by_its_own_sign(pulses, series, in_memo
         "gamma": (gamma, "variance"),
         "patches": (patches, "patches"),
     }[wrong]
-    camera = pulses(transfer=gaussian(0.9), shape=SHAPE)
+    camera = Pulses(transfer=gaussian(0.9), shape=SHAPE)
     # Few frames tell little of how their means vary.
     frames = 8 if wrong == "flicker" else 5
     found = told(
-        changed(series(camera, rng, LEVELS, frames=frames, dark_frames=5), in_memory, change)
+        changed(flat_series(camera, rng, LEVELS, frames=frames, dark_frames=5), session_of, change)
     )
     flags = predictive_check.findings_of(found)
     assert [flag for flag, _ in flags] == ["model-misfit"] * len(flags) and flags
@@ -150,14 +148,16 @@ def test_light_of_decaying_pulses_has_the_cumulants_of_shot_noise(seed, kept, sp
     assert abs(correlation - kept**every) < 5.0 / pixels
 
 
-def test_a_number_that_is_not_quick_carries_what_its_frames_say(pulses, series, in_memory, seed):
+def test_a_number_that_is_not_quick_carries_what_its_frames_say(seed):
     rng = np.random.default_rng(seed)
 
     def flashes(data):
         return data + gaussian_filter(200.0 * 20.0 * rng.poisson(2e-4, data.shape), (0, 3, 3))
 
-    camera = pulses(transfer=gaussian(0.9), shape=SHAPE)
-    session = changed(series(camera, rng, LEVELS[:3], frames=5, dark_frames=5), in_memory, flashes)
+    camera = Pulses(transfer=gaussian(0.9), shape=SHAPE)
+    session = changed(
+        flat_series(camera, rng, LEVELS[:3], frames=5, dark_frames=5), session_of, flashes
+    )
     result = noise.measure(session, method="covariance-sum", context=replace(QUICK, quick=False))
     (gain,) = result.find("covariance_gain")
     assert "model-misfit" in gain.flags

@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators import noise
 from labdata import Conditions, FrameStack
-from tests.truth.counted_pulses import METHODS, QUICK, gaussian
+from tests.truth.counted_pulses import METHODS, QUICK, Pulses, gaussian, memory_of, session_of
 
 # Electrons, and the light that brings them.
 LEVELS = (400.0, 1000.0, 2500.0, 6000.0, 12000.0)
@@ -99,26 +99,28 @@ def flags_of(session, method):
         ("covariance-sum", spared, "processed"),
     ],
 )
-def test_filters_in_the_camera_are_found_and_blur_is_none(in_memory, seed, method, camera, flag):
-    seen = flags_of(series(in_memory, np.random.default_rng(seed), camera), method)
+def test_filters_in_the_camera_are_found_and_blur_is_none(seed, method, camera, flag):
+    seen = flags_of(series(session_of, np.random.default_rng(seed), camera), method)
     assert ("processed" in seen) == (flag == "processed")
     assert "gamma" not in seen
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("lit", [True, False])
-def test_a_gamma_curve_is_told_by_the_light_or_by_the_noise_alone(in_memory, seed, method, lit):
+def test_a_gamma_curve_is_told_by_the_light_or_by_the_noise_alone(seed, method, lit):
     assert "gamma" in flags_of(
-        series(in_memory, np.random.default_rng(seed), gamma, lit=lit), method
+        series(session_of, np.random.default_rng(seed), gamma, lit=lit), method
     )
-    assert flags_of(series(in_memory, np.random.default_rng(seed), plain, lit=lit), method) == set()
+    assert (
+        flags_of(series(session_of, np.random.default_rng(seed), plain, lit=lit), method) == set()
+    )
 
 
-def test_the_glow_of_dark_pulses_is_no_noise_reduction(pulses, keeping, in_memory, seed):
+def test_the_glow_of_dark_pulses_is_no_noise_reduction(seed):
     """Scintillations of the dark are kept by the screen from frame to frame, and shared by
     neighbours.
     """
-    camera = pulses(transfer=gaussian(0.9), memory=keeping(0.3))
+    camera = Pulses(transfer=gaussian(0.9), memory=memory_of(0.3))
     rng = np.random.default_rng(seed)
     stacks = [
         (
@@ -129,4 +131,4 @@ def test_the_glow_of_dark_pulses_is_no_noise_reduction(pulses, keeping, in_memor
         )
         for level in (0.2, 4.0, 12.0, 36.0)
     ]
-    assert "processed" not in flags_of(in_memory(stacks), "covariance-sum")
+    assert "processed" not in flags_of(session_of(stacks), "covariance-sum")

@@ -21,7 +21,7 @@ from charact.estimators.noise.illumination import (
 )
 from charact.method import Context
 from labdata import Conditions, Result, load_sensor, measurement_from_draws
-from tests.truth.counted_pulses import errors, gaussian, one
+from tests.truth.counted_pulses import Pulses, errors, gaussian, one, session_of
 
 ELECTRON_C = 1.602176634e-19
 SECONDS = 0.016
@@ -105,16 +105,16 @@ def test_the_luminous_sensitivity_of_a_table_of_efficiencies():
 
 
 @pytest.mark.parametrize("meter", [1.0, 1.06])
-def test_a_light_of_known_size_parts_k_from_f2(pulses, in_memory, seed, meter):
+def test_a_light_of_known_size_parts_k_from_f2(seed, meter):
     """Also where the meter reads 6 % low, twice its stated error: the interval knows."""
-    camera = pulses(transfer=gaussian(1.0))
+    camera = Pulses(transfer=gaussian(1.0))
     sensor = known_sensor(camera.electron_gain_dn)
     per_lux = photoelectrons_per_lux(sensor)
 
     def light(level):
         return Conditions(illuminance_lux=level / per_lux / meter, illuminance_relative_sd=0.03)
 
-    session = flats(camera, np.random.default_rng(seed), in_memory, light)
+    session = flats(camera, np.random.default_rng(seed), session_of, light)
     result = parted(session, camera=sensor)
     tube = np.sqrt(1350e-6 * 108e-6 * np.pi * 1e-8 / (2.0 * ELECTRON_C * 10.0) / 2.0)
     for quantity, truth in (
@@ -130,14 +130,14 @@ def test_a_light_of_known_size_parts_k_from_f2(pulses, in_memory, seed, meter):
     assert abs(errors(one(result, "pulse_gain"), 40.0)) < 4.5
 
 
-def test_photons_of_one_wavelength_part_k_from_f2(pulses, in_memory, seed):
-    camera = pulses(transfer=gaussian(1.0), shape=(128, 128))
+def test_photons_of_one_wavelength_part_k_from_f2(seed):
+    camera = Pulses(transfer=gaussian(1.0), shape=(128, 128))
     # At 700 nm the table has 0.40 at 1996 uA/lm.
     efficiency = 0.40 * 1350.0 / 1996.0
     session = flats(
         camera,
         np.random.default_rng(seed),
-        in_memory,
+        session_of,
         lambda level: Conditions(
             photons_per_px=level / efficiency, wavelength_nm=700.0, illuminance_relative_sd=0.03
         ),
@@ -148,12 +148,12 @@ def test_photons_of_one_wavelength_part_k_from_f2(pulses, in_memory, seed):
 
 
 @pytest.mark.parametrize(("sigma_px", "electrons_dn"), [(2.0, 1.0), (1.0, 2.0)])
-def test_a_white_floor_under_wide_blur_is_k(pulses, in_memory, seed, sigma_px, electrons_dn):
+def test_a_white_floor_under_wide_blur_is_k(seed, sigma_px, electrons_dn):
     """K stands out where blur leaves the pulses little at high frequency: at 1 px they have a
     seventh of it.
     """
-    camera = pulses(gain_dn=20.0, electron_gain_dn=electrons_dn, transfer=gaussian(sigma_px))
-    session = flats(camera, np.random.default_rng(seed), in_memory, lambda level: Conditions())
+    camera = Pulses(gain_dn=20.0, electron_gain_dn=electrons_dn, transfer=gaussian(sigma_px))
+    session = flats(camera, np.random.default_rng(seed), session_of, lambda level: Conditions())
     result = parted(session)
     floor, gain = one(result, "conversion_gain"), one(result, "pulse_gain")
     assert floor.status == "ok" and 0.8 * electrons_dn < floor.value < 1.08 * electrons_dn, floor
@@ -174,12 +174,12 @@ def test_a_white_floor_under_wide_blur_is_k(pulses, in_memory, seed, sigma_px, e
     assert "illuminance_lux" in reason and "single photoelectrons" in reason
 
 
-def test_where_no_floor_shows_k_f2_is_refused_unless_the_sensor_tells_k(pulses, in_memory, seed):
+def test_where_no_floor_shows_k_f2_is_refused_unless_the_sensor_tells_k(seed):
     """Blur of 0.4 px leaves two fifths of the pulses' power at high frequency, and all of that
     might be K.
     """
-    camera = pulses(transfer=gaussian(0.4), shape=(128, 128))
-    session = flats(camera, np.random.default_rng(seed), in_memory, lambda level: Conditions())
+    camera = Pulses(transfer=gaussian(0.4), shape=(128, 128))
+    session = flats(camera, np.random.default_rng(seed), session_of, lambda level: Conditions())
     result = parted(session)
     assert one(result, "conversion_gain").status == "refused"
     assert (
@@ -236,9 +236,9 @@ def found(rng, flux: bool, heights_off: float = 1.0, flux_sd: float = 0.04) -> R
 
 
 @pytest.fixture
-def dark_and_flat(pulses, in_memory):
-    frames = pulses(shape=(8, 8)).frames(np.random.default_rng(1), 1.0, 2)
-    return in_memory(
+def dark_and_flat():
+    frames = Pulses(shape=(8, 8)).frames(np.random.default_rng(1), 1.0, 2)
+    return session_of(
         [
             ("dark", "dark", frames, Conditions(mcp_v=800.0)),
             ("flat", "flat", frames, Conditions(mcp_v=800.0)),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import noise
-from tests.truth.counted_pulses import METHODS, QUICK, gaussian
+from tests.truth.counted_pulses import METHODS, QUICK, Pulses, flat_series, gaussian, memory_of
 
 SESSIONS = 8
 # A silent failure is this many standard errors and this share away from the truth.
@@ -60,12 +60,12 @@ def truths(camera) -> dict[tuple[str, str], float]:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_number_is_wrong_without_a_flag(pulses, keeping, series, seed, method):
+def test_no_number_is_wrong_without_a_flag(seed, method):
     silent, trusted = [], 0
     for index in range(SESSIONS):
         rng = np.random.default_rng((seed, index))
-        camera, levels, frames = drawn(pulses, keeping, rng)
-        session = series(camera, rng, levels, frames=frames, dark_frames=max(frames, 4))
+        camera, levels, frames = drawn(Pulses, memory_of, rng)
+        session = flat_series(camera, rng, levels, frames=frames, dark_frames=max(frames, 4))
         result = noise.measure(session, method=method, context=QUICK)
         for key, truth in truths(camera).items():
             for found in (m for m in result.find(key[0]) if m.unit == key[1] and m.status == "ok"):
@@ -80,16 +80,14 @@ def test_no_number_is_wrong_without_a_flag(pulses, keeping, series, seed, method
 
 
 @pytest.mark.parametrize("frames", [2, 4])
-def test_the_interval_of_few_frames_covers_or_says_that_they_are_too_few(
-    pulses, series, seed, frames
-):
+def test_the_interval_of_few_frames_covers_or_says_that_they_are_too_few(seed, frames):
     """95 % intervals of 6 sessions of small frames miss at most 3 times: once in some 10,000 by
     chance.
     """
-    camera = pulses(transfer=gaussian(0.7), shape=(96, 128))
+    camera = Pulses(transfer=gaussian(0.7), shape=(96, 128))
     missed = 0
     for index in range(6):
-        session = series(
+        session = flat_series(
             camera, np.random.default_rng((seed, frames, index)), (5.0, 15.0, 30.0), frames=frames
         )
         (gain,) = noise.measure(session, context=QUICK).find("covariance_gain")

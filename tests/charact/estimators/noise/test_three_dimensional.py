@@ -12,7 +12,7 @@ from charact.estimators import noise
 from charact.frames.components import components, contrasts
 from charact.method import Context
 from labdata import Conditions, FrameStack
-from tests.truth.counted_pulses import QUICK
+from tests.truth.counted_pulses import QUICK, Pulses, flat_series, session_of
 
 NAMES = ("t", "v", "h", "tv", "th", "vh", "tvh")
 CUBES = 40
@@ -174,11 +174,11 @@ def test_noise_that_lasts_is_followed_to_frequency_zero(seed):
 
 
 @pytest.mark.parametrize(("frames", "lag"), [(16, 0.3), (16, 0.6), (64, 0.6), (12, 0.9)])
-def test_noise_that_lasts_is_no_fixed_pattern_or_flagged(in_memory, seed, frames, lag):
+def test_noise_that_lasts_is_no_fixed_pattern_or_flagged(seed, frames, lag):
     rng = np.random.default_rng(seed)
     sd = (0.0, 0.2, 0.2, 0.0, 0.0, 0.3, 3.0)
     for _ in range(2):
-        found = measured(in_memory, cube(rng, (frames, 64, 80), sd, lag=lag).astype(np.float32))
+        found = measured(session_of, cube(rng, (frames, 64, 80), sd, lag=lag).astype(np.float32))
         for name, truth in zip(NAMES, sd, strict=True):
             low, high = found[name].interval95
             outside = max(low - truth, truth - high, 0.0)
@@ -194,14 +194,14 @@ def test_fields_are_cubes_of_their_own(seed):
     assert held.min() >= LEAST_HELD
 
 
-def test_fields_that_were_not_taken_apart_are_seen(in_memory, seed):
+def test_fields_that_were_not_taken_apart_are_seen(seed):
     rng = np.random.default_rng(seed)
     frames = two_fields(rng, (12, 32, 64), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)).astype(np.float32)
-    assert "interlace-motion" in measured(in_memory, frames)["v"].flags
-    split = measured(in_memory, frames, context=Context(seed=1, quick=True, interlaced=True))
+    assert "interlace-motion" in measured(session_of, frames)["v"].flags
+    split = measured(session_of, frames, context=Context(seed=1, quick=True, interlaced=True))
     assert split["v"].status == "ok"
     frames[:, 0::2] += rng.standard_normal((12, 1, 1))
-    assert "interlace-motion" in measured(in_memory, frames)["tv"].flags
+    assert "interlace-motion" in measured(session_of, frames)["tv"].flags
 
 
 @pytest.mark.parametrize("kind", [np.uint16, np.float64])
@@ -224,12 +224,12 @@ def test_a_strong_fixed_pattern_leaves_what_changes_in_time_alone(seed, kind):
         )
 
 
-def test_smooth_shading_is_neither_row_nor_column_noise(in_memory, seed):
+def test_smooth_shading_is_neither_row_nor_column_noise(seed):
     rng = np.random.default_rng(seed)
     sd = (0.2, 0.5, 0.5, 0.2, 0.2, 0.5, 2.0)
     row, col = np.linspace(-1, 1, 96)[:, None], np.linspace(-1, 1, 128)
     shading = 300.0 * (1.0 - 0.2 * (row**2 + col**2) + 0.02 * (row**2 + col**2) ** 2 + 0.1 * row)
-    found = measured(in_memory, (cube(rng, (16, 96, 128), sd) + shading).astype(np.float32))
+    found = measured(session_of, (cube(rng, (16, 96, 128), sd) + shading).astype(np.float32))
     for name, truth in zip(NAMES, sd, strict=True):
         low, high = found[name].interval95
         assert found[name].status == "ok"
@@ -246,27 +246,27 @@ def test_memory_does_not_grow_to_a_second_cube(seed):
     assert peak < 0.7 * frames.size * 8
 
 
-def test_drift_and_flicker_are_named(in_memory, seed):
+def test_drift_and_flicker_are_named(seed):
     rng = np.random.default_rng(seed)
     steady = cube(rng, (64, 32, 48), (0.2, 0.2, 0.2, 0.2, 0.2, 0.2, 2.0)).astype(np.float32)
     frame = np.arange(64, dtype=np.float32)[:, None, None]
-    assert measured(in_memory, steady)["t"].status == "ok"
-    assert measured(in_memory, steady + 0.05 * frame)["t"].flags == ("drift",)
+    assert measured(session_of, steady)["t"].status == "ok"
+    assert measured(session_of, steady + 0.05 * frame)["t"].flags == ("drift",)
     flicker = 2.0 * np.sin(2 * np.pi * 7.0 * frame / 25.0)
-    found = measured(in_memory, steady + flicker, time_s=np.arange(64) / 25.0)["t"]
+    found = measured(session_of, steady + flicker, time_s=np.arange(64) / 25.0)["t"]
     assert found.flags == ("flicker",)
     assert "7.0" in " ".join(found.notes)
     assert abs(found.value - np.hypot(2.0 / np.sqrt(2.0), 0.2)) < 0.1
 
 
-def test_what_is_not_seen_is_reported_with_its_limit(in_memory, seed):
+def test_what_is_not_seen_is_reported_with_its_limit(seed):
     """A negative estimate is no number below its interval: it is none, with what may still be
     there.
     """
     rng = np.random.default_rng(seed)
     notes = []
     for _ in range(6):
-        found = measured(in_memory, cube(rng, (8, 32, 40), (0.0,) * 6 + (2.0,)).astype(np.float32))
+        found = measured(session_of, cube(rng, (8, 32, 40), (0.0,) * 6 + (2.0,)).astype(np.float32))
         for name in NAMES[:6]:
             m = found[name]
             (low95, high95), (low68, high68) = m.interval95, m.interval68
@@ -278,19 +278,21 @@ def test_what_is_not_seen_is_reported_with_its_limit(in_memory, seed):
     assert all("detected" in note and "at most" in note for note in notes)
 
 
-def test_cut_and_coarse_codes_are_flagged(in_memory, seed):
+def test_cut_and_coarse_codes_are_flagged(seed):
     rng = np.random.default_rng(seed)
     frames = cube(rng, (16, 48, 64), (0.0,) * 6 + (4.0,)) - 1000.0
-    cut = measured(in_memory, np.clip(np.rint(frames + 6.0), 0, None).astype(np.uint16))
+    cut = measured(session_of, np.clip(np.rint(frames + 6.0), 0, None).astype(np.uint16))
     assert all("clipped" in m.flags for m in cut.values())
-    coarse = measured(in_memory, np.rint(frames / 12.0 + 50.0).astype(np.uint16))
+    coarse = measured(session_of, np.rint(frames / 12.0 + 50.0).astype(np.uint16))
     assert all("quantised" in m.flags for m in coarse.values())
 
 
 @pytest.mark.parametrize("method", ["variance", "covariance-sum"])
-def test_every_long_stack_has_its_seven_and_short_ones_say_why_not(pulses, series, seed, method):
-    camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, shape=(96, 128))
-    session = series(camera, np.random.default_rng(seed), (200.0, 800.0), frames=8, dark_frames=4)
+def test_every_long_stack_has_its_seven_and_short_ones_say_why_not(seed, method):
+    camera = Pulses(gain_dn=0.0, electron_gain_dn=0.5, shape=(96, 128))
+    session = flat_series(
+        camera, np.random.default_rng(seed), (200.0, 800.0), frames=8, dark_frames=4
+    )
     result = noise.measure(session, method=method, context=QUICK)
     for name in NAMES:
         assert [m.stack for m in result.find(f"noise_{name}")] == ["flat-0", "flat-1"]
@@ -299,18 +301,18 @@ def test_every_long_stack_has_its_seven_and_short_ones_say_why_not(pulses, serie
     assert abs(second.value - np.sqrt(0.5**2 * 800.0 + 2.0**2 + 1 / 12)) < 4.5 * 0.5 * (high - low)
     assert first.unit == "DN"
     short = noise.measure(
-        series(camera, np.random.default_rng(seed), (200.0,), frames=4, dark_frames=4),
+        flat_series(camera, np.random.default_rng(seed), (200.0,), frames=4, dark_frames=4),
         method=method,
         context=QUICK,
     )
     assert [m.status for name in NAMES for m in short.find(f"noise_{name}")] == ["refused"] * 7
 
 
-def test_rare_pulses_make_the_random_noise_less_certain_than_normal_noise_would(pulses, seed):
+def test_rare_pulses_make_the_random_noise_less_certain_than_normal_noise_would(seed):
     """One photoelectron in fifty pixels, exponential pulse heights: the fourth moment is far from
     the normal law's.
     """
-    camera, rng = pulses(gain_dn=20.0, shape=(64, 80)), np.random.default_rng(seed)
+    camera, rng = Pulses(gain_dn=20.0, shape=(64, 80)), np.random.default_rng(seed)
     variance = (
         0.02 * 2.0 * camera.gain_dn**2
         + 0.05 * 0.02 * camera.gain_dn

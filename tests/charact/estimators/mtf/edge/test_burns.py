@@ -10,8 +10,7 @@ from charact.estimators.mtf.curve import crossing_frequency
 from charact.estimators.mtf.edge import conventional as edge_slanted
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.method import Context
-from labdata import FrameStack
-from labdata.importers import read_frames
+from labdata import FrameStack, read_frames
 
 # Colour plane, as `--plane` takes it, and the column of the table.
 CHANNELS = {"r": 1, "g": 2, "b": 3, "luminance": 4}
