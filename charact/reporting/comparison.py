@@ -73,10 +73,7 @@ def _footer(comparison: Comparison, hidden: Sequence[Difference], width: int) ->
     """Return what is not shown, and the meaning of the table."""
     excluding = sum(difference.excludes_zero for difference in hidden)
     omissions = (
-        [
-            f"{len(hidden)} differences, {excluding} of them with zero outside the interval "
-            "(`everything`)"
-        ]
+        [f"{len(hidden)} differences, {excluding} with zero outside the interval (`everything`)"]
         if hidden
         else []
     )
