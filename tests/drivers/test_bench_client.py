@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from pathlib import Path
 
 import pytest
 
@@ -49,14 +50,28 @@ def virtual(tmp_path_factory):
 
 @pytest.fixture
 def pair(virtual, tmp_path):
-    """A client with a hot tube, and the process of its server."""
+    """A client with a hot tube, and the process of its server; its ports are free at the end."""
     arguments = [virtual.gate_port, virtual.supply_port, str(tmp_path / "safety.jsonl")]
     command = [sys.executable, "-c", textwrap.dedent(CLIENT), *arguments]
-    client = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert client.stdout is not None
-    yield client, int(client.stdout.readline())
-    client.kill()
-    client.communicate()
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as client:
+        assert client.stdout is not None and client.stderr is not None
+        server_pid = client.stdout.readline()
+        assert server_pid, client.stderr.read()
+        yield client, int(server_pid)
+        client.kill()
+    deadline_s = time.monotonic() + 30.0
+    while runs(int(server_pid)):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+def runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def ms_until_safe(virtual, since_s: float) -> float:
