@@ -28,6 +28,7 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "edge_angle": _entry("Edge angle relative to the pixel grid", "deg"),
     "system_gain": _entry("System gain K (variance method)", "DN/e-"),
+    "gain_curvature": _entry("Change of variance over signal up to the brightest flat", "%"),
     "photoelectron_gain": _entry("Photoelectron gain k", "DN/pe"),
     "detected_photoelectron_gain": _entry(
         "Mean pulse height of detected photoelectrons, k/p", "DN"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding, flags_of, flags_of_rounding, notes_of
 from charact.estimators.noise.gain import emva1288
-from charact.estimators.noise.gain.checks import dark_findings, light_findings
+from charact.estimators.noise.gain.checks import dark_findings, gain_curvature, light_findings
 from charact.estimators.noise.gain.series import FlatSeries, gain_obstacle, without_noise
 from charact.estimators.noise.illumination import light_of_photons, mean_sd
 from charact.estimators.noise.thresholds import CHECKS, CORRELATION
@@ -237,6 +237,14 @@ def electron_quantities(
             **fields,
         )
     ]
+    curvature = gain_curvature(series)
+    if curvature is not None:
+        percent, sd = (100.0 * part for part in curvature)
+        # A bent response is what it measures.
+        flags = tuple(
+            flag for flag in flags_of(gain_findings) if flag not in ("nonlinear", "gamma")
+        )
+        out.append(measurement_from_sd("gain_curvature", "%", percent, sd, flags=flags, **fields))
     slope, light = gain.slope, light_findings(series)
     rng = np.random.default_rng([context.seed, 2])
     flagged = {**fields, "flags": flags_of(why) + gain.posterior.flags}

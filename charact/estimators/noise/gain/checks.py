@@ -231,28 +231,39 @@ def _trend(series: FlatSeries) -> _Trend | None:
 
 
 def bend_allowance(series: FlatSeries) -> float:
-    """Return the relative standard deviation of the gain due to possible nonlinearity.
+    """Return the relative standard deviation of the gain due to a curvature that few levels leave
+    open.
 
-    The slope lies below the small-signal gain by up to the change of variance over signal. Three or
-    more levels show this change; with one or two levels the accepted nonlinearity and none are
-    equally likely.
+    The gain of EMVA 1288 is the slope of variance against signal up to 70 % of saturation. Of three
+    or more levels it is the fitted slope, and curvature is a quantity beside it (`gain_curvature`).
+    One or two levels do not show the slope over the whole range: the accepted curvature and none
+    are equally likely.
     """
+    if series.fitted.sum() >= CHECKS.min_levels:
+        return 0.0
     trend = _trend(series)
     curvature, sd = (
         (0.0, np.inf)
         if trend is None
         else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
     )
-    if series.fitted.sum() >= CHECKS.min_levels:
-        return (
-            min(abs(curvature), CHECKS.curvature)
-            if abs(curvature) > CHECKS.curvature_sd * sd
-            else 0.0
-        )
     shrinkage = CHECKS.curvature**2 / (CHECKS.curvature**2 + sd**2)
     return UndetectedEffect(
         fraction=shrinkage * curvature, sd=CHECKS.curvature * float(np.sqrt(1.0 - shrinkage))
     ).posterior_rms
+
+
+def gain_curvature(series: FlatSeries) -> tuple[float, float] | None:
+    """Return the change of variance over signal from no signal to the brightest fitted flat over
+    its mean, and its standard error, dimensionless; None for fewer than three levels.
+
+    Of a response y = s (1 - c s) and shot noise it is -3 c times the signal of that flat, to first
+    order.
+    """
+    trend = _trend(series)
+    if trend is None or series.fitted.sum() < CHECKS.min_levels:
+        return None
+    return trend.rise / trend.middle, trend.rise_sd / abs(trend.middle)
 
 
 def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
@@ -273,7 +284,7 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
         f"DN along the levels"
     )
     if not deviates and abs(slope) <= CHECKS.curvature * middle + CHECKS.curvature_sd * error:
-        more = "the gain is the slope over all levels, and its interval includes the change"
+        more = "the gain is the slope over all levels; see gain_curvature"
         return [Finding(None, f"{sentence}; {more}")]
     findings = [with_remedy("nonlinear", sentence, "flats of the linear range only")]
     variance = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / trend.signal

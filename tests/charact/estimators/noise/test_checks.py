@@ -188,6 +188,24 @@ def test_what_few_levels_leave_open_of_the_response_is_in_the_interval(seed, lev
             assert bend or (found.status == "ok" and found.value == pytest.approx(0.5, rel=0.02))
 
 
+@pytest.mark.parametrize("bend", [0.0, 0.02])
+def test_gain_is_the_slope_and_curvature_stands_beside_it(seed, bend):
+    """Of y = s (1 - b s / top) shot noise has the variance K s (1 - 2 b s / top)^2."""
+    electrons = np.linspace(0.2, 1.0, 5) * 4000.0
+    camera = Pulses(gain_dn=0.0, electron_gain_dn=0.5, bend_per_dn=bend / (0.5 * electrons[-1]))
+    session = flat_series(camera, np.random.default_rng(seed), tuple(electrons), frames=8)
+    result = noise.measure(session, method="variance", context=QUICK)
+    x = bend * electrons / electrons[-1]
+    signal, variance = electrons * 0.5 * (1.0 - x), electrons * 0.25 * (1.0 - 2.0 * x) ** 2
+    (gain,), (curvature,) = result.find("system_gain"), result.find("gain_curvature")
+    assert abs(errors(gain, float(signal @ variance / (signal @ signal)))) < 4.5
+    low, high = gain.interval95
+    assert high - low < 0.03 * gain.value
+    line = np.polynomial.Polynomial.fit(signal / signal[-1], variance / signal, 1).convert().coef
+    expected = 100.0 * line[1] / float(np.mean(variance / signal))
+    assert abs(errors(curvature, expected)) < 4.5
+
+
 def test_saturation_that_no_flat_reaches_is_refused(seed):
     result = noise.measure(
         flat_series(Pulses(shape=SMALL), np.random.default_rng(seed), LEVELS, frames=4),

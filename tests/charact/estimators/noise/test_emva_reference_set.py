@@ -38,6 +38,10 @@ def test_a_real_camera_reads_as_the_standards_own_program_reads_it(session, meth
         assert found[key].status == "ok", key
         low, high = found[key].interval95
         assert low < truth < high, key
+    gain = found["system_gain", "DN/e-"]
+    assert gain.interval95[1] - gain.interval95[0] < 0.03 * gain.value
+    # The reference's variances, 0.2904 DN at no signal and 0.2738 at the brightest flat of the fit.
+    assert found["gain_curvature", "%"].value == pytest.approx(-5.9, abs=0.5)
     if method == "covariance-sum":
         # Its noise is nearly white: the covariance gain is the system gain.
         assert found["covariance_gain", "DN"].value == pytest.approx(0.2804, rel=0.02)
