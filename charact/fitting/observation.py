@@ -4,7 +4,7 @@ of a misfit.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,14 @@ from charact.estimators.noise.findings import (
     UNSTEADY,
     Cause,
 )
-from charact.fitting.predicted_quantities import Values
+from charact.observables import Stacks, Values, observables
+from charact.observables.photon_transfer import PhotonTransfer
 from labdata.conditions import Conditions
 from labdata.flags import Finding
 from labdata.measurement import Measurement, Result
 
 Array = NDArray[np.float64]
 
-# Of cameras without a tube, relative: nonlinearity of the photon transfer curve.
-NOISE_MODEL_SD = 0.01
 # Flags that add no bias; any other flag excludes a measurement from the fit.
 MILD = {
     "defects",
@@ -107,6 +106,31 @@ class Observation:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)).T, np.float64)
 
 
+def observations_of(stacks: Stacks) -> dict[str, Observation]:
+    """Return the observation of every statistic that stacks show and parameters explain, by name.
+
+    The photon transfer curve of a session whose gain is not admissible is left out: its flats do
+    not follow the law.
+    """
+    gains = (("system_gain", "DN/e-"), ("covariance_gain", "DN"))
+    is_lawful = any(admissible_measurements(stacks.result, *gain) for gain in gains)
+    observed = {}
+    for statistic in observables():
+        usable = statistic.usable(stacks)
+        if usable is None or (statistic.name == PhotonTransfer.name and not is_lawful):
+            continue
+        if parameters := statistic.parameters(usable):
+            estimates = statistic.measure(usable)
+            observed[statistic.name] = Observation(
+                name=statistic.name,
+                value=estimates.value,
+                covariance=estimates.covariance + statistic.model_covariance(estimates, usable),
+                predict=partial(statistic.predict, stacks=usable),
+                parameters=parameters,
+            )
+    return observed
+
+
 def scalar_observation(
     name: str,
     value: float,
@@ -152,7 +176,7 @@ CAUSES = {
 # What an observation that no parameters explain may come from, by its name.
 CAUSES_OF_MISFIT = {
     "levels": CURVED,
-    "photon transfer": CURVED,
+    "photon-transfer": CURVED,
     "noise": Cause(
         stage=(
             f"{CURVED.stage}, or sharpening, interpolation or averaging of frames in camera or "
@@ -217,7 +241,7 @@ def misfit_finding(parts: dict[str, float], numbers: int, factor: float) -> Find
     cause = CAUSES_OF_MISFIT.get(worst)
     effect = (
         f"chi-squared {sum(parts.values()):.0f} for {numbers} numbers, {parts[worst]:.0f} of it "
-        f"from {worst}; all errors were multiplied by {factor:.1f}"
+        f"from {worst.replace('-', ' ')}; all errors were multiplied by {factor:.1f}"
     )
     return Finding(
         flag="model-misfit",

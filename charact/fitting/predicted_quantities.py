@@ -1,16 +1,14 @@
 """Quantities predicted by the camera model, for many parameter draws at once."""
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from charact.observables import Values
 from charact.transfer.extended import halo
 from charact.transfer.stages import fibres, image_tube, lens, slit
 from charact.transfer.video_filter import sampled_response, transfer
 
 Array = NDArray[np.float64]
-Values = Mapping[str, NDArray[np.float64]]
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fitting.predicted_quantities import Values, excess_noise_factor
+from charact.fitting.predicted_quantities import excess_noise_factor
 from charact.fitting.thresholds import LIMITS
+from charact.observables import Values
 from labdata.camera.description import Camera
 from labdata.camera.parameters import Parameter
 

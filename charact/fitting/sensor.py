@@ -17,7 +17,6 @@ from charact.fitting.observation import (
     has_automatic_gain,
     misfit_finding,
 )
-from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import (
     COMBINATIONS,
     Combination,
@@ -30,6 +29,7 @@ from charact.fitting.slice_sampling import slice_sample
 from charact.fitting.stack_levels import dark_rise_dn_per_s, levels_of, note_on_exclusions
 from charact.fitting.thresholds import LIMITS, SAMPLING
 from charact.fitting.tube_observations import tube_observations
+from charact.observables import Values
 from labdata.camera.description import Camera
 from labdata.camera.parameters import Draws, Parameter
 from labdata.errors import BadInput

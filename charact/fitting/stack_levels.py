@@ -1,54 +1,16 @@
 """Mean level, temporal variance and fixed pattern of a session's darks and flats."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.illumination import gathering_s
-from charact.fitting.readout_observations import readout_spectrum
 from charact.fitting.thresholds import LEVELS
-from charact.frames.components import shading
+from charact.observables.stack_level import StackLevel, variances_of
 from labdata.conditions import Conditions
 from labdata.session import Session, StackEntry
 
 
-@dataclass(frozen=True, kw_only=True)
-class StackMean:
-    """Mean of one stack, its temporal variance and that of its fixed pattern."""
-
-    label: str  # label of the stack
-    mean_dn: float  # mean over frames and pixels, DN
-    sd_dn: float  # its standard error, from the scatter of the frames' means, DN
-    noise_dn: float  # robust noise of a pixel, DN: half the range of the central 68 %
-    # illuminance_lux, gate_s, exposure_s, mcp_v: conditions; a dark has no illuminance, nan is
-    # unknown
-    illuminance_lux: float
-    gate_s: float
-    exposure_s: float
-    mcp_v: float
-    entry: StackEntry | None = None  # the stack
-    full_scale_dn: float = np.nan  # highest code of the digitiser, DN
-    step_dn: float = 1.0  # step of its codes, DN: above 1 of codes shifted left
-    light_known: bool = True  # whether its light is stated; otherwise it shows noise alone
-    # mean over pixels of the variance between frames, variance over pixels of the mean frame
-    # without its noise and smooth shading, and the standard errors of both, DN^2; nan of a single
-    # frame
-    temporal_dn2: tuple[float, float] = (np.nan, np.nan)
-    spatial_dn2: tuple[float, float] = (np.nan, np.nan)
-
-    @property
-    def conditions(self) -> Conditions:
-        """Conditions of the stack."""
-        return Conditions() if self.entry is None else self.entry.conditions
-
-    @property
-    def dark(self) -> bool:
-        """Whether the stack is a dark."""
-        return self.illuminance_lux == 0.0
-
-
-def levels_of(session: Session) -> tuple[StackMean, ...]:
+def levels_of(session: Session) -> tuple[StackLevel, ...]:
     """Return the means of the session's darks and flats within the linear range.
 
     Flats of unknown light are left out behind a tube; of a camera without one their noise is that
@@ -58,7 +20,7 @@ def levels_of(session: Session) -> tuple[StackMean, ...]:
     return tuple(level for level in levels if level is not None)
 
 
-def note_on_exclusions(session: Session, levels: tuple[StackMean, ...]) -> str | None:
+def note_on_exclusions(session: Session, levels: tuple[StackLevel, ...]) -> str | None:
     """Return the note on darks and flats that are out of the linear range, None where there are
     none.
     """
@@ -83,7 +45,7 @@ def _is_lit(conditions: Conditions) -> bool:
     )
 
 
-def dark_rise_dn_per_s(levels: tuple[StackMean, ...]) -> float:
+def dark_rise_dn_per_s(levels: tuple[StackLevel, ...]) -> float:
     """Return the rise of the dark level between the shortest and the longest exposure of equal
     conditions, DN/s.
 
@@ -104,12 +66,14 @@ def dark_rise_dn_per_s(levels: tuple[StackMean, ...]) -> float:
         long.conditions.camera_gain_db,
     )
     rise = long.mean_dn - short.mean_dn
-    if not same_conditions or rise < max(3.0 * float(np.hypot(short.sd_dn, long.sd_dn)), 1.0):
+    if not same_conditions or rise < max(
+        3.0 * float(np.hypot(short.mean_sd_dn, long.mean_sd_dn)), 1.0
+    ):
         return 0.0
     return rise / (long.exposure_s - short.exposure_s)
 
 
-def _level(session: Session, entry: StackEntry) -> StackMean | None:
+def _level(session: Session, entry: StackEntry) -> StackLevel | None:
     conditions, camera, light_known = entry.conditions, session.camera, True
     illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
     if camera is None or camera.is_thermal:
@@ -141,22 +105,20 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
         else float(stack.data.std()) / 10.0
     )
     gate_s = shutter_s if conditions.gate_ns is None else min(conditions.gate_ns * 1e-9, shutter_s)
-    temporal, spatial = _variances(stack.data)
-    return StackMean(
+    return StackLevel(
         label=entry.label,
         mean_dn=float(means.mean()),
-        sd_dn=scatter,
+        mean_sd_dn=scatter,
         noise_dn=_noise_dn(stack.data[0]),
         illuminance_lux=float(illuminance),
         gate_s=float(gate_s),
         exposure_s=float(shutter_s),
         mcp_v=float(conditions.mcp_v or reference_v),
         entry=entry,
-        temporal_dn2=temporal,
-        spatial_dn2=spatial,
         light_known=light_known,
         full_scale_dn=top,
         step_dn=_step_dn(stack.data[0]),
+        **variances_of(stack.data),
     )
 
 
@@ -168,46 +130,6 @@ def _step_dn(frame: NDArray) -> float:
         return 1.0
     codes = np.unique(frame).astype(np.int64)
     return float(max(np.gcd.reduce(codes - codes[0]), 1))
-
-
-def _variances(data: NDArray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return temporal variance and variance of the fixed pattern with their standard errors.
-
-    Removed are the frames' offsets and, of the fixed pattern, shading of light and lens up to the
-    fourth order, the offsets of rows, and interference, whose phases of few frames do not average
-    to their expectation.
-
-    Standard errors are from the scatter over pixels, taken as independent: for white noise.
-    """
-    count, pixels = len(data), data[0].size
-    if count < 2:
-        return (np.nan, np.nan), (np.nan, np.nan)
-    sums = np.zeros((4, *data.shape[1:]))
-    for frame in data:
-        for index, axes in ((0, (0, 1)), (2, 1)):
-            residuals = frame - frame.mean(axis=axes, keepdims=True, dtype=np.float64)
-            sums[index] += residuals
-            sums[index + 1] += residuals**2
-    pixel_variance, in_rows = (
-        (square - total**2 / count) / (count - 1) for total, square in (sums[:2], sums[2:])
-    )
-    spectrum = readout_spectrum(data)
-    peak = None if spectrum is None else spectrum.interference
-    pattern, noise_dn2 = _without_shading(sums[2] / count), in_rows
-    if peak is not None:
-        pattern, noise_dn2 = peak.remove_from(pattern), in_rows - peak.mean_square_dn2
-    pattern_square = pattern**2 - noise_dn2 / count
-    root = np.sqrt(pixels)
-    return (
-        (float(pixel_variance.mean()), float(pixel_variance.std() / root)),
-        (float(pattern_square.mean()), float(pattern_square.std() / root)),
-    )
-
-
-def _without_shading(image: NDArray) -> NDArray:
-    """Return an image without products of polynomials along rows and columns."""
-    down, across = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in image.shape)
-    return image - down @ (down.T @ image @ across) @ across.T
 
 
 def _noise_dn(frame: NDArray) -> float:

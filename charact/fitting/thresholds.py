@@ -207,53 +207,6 @@ class TubePattern:
 
 
 @dataclass(frozen=True)
-class Readout:
-    """Noise of the read-out of a digital camera."""
-
-    # Fewest frames and pixels along an axis from which a spectrum is taken: two frames have one
-    # phase of interference.
-    fewest_frames: int = 4
-    fewest_pixels: int = 48
-    # Probability of the highest of all bins of white noise above which a peak is interference.
-    chance_of_peak: float = 0.0001
-    # Columns of the spectrum next to the rows' own from which the density of pixels is taken there.
-    near_columns: int = 12
-    # Bands of the rows' spectrum, equal in the logarithm of the frequency, cy/row.
-    row_bands: int = 6
-    # Relative model error of a band of the rows' spectrum: no camera has the exact law f^-a.
-    row_model_sd: float = 0.05
-    # Error of a frequency of interference, cycles over the frame: a clock of the camera divides its
-    # pixel clock.
-    frequency_cycles_sd: float = 0.02
-
-
-@dataclass(frozen=True)
-class SiliconErrors:
-    """Observations of a camera without a tube: limits and model errors."""
-
-    # Signal over full scale to which the photon transfer curve is fitted (EMVA 1288 release 4,
-    # section 6.4).
-    emva_reach: float = 0.7
-    # Fewest flats whose variances are observed one by one, and least signal of each over the dark's
-    # noise.
-    fewest_flats: int = 3
-    least_signal: float = 0.5
-    # Dark current and DSNU are stated at this temperature.
-    reference_c: float = 25.0
-    # Variance of rounding to whole DN, DN^2.
-    rounding_dn2: float = 1.0 / 12.0
-    # Dark noise below which rounding is not additive, DN.
-    least_noise_dn: float = 0.4
-    # Relative error of a flat's level, from linearity and the light's repeatability.
-    level_model_sd: float = 0.003
-    # Relative error of the electrons per lumen of a table of quantum efficiencies; see
-    # `table_sensitivity_ua_per_lm`.
-    lumen_model_sd: float = 0.002
-    # Relative error of the level of saturation: the variance peaks somewhat below the full well.
-    saturation_model_sd: float = 0.03
-
-
-@dataclass(frozen=True)
 class Levels:
     """Stacks within the linear range."""
 
@@ -271,6 +224,4 @@ DARKS = TubeDarks()
 DARK_ERRORS = DarkErrors()
 ION_ERRORS = IonErrors()
 PATTERN = TubePattern()
-READOUT = Readout()
-SILICON = SiliconErrors()
 LEVELS = Levels()

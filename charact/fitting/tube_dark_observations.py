@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities as predicted
 from charact.fitting.observation import Observation, scalar_observation
-from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import values_of_description
 from charact.fitting.thresholds import DARK_ERRORS, DARKS, FRAMES
 from charact.fitting.tube_darks import Darks, darks_of, level_and_sd, thresholds_of
@@ -30,6 +29,7 @@ from charact.fitting.tube_time_observations import (
     filter_covariance,
     pulse_covariance,
 )
+from charact.observables import Values
 
 Array = NDArray[np.float64]
 

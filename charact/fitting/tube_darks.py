@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import DARKS
 from charact.fitting.tube_ions import IonEvents
+from charact.observables.stack_level import StackLevel
 from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ class Darks:
     """Frames of a dark, what is quiet in them, and how its pulses are expected to look."""
 
     data: NDArray[np.float32]  # shape (frame, row, col), DN
-    level: StackMean
+    level: StackLevel
     sensor: Camera
     level_dn: float  # mean of the quiet pixels before rounding, DN
     noise_dn: float  # their standard deviation before rounding, DN

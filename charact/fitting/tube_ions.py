@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities as predicted
 from charact.fitting.observation import Observation
-from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import values_of_description
-from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import DARKS, ION_ERRORS
 from charact.fitting.tube_time_observations import field_products, frames_of, pulse_covariance
+from charact.observables import Values
+from charact.observables.stack_level import StackLevel
 from labdata.camera.description import Camera
 from labdata.measurement import Result
 
@@ -32,7 +32,7 @@ DETECTED, SHAPE = (
 class IonEvents:
     """Events of a dark that are larger than pulses, and pixels that they reach."""
 
-    level: StackMean
+    level: StackLevel
     sensor: Camera
     data: NDArray[np.float32]  # frames of the dark, shape (frame, row, col), DN
     reached: NDArray[
@@ -59,7 +59,7 @@ def light_in_window(values: Values) -> float:
     return float(np.prod(sides))
 
 
-def ions_of(sensor: Camera, result: Result, levels: tuple[StackMean, ...]) -> IonEvents | None:
+def ions_of(sensor: Camera, result: Result, levels: tuple[StackLevel, ...]) -> IonEvents | None:
     """Return the ion events of the dark with most frames, or None without one of enough frames or a
     measured gain.
     """
@@ -76,7 +76,7 @@ def ions_of(sensor: Camera, result: Result, levels: tuple[StackMean, ...]) -> Io
 
 
 def find_ions(
-    data: NDArray[np.float32], level: StackMean, sensor: Camera, event_dn: float
+    data: NDArray[np.float32], level: StackLevel, sensor: Camera, event_dn: float
 ) -> IonEvents:
     """Return the ion events of a dark's frames (frame, row, col); `event_dn`: k F^2, DN."""
     from scipy.ndimage import label, maximum, maximum_filter, uniform_filter

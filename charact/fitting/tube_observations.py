@@ -16,12 +16,12 @@ from charact.fitting.observation import (
     scalar_observation,
     sd_of,
 )
-from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import rounds_its_darks
-from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import ERRORS, LIMITS
 from charact.fitting.tube_ions import IONS, IonEvents, ions_of
 from charact.fitting.tube_pattern_observations import frame_observations
+from charact.observables import Values
+from charact.observables.stack_level import StackLevel
 from labdata.camera.description import Camera
 from labdata.measurement import Measurement, Result
 from labdata.session import Session
@@ -73,7 +73,7 @@ def noise_observations(
     session: Session,
     sensor: Camera,
     result: Result,
-    levels: tuple[StackMean, ...],
+    levels: tuple[StackLevel, ...],
     shown: Set[str] = frozenset(),
     ions: IonEvents | None = None,
 ) -> list[Observation]:
@@ -304,7 +304,7 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
     )
 
 
-def _dark(m: Measurement, dark: StackMean, reference_v: float) -> _Noise:
+def _dark(m: Measurement, dark: StackLevel, reference_v: float) -> _Noise:
     """Observe the temporal noise of darks: read noise, EBI and ions."""
     variance = (m.value or 0.0) ** 2
 
@@ -320,7 +320,7 @@ def _dark(m: Measurement, dark: StackMean, reference_v: float) -> _Noise:
 
 
 def tube_observations(
-    session: Session, sensor: Camera, result: Result, levels: tuple[StackMean, ...]
+    session: Session, sensor: Camera, result: Result, levels: tuple[StackLevel, ...]
 ) -> tuple[Observation, ...]:
     """Return the observations in the order MTF, noise, halo, stack means.
 
@@ -376,7 +376,7 @@ def _fixed_patterns(sensor: Camera, result: Result) -> list[Observation]:
     return observations
 
 
-def _levels(levels: tuple[StackMean, ...], sensor: Camera) -> Observation:
+def _levels(levels: tuple[StackLevel, ...], sensor: Camera) -> Observation:
     """Observe stack means: black level plus gain times photoelectrons; the clamp removes dark
     charge.
     """
@@ -386,7 +386,7 @@ def _levels(levels: tuple[StackMean, ...], sensor: Camera) -> Observation:
         for name in ("illuminance_lux", "gate_s", "mcp_v")
     )
     mean = np.array([level.mean_dn for level in levels])
-    level_sd = np.array([level.sd_dn for level in levels])
+    level_sd = np.array([level.mean_sd_dn for level in levels])
 
     def predict(values: Values) -> Array:
         column_values = {path: value[:, None] for path, value in values.items()}

@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fitting.observation import Observation, scalar_observation
-from charact.fitting.predicted_quantities import Values
-from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import FRAMES, PATTERN
 from charact.fitting.tube_dark_observations import dark_observations
 from charact.fitting.tube_ions import IonEvents
@@ -17,6 +15,8 @@ from charact.fitting.tube_time_observations import (
     frames_of,
     time_observations,
 )
+from charact.observables import Values
+from charact.observables.stack_level import StackLevel
 from labdata.camera.description import Camera
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ PRNU = "ccd.prnu"
 
 
 def frame_observations(
-    sensor: Camera, levels: tuple[StackMean, ...], ions: IonEvents | None
+    sensor: Camera, levels: tuple[StackLevel, ...], ions: IonEvents | None
 ) -> list[Observation]:
     """Return what the frames of darks and flats show in time and space, each only where it
     shows.
@@ -36,7 +36,7 @@ def frame_observations(
     ]
 
 
-def pattern_observations(sensor: Camera, levels: tuple[StackMean, ...]) -> list[Observation]:
+def pattern_observations(sensor: Camera, levels: tuple[StackLevel, ...]) -> list[Observation]:
     """Return the observation of the PRNU in the brightest flats, or none where their noise hides
     it.
     """

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities as predicted
 from charact.fitting.observation import Observation, scalar_observation
-from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import rounds_its_darks, values_of_description
-from charact.fitting.stack_levels import StackMean
 from charact.fitting.thresholds import FRAMES
+from charact.observables import Values
+from charact.observables.stack_level import StackLevel
 from charact.transfer.stages import fibres, image_tube, slit
 from charact.transfer.video_filter import sampled_response, transfer
 from labdata.camera.description import Camera
@@ -50,7 +50,7 @@ class Fields:
         return len(self.deviation), self.gate_s, self.mcp_v
 
 
-def frames_of(level: StackMean, sensor: Camera) -> NDArray[np.float32] | None:
+def frames_of(level: StackLevel, sensor: Camera) -> NDArray[np.float32] | None:
     """Return the middle of a stack's successive frames, DN, or None of too few, or of frames that
     were lost.
     """
@@ -71,7 +71,7 @@ def frames_of(level: StackMean, sensor: Camera) -> NDArray[np.float32] | None:
     ].astype(np.float32)
 
 
-def fields_of(level: StackMean, sensor: Camera, black_dn: float) -> Fields | None:
+def fields_of(level: StackLevel, sensor: Camera, black_dn: float) -> Fields | None:
     """Return the deviations of a stack's successive frames, or None where `frames_of` has none."""
     data = frames_of(level, sensor)
     if data is None:
@@ -90,7 +90,7 @@ def fields_of(level: StackMean, sensor: Camera, black_dn: float) -> Fields | Non
     )
 
 
-def time_observations(sensor: Camera, levels: tuple[StackMean, ...]) -> list[Observation]:
+def time_observations(sensor: Camera, levels: tuple[StackLevel, ...]) -> list[Observation]:
     """Return the observations of image lag and line noise; a session whose flats cannot show one
     has none of it.
     """
@@ -468,7 +468,7 @@ _analog_power = _LastCall(_power_of, (*_POWER, "video.bandwidth_mhz"))
 _weights = _LastCall(_video_weights, ("video.bandwidth_mhz",))
 
 
-def _line_noise(sensor: Camera, levels: list[StackMean], black_dn: float) -> list[Observation]:
+def _line_noise(sensor: Camera, levels: list[StackLevel], black_dn: float) -> list[Observation]:
     """Observe the variance of an offset common to a line, from all stacks with enough noise
     together.
     """

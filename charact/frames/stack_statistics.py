@@ -78,6 +78,17 @@ class StackStatistics:
     bins: Bins  # bins of the spectra
     cube: Cube | None = None  # 3-D noise; None if not requested or the stack is too short
 
+    @property
+    def mean_sd_dn(self) -> float:
+        """Standard error of the mean by the scatter of frames, DN, at least that of white noise."""
+        return self.mean_sd_above(1e-12)
+
+    def mean_sd_above(self, variance_dn2: float) -> float:
+        """Return the standard error of the mean, DN, at least that of white noise of a variance."""
+        variance_dn2 = max(self.variance_dn2, variance_dn2)
+        scatter = np.std(self.frame_mean_dn, ddof=1) / np.sqrt(self.frames)
+        return float(max(scatter, np.sqrt(variance_dn2 / (self.pixels * self.frames))))
+
 
 # Largest stack that is read at once; of a larger one each block is a part, and the cube another.
 WHOLE_BYTES = 128 * 2**20

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.observables.frame_view import FrameView
+from charact.observables.thresholds import FRAMES
 from charact.validation.frame_features import GROUPS, FrameFeatures
 from charact.validation.frames import MatchedFrames, MatchedStacks
-from charact.validation.stack_features import LAGS, StackView
 from charact.validation.target_features import FREQUENCY_CY_PER_PX, RADII_PX, point_features
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import FramePair, ResidualMap, ValidationFigures
@@ -268,7 +269,7 @@ def _pattern_pair(role: str, shot: MatchedFrames, measured: Frames, simulated: F
     about zero.
     """
     images = [
-        np.asarray(StackView(shot.label, frames[shot.label]).pattern, float)
+        np.asarray(FrameView(shot.label, frames[shot.label]).pattern, float)
         for frames in (measured, simulated)
     ]
     high = float(
@@ -316,12 +317,12 @@ def _overlays_of_features(
         )
         out[name] = {"title": title, "x_title": "signal, DN", "y_title": title, "curves": [curve]}
     flat = chosen.flats[-1].label
-    lags = [f"correlation at {row},{col} px of {flat}" for row, col in LAGS]
+    lags = [f"correlation at {row},{col} px of {flat}" for row, col in FRAMES.lags]
     frequencies = [f"MTF at {at:.2f} cy/px" for at in FREQUENCY_CY_PER_PX]
     for name, x, labels, x_title, y_title in (
         (
             "autocorrelation",
-            [f"{row},{col}" for row, col in LAGS],
+            [f"{row},{col}" for row, col in FRAMES.lags],
             lags,
             "lag (row, column), px",
             "correlation",

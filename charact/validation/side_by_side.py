@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
+from charact.observables import Numbers
 from charact.validation.controls import (
     FAULTS,
     PARAMETERS,
@@ -18,7 +19,7 @@ from charact.validation.controls import (
     put_fault,
 )
 from charact.validation.figure_data import FigureCurves, curves_of, figures_of, point_levels
-from charact.validation.frame_features import FrameFeatures, Numbers, features_of, features_of_parts
+from charact.validation.frame_features import FrameFeatures, features_of, features_of_parts
 from charact.validation.frames import (
     MatchedFrames,
     MatchedStacks,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.observables import Observable
 from charact.validation.thresholds import VALIDATION
 from labdata.frames import FrameStack
 
@@ -25,6 +26,39 @@ NEAR_PX, SIDE_PX = 6.0, (3.0, 8.0)
 # Smoothing of a ghost image, and its least distance from its point, px.
 GHOST_PX, LEAST_GHOST_PX = 1.5, 12.0
 RADII_PX = (0.0, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0)
+
+
+class EdgeMtf(Observable):
+    """MTF of an edge."""
+
+    name = "mtf"
+    order = 20
+    title = "MTF of the edge up to 0.8 of the sampling limit"
+    cause = "lens, focus, tube, fibres, video bandwidth, or sharpening"
+    least_sd = 1e-4
+
+
+class EdgeLevels(Observable):
+    """Levels at distances from an edge."""
+
+    name = "edge"
+    order = 21
+    title = "Levels on both sides of the edge"
+    cause = "veiling glare, halo, ghost images, sharpening, or a nonlinear response"
+    least_sd = 1e-4
+
+
+class PointProfile(Observable):
+    """Levels at distances from a point source."""
+
+    name = "point"
+    order = 22
+    title = "Profile of the point source"
+    cause = "halo, lens, or saturation of the microchannel plate"
+    least_sd = 0.01
+
+
+TARGETS = (EdgeMtf(), EdgeLevels(), PointProfile())
 
 
 def mtf_features(frames: NDArray, context: Context) -> Mapping[str, float]:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.observables import Numbers
 from charact.validation.ensemble import Ensemble, ensemble_of, holm_levels
-from charact.validation.frame_features import GROUPS, Numbers
+from charact.validation.frame_features import GROUPS
 from charact.validation.parameter_scores import ParameterScores, parameter_scores
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import DetectableError, Statistic

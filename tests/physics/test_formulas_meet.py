@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.fitting import predicted_quantities
-from charact.fitting.predicted_quantities import Values
+from charact.observables import Values
 from labdata import Camera, Conditions, load_sensor
 from simulate.camera import true_quantities
 from simulate.virtual_bench.true_sensor import draw_true_sensor

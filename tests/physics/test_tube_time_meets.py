@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from charact.fitting import tube_dark_observations, tube_ions, tube_time_observations
-from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.stack_levels import levels_of
+from charact.observables import Values
 from labdata import Camera, Conditions, Result, Target, load_camera, measurement_from_sd
 from labdata.session import Kind
 from simulate.camera.phosphor import PhosphorDecay

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
 from charact.estimators.noise.gain.checks import drift_and_flicker
 from charact.estimators.noise.gain.series import group_by_gain
-from charact.estimators.noise.illumination import mean_sd
 from charact.estimators.noise.linear_fit import linear_fit
 from charact.estimators.noise.thresholds import CHECKS, DARK_CURRENT
 from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2
@@ -108,7 +107,7 @@ def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope 
     if exposures < 2:
         return None
     mean = np.array([d.mean_dn for d in darks])
-    sd = np.array([mean_sd(d, QUANTISATION_DN2) for d in darks])
+    sd = np.array([d.mean_sd_above(QUANTISATION_DN2) for d in darks])
     fit = linear_fit([np.ones_like(time), time / time.max()], mean, sd)
     value, error = (
         float(fit.best[1] / time.max()),

@@ -221,15 +221,7 @@ def signal_sd(flat: StackStatistics, dark: StackStatistics) -> float:
     rounding.
     """
     steps = [rounding_sd(level.variance_dn2)[0] for level in (flat, dark)]
-    return float(np.linalg.norm([mean_sd(flat), mean_sd(dark), *steps]))
-
-
-def mean_sd(level: StackStatistics, least_dn2: float = 1e-12) -> float:
-    """Return the standard error of the mean of a stack, DN, at least that of white noise of
-    `least_dn2`.
-    """
-    white = np.sqrt(max(level.variance_dn2, least_dn2) / (level.pixels * level.frames))
-    return float(max(np.std(level.frame_mean_dn, ddof=1) / np.sqrt(level.frames), white))
+    return float(np.linalg.norm([flat.mean_sd_dn, dark.mean_sd_dn, *steps]))
 
 
 def response_draws(

@@ -29,17 +29,21 @@ class LinearFit(NamedTuple):
         return float(np.sqrt(max(1.0, self.chi2 / max(1, data - len(self.best)))))
 
 
-def linear_fit(
-    columns: Sequence[Array], y: Array, sd: Array, *, shared: Array | None = None
-) -> LinearFit:
-    """Fit y by a sum of columns.
+def linear_fit(columns: Sequence[Array], y: Array, sd: Array) -> LinearFit:
+    """Fit y by a sum of columns: columns, data and their standard errors, shape (datum,) each."""
+    return _fit(columns, y, np.diag(1.0 / np.maximum(sd, 1e-12) ** 2))
 
-    `columns`, `y`, `sd`: columns, data and their standard errors, shape (datum,) each. `shared`:
-    one error common to all data, shape (datum,).
+
+def generalised_fit(columns: Sequence[Array], y: Array, covariance: Array) -> LinearFit:
+    """Fit y by a sum of columns, shape (datum,) each, with a covariance of the data, shape (datum,
+    datum).
     """
-    design, weight = np.stack(columns), np.diag(1.0 / np.maximum(sd, 1e-12) ** 2)
-    if shared is not None:
-        weight = np.linalg.pinv(np.diag(np.maximum(sd, 1e-12) ** 2) + np.outer(shared, shared))
+    return _fit(columns, y, np.asarray(np.linalg.pinv(covariance), np.float64))
+
+
+def _fit(columns: Sequence[Array], y: Array, weight: Array) -> LinearFit:
+    """Return b = (X^T W X)^-1 X^T W y (Aitken 1935)."""
+    design = np.stack(columns)
     covariance = np.asarray(np.linalg.pinv(design @ weight @ design.T), np.float64)
     best = covariance @ (design @ weight @ y)
     residual = y - best @ design

@@ -12,7 +12,7 @@ from charact.estimators.noise.findings import Finding, flags_of, flags_of_roundi
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import dark_findings, gain_curvature, light_findings
 from charact.estimators.noise.gain.series import FlatSeries, gain_obstacle, without_noise
-from charact.estimators.noise.illumination import light_of_photons, mean_sd
+from charact.estimators.noise.illumination import light_of_photons
 from charact.estimators.noise.thresholds import CHECKS, CORRELATION
 from charact.frames.rounding import (
     QUANTISATION_DN2,
@@ -21,6 +21,9 @@ from charact.frames.rounding import (
 )
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
+from charact.observables import Stacks
+from charact.observables.fixed_pattern import Dsnu, Prnu
+from charact.observables.photon_transfer import DarkNoise
 from labdata.measurement import (
     Measurement,
     make_refusal,
@@ -37,8 +40,9 @@ def dark_quantities(
 ) -> list[Measurement]:
     """Return read noise and dark signal, DN, from the dark of the shortest exposure."""
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
-    spread = float(np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]))
-    noise, sd = emva1288.noise_of(dark.variance_dn2, spread)
+    variance, variance_sd = DarkNoise().measure(Stacks(darks=(dark,))).number
+    spread = float(np.hypot(variance_sd, rounding_sd(variance)[1]))
+    noise, sd = emva1288.noise_of(variance, spread)
     # Checked here too, for darks without flats.
     flags += dark_clipping_flags(dark)
     out = []
@@ -61,7 +65,7 @@ def dark_quantities(
                 "read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields
             )
         )
-    level_sd = mean_sd(dark, QUANTISED_DN2)
+    level_sd = dark.mean_sd_above(QUANTISED_DN2)
     out.append(
         measurement_from_sd("dark_signal", "DN", dark.mean_dn, level_sd, flags=flags, **fields)
     )
@@ -125,19 +129,20 @@ def pattern_quantities(
         series.signal_dn[chosen[-1]] if series.peak is None else 0.5 * series.signal_dn[series.peak]
     )
     best = max(chosen, key=lambda i: (series.flats[i].frames, -abs(series.signal_dn[i] - middle)))
-    flat, signal = series.flats[best], float(series.signal_dn[best])
-    variance = flat.spatial_variance_dn2 - dark.spatial_variance_dn2
-    sd = float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2))
-    weighs = (
-        dark.spatial_variance_dn2 + dark.spatial_sd_dn2 > CHECKS.dark_pattern_fraction * variance
+    flat = series.flats[best]
+    lit = series.stacks.only(darks=[dark], flats=[flat])
+    relative, relative_sd = Prnu().measure(lit).number
+    pattern, pattern_sd = Dsnu().measure(lit).number
+    weighs = pattern + pattern_sd > (
+        CHECKS.dark_pattern_fraction * relative * float(lit.signal_dn[0]) ** 2
     )
     out.append(
         _spatial_deviation(
             "prnu",
             "%",
-            variance,
-            sd,
-            lambda s: 100.0 * s / signal,
+            relative,
+            relative_sd,
+            lambda s: 100.0 * s,
             flags=flags
             + image_lag_flags(flat, *((dark,) if weighs else ()))
             + pair_flags * (flat.frames <= CORRELATION.few_frames),
@@ -161,11 +166,12 @@ def _dark_pattern(
             float(np.median(gain)),
             float(np.std(gain) / np.median(gain)),
         )
-    sd = float(np.hypot(dark.spatial_sd_dn2, 2.0 * relative_sd * dark.spatial_variance_dn2))
+    variance, variance_sd = Dsnu().measure(Stacks(darks=(dark,))).number
+    sd = float(np.hypot(variance_sd, 2.0 * relative_sd * variance))
     return _spatial_deviation(
         "dsnu",
         unit,
-        dark.spatial_variance_dn2,
+        variance,
         sd,
         lambda s: s / scale,
         flags=flags,

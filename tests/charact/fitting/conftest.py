@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from charact.fitting import predicted_quantities
-from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.sensor import Model, model_of
-from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_observations import LEVEL, SHAPE, tube_observations
+from charact.observables import Values
+from charact.observables.stack_level import StackLevel
 from labdata import (
     Camera,
     Curve,
@@ -41,7 +41,7 @@ class Told:
     truth: dict[str, float]
     session: Session
     result: Result
-    levels: tuple[StackMean, ...]
+    levels: tuple[StackLevel, ...]
     model: Model
 
 
@@ -122,7 +122,7 @@ def _curve(values: Values, rng: np.random.Generator) -> Curve:
     )
 
 
-def _levels(values: Values, rng: np.random.Generator) -> tuple[StackMean, ...]:
+def _levels(values: Values, rng: np.random.Generator) -> tuple[StackLevel, ...]:
     gain = predicted_quantities.photoelectron_gain(values, MCP_V, 800.0)
     out = []
     for lux in LUX:
@@ -133,10 +133,10 @@ def _levels(values: Values, rng: np.random.Generator) -> tuple[StackMean, ...]:
         load = predicted_quantities.mcp_load(values, lux, GATE_S, MCP_V, 800.0)
         mean = float((values["video.black_level_dn"] + gain * events / (1.0 + load))[0])
         out.append(
-            StackMean(
+            StackLevel(
                 label=f"flat {lux:g}",
                 mean_dn=mean * (1.0 + 0.002 * float(rng.standard_normal())),
-                sd_dn=0.02,
+                mean_sd_dn=0.02,
                 noise_dn=5.0,
                 illuminance_lux=lux,
                 gate_s=GATE_S,

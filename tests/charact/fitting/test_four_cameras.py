@@ -12,6 +12,7 @@ from charact.fitting import fit_sensor, silicon_observations
 from charact.fitting.fitted_session import proposed_description
 from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import levels_of
+from charact.observables.silicon import dark_variance
 from charact.session_measurement import measure
 from labdata import (
     BadInput,
@@ -113,10 +114,8 @@ def test_the_noise_of_a_dark_is_that_of_the_bench(name: str, seed: int) -> None:
     )
     entry = stack_of(camera, "dark", conditions, frames=40, seed=seed)
     (level,) = levels_of(session_with(camera, entry))
-    variance, sd = level.temporal_dn2
-    expected = silicon_observations.dark_variance(values_of_description(camera), conditions, 0.02)[
-        0
-    ]
+    variance, sd = level.variance_dn2, level.variance_sd_dn2
+    expected = dark_variance(values_of_description(camera), conditions, 0.02)[0]
     assert abs(variance - expected) < 4.5 * sd
 
 

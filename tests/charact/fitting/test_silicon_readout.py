@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from charact.fitting import fit_sensor
-from charact.fitting.readout_observations import readout_observations, readout_spectrum
+from charact.fitting.observation import observations_of
+from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import levels_of
+from charact.observables import Stacks
+from charact.observables.readout_spectrum import readout_spectrum
 from charact.session_measurement import measure
 from charact.validation import validate
-from labdata import Camera, Conditions, Session, Target, load_camera
+from labdata import Camera, Conditions, FrameStack, Session, Target, load_camera
 from labdata.session_import import import_emva1288
 from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
@@ -79,7 +82,7 @@ def test_coloured_read_noise_shows_no_interference(seed):
 
 
 def test_a_stack_of_few_frames_is_not_observed():
-    assert readout_observations(np.zeros((3, 96, 120)), lambda values: np.ones(1), ()) == []
+    assert readout_spectrum(np.zeros((3, 96, 120))) is None
 
 
 def test_interference_is_found_with_its_frequency_and_variance(seed):
@@ -99,17 +102,22 @@ def test_observations_agree_with_the_camera_that_was_simulated(seed):
     expectation.
     """
     camera = camera_of()
-    values = {path: np.array([float(p)]) for path, p in camera.parameters().items()}
-    read_dn = float(camera.ccd.read_noise_e) * float(camera.video.conversion_gain_dn_per_e)
-    # The gain at no signal is higher than that of the description.
-    read_dn /= 1.0 - 2.1 * 0.015
+    values = values_of_description(camera)
     total, count = 0.0, 0
     for number in range(8):
-        for one in readout_observations(
-            dark_of(camera, seed + number), lambda values: np.array([read_dn]), ()
-        ):
-            if not one.name.startswith("frequency"):
-                total, count = total + float(one.chi_squared(values)[0]), count + one.value.size
+        dark = stack_in_memory(
+            "dark",
+            FrameStack(data=dark_of(camera, seed + number)),
+            Conditions(exposure_s=EXPOSURE_S),
+            label="dark",
+            bit_depth=camera.video.bit_depth,
+        )
+        session = session_in_memory([dark], camera=camera, bit_depth=camera.video.bit_depth)
+        stacks = Stacks(darks=levels_of(session))
+        for name, observed in observations_of(stacks).items():
+            total += float(observed.chi_squared(values)[0])
+            # The frequency of interference is that of a bin.
+            count += 1 if name == "interference" else observed.value.size
     assert count > 40
     assert abs(total - count) < 4.5 * np.sqrt(2.0 * count)
 
@@ -154,8 +162,10 @@ def test_shading_of_the_light_is_no_response_of_pixels(seed):
     (plain,) = [one for one in levels_of(session) if one.label == "flat 5"]
     session = replace(session, stacks=(replace(shaded, kept=kept),))
     (found,) = levels_of(session)
-    sd = np.hypot(found.spatial_dn2[1], plain.spatial_dn2[1])
-    assert abs(found.spatial_dn2[0] - plain.spatial_dn2[0] * np.mean(ramp) ** 2) < 4.5 * sd
+    sd = np.hypot(found.spatial_sd_dn2, plain.spatial_sd_dn2)
+    assert (
+        abs(found.spatial_variance_dn2 - plain.spatial_variance_dn2 * np.mean(ramp) ** 2) < 4.5 * sd
+    )
 
 
 @pytest.fixture(scope="module")

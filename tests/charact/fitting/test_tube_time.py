@@ -13,12 +13,12 @@ from charact.fitting import (
     tube_pattern_observations,
     tube_time_observations,
 )
-from charact.fitting.predicted_quantities import Values
 from charact.fitting.prior import values_of_description
-from charact.fitting.stack_levels import StackMean
 from charact.fitting.tube_darks import quiet_noise
 from charact.fitting.tube_pattern_observations import white_pattern
 from charact.fitting.tube_time_observations import Fields
+from charact.observables import Values
+from charact.observables.stack_level import StackLevel
 from labdata import Camera, FrameStack, Result, load_camera
 from tests.truth.sessions import stack_in_memory
 
@@ -34,15 +34,15 @@ def tube(name: str = "pulnix-ag5745ef3") -> Camera:
 
 def level_of(
     data: np.ndarray, *, lux: float = 1e-4, numbers: np.ndarray | None = None
-) -> StackMean:
+) -> StackLevel:
     """Return a stack of frames as the fit sees it."""
     numbers = np.arange(len(data)) if numbers is None else numbers
     stack = FrameStack(data=data, frame_number=numbers)
     entry = stack_in_memory("flat" if lux else "dark", stack, label="a")
-    return StackMean(
+    return StackLevel(
         label="a",
         mean_dn=float(data.mean()),
-        sd_dn=0.1,
+        mean_sd_dn=0.1,
         noise_dn=float(data.std()),
         illuminance_lux=lux,
         gate_s=GATE_S,

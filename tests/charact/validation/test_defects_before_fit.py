@@ -15,13 +15,16 @@ import pytest
 from charact.cli.sessions import _findings_in as findings_in
 from charact.cli.sessions import _lines as lines_of
 from charact.fitting import fit_sensor
+from charact.observables import Stacks
+from charact.observables.frame_view import FrameView
+from charact.observables.photon_transfer import Linearity
+from charact.observables.temporal_noise import NoiseOverField
 from charact.reporting.validation import sentence_of
 from charact.session_measurement import measure
 from charact.validation import Statistic, Validation, as_json
 from charact.validation import side_by_side as command
 from charact.validation.controls import FAULTS, PARAMETERS
 from charact.validation.likely_causes import SIGNATURES, likely_causes
-from charact.validation.stack_features import StackView, field_features, linearity_features
 from charact.validation.thresholds import VALIDATION
 from labdata import BadInput, FrameStack, Result, Session
 from labdata.flags import FLAGS
@@ -201,12 +204,12 @@ def test_a_bend_moves_signal_and_variance_of_a_dim_flat_over_a_bright_one_by_its
     """The slope of s (1 - a s) is 1 - 2 a s: the variance of photons follows its square."""
     rng, bend = np.random.default_rng(seed), 1e-4
     photons = [rng.poisson(mean, (8, 96, 128)).astype(float) for mean in (200.0, 1000.0)]
-    dark = StackView("dark", 10.0 + rng.standard_normal((8, 96, 128)))
-    flats = [
-        StackView(name, 10.0 + s * (1.0 - bend * s))
+    dark = FrameView("dark", 10.0 + rng.standard_normal((8, 96, 128)))
+    flats = tuple(
+        FrameView(name, 10.0 + s * (1.0 - bend * s))
         for name, s in zip(("low", "high"), photons, strict=True)
-    ]
-    found = linearity_features(dark, flats)
+    )
+    found = Linearity().numbers(Stacks(darks=(dark,), flats=flats))
     # Of s^2 its mean is s^2 + s.
     low, high = (s - bend * (s**2 + s) for s in (200.0, 1000.0))
     assert found["signal of low over high"] == pytest.approx(low / high, rel=2e-3)
@@ -230,7 +233,10 @@ def test_columns_averaged_near_the_corners_are_correlated_there_by_half(seed: in
     outside = y[:, None] ** 2 + x[None, :] ** 2 > 1.0
     mixed = np.where(outside, (flat + np.roll(flat, 1, axis=2)) / 2.0, flat)
     plain, found = (
-        field_features(StackView("dark", dark), [StackView("flat", one)]) for one in (flat, mixed)
+        NoiseOverField().numbers(
+            Stacks(darks=(FrameView("dark", dark),), flats=(FrameView("flat", one),))
+        )
+        for one in (flat, mixed)
     )
     of = "px near the corners less the centre of flat"
     # A seventh of the picture is near its corners, and its correlation is that of 20,000 pairs.

@@ -6,10 +6,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from charact.validation import stack_features, target_features
-from charact.validation.stack_features import REACH, StackView
+from charact.observables import Numbers, Stacks, observables
+from charact.observables.frame_view import FrameView
+from charact.observables.thresholds import FRAMES
+from charact.validation import target_features
 
 SHAPE = (8, 96, 128)
+REACH = FRAMES.reach
+
+
+def numbers_of(
+    name: str, dark: NDArray[np.float64], flat: NDArray[np.float64], *, interlaced: bool = False
+) -> Numbers:
+    """Return the numbers of a statistic of a dark and a flat."""
+    views = (FrameView(*each, interlaced=interlaced) for each in (("dark", dark), ("flat", flat)))
+    statistics = {statistic.name: statistic for statistic in observables()}
+    seen = next(views)
+    return statistics[name].numbers(Stacks(darks=(seen,), flats=tuple(views)))
 
 
 def _white(rng: np.random.Generator, mean: float = 100.0, sd: float = 8.0) -> NDArray[np.float64]:
@@ -22,10 +35,10 @@ def _dark_and_flat(seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def test_white_noise_has_its_variance_and_no_correlation(seed: int) -> None:
-    view = StackView("flat", _white(np.random.default_rng(seed)))
+    view = FrameView("flat", _white(np.random.default_rng(seed)))
     pixels = np.prod(SHAPE) * 7 / 8
-    assert view.variance == pytest.approx(64.0, abs=4.5 * 64.0 * np.sqrt(2.0 / pixels))
-    for row, col in stack_features.LAGS:
+    assert view.variance_dn2 == pytest.approx(64.0, abs=4.5 * 64.0 * np.sqrt(2.0 / pixels))
+    for row, col in FRAMES.lags:
         assert abs(view.covariance[REACH + row, REACH + col]) < 4.5 * 64.0 / np.sqrt(pixels)
     # The same power at all frequencies: that of the variance of frames less their mean.
     assert view.power[1:, 1:].mean() == pytest.approx(64.0, rel=4.5 / np.sqrt(pixels / 2.0))
@@ -35,9 +48,9 @@ def test_a_moving_mean_of_two_columns_correlates_neighbours_by_half_and_keeps_th
     seed: int,
 ) -> None:
     frames = _white(np.random.default_rng(seed))
-    view = StackView("flat", (frames + np.roll(frames, 1, axis=2)) / 2.0)
-    assert view.covariance[REACH, REACH + 1] / view.variance == pytest.approx(0.5, abs=0.02)
-    assert view.covariance[REACH + 1, REACH] / view.variance == pytest.approx(0.0, abs=0.02)
+    view = FrameView("flat", (frames + np.roll(frames, 1, axis=2)) / 2.0)
+    assert view.covariance[REACH, REACH + 1] / view.variance_dn2 == pytest.approx(0.5, abs=0.02)
+    assert view.covariance[REACH + 1, REACH] / view.variance_dn2 == pytest.approx(0.0, abs=0.02)
     assert view.covariance.sum() == pytest.approx(64.0, rel=0.25)
 
 
@@ -45,15 +58,13 @@ def test_gaussian_noise_has_the_tails_of_its_closed_form(seed: int) -> None:
     """The mean of the highest share a of a normal deviate is its density at the quantile over a."""
     from scipy.special import ndtri
 
-    dark, flat = (
-        StackView(name, x) for name, x in zip(("dark", "flat"), _dark_and_flat(seed), strict=True)
-    )
-    found = stack_features.histogram_features(dark, [flat])
-    for share in stack_features.TAILS:
+    dark, flat = _dark_and_flat(seed)
+    found = numbers_of("histogram", dark, flat)
+    for share in FRAMES.tails:
         expected = np.exp(-0.5 * ndtri(share) ** 2) / np.sqrt(2.0 * np.pi) / share
         # The scatter of the mean of the highest values is below that of one of them over the root
         # of their number.
-        error = 4.5 / np.sqrt(share * flat.change.size * 7 / 8)
+        error = 4.5 / np.sqrt(share * flat.size * 7 / 8)
         assert found[f"mean of the highest {100.0 * share:g} % of flat"] == pytest.approx(
             expected, abs=error
         )
@@ -64,9 +75,7 @@ def test_gaussian_noise_has_the_tails_of_its_closed_form(seed: int) -> None:
 
 def test_a_bit_left_out_has_no_ones(seed: int) -> None:
     dark, flat = _dark_and_flat(seed)
-    found = stack_features.histogram_features(
-        StackView("dark", dark), [StackView("flat", 2.0 * (flat // 2.0))]
-    )
+    found = numbers_of("histogram", dark, 2.0 * (flat // 2.0))
     assert found["share of ones of bit 0 of flat"] == 0.0
     assert found["share of ones of bit 1 of flat"] == pytest.approx(
         0.5, abs=4.5 * 0.5 / np.sqrt(96 * 128)
@@ -78,11 +87,10 @@ def test_fields_of_unequal_gain_differ_and_their_lag_is_their_correlation(seed: 
     flat[:, 1::2] *= 1.02
     # Each odd row holds a tenth of the even row above it, of the field before.
     flat[:, 1::2] += 0.1 * (flat[:, ::2] - 100.0)
-    views = StackView("dark", dark, interlaced=True), [StackView("flat", flat, interlaced=True)]
     pixels = np.prod(SHAPE)
-    difference = stack_features.pattern_features(*views)["odd less even rows of flat"]
+    difference = numbers_of("fixed-pattern", dark, flat)["odd less even rows of flat"]
     assert difference == pytest.approx(0.02 * 100.0 / 101.0, abs=4.5 * 2.0 * 0.08 / np.sqrt(pixels))
-    found = stack_features.time_features(*views)
+    found = numbers_of("time", dark, flat, interlaced=True)
     # Half of the pairs of successive fields are of one frame.
     lag = 0.1 * 8.0 / 15.0 / np.mean([1.0, 1.02**2 + 0.01])
     assert found["correlation of fields of flat, 1 apart"] == pytest.approx(
@@ -92,12 +100,10 @@ def test_fields_of_unequal_gain_differ_and_their_lag_is_their_correlation(seed: 
 
 def test_a_repeated_frame_and_a_repeated_field_are_the_same_twice(seed: int) -> None:
     dark, flat = _dark_and_flat(seed)
-    plain = stack_features.time_features(StackView("dark", dark), [StackView("flat", flat)])
+    plain = numbers_of("time", dark, flat)
     assert plain["largest correlation of two frames of flat"] < 0.0
     flat[3, ::2] = flat[2, ::2]
-    found = stack_features.time_features(
-        StackView("dark", dark), [StackView("flat", flat, interlaced=True)]
-    )
+    found = numbers_of("time", dark, flat, interlaced=True)
     # Variances less the mean of 8 fields: of two equal ones 42/64, of the 6 with them 58/64, of the
     # others 56/64.
     mean = (2 * 42 + 6 * 58 + 8 * 56) / 16.0
@@ -109,9 +115,9 @@ def test_a_repeated_frame_and_a_repeated_field_are_the_same_twice(seed: int) -> 
 
 def test_six_hot_pixels_are_the_height_of_the_highest(seed: int) -> None:
     dark, flat = _dark_and_flat(seed)
-    plain = stack_features.defect_features(StackView("dark", dark), [StackView("flat", flat)])
+    plain = numbers_of("defects", dark, flat)
     dark[:, 10:70:10, 33] += 24.0
-    found = stack_features.defect_features(StackView("dark", dark), [StackView("flat", flat)])
+    found = numbers_of("defects", dark, flat)
     name = "ln height of the 8 most bright pixels of dark, DN"
     assert np.exp(found[name]) > 0.75 * 24.0 > 5.0 * np.exp(plain[name])
     # Only the pixels of the dark, and no spot, are another.

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding, with_remedy
-from charact.estimators.noise.gain.emva1288 import errors_of
 from charact.estimators.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
 from charact.estimators.noise.gain.undetected_correlation import (
     UndetectedEffect,
@@ -14,9 +13,10 @@ from charact.estimators.noise.gain.undetected_correlation import (
     gamma_of_noise,
     processing_findings,
 )
-from charact.estimators.noise.linear_fit import linear_fit
+from charact.estimators.noise.linear_fit import generalised_fit
 from charact.estimators.noise.thresholds import CHECKS
 from charact.frames.stack_statistics import StackStatistics
+from charact.observables.photon_transfer import PhotonTransfer
 from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
@@ -191,14 +191,10 @@ def quantisation_findings(series: FlatSeries) -> list[Finding]:
 
 
 class _Trend(NamedTuple):
-    """Straight line through variance over signal against signal, DN; `shared` is the common error
-    of the data.
-    """
+    """Straight line through variance over signal against signal, DN, and the errors of the data."""
 
-    signal: Array
     gain: Array
     sd: Array
-    shared: Array
     first: float  # at zero signal
     rise: float  # change up to the brightest level
     rise_sd: float
@@ -207,22 +203,19 @@ class _Trend(NamedTuple):
 
 def _trend(series: FlatSeries) -> _Trend | None:
     """Fit the line; None for a single level."""
-    chosen = np.flatnonzero(series.fitted)
-    signal = series.signal_dn[chosen]
+    stacks = series.fitted_stacks
+    signal = stacks.signal_dn
     if len(np.unique(signal)) < 2:
         return None
-    sd, common = errors_of(series)
-    sd, shared, gain = sd[chosen] / signal, common / signal, series.variance_dn2[chosen] / signal
+    estimates = PhotonTransfer().measure(stacks)
     ones = np.ones_like(signal)
     line, mean = (
-        linear_fit(columns, gain, sd, shared=shared)
+        generalised_fit(columns, estimates.value, estimates.covariance)
         for columns in ([ones, signal / signal.max()], [ones])
     )
     return _Trend(
-        signal=signal,
-        gain=gain,
-        sd=sd,
-        shared=shared,
+        gain=estimates.value,
+        sd=np.sqrt(np.diag(estimates.covariance)),
         first=line.best[0],
         rise=line.best[1],
         rise_sd=float(np.sqrt(line.covariance[1, 1])),
@@ -273,9 +266,7 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
         return []
     middle, slope, error = trend.middle, trend.rise, trend.rise_sd
     # Behind a gamma curve variance over signal rises and falls again, which no straight line shows.
-    limit = 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * np.hypot(
-        trend.sd, trend.shared
-    )
+    limit = 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * trend.sd
     deviates = bool(np.any(np.abs(trend.gain - middle) > limit))
     if abs(slope) <= CHECKS.curvature_sd * error and not deviates:
         return []
@@ -287,8 +278,9 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
         more = "the gain is the slope over all levels; see gain_curvature"
         return [Finding(None, f"{sentence}; {more}")]
     findings = [with_remedy("nonlinear", sentence, "flats of the linear range only")]
-    variance = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / trend.signal
-    return findings + gamma_of_noise(trend.signal, variance, trend.sd)
+    signal = series.signal_dn[series.fitted]
+    variance = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / signal
+    return findings + gamma_of_noise(signal, variance, trend.sd)
 
 
 def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from charact.estimators.noise.gain.series import FlatSeries
 from charact.estimators.noise.linear_fit import draw_posterior
 from charact.estimators.noise.thresholds import GAIN
-from charact.frames.rounding import QUANTISATION_DN2, rounding_sd
+from charact.frames.rounding import QUANTISATION_DN2
 from charact.inference import laplace, sample_posterior
 from charact.method import Context
+from charact.observables.photon_transfer import variance_errors
 from labdata.camera.chip import excess_noise_factor
 from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
@@ -164,7 +165,7 @@ def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -
     `allowance` is the relative standard deviation due to undetected effects.
     """
     chosen = series.fitted
-    sd, shared = errors_of(series)
+    sd, shared = variance_errors(series.stacks)
     fitted = line(
         series.signal_dn[chosen],
         series.variance_dn2[chosen],
@@ -187,22 +188,6 @@ def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -
     draws[:, 0] = excess.divide(draws[:, 0], context.seed)
     posterior = replace(posterior, draws=draws)
     return replace(fitted, posterior=posterior, slope=posterior["system_gain"])
-
-
-def errors_of(series: FlatSeries) -> tuple[Array, float]:
-    """Return the standard errors of the variances above the dark, shape (flat,), and their common
-    error, DN^2.
-
-    Flats of one dark have its error in common, and the rounding of its variance; see
-    `charact.frames.rounding`.
-    """
-    sd = np.array([flat.variance_sd_dn2 for flat in series.flats])
-    dark = np.array(
-        [np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]) for dark in series.darks]
-    )
-    if len({level.label for level in series.darks}) == 1:
-        return sd, float(dark[0])
-    return np.hypot(sd, dark), 0.0
 
 
 def with_relative_error(

@@ -10,6 +10,7 @@ from charact.estimators.noise.thresholds import GAIN
 from charact.frames.frame_block import Spectra
 from charact.frames.stack_statistics import StackStatistics, read_levels_of
 from charact.method import Context
+from charact.observables import Stacks
 from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -39,6 +40,19 @@ class FlatSeries:
     reference: str  # "dark" or "lowest flat": reference of the signal
     left_out: tuple[str, ...] = ()  # flats at another gain, excluded
     single: tuple[str, ...] = ()  # stacks of a single frame, excluded
+
+    @property
+    def stacks(self) -> Stacks[StackStatistics]:
+        """All darks, and the flats with theirs."""
+        return Stacks(darks=self.all_darks, flats=self.flats, references=self.darks)
+
+    @property
+    def fitted_stacks(self) -> Stacks[StackStatistics]:
+        """The flats in the range of the gain fit with their darks."""
+        chosen = [
+            flat for flat, is_fitted in zip(self.flats, self.fitted, strict=True) if is_fitted
+        ]
+        return self.stacks.only(flats=chosen)
 
 
 def without_noise(single: Sequence[str]) -> str:

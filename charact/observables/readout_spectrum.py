@@ -1,28 +1,19 @@
-"""Observations of noise of a digital read-out that is not white: rows, neighbours along a row,
+"""Power spectrum of what changes from frame to frame in a dark: rows, neighbours along a row,
 interference.
 
-All are taken from the power spectrum of what changes from frame to frame in darks. Rows that are
-offset as a whole have their power at the horizontal frequency 0; interference is a peak; read noise
-of neighbours that differ more, or less, than independent ones has a density that rises, or falls,
-with the horizontal frequency.
+Rows that are offset as a whole have their power at the horizontal frequency 0; interference is a
+peak; read noise of neighbours that differ more, or less, than independent ones has a density that
+rises, or falls, with the horizontal frequency.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fitting.observation import NOISE_MODEL_SD, Observation, scalar_observation
-from charact.fitting.predicted_quantities import Values
-from charact.fitting.thresholds import READOUT
+from charact.observables.thresholds import READOUT
 
 Array = NDArray[np.float64]
-
-ROW_NOISE, ROW_EXPONENT = "readout.row_noise_dn2", "readout.row_noise_exponent"
-FINE_RATIO = "readout.fine_noise_ratio"
-INTERFERENCE = "readout.interference_dn2"
-ACROSS, DOWN = "readout.interference_x_cy_per_px", "readout.interference_y_cy_per_px"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,111 +147,4 @@ def _highest_peak(power: Array, frame_power: Array, frames: int) -> Interference
         y_cy_per_px=row / rows,
         mean_square_dn2=bins * height / size,
         sd_dn2=bins * float(np.sqrt(variance)) / size,
-    )
-
-
-def row_density(values: Values, frequency: Array) -> Array:
-    """Return the spectral density of the rows' offsets, s (4 f)^-a, shape (n, frequency), DN^2."""
-    logarithm = -values[ROW_EXPONENT][:, None] * np.log(4.0 * frequency)
-    # Exponents far beyond any prior must not overflow.
-    return values[ROW_NOISE][:, None] * np.exp(np.minimum(logarithm, 300.0))
-
-
-def row_variance(values: Values, rows: int) -> Array:
-    """Return the variance of the rows' offsets within a frame of so many rows, shape (n,), DN^2."""
-    return row_density(values, np.arange(1, rows // 2 + 1) / rows).mean(axis=1)
-
-
-def neighbour_variance(values: Values, rows: int) -> Array:
-    """Return the variance that offsets of rows and interference add to a pixel, shape (n,),
-    DN^2.
-    """
-    return row_variance(values, rows) + values[INTERFERENCE]
-
-
-def neighbour_covariance(values: Values, read_noise_dn: Array) -> Array:
-    """Return the covariance of neighbours along a row by read noise, shape (n,), DN^2.
-
-    A density 1 + 2 r cos(2 pi f) with the ratio q of 0.5 to 0 cy/px has r = (1 - q)/(2 (1 + q)).
-    """
-    ratio = values[FINE_RATIO]
-    return 0.5 * (1.0 - ratio) / (1.0 + ratio) * read_noise_dn**2
-
-
-def readout_observations(
-    data: NDArray, read_noise_dn: Callable[[Values], Array], gain_paths: tuple[str, ...]
-) -> list[Observation]:
-    """Observe the noise of the read-out in a dark (frame, row, col), DN.
-
-    `read_noise_dn`: read noise from values, DN; `gain_paths`: parameters on which it depends.
-    Interference without a peak is not observed.
-    """
-    spectrum = readout_spectrum(data)
-    if spectrum is None:
-        return []
-    covariance, sd = spectrum.neighbour_covariance
-    out = [
-        _rows(spectrum),
-        scalar_observation(
-            "covariance of neighbours in a row",
-            covariance,
-            sd,
-            lambda values: neighbour_covariance(values, read_noise_dn(values)),
-            (FINE_RATIO, *gain_paths),
-        ),
-    ]
-    peak = spectrum.interference
-    if peak is None:
-        return out
-    _, rows, columns = spectrum.shape
-    out.append(
-        scalar_observation(
-            "interference",
-            peak.mean_square_dn2,
-            float(np.hypot(peak.sd_dn2, NOISE_MODEL_SD * peak.mean_square_dn2)),
-            lambda values: values[INTERFERENCE],
-            (INTERFERENCE,),
-        )
-    )
-    for path, value, pixels in (
-        (ACROSS, peak.x_cy_per_px, columns),
-        (DOWN, peak.y_cy_per_px, rows),
-    ):
-        sd = READOUT.frequency_cycles_sd / pixels
-        out.append(
-            scalar_observation(
-                "frequency of interference",
-                value,
-                sd,
-                lambda values, path=path: values[path],
-                (path,),
-            )
-        )
-    return out
-
-
-def _rows(spectrum: ReadoutSpectrum) -> Observation:
-    """Observe bands of the spectrum of the rows' offsets."""
-    frames, _, columns = spectrum.shape
-    frequency, ground = spectrum.row_frequency, spectrum.near_rows / columns
-    edges = np.geomspace(frequency[0], 0.5, READOUT.row_bands + 1)
-    band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, READOUT.row_bands - 1)
-    # The lowest frequencies have few numbers: bands of fewer than four are joined to the next.
-    members = [np.flatnonzero(band == index) for index in np.unique(band)]
-    while len(members) > 1 and members[0].size < 4:
-        members = [np.concatenate(members[:2]), *members[2:]]
-    power = np.array([spectrum.row_power[indices].mean() for indices in members]) / columns
-    number = np.array([indices.size for indices in members]) * (frames - 1.0)
-
-    def predict(values: Values) -> Array:
-        density = row_density(values, frequency) + ground
-        return np.log(np.stack([density[:, indices].mean(axis=1) for indices in members], axis=1))
-
-    # The logarithm of a mean of n exponential numbers has the variance 1/n and lies 1/(2n) low.
-    return Observation(
-        name="offsets of rows",
-        value=np.log(power) + 0.5 / number,
-        predict=predict,
-        covariance=np.diag(1.0 / number + READOUT.row_model_sd**2),
-        parameters=(ROW_NOISE, ROW_EXPONENT),
     )

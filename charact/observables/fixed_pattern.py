@@ -1,0 +1,225 @@
+"""Fixed pattern: dark signal and photoresponse non-uniformity, and defects.
+
+    DSNU^2 = s_dark^2 / K^2,  PRNU^2 = (s_flat^2 - s_dark^2) / mu^2
+
+s^2: variance over pixels of the mean frame, less its residual temporal noise; mu: mean above the
+dark (EMVA 1288 Release 4.0, eq. 66, 67).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.observables.frame_view import FrameView, bands_of, highest
+from charact.observables.observable import (
+    Estimates,
+    MeasuredStack,
+    Numbers,
+    Observable,
+    Stacks,
+    Values,
+    cube_root,
+    log,
+    observable,
+)
+from charact.observables.silicon import amplification, cooling, dn_per_electron, em_gain, warmth
+from charact.observables.stack_level import StackLevel
+from charact.observables.thresholds import FRAMES, SILICON
+
+Array = NDArray[np.float64]
+DSNU_E, PRNU_FRACTION = "ccd.dsnu_e", "ccd.prnu"
+
+
+@observable
+class Prnu(Observable[Any]):
+    """Squared photoresponse non-uniformity, of the last flat."""
+
+    name = "PRNU"
+    order = 34
+
+    def usable(self, stacks: Stacks[MeasuredStack]) -> Stacks[MeasuredStack] | None:
+        """Return the flat of the smallest error."""
+        darks = [dark for dark in stacks.darks if np.isfinite(dark.variance_sd_dn2)][:1]
+        shown = [
+            stacks.only(darks=darks, flats=[flat])
+            for flat in stacks.flats
+            if darks and np.isfinite(flat.spatial_sd_dn2) and flat.mean_dn > darks[0].mean_dn
+        ]
+        return min(shown, key=lambda one: self.measure(one).covariance[0, 0], default=None)
+
+    def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
+        """Return the variance of the flat's pattern above the first dark's over its squared
+        signal.
+        """
+        flat, dark, square = stacks.flat, stacks.dark, float(stacks.signal_dn[-1]) ** 2
+        return Estimates.of_number(
+            (flat.spatial_variance_dn2 - dark.spatial_variance_dn2) / square,
+            float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2)) / square,
+        )
+
+    def model_covariance(self, estimates: Estimates, stacks: Stacks[MeasuredStack]) -> Array:
+        """Return the covariance by which no pattern follows the model."""
+        return np.diag((2.0 * SILICON.noise_model_sd * estimates.value) ** 2)
+
+    def predict(self, values: Values, stacks: Stacks[MeasuredStack]) -> Array:
+        """Return the squared PRNU, shape (n, 1)."""
+        return values[PRNU_FRACTION][:, None] ** 2
+
+    def parameters(self, stacks: Stacks[MeasuredStack]) -> tuple[str, ...]:
+        """Return the path of the PRNU."""
+        return (PRNU_FRACTION,)
+
+
+@observable
+class Dsnu(Observable[Any]):
+    """Variance of the fixed pattern of the dark, DN^2.
+
+    The error of a variance over pixels contains their kurtosis: a pattern of little dark charge is
+    that of few pixels.
+    """
+
+    name = "DSNU"
+    order = 35
+
+    def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
+        """Return the dark with most frames and the longest exposure."""
+        darks = [dark for dark in stacks.darks if np.isfinite(dark.variance_sd_dn2)]
+        if not darks:
+            return None
+        return stacks.only(darks=[max(darks, key=lambda dark: (dark.shape[0], dark.exposure_s))])
+
+    def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
+        """Return the variance of the first dark's pattern, DN^2."""
+        return Estimates.of_number(stacks.dark.spatial_variance_dn2, stacks.dark.spatial_sd_dn2)
+
+    def model_covariance(self, estimates: Estimates, stacks: Stacks[MeasuredStack]) -> Array:
+        """Return the covariance by which no pattern follows the model."""
+        return np.diag((2.0 * SILICON.noise_model_sd * estimates.value) ** 2)
+
+    def predict(self, values: Values, stacks: Stacks[MeasuredStack]) -> Array:
+        """Return the variance of the pattern at the dark's temperature, shape (n, 1), DN^2."""
+        conditions = stacks.dark.conditions
+        gain = dn_per_electron(values, conditions) * em_gain(values, conditions)
+        return ((gain * values[DSNU_E] * warmth(values, conditions)) ** 2)[:, None]
+
+    def parameters(self, stacks: Stacks[MeasuredStack]) -> tuple[str, ...]:
+        """Return the paths of gain, DSNU and its temperature."""
+        conditions = stacks.dark.conditions
+        return (*amplification(conditions), DSNU_E, *cooling(conditions))
+
+
+@observable
+class FixedPattern(Observable[FrameView]):
+    """Fixed over temporal variance of pixels, rows and columns, and of bands of their
+    spectra.
+
+    The fixed part is the mean frame, with its residual temporal noise; over the temporal
+    variance, neither gain nor light enters where there is no fixed pattern. The difference of odd
+    and even rows, and columns, over the level shows fields or taps of unequal gain.
+    """
+
+    name = "fixed-pattern"
+    order = 10
+    title = "Fixed noise of pixels, rows and columns, and its spectrum"
+    cause = "DSNU, PRNU, fibre pattern, dust, ghost images, or interference in step with the frames"
+    least_sd = 0.001
+    over_frame = True
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        numbers: dict[str, float] = {}
+        for stack in (stacks.dark, stacks.flat):
+            rows, cols = stack.pattern.mean(axis=1), stack.pattern.mean(axis=0)
+            fixed = {
+                "pixels": (stack.pattern - rows[:, None] - cols).var(),
+                "rows": rows.var(),
+                "columns": cols.var(),
+            }
+            temporal = {"pixels": stack.variance_dn2, **stack.line_variances}
+            for name, variance in fixed.items():
+                ratio = float(variance) * len(stack.change) / max(temporal[name], 1e-12)
+                numbers[f"fixed over temporal variance of {name} of {stack.label}"] = cube_root(
+                    ratio
+                )
+            for name, line in (("rows", rows), ("columns", cols)):
+                numbers[f"odd less even {name} of {stack.label}"] = (
+                    float(line[1::2].mean() - line[::2].mean()) / stack.mean_dn
+                )
+            numbers |= bands_of(
+                FrameView.spectrum(stack.pattern[None]),
+                stack.power,
+                f"fixed pattern of {stack.label}",
+            )
+        return numbers
+
+
+@observable
+class Defects(Observable[FrameView]):
+    """Logarithms of the heights and depths of the most deviating pixels and spots, of dark
+    and brightest flat.
+
+    Notes
+    -----
+    Pixels are those of the mean of each pixel's middle values less the median of 5 x 5 pixels,
+    spots those of the mean frame behind a difference of Gaussians. The mean of several highest
+    values is a smooth number, with a narrow distribution where nothing is defective; a count of
+    pixels above a limit is 0 in nearly all sets, and its distribution unknown.
+    """
+
+    name = "defects"
+    order = 11
+    title = "Most deviating pixels and spots of the mean frames"
+    cause = "hot, dead or stuck pixels, dust, or blemishes"
+    least_sd = 0.05
+    over_frame = True
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        import cv2
+
+        numbers = {}
+        for stack in (stacks.dark, stacks.flat):
+            inner, outer = (
+                cv2.GaussianBlur(stack.pattern, (0, 0), size) for size in FRAMES.spot_px
+            )
+            pixels, spots = (
+                stack.steady - cv2.medianBlur(stack.steady, 5),
+                (inner - outer)[::3, ::3],
+            )
+            for name, local, count in (
+                ("pixels", pixels, FRAMES.highest_pixels),
+                ("spots", spots, FRAMES.highest_spots),
+            ):
+                for sign, side in ((1.0, "bright"), (-1.0, "dark")):
+                    # Half a step of whole DN keeps the logarithm smooth where all pixels are equal.
+                    height = highest(sign * local, count) + 0.5
+                    numbers[f"ln height of the {count} most {side} {name} of {stack.label}, DN"] = (
+                        log(height)
+                    )
+        return numbers
+
+
+@observable
+class Shading(Observable[FrameView]):
+    """Slopes and curvatures of the mean frames over the picture: of flats over the signal,
+    of the dark in DN.
+    """
+
+    name = "shading"
+    order = 12
+    title = "Slope and curvature of the mean frames over the picture"
+    cause = "vignetting, uneven light, glow of an amplifier, or stray light"
+    over_frame = True
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        dark = stacks.dark
+        numbers = {}
+        for stack in (dark, stacks.flat):
+            scale = 1.0 if stack is dark else stack.mean_dn - dark.mean_dn
+            for name, value in zip(
+                ("slope x", "slope y", "x²", "y²", "xy"), stack.shading, strict=True
+            ):
+                numbers[f"{name} of {stack.label}"] = float(value) / scale
+        return numbers

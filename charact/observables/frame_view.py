@@ -1,0 +1,190 @@
+"""A stack of frames, split into its mean frame and what changes from frame to frame."""
+
+import itertools
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.observables.observable import cube_root, log
+from charact.observables.thresholds import FRAMES
+from labdata.conditions import Conditions
+
+Array = NDArray[np.float64]
+Frames = NDArray[np.floating]
+
+
+class FrameView:
+    """A stack of frames, split into its mean frame and what changes from frame to frame.
+
+    `mean`: mean frame, shape (row, col); `steady`: mean frame of the middle half of each pixel's
+    values, in which pulses of single frames leave no trace; `change`: frames less the mean frame,
+    scaled so that their variance is that of a frame, shape (frame, row, col); `interlaced`: whether
+    odd rows were exposed at another time than even ones; `bits`: fraction of ones in the lowest
+    bits of whole DN, shape (bit,).
+    """
+
+    def __init__(
+        self,
+        label: str,
+        frames: NDArray,
+        *,
+        interlaced: bool = False,
+        conditions: Conditions = Conditions(),  # noqa: B008
+    ) -> None:
+        self.label, self.conditions = label, conditions
+        self.interlaced = interlaced
+        data = np.asarray(frames, np.float32)
+        count = len(data)
+        self.mean = data.mean(axis=0)
+        self.steady = np.sort(data, axis=0)[count // 4 : count - count // 4].mean(axis=0)
+        codes = np.rint(frames[0]).astype(np.int64)
+        self.bits = np.array([np.mean(codes >> bit & 1) for bit in range(FRAMES.bits)])
+        self.change = (data - self.mean) * np.float32(np.sqrt(count / (count - 1.0)))
+        self.covariance = _autocovariance(self.change)
+        self.power = self.spectrum(self.change)
+        # A plane and a bowl are shading, not pattern.
+        self.shading, self.pattern = _without_shading(self.mean)
+
+    @property
+    def mean_dn(self) -> float:
+        """Mean, DN."""
+        return float(self.mean.mean())
+
+    @property
+    def mean_sd_dn(self) -> float:
+        """Standard error of the mean by the scatter of frames, DN."""
+        return float(self.change.mean(axis=(1, 2)).std()) / np.sqrt(len(self.change))
+
+    @property
+    def variance_dn2(self) -> float:
+        """Variance of a pixel in time, DN^2."""
+        # Frames that repeat each other have none.
+        return max(float(self.covariance[FRAMES.reach, FRAMES.reach]), 1e-12)
+
+    @property
+    def variance_sd_dn2(self) -> float:
+        """Standard error of that variance for white noise, DN^2."""
+        return self.variance_dn2 * float(np.sqrt(2.0 / (self.change.size - self.mean.size)))
+
+    @property
+    def spatial_variance_dn2(self) -> float:
+        """Variance of the pattern less its residual temporal noise, DN^2."""
+        return float(self.pattern.var()) - self.variance_dn2 / len(self.change)
+
+    @property
+    def spatial_sd_dn2(self) -> float:
+        """Standard error of that variance for a white pattern, DN^2."""
+        return float(self.pattern.var()) * float(np.sqrt(2.0 / self.mean.size))
+
+    @cached_property
+    def ordered(self) -> Frames:
+        """Changes in ascending order, shape (frame * row * col,)."""
+        return np.sort(self.change, axis=None)
+
+    @property
+    def robust_sd(self) -> float:
+        """Half the range of the central 68 % of changes, DN; the step of whole numbers where it is
+        0.
+        """
+        low, high = self.ordered[[int(fraction * self.ordered.size) for fraction in (0.159, 0.841)]]
+        return max(float(high - low) / 2.0, 0.3)
+
+    @cached_property
+    def line_variances(self) -> Mapping[str, float]:
+        """Variance in time of the means of rows and columns less those of their frames, DN^2."""
+        lines = {"rows": self.change.mean(axis=2), "columns": self.change.mean(axis=1)}
+        return {
+            name: float((line - line.mean(axis=1, keepdims=True)).var())
+            for name, line in lines.items()
+        }
+
+    @staticmethod
+    def spectrum(images: Frames) -> Array:
+        """Return the mean power of images per pixel, 1 for white noise of variance 1, shape (row,
+        col / 2 + 1).
+        """
+        rows, cols = images.shape[-2:]
+        power = np.abs(np.fft.rfft2(images)) ** 2 / (rows * cols)
+        return power.reshape(-1, *power.shape[-2:]).mean(axis=0)
+
+
+def bands_of(power: Array, reference: Array, what: str) -> dict[str, float]:
+    """Return the power over a reference in bands along both axes and over all directions, and its
+    highest peak.
+    """
+    rows, half = power.shape
+    x, y = np.fft.rfftfreq(2 * (half - 1))[:half], np.abs(np.fft.fftfreq(rows))
+    cuts = {
+        "horizontal": (x, power[0], reference[0]),
+        "vertical": (y, power[:, 0], reference[:, 0]),
+        "radial": (np.hypot(y[:, None], x), power, reference),
+    }
+    features = {}
+    for name, (frequency, cut_power, other) in cuts.items():
+        for low, high in itertools.pairwise(FRAMES.bands):
+            band = (frequency > low) & (frequency <= high)
+            if band.any():
+                ratio = float(cut_power[band].mean()) / max(float(other[band].mean()), 1e-12)
+                features[f"{name} {what}, {low:g} to {high:g} cy/px"] = cube_root(ratio)
+    highest = float(power.ravel()[1:].max()) / max(float(power.mean()), 1e-12)
+    return features | {f"ln peak in the {what}": log(highest)}
+
+
+def highest(values: Frames, count: int) -> float:
+    """Return the mean of the highest values."""
+    flat = values.ravel()
+    return float(np.partition(flat, flat.size - count)[-count:].mean())
+
+
+def correlations_of(images: Frames, lags: tuple[int, ...], what: str) -> dict[str, float]:
+    """Return the mean correlation of images at lags, and the largest of any two, of images (image,
+    row, col).
+    """
+    flat = images.reshape(len(images), -1)
+    gram = flat @ flat.T
+    gram = gram / max(float(np.trace(gram)) / len(gram), 1e-12)
+    features = {
+        f"correlation of {what}, {lag} apart": float(np.diag(gram, lag).mean())
+        for lag in lags
+        if lag < len(gram)
+    }
+    return features | {
+        f"largest correlation of two {what}": float(gram[np.triu_indices(len(gram), 1)].max())
+    }
+
+
+def _without_shading(mean: Frames) -> tuple[Array, Frames]:
+    """Return slopes and curvatures of a frame over coordinates -1..1, and the frame without
+    them.
+    """
+    y, x = (np.linspace(-1.0, 1.0, size, dtype=np.float32) for size in mean.shape)
+    terms = np.stack(
+        np.broadcast_arrays(
+            np.float32(1.0),
+            x[None, :],
+            y[:, None],
+            x[None, :] ** 2,
+            y[:, None] ** 2,
+            x[None, :] * y[:, None],
+        )
+    ).reshape(6, -1)
+    coefficients = np.linalg.solve(
+        (terms @ terms.T).astype(float), (terms @ mean.ravel()).astype(float)
+    )
+    return coefficients[1:], mean - (coefficients.astype(np.float32) @ terms).reshape(mean.shape)
+
+
+def _autocovariance(change: Frames) -> Array:
+    """Return the autocovariance of changes (frame, row, col), averaged over frames and pairs of
+    pixels.
+    """
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    count, rows, cols = change.shape
+    shape = (next_fast_len(rows + FRAMES.reach), next_fast_len(cols + FRAMES.reach))
+    spectrum = np.asarray(rfft2(change, s=shape))
+    full = np.asarray(irfft2((np.abs(spectrum) ** 2).sum(axis=0), s=shape))
+    lags = np.arange(-FRAMES.reach, FRAMES.reach + 1)
+    return full[np.ix_(lags, lags)] / (np.outer(rows - np.abs(lags), cols - np.abs(lags)) * count)

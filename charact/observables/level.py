@@ -1,0 +1,47 @@
+"""Level of darks and flats.
+
+    mu = b + K g eta p (EMVA 1288 Release 4.0, eq. 6), behind a response that may be compressed
+
+b: black level; p: photons of a pixel; eta: quantum efficiency.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.observables.observable import (
+    Estimates,
+    MeasuredStack,
+    Numbers,
+    Observable,
+    Stacks,
+    log,
+    observable,
+)
+
+Array = NDArray[np.float64]
+
+
+@observable
+class Level(Observable[MeasuredStack]):
+    """Level of the dark, DN, and the logarithm of the brightest flat's signal above it."""
+
+    name = "level"
+    order = 0
+    title = "Level of the dark, and signal of the brightest flat"
+    cause = "sensitivity, gain, black level, EBI, dark current, or the light meter"
+
+    def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
+        """Return the mean of each dark and flat, DN."""
+        levels = (*stacks.darks, *stacks.flats)
+        return Estimates(
+            value=np.array([level.mean_dn for level in levels]),
+            covariance=np.diag([level.mean_sd_dn**2 for level in levels]),
+        )
+
+    def numbers(self, stacks: Stacks[MeasuredStack]) -> Numbers:
+        """Return them by label."""
+        dark, flat = stacks.dark, stacks.flat
+        return {
+            f"level of {dark.label}, DN": dark.mean_dn,
+            f"ln signal of {flat.label}": log(flat.mean_dn - dark.mean_dn),
+        }

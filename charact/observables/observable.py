@@ -1,0 +1,197 @@
+"""One class a statistic of darks and flats: what it is called, how frames show it, how a camera's
+description predicts it.
+
+Noise, fit and validation take the same statistics: noise prints them, the fit minimises their
+misfit, the validation compares those of measured with those of simulated frames.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.camera.description import Camera
+from labdata.conditions import Conditions
+from labdata.measurement import Result
+
+Array = NDArray[np.float64]
+# Every parameter of a description by its path: n draws, or one value, shape (n,) or (1,)
+Values = Mapping[str, Array]
+Numbers = Mapping[str, float]
+
+
+class MeasuredStack(Protocol):
+    """Numbers of one stack that every engine has, however it came by them."""
+
+    @property
+    def label(self) -> str:
+        """Label of the stack."""
+        ...
+
+    @property
+    def conditions(self) -> Conditions:
+        """Conditions of the stack."""
+        ...
+
+    @property
+    def mean_dn(self) -> float:
+        """Mean over pixels and frames, DN."""
+        ...
+
+    @property
+    def mean_sd_dn(self) -> float:
+        """Standard error of the mean, DN."""
+        ...
+
+    @property
+    def variance_dn2(self) -> float:
+        """Temporal variance of a pixel, mean over pixels, DN^2."""
+        ...
+
+    @property
+    def variance_sd_dn2(self) -> float:
+        """Standard error of the temporal variance, DN^2; nan of a single frame."""
+        ...
+
+    @property
+    def spatial_variance_dn2(self) -> float:
+        """Variance of the fixed pattern over pixels, DN^2."""
+        ...
+
+    @property
+    def spatial_sd_dn2(self) -> float:
+        """Standard error of the variance of the fixed pattern, DN^2."""
+        ...
+
+
+S = TypeVar("S", bound=MeasuredStack)
+S_co = TypeVar("S_co", bound=MeasuredStack, covariant=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stacks(Generic[S_co]):
+    """Darks and flats of one camera, each flat with the dark from which its signal counts."""
+
+    darks: tuple[S_co, ...]
+    flats: tuple[S_co, ...] = ()
+    references: tuple[S_co, ...] = ()  # the dark of each flat; empty: the first dark
+    camera: Camera | None = None
+    result: Result = field(default_factory=Result)  # what was measured before
+
+    @property
+    def dark(self) -> S_co:
+        """The first dark."""
+        return self.darks[0]
+
+    @property
+    def flat(self) -> S_co:
+        """The last flat, which is the brightest."""
+        return self.flats[-1]
+
+    @property
+    def pairs(self) -> Iterator[tuple[S_co, S_co]]:
+        """Each flat with its dark."""
+        return zip(self.flats, self.references or len(self.flats) * self.darks[:1], strict=True)
+
+    @cached_property
+    def signal_dn(self) -> Array:
+        """Mean of each flat above its dark, shape (flat,), DN."""
+        return np.array([flat.mean_dn - dark.mean_dn for flat, dark in self.pairs])
+
+    def only(self, **stacks: Sequence[Any]) -> "Stacks[S_co]":
+        """Return some of the stacks: `darks` or `flats`, of which each keeps its dark."""
+        changes: dict[str, Any] = {name: tuple(chosen) for name, chosen in stacks.items()}
+        if self.references and "flats" in changes:
+            known = {flat.label: dark for flat, dark in self.pairs}
+            changes["references"] = tuple(known[flat.label] for flat in changes["flats"])
+        return replace(self, **changes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimates:
+    """Measured numbers of a statistic and the covariance of their errors."""
+
+    value: Array  # shape (k,)
+    covariance: Array  # shape (k, k)
+
+    @property
+    def number(self) -> tuple[float, float]:
+        """The first number and its standard error."""
+        return float(self.value[0]), float(np.sqrt(self.covariance[0, 0]))
+
+    @classmethod
+    def of_number(cls, value: float, sd: float) -> "Estimates":
+        """Return one number with its standard error."""
+        return cls(value=np.array([value]), covariance=np.array([[sd**2]]))
+
+
+class Observable(Generic[S]):
+    """One statistic of darks and flats.
+
+    `name` is that of the statistic, and of its group in a validation. A statistic takes part in a
+    fit if it has `parameters`, in a validation if it has a `title`; `cause` are the stages of the
+    camera, or faults of the session, that move it.
+    """
+
+    name: str
+    order: int  # place in fit and reports
+    title: str = ""
+    cause: str = ""
+    # Least standard deviation of each number, for counts that all simulated sets have in common
+    least_sd: float = 0.0
+    # Whether all parts of the frame are compared, as faults may lie anywhere
+    over_frame: bool = False
+    # Whether a prediction beyond the measured number agrees
+    is_bound: bool = False
+
+    def usable(self, stacks: Stacks[S]) -> Stacks[S] | None:
+        """Return the stacks that show the statistic to a fit; None where there are none."""
+        return stacks if stacks.darks and stacks.flats else None
+
+    def measure(self, stacks: Stacks[S]) -> Estimates:
+        """Return the numbers that frames show, with the errors of measuring."""
+        raise NotImplementedError
+
+    def model_covariance(self, estimates: Estimates, stacks: Stacks[S]) -> Array:
+        """Return the covariance by which no camera follows the model, shape (k, k)."""
+        return np.zeros_like(estimates.covariance)
+
+    def predict(self, values: Values, stacks: Stacks[S]) -> Array:
+        """Return the numbers of cameras under the conditions of stacks, shape (n, k)."""
+        raise NotImplementedError
+
+    def parameters(self, stacks: Stacks[S]) -> tuple[str, ...]:
+        """Return the paths of the parameters that the prediction depends on."""
+        return ()
+
+    def numbers(self, stacks: Stacks[S]) -> Numbers:
+        """Return the numbers that a validation compares, nearly Gaussian over simulated sets."""
+        raise NotImplementedError
+
+
+_KNOWN: list[Observable[Any]] = []
+Statistic = TypeVar("Statistic", bound=Observable[Any])
+
+
+def observable(statistic: type[Statistic]) -> type[Statistic]:
+    """Add a statistic to those that noise, fit and validation loop over."""
+    _KNOWN.append(statistic())
+    return statistic
+
+
+def observables() -> tuple[Observable[Any], ...]:
+    """Return every statistic in its order."""
+    return tuple(sorted(_KNOWN, key=lambda statistic: statistic.order))
+
+
+def log(value: float) -> float:
+    """Return the logarithm of a positive number; that of a small one where frames repeat."""
+    return float(np.log(max(value, 1e-12)))
+
+
+def cube_root(value: float) -> float:
+    """Return the cube root, in which a variance is nearly Gaussian (Wilson and Hilferty 1931)."""
+    return float(np.cbrt(value))

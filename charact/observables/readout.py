@@ -1,0 +1,152 @@
+"""Noise of a digital read-out that is not white: rows, neighbours along a row, interference."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.observables.observable import Estimates, Observable, Stacks, Values, observable
+from charact.observables.readout_spectrum import ReadoutSpectrum
+from charact.observables.silicon import (
+    ACROSS,
+    CONVERSION_GAIN,
+    DOWN,
+    FINE_RATIO,
+    INTERFERENCE,
+    READ_NOISE,
+    ROW_EXPONENT,
+    ROW_NOISE,
+    dn_per_electron,
+    neighbour_covariance,
+    row_density,
+)
+from charact.observables.stack_level import StackLevel
+from charact.observables.thresholds import READOUT, SILICON
+
+Array = NDArray[np.float64]
+
+
+def spectrum_of(dark: StackLevel) -> ReadoutSpectrum:
+    """Return the spectrum of a dark that has one."""
+    assert dark.readout is not None
+    return dark.readout
+
+
+class OfReadout(Observable[StackLevel]):
+    """A statistic of the dark with most frames, of these of the shortest exposure."""
+
+    def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
+        """Return that dark, if its noise is wide enough and its frames many enough."""
+        darks = [
+            dark
+            for dark in stacks.darks
+            if dark.variance_dn2 > (SILICON.least_noise_dn * dark.step_dn) ** 2
+        ]
+        chosen = sorted(darks, key=lambda dark: (-dark.shape[0], dark.exposure_s))[:1]
+        known = chosen and chosen[0].readout is not None
+        return stacks.only(darks=chosen) if known else None
+
+
+@observable
+class RowOffsets(OfReadout):
+    """Spectrum of the offsets of rows, in bands.
+
+    The logarithm of a mean of n exponential numbers has the variance 1/n and lies 1/(2n) low.
+    """
+
+    name = "offsets of rows"
+    order = 31
+
+    def measure(self, stacks: Stacks[StackLevel]) -> Estimates:
+        """Return logarithms of the power of each band, DN^2."""
+        spectrum = spectrum_of(stacks.dark)
+        frames, _, columns = spectrum.shape
+        bands = _bands(spectrum)
+        power = np.array([spectrum.row_power[band].mean() for band in bands]) / columns
+        number = np.array([band.size for band in bands]) * (frames - 1.0)
+        return Estimates(value=np.log(power) + 0.5 / number, covariance=np.diag(1.0 / number))
+
+    def model_covariance(self, estimates: Estimates, stacks: Stacks[StackLevel]) -> Array:
+        """Return the covariance by which no camera has the exact law f^-a."""
+        return READOUT.row_model_sd**2 * np.eye(estimates.value.size)
+
+    def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
+        """Return logarithms of the power of each band, shape (n, band)."""
+        spectrum = spectrum_of(stacks.dark)
+        ground = spectrum.near_rows / spectrum.shape[2]
+        density = row_density(values, spectrum.row_frequency) + ground
+        bands = _bands(spectrum)
+        return np.log(np.stack([density[:, band].mean(axis=1) for band in bands], axis=1))
+
+    def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
+        """Return the paths of the law."""
+        return ROW_NOISE, ROW_EXPONENT
+
+
+def _bands(spectrum: ReadoutSpectrum) -> list[NDArray[np.int64]]:
+    """Return the members of bands equal in the logarithm of the frequency."""
+    frequency = spectrum.row_frequency
+    edges = np.geomspace(frequency[0], 0.5, READOUT.row_bands + 1)
+    band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, READOUT.row_bands - 1)
+    # The lowest frequencies have few numbers: bands of fewer than four are joined to the next.
+    members = [np.flatnonzero(band == index) for index in np.unique(band)]
+    while len(members) > 1 and members[0].size < 4:
+        members = [np.concatenate(members[:2]), *members[2:]]
+    return members
+
+
+@observable
+class NeighbourCovariance(OfReadout):
+    """Covariance of neighbours along a row by read noise."""
+
+    name = "covariance of neighbours in a row"
+    order = 32
+
+    def measure(self, stacks: Stacks[StackLevel]) -> Estimates:
+        """Return the covariance, DN^2."""
+        return Estimates.of_number(*spectrum_of(stacks.dark).neighbour_covariance)
+
+    def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
+        """Return the covariance, shape (n, 1), DN^2."""
+        read_noise_dn = dn_per_electron(values, stacks.dark.conditions) * values[READ_NOISE]
+        return neighbour_covariance(values, read_noise_dn)[:, None]
+
+    def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
+        """Return the paths of the ratio and of the read noise."""
+        return FINE_RATIO, CONVERSION_GAIN, READ_NOISE
+
+
+@observable
+class Interference(OfReadout):
+    """Mean square and frequencies of a sinusoid over the frame; none without a peak."""
+
+    name = "interference"
+    order = 33
+
+    def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
+        """Return the dark if its spectrum has a peak."""
+        shown = super().usable(stacks)
+        peak = None if shown is None else spectrum_of(shown.dark).interference
+        return None if peak is None else shown
+
+    def measure(self, stacks: Stacks[StackLevel]) -> Estimates:
+        """Return mean square, DN^2, and both frequencies, cy/px."""
+        spectrum = spectrum_of(stacks.dark)
+        (_, rows, columns), peak = spectrum.shape, spectrum.interference
+        assert peak is not None
+        sd = np.array([peak.sd_dn2, *(READOUT.frequency_cycles_sd / n for n in (columns, rows))])
+        return Estimates(
+            value=np.array([peak.mean_square_dn2, peak.x_cy_per_px, peak.y_cy_per_px]),
+            covariance=np.diag(sd**2),
+        )
+
+    def model_covariance(self, estimates: Estimates, stacks: Stacks[StackLevel]) -> Array:
+        """Return the covariance by which no interference is a sinusoid."""
+        return np.diag([(SILICON.noise_model_sd * estimates.value[0]) ** 2, 0.0, 0.0])
+
+    def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
+        """Return the parameters themselves, shape (n, 3)."""
+        known = (values[path] for path in self.parameters(stacks))
+        return np.stack(np.broadcast_arrays(*known), axis=1)
+
+    def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
+        """Return the paths of mean square and frequencies."""
+        return INTERFERENCE, ACROSS, DOWN

@@ -1,0 +1,160 @@
+"""Noise in time of darks and flats: covariance, its spectrum, rows and columns, the field."""
+
+import numpy as np
+
+from charact.observables.frame_view import FrameView, bands_of
+from charact.observables.observable import Numbers, Observable, Stacks, cube_root, observable
+from charact.observables.thresholds import FRAMES
+
+
+@observable
+class CovarianceSum(Observable[FrameView]):
+    """Summed covariance over signal of each flat, DN.
+
+    Of a dim flat the sum may be negative by chance, so that it has no logarithm.
+    """
+
+    name = "covariance"
+    order = 3
+    title = "Covariance summed within 6 px over signal, of each flat"
+    cause = "gain and excess noise"
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        dark = stacks.dark
+        return {
+            f"covariance/signal of {flat.label}, DN": float(
+                flat.covariance.sum() - dark.covariance.sum()
+            )
+            / (flat.mean_dn - dark.mean_dn)
+            for flat in stacks.flats
+        }
+
+
+@observable
+class Autocorrelation(Observable[FrameView]):
+    """Correlation of neighbours in the brightest flat, and along rows and columns in the
+    dark.
+    """
+
+    name = "autocorrelation"
+    order = 4
+    title = "Correlation of neighbouring pixels in time"
+    cause = "blur after the gain, video bandwidth, sharpening, or interpolation"
+    over_frame = True
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        dark, flat = stacks.dark, stacks.flat
+        numbers = {
+            f"correlation at {row},{col} px of {flat.label}": float(
+                flat.covariance[FRAMES.reach + row, FRAMES.reach + col]
+            )
+            / flat.variance_dn2
+            for row, col in FRAMES.lags
+        }
+        for row, col in ((0, 1), (1, 0)):
+            name = f"correlation at {row},{col} px of {dark.label}"
+            numbers[name] = float(dark.covariance[FRAMES.reach + row, FRAMES.reach + col]) / max(
+                dark.variance_dn2, 1e-12
+            )
+        return numbers
+
+
+@observable
+class NoiseOverField(Observable[FrameView]):
+    """Difference of the noise near the corners of the brightest flat from that near its centre.
+
+    The correlation of neighbours in time, and the logarithm of variance over signal: a blur that
+    grows with the distance from the centre raises the first and lowers the second.
+    """
+
+    name = "field"
+    order = 5
+    title = "Noise near the corners of the brightest flat against that near its centre"
+    cause = (
+        "blur after the gain that grows off axis, or interpolation such as a correction of "
+        "distortion"
+    )
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        dark, flat = stacks.dark, stacks.flat
+        rows, cols = flat.mean.shape
+        y, x = (np.linspace(-1.0, 1.0, size) for size in (rows, cols))
+        square = (y[:, None] ** 2 + x[None, :] ** 2) / 2.0
+        regions = [square < FRAMES.centre_square, square > FRAMES.corner_square]
+        power = np.mean(flat.change**2, axis=0)
+        variance = [max(float(power[region].mean()), 1e-12) for region in regions]
+        numbers = {}
+        for row, col in ((0, 1), (1, 0)):
+            product = np.mean(
+                flat.change[:, row:, col:] * flat.change[:, : rows - row, : cols - col], axis=0
+            )
+            middle, corner = (
+                float(product[region[row:, col:]].mean()) / region_variance
+                for region, region_variance in zip(regions, variance, strict=True)
+            )
+            numbers[
+                f"correlation at {row},{col} px near the corners less the centre of {flat.label}"
+            ] = corner - middle
+        signal = [max(float(flat.mean[region].mean()) - dark.mean_dn, 1e-12) for region in regions]
+        numbers[f"ln variance/signal near the corners over the centre of {flat.label}"] = float(
+            np.log(variance[1] / signal[1]) - np.log(variance[0] / signal[0])
+        )
+        return numbers
+
+
+@observable
+class NoiseSpectrum(Observable[FrameView]):
+    """Temporal noise power over its mean in bands of both cuts and over all directions, and
+    its peaks.
+    """
+
+    name = "noise-spectrum"
+    order = 6
+    title = "Horizontal and vertical cuts of the noise spectrum, and its peak"
+    cause = "interference, banding, or blur after the gain"
+    least_sd = 0.001
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        numbers: dict[str, float] = {}
+        for stack in (stacks.dark, stacks.flat):
+            numbers |= bands_of(
+                stack.power,
+                np.full_like(stack.power, stack.power.mean()),
+                f"noise of {stack.label}",
+            )
+        return numbers
+
+
+@observable
+class RowsAndColumns(Observable[FrameView]):
+    """Variances in time of means of frames, rows and columns of dark and brightest flat.
+
+    Each is over that of white noise of the same variance. Cube roots of variances, and of powers,
+    are nearly Gaussian (Wilson and Hilferty 1931).
+    """
+
+    name = "rows-and-columns"
+    order = 7
+    title = "Frame, row and column means in time"
+    cause = "line noise of the read-out, flicker of the lamp, or hum"
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        numbers = {}
+        for stack in (stacks.dark, stacks.flat):
+            _, rows, cols = stack.change.shape
+            variances = {
+                "frames": float(stack.change.mean(axis=(1, 2)).var()),
+                **stack.line_variances,
+            }
+            for (name, value), pixels in zip(
+                variances.items(), (rows * cols, cols, rows), strict=True
+            ):
+                numbers[f"variance of means of {name} of {stack.label}"] = cube_root(
+                    value * pixels / max(stack.variance_dn2, 1e-12)
+                )
+        return numbers

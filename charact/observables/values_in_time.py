@@ -1,0 +1,115 @@
+"""Values of single pixels and frames in time: tails, low bits, events, drift."""
+
+import numpy as np
+
+from charact.observables.frame_view import FrameView, correlations_of, highest
+from charact.observables.observable import Numbers, Observable, Stacks, cube_root, log, observable
+from charact.observables.thresholds import FRAMES
+
+
+@observable
+class Histogram(Observable[FrameView]):
+    """Means of the tails of temporal noise over its standard deviation, and shares of ones
+    of the low bits.
+
+    Notes
+    -----
+    The mean of a tail changes smoothly where the values are few whole DN, unlike its quantile. A
+    bit that is stuck or left out has no ones or no zeros; bits of more than the noise depend on the
+    level.
+    """
+
+    name = "histogram"
+    order = 8
+    title = "Tails of the noise in time, and low bits"
+    cause = "pulse heights, clipping, rounding, stuck bits, or a nonlinear response"
+    least_sd = 0.002
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        numbers = {}
+        for stack in (stacks.dark, *stacks.flats):
+            ordered = stack.ordered / np.float32(np.sqrt(max(stack.variance_dn2, 1e-12)))
+            for fraction in FRAMES.tails:
+                size = max(1, round(fraction * ordered.size))
+                numbers[f"mean of the lowest {100.0 * fraction:g} % of {stack.label}"] = float(
+                    ordered[:size].mean()
+                )
+                numbers[f"mean of the highest {100.0 * fraction:g} % of {stack.label}"] = float(
+                    ordered[-size:].mean()
+                )
+        flat = stacks.flat
+        return numbers | {
+            f"share of ones of bit {bit} of {flat.label}": float(x)
+            for bit, x in enumerate(flat.bits)
+        }
+
+
+@observable
+class DarkEvents(Observable[FrameView]):
+    """Roots of the number of bright and dark events of the dark, and the height of the
+    highest.
+    """
+
+    name = "dark-events"
+    order = 9
+    title = "Bright and dark events of the dark frames"
+    cause = "EBI, ion feedback, cosmic rays, or clock-induced charge"
+    least_sd = 0.5
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        dark, sd = stacks.dark, stacks.dark.robust_sd
+        numbers = {}
+        for limit in FRAMES.event_sd:
+            for sign, name in ((1.0, "bright"), (-1.0, "dark")):
+                hit = sign * dark.change > limit * sd
+                numbers[f"root of {name} events above {limit:g} sd of {dark.label}"] = float(
+                    np.sqrt(np.sum(hit) + 0.375)
+                )
+        numbers[f"ln height of the highest events of {dark.label}"] = log(
+            highest(dark.change, FRAMES.highest_events) / sd
+        )
+        return numbers
+
+
+@observable
+class TimeCourse(Observable[FrameView]):
+    """Correlations of frames, and of fields of interlaced video, with each other, and
+    changes in time.
+
+    Correlations are those of successive ones and the largest of any two, without pulses: a few of
+    them would rule.
+    """
+
+    name = "time"
+    order = 13
+    title = "Correlation of frames and fields with each other, and drift"
+    cause = "image lag, repeated or averaged frames, or drift of lamp or gain"
+
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
+        """Return them by label."""
+        dark = stacks.dark
+        numbers = {}
+        for stack in (dark, stacks.flat):
+            limit = FRAMES.event_sd[0] * stack.robust_sd
+            change = np.clip(stack.change, -limit, limit)
+            numbers |= correlations_of(
+                change, (1, 2), f"{'dark ' if stack is dark else ''}frames of {stack.label}"
+            )
+            if stack.interlaced:
+                count, rows, cols = change.shape
+                fields = (
+                    change[:, : rows - rows % 2].reshape(count, rows // 2, 2, cols).swapaxes(1, 2)
+                )
+                numbers |= correlations_of(
+                    fields.reshape(2 * count, rows // 2, cols), (1,), f"fields of {stack.label}"
+                )
+            means = stack.change.mean(axis=(1, 2))
+            at = np.arange(len(means)) - (len(means) - 1) / 2.0
+            numbers[f"drift of {stack.label}, DN a frame"] = float(at @ means / (at @ at))
+            variances = np.log(np.maximum(change.var(axis=(1, 2)), 1e-12))
+            numbers[f"range of the variances of frames of {stack.label}"] = cube_root(
+                float(np.ptp(variances))
+            )
+        return numbers
