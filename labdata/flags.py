@@ -1,12 +1,10 @@
-"""The closed vocabulary of flags, and a finding: a flag with the size of its effect and what
-settles it.
+"""The closed vocabulary of flags.
 
 A flag is evidence in the data at hand that a number may be off by more than its interval. What is
 merely unknown widens the interval or is a note.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 FLAGS: dict[str, str] = {
     "correlated-noise": "Noise is correlated between pixels; this method assumes white noise.",
@@ -49,24 +47,6 @@ FLAGS: dict[str, str] = {
     "uncalibrated": "The noise of a camera is unknown; it was estimated from the frame itself.",
     "unregistered": "The bands are shifted against each other.",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """What a check found in the data."""
-
-    flag: str  #: A key of `FLAGS`
-    effect: str  #: Size of the effect, with quantity and unit: "MTF50 may be up to 1.3 % high"
-    #: Setting, frames or description that removes it: "`black_dn`, or darks in the session"
-    remedy: str
-
-    def __post_init__(self) -> None:
-        order_flags((self.flag,))
-
-    @property
-    def note(self) -> str:
-        """The finding as one line of text."""
-        return f"{self.flag}: {self.effect}; what settles it: {self.remedy}"
 
 
 def order_flags(flags: Iterable[str]) -> tuple[str, ...]:

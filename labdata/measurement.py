@@ -122,9 +122,7 @@ class Measurement:
         if self.status != "refused" and (self.status == "ok") == bool(self.flags):
             raise ValueError(f"{self.quantity} is {self.status} with flags {self.flags}")
 
-    def with_(
-        self, *, findings: Iterable[vocabulary.Finding] = (), **changes: Any
-    ) -> "Measurement":
+    def with_(self, *, findings: Iterable[Any] = (), **changes: Any) -> "Measurement":
         """Return a copy with fields changed; flags and findings are added and change the status to
         suspect.
         """

@@ -9,8 +9,8 @@ import numpy as np
 from charact.estimators.noise.findings import AUTOMATIC, step_finding
 from charact.fitting.observation import Observation, has_automatic_gain
 from charact.fitting.prior import Camera
+from charact.verdict import Finding
 from labdata.errors import BadInput
-from labdata.flags import Finding
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Result
 from labdata.session import Session

@@ -20,8 +20,8 @@ from charact.estimators.noise.findings import (
 )
 from charact.observables import Stacks, Values, observables
 from charact.observables.photon_transfer import PhotonTransfer
+from charact.verdict import Finding
 from labdata.conditions import Conditions
-from labdata.flags import Finding
 from labdata.measurement import Measurement, Result
 
 Array = NDArray[np.float64]

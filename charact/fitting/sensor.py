@@ -30,10 +30,10 @@ from charact.fitting.stack_levels import dark_rise_dn_per_s, levels_of, note_on_
 from charact.fitting.thresholds import LIMITS, SAMPLING
 from charact.fitting.tube_observations import tube_observations
 from charact.observables import Values
+from charact.verdict import Finding
 from labdata.camera.description import Camera
 from labdata.camera.parameters import Draws, Parameter
 from labdata.errors import BadInput
-from labdata.flags import Finding
 from labdata.measurement import Posterior, Result
 from labdata.session import Session
 

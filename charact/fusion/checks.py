@@ -9,8 +9,8 @@ from charact.fusion.bands import Image, Plane
 from charact.fusion.pyramid import decompose, map_samples
 from charact.fusion.registration import Residual, residual_shift
 from charact.fusion.thresholds import FUSION
+from charact.verdict import Finding
 from labdata.errors import BadInput
-from labdata.flags import Finding
 
 
 def find_problems(

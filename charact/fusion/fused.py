@@ -19,7 +19,7 @@ from charact.fusion.pyramid import (
     variance_of,
 )
 from charact.fusion.thresholds import FUSION
-from labdata.flags import Finding
+from charact.verdict import Finding
 from labdata.measurement import Measurement, Provenance, Result, make_measurement
 
 # Bits of a pixel's mark.

@@ -21,7 +21,7 @@ from charact.estimators.noise.findings import (
     Cause,
 )
 from charact.validation.thresholds import VALIDATION
-from labdata.flags import Finding
+from charact.verdict import Finding
 
 if TYPE_CHECKING:
     from charact.validation.validation_result import Statistic

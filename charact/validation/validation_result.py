@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.validation.likely_causes import likely_causes
+from charact.verdict import Finding
 from labdata.errors import BadInput
-from labdata.flags import Finding
 from labdata.frames import read_only
 
 NUMBERS, PICTURES = "validation.json", "validation.npz"

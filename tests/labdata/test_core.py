@@ -24,7 +24,7 @@ from labdata import (
     measurement_from_sd,
 )
 from labdata.camera.parameters import Parameter
-from labdata.flags import FLAGS, Finding, order_flags
+from labdata.flags import FLAGS, order_flags
 from labdata.quantity import QUANTITIES, convert_frequency
 
 
@@ -147,19 +147,6 @@ def test_a_number_without_flags_is_ok_and_with_flags_suspect():
         .status
         == "suspect"
     )
-
-
-def test_a_finding_makes_a_number_suspect_and_says_its_effect_and_remedy():
-    number = make_measurement("mtf50", "cy/px", 0.2, None, None, method="m", notes=("first",))
-    found = Finding(flag="gamma", effect="MTF50 may be up to 1.3 % high", remedy="`black_dn` 0")
-    suspect = number.with_(findings=(found,))
-    assert (suspect.status, suspect.flags) == ("suspect", ("gamma",))
-    assert suspect.notes == (
-        "first",
-        "gamma: MTF50 may be up to 1.3 % high; what settles it: `black_dn` 0",
-    )
-    with pytest.raises(ValueError, match="must be one of"):
-        Finding(flag="odd", effect="", remedy="")
 
 
 def test_a_refusal_has_a_reason_and_no_number():

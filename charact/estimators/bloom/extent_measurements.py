@@ -15,8 +15,8 @@ from charact.estimators.bloom.series_consistency import check_consistency
 from charact.estimators.bloom.smear import smear_measurement
 from charact.estimators.bloom.source_view import SECTORS
 from charact.method import Context
+from charact.verdict import Finding
 from labdata.camera.description import Camera, has_tube
-from labdata.flags import Finding
 from labdata.measurement import (
     Interval,
     Measurement,

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from charact import verdict
 from charact.estimators.noise.thresholds import SWEEP
 from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2, step_of_codes
 from charact.method import Context
-from labdata import flags
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Provenance
 from labdata.session import Session
@@ -30,7 +30,7 @@ class Finding(NamedTuple):
 
 def with_remedy(flag: str, effect: str, remedy: str) -> Finding:
     """Return a finding of a flag whose note names the effect and what settles it."""
-    return Finding(flag, flags.Finding(flag=flag, effect=effect, remedy=remedy).note)
+    return Finding(flag, verdict.Finding(flag=flag, effect=effect, remedy=remedy).note)
 
 
 def flags_of(findings: Sequence[Finding]) -> tuple[str, ...]:
@@ -75,9 +75,9 @@ class Cause:
     stage: str
     remedy: str
 
-    def finding(self, flag: str, evidence: str) -> flags.Finding:
+    def finding(self, flag: str, evidence: str) -> verdict.Finding:
         """Return the finding of a flag by what was seen."""
-        return flags.Finding(flag=flag, effect=f"{self.stage}: {evidence}", remedy=self.remedy)
+        return verdict.Finding(flag=flag, effect=f"{self.stage}: {evidence}", remedy=self.remedy)
 
 
 AVERAGED = Cause(
@@ -133,7 +133,7 @@ def flags_of_rounding(variance_dn2: float) -> tuple[str, ...]:
     return ("quantised",) if variance_dn2 < QUANTISED_DN2 else ()
 
 
-def step_finding(session: Session) -> flags.Finding | None:
+def step_finding(session: Session) -> verdict.Finding | None:
     """Return the finding of darks and flats whose grey values are multiples of a step that adds to
     their noise.
 

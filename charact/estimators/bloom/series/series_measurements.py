@@ -15,7 +15,7 @@ from charact.estimators.bloom.transfer import onto_nodes
 from charact.frames.robust import robust_sd
 from charact.inference.diagnostics import crowds_at_bound
 from charact.transfer import spreads
-from labdata.flags import Finding
+from charact.verdict import Finding
 from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]

@@ -43,8 +43,8 @@ from charact.estimators.mtf.bars.thresholds import LIMITS
 from charact.frames.stack import Stack
 from charact.method import Context
 from charact.transfer.cores import ON_BARS
+from charact.verdict import Finding
 from labdata.camera.description import has_tube
-from labdata.flags import Finding
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior
 

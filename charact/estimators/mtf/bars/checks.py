@@ -20,7 +20,7 @@ from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS as MTF_LIMITS
 from charact.frames.stack import Stack
 from charact.method import Context
-from labdata.flags import Finding
+from charact.verdict import Finding
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]

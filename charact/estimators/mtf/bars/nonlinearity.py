@@ -15,7 +15,7 @@ from charact.estimators.mtf.nonlinearity import (
     curvatures,
 )
 from charact.inference.least_squares import Linearisation, least_squares, linearise_residual
-from labdata.flags import Finding
+from charact.verdict import Finding
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]

@@ -22,7 +22,8 @@ from charact.estimators.mtf.thresholds import LIMITS
 from charact.frames.robust import median
 from charact.frames.stack import Stack
 from charact.method import Context
-from labdata.flags import FLAGS, Finding
+from charact.verdict import Finding
+from labdata.flags import FLAGS
 
 Array = NDArray[np.float64]
 

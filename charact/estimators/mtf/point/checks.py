@@ -25,7 +25,7 @@ from charact.estimators.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.estimators.mtf.point.source_window import Window
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, pictures
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
-from labdata.flags import Finding
+from charact.verdict import Finding
 from labdata.measurement import Measurement
 
 Array = NDArray[np.float64]

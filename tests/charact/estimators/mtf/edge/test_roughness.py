@@ -62,14 +62,3 @@ def test_straight_edges_are_straight(scene, seed):
         for n in range(3)
     ]
     assert not any(one.moves and one.mtf_loss(scene.truth_mtf50) > 1e-4 for one in found), found
-
-
-def test_a_scene_without_roughness_or_a_floor_draws_as_it_did():
-    """The course is drawn before all noise, and only where there is one."""
-    plain = EdgeScene(rows=20, cols=20).frames_drawn(np.random.default_rng(5)).data
-    noise = np.random.default_rng(5)
-    smooth = replace(ROUGH, rows=20, cols=20, roughness_px=0.0)
-    assert np.array_equal(
-        plain, EdgeScene(rows=20, cols=20, roughness_length_px=9.0).frames_drawn(noise).data
-    )
-    assert np.array_equal(smooth.light(), smooth.light(course_px=0.0))

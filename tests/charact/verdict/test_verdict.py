@@ -1,0 +1,79 @@
+"""Laws of the rule from findings and interval to status."""
+
+from itertools import permutations
+
+import pytest
+
+from charact.verdict import Finding, judge
+from labdata.measurement import make_measurement, make_refusal
+
+# 95 % limits at .02 below and .04 above the value, 68 % limits at half of it.
+NUMBER = make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.22), (0.18, 0.24), method="m")
+UNBOUNDED = Finding(flag="clipped", effect="the plateaus are lost", remedy="less light")
+
+
+def bounded(flag: str, bound: float, sign: int = 0) -> Finding:
+    return Finding(flag=flag, effect=f"a {flag}", remedy="more frames", bound=bound, sign=sign)
+
+
+@pytest.mark.parametrize(
+    ("findings", "moves", "held"),
+    [
+        ((bounded("drift", 0.0),), (0.0, 0.0), "at most 0 cy/px, within the interval"),
+        ((bounded("drift", 0.019),), (0.0, 0.0), "at most 0.019 cy/px, within the interval"),
+        ((bounded("drift", 0.03),), (0.03, 0.0), "at most 0.03 cy/px, by which the interval"),
+        ((bounded("drift", 0.05),), (0.05, 0.05), "at most 0.05 cy/px, by which the interval"),
+        ((bounded("drift", 0.05, 1),), (0.05, 0.0), "at most 0.05 cy/px too high, by which"),
+        ((bounded("drift", 0.03, -1),), (0.0, 0.0), "at most 0.03 cy/px too low, within"),
+        # Bounds of one side add: alone each lies within the interval.
+        ((bounded("drift", 0.015), bounded("gamma", 0.01, 1)), (0.025, 0.0), "by which"),
+        ((bounded("drift", 0.015, 1), bounded("gamma", 0.03, -1)), (0.0, 0.0), "within"),
+    ],
+)
+def test_bounded_findings_leave_a_number_ok_in_an_interval_that_holds_them(findings, moves, held):
+    judged = judge(NUMBER, findings)
+    assert (judged.status, judged.flags, judged.value) == ("ok", (), NUMBER.value)
+    assert (*judged.interval95, *judged.interval68) == pytest.approx(
+        (0.18 - moves[0], 0.24 + moves[1], 0.19 - moves[0], 0.22 + moves[1])
+    )
+    assert all(held in note and "more frames" in note for note in judged.notes)
+
+
+def test_a_number_is_suspect_by_what_no_interval_can_hold():
+    judged = judge(NUMBER.with_(notes=("first",)), (bounded("drift", 0.05), UNBOUNDED))
+    assert (judged.status, judged.flags) == ("suspect", ("clipped",))
+    assert judged.interval95 == pytest.approx((0.13, 0.29))
+    assert judged.notes[::2] == (
+        "first",
+        "clipped: the plateaus are lost; what settles it: less light",
+    )
+    bare = make_measurement("mtf50", "cy/px", 0.2, None, None, method="m")
+    assert [judge(bare, (bounded("drift", size),)).flags for size in (0.0, 1e-9)] == [
+        (),
+        ("drift",),
+    ]
+
+
+def test_a_refusal_stays_one_and_keeps_its_flags():
+    refusal = make_refusal("mtf50", "cy/px", "no edge was found", method="m")
+    judged = judge(refusal, (UNBOUNDED, bounded("drift", 0.01)))
+    assert (judged.status, judged.flags) == ("refused", ("drift", "clipped"))
+
+
+def test_neither_order_nor_repetition_of_findings_changes_the_verdict():
+    findings = (bounded("drift", 0.013), bounded("gamma", 0.009, 1), UNBOUNDED)
+    judged = judge(NUMBER, findings)
+    for order in permutations(findings):
+        other = judge(NUMBER, (*order, order[0]))
+        assert set(other.notes) == set(judged.notes)
+        assert other.with_(notes=()) == judged.with_(notes=())
+    assert judge(judged, findings) == judged
+    assert judge(NUMBER, ()) == NUMBER
+
+
+@pytest.mark.parametrize(
+    "fields", [{"flag": "odd"}, {"bound": -1.0}, {"bound": float("inf")}, {"sign": 2}]
+)
+def test_a_finding_has_a_known_flag_and_a_finite_bound(fields):
+    with pytest.raises(ValueError, match=r"odd|bound|sign"):
+        Finding(**{"flag": "drift", "effect": "", "remedy": "", **fields})
