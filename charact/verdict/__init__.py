@@ -6,9 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import fsum, isfinite
 
-from labdata.flags import order_flags
-from labdata.measurement import Interval, Measurement, Status
+import numpy as np
+from numpy.typing import NDArray
 
+from labdata.flags import order_flags
+from labdata.measurement import Curve, Interval, Measurement, Status
+
+Array = NDArray[np.float64]
+
+GOLDEN_RATIO = 0.5 + 0.5 * 5.0**0.5
 SETTLES, AT_MOST = "; what settles it: ", ": at most "
 
 
@@ -95,6 +101,37 @@ def judge(measurement: Measurement, findings: Iterable[Finding]) -> Measurement:
 def _wider(interval: Interval, moves: list[float]) -> Interval:
     """Return an interval whose lower and upper limit are moved outwards."""
     return interval[0] - moves[0], interval[1] + moves[1]
+
+
+def widen_curve(curve: Curve, below: Array, above: Array) -> Curve:
+    """Return a curve whose intervals and draws hold bounded effects, by the rule of `judge` at each
+    frequency.
+
+    Parameters
+    ----------
+    below, above
+        Sums of the bounds that move the lower and the upper limits, shape (n,).
+
+    Notes
+    -----
+    What combines curves takes their draws: those get one effect each, spread evenly over the bound
+    (JCGM 100, 4.3.7), the same at all frequencies.
+    """
+    if curve.interval95 is None or curve.interval68 is None:
+        return curve
+    distances = np.abs(curve.interval95 - curve.value)
+    moves = np.where(np.stack([below, above]) > distances, [below, above], 0.0)
+    outwards, draws = np.array([[-1.0], [1.0]]) * moves, curve.draws
+    if draws is not None and moves.any():
+        # Multiples of the golden ratio are spread evenly, whatever the order of the draws.
+        place = 2.0 * ((np.arange(1, len(draws) + 1) * GOLDEN_RATIO) % 1.0)[:, None] - 1.0
+        draws = draws + np.where(place < 0.0, place * moves[0], place * moves[1])
+    return replace(
+        curve,
+        interval68=curve.interval68 + outwards,
+        interval95=curve.interval95 + outwards,
+        draws=draws,
+    )
 
 
 def _note(finding: Finding, unit: str, moves: list[float]) -> str:

@@ -140,7 +140,6 @@ def test_a_number_without_flags_is_ok_and_with_flags_suspect():
         "mtf50", "cy/px", 0.2, None, None, method="m", flags=("lag", "agc", "lag")
     )
     assert (suspect.status, suspect.flags) == ("suspect", ("lag", "agc"))
-    assert suspect.with_(flags=("drift",)).flags == ("lag", "agc", "drift")
     assert (
         make_measurement("mtf50", "cy/px", 0.2, None, None, method="m")
         .with_(flags=("drift",))

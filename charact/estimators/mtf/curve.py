@@ -71,22 +71,21 @@ def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
 
 def mtf_measurements(
     mtf: Callable[[Array], Array],
-    common: dict[str, Any] | Callable[[Array], dict[str, Any]],
+    common: dict[str, Any],
     *,
     posterior: Posterior,
     doubt: Callable[[Array], Array] | None = None,
     finish: Callable[[Measurement, Array], Measurement] | None = None,
     names: tuple[str, ...] = ("mtf50", "mtf10", "mtf"),
-) -> tuple[list[Measurement], Curve, Array, dict[str, Any]]:
-    """Return MTF50, MTF10 and the MTF at pinned frequencies, its curve, the draws of MTF50, and the
-    shared fields.
+) -> tuple[list[Measurement], Curve, Array]:
+    """Return MTF50, MTF10 and the MTF at pinned frequencies, its curve, and the draws of MTF50.
 
     Parameters
     ----------
     mtf
         From frequencies, cy/px, to drawn MTFs, shape (f,) -> (draw, f).
     common
-        Fields that all measurements share, or a function that makes them from the draws of MTF50.
+        Fields that all measurements share.
     posterior
         Recorded with the crossing frequencies.
     doubt
@@ -117,7 +116,6 @@ def mtf_measurements(
         return np.where(falls, crossing_frequency(bracket, mtf(bracket), level), np.nan)
 
     halves = crossings(LEVELS["mtf50"])
-    shared = common(halves) if callable(common) else common
 
     measurements: list[Measurement] = []
     for name in names:
@@ -125,13 +123,13 @@ def mtf_measurements(
             draws_of_level = halves if name == "mtf50" else crossings(LEVELS[name])
             pairs = [
                 (
-                    _crossing_measurement(name, draws_of_level, posterior, shared),
+                    _crossing_measurement(name, draws_of_level, posterior, common),
                     draws_of_level[np.isfinite(draws_of_level)],
                 )
             ]
         else:
             pairs = [
-                (measurement_from_draws(name, "1", at, frequency_cy_per_px=float(f), **shared), at)
+                (measurement_from_draws(name, "1", at, frequency_cy_per_px=float(f), **common), at)
                 for f, at in zip(PINNED, pinned.T, strict=True)
             ]
         finished = [
@@ -144,7 +142,7 @@ def mtf_measurements(
             )
             for measurement in finished
         ]
-    return measurements, curve_of(REPORTED, reported), halves, shared
+    return measurements, curve_of(REPORTED, reported), halves
 
 
 def crossing_measurement(

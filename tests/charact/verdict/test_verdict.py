@@ -1,11 +1,13 @@
 """Laws of the rule from findings and interval to status."""
 
+import dataclasses
 from itertools import permutations
 
+import numpy as np
 import pytest
 
-from charact.verdict import Finding, judge
-from labdata.measurement import make_measurement, make_refusal
+from charact.verdict import Finding, judge, widen_curve
+from labdata.measurement import Curve, make_measurement, make_refusal
 
 # 95 % limits at .02 below and .04 above the value, 68 % limits at half of it.
 NUMBER = make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.22), (0.18, 0.24), method="m")
@@ -47,7 +49,7 @@ def test_a_number_is_suspect_by_what_no_interval_can_hold():
         "first",
         "clipped: the plateaus are lost; what settles it: less light",
     )
-    bare = make_measurement("mtf50", "cy/px", 0.2, None, None, method="m")
+    bare = dataclasses.replace(NUMBER, interval68=None, interval95=None)
     assert [judge(bare, (bounded("drift", size),)).flags for size in (0.0, 1e-9)] == [
         (),
         ("drift",),
@@ -69,6 +71,21 @@ def test_neither_order_nor_repetition_of_findings_changes_the_verdict():
         assert other.with_(notes=()) == judged.with_(notes=())
     assert judge(judged, findings) == judged
     assert judge(NUMBER, ()) == NUMBER
+
+
+def test_a_curve_is_widened_where_its_interval_does_not_hold_the_bound():
+    # Draws by the standard deviation of an even spread, bound / sqrt(3).
+    limits, draws = np.array([[0.4, 0.4], [0.6, 0.6]]), np.full((4000, 2), 0.5)
+    curve = Curve(
+        frequency_cy_per_px=np.array([0.1, 0.2]),
+        value=np.full(2, 0.5),
+        interval68=limits,
+        interval95=limits,
+        draws=draws,
+    )
+    wider = widen_curve(curve, np.array([0.05, 0.2]), np.array([0.0, 0.2]))
+    assert wider.interval95 == pytest.approx(np.array([[0.4, 0.2], [0.6, 0.8]]))
+    assert wider.draws.std(axis=0) == pytest.approx([0.0, 0.2 / np.sqrt(3.0)], rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,16 @@
-"""Checks of edges: flags, the size of their effect on MTF50, and their remedies."""
+"""Checks of edges: what they find, the largest effect on the MTF, and its remedy."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.edge.nonlinearity import (
-    NO_CURVATURE_ESTIMATE,
-    CurvatureEstimate,
-    max_bias_of,
-)
+from charact.estimators.mtf.curve import FINE, LEVELS, crossing_frequency
 from charact.estimators.mtf.edge.pixels.line import field_displacement, is_significant
 from charact.estimators.mtf.edge.pixels.plateau_noise import noise_flags
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
-from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
+from charact.estimators.mtf.edge.pixels.profile import DEFECT_SD, EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.estimators.mtf.target_motion import TargetMotion
@@ -24,6 +20,7 @@ from charact.frames.stack import Stack
 from charact.method import Context
 from charact.verdict import Finding
 from labdata.flags import FLAGS
+from labdata.measurement import Measurement
 
 Array = NDArray[np.float64]
 
@@ -48,55 +45,172 @@ class FittedProfile:
     free: int
 
 
-def edge_flags(
-    edge: PreparedEdge, half: float, context: Context, least_loss: float
-) -> Iterator[str]:
-    """Yield the flags that every method gives an edge.
+@dataclass(frozen=True, kw_only=True)
+class EdgeFinding:
+    """A finding of an edge, before it is one of a quantity.
+
+    Parameters
+    ----------
+    flag, effect, sign
+        As of `Finding`.
+    undo
+        From frequencies, cy/px, and the MTF, shape (f,), to the MTF without the largest effect;
+        None: the effect is unbounded.
+    """
+
+    flag: str
+    effect: str
+    undo: Callable[[Array, Array], Array] | None = None
+    sign: int = 0
+
+    def finding_of(self, measurement: Measurement, modulus: Array) -> Finding:
+        """Return the finding of MTF50, MTF10 or an MTF; `modulus`: the MTF at `FINE`."""
+        bound = None
+        if self.undo is not None and measurement.value is not None:
+            both, level = np.stack([modulus, self.undo(FINE, modulus)]), measurement.quantity
+            before, after = (
+                crossing_frequency(FINE, both, LEVELS[level])
+                if level in LEVELS
+                else [
+                    np.interp(measurement.frequency_cy_per_px or 0.0, FINE, line) for line in both
+                ]
+            )
+            change = measurement.value * abs(after / max(before, 1e-12) - 1.0)
+            bound = float(change) if np.isfinite(change) else None
+        return Finding(
+            flag=self.flag,
+            effect=self.effect,
+            remedy=REMEDIES[self.flag],
+            bound=bound,
+            sign=self.sign,
+        )
+
+
+def stretched(fraction: float) -> Callable[[Array, Array], Array]:
+    """Return what makes an MTF one whose frequencies are higher by a fraction."""
+    return lambda frequency, modulus: np.interp(frequency / (1.0 + fraction), frequency, modulus)
+
+
+def unblurred(rms_px: float) -> Callable[[Array, Array], Array]:
+    """Return what takes a blur by displacements off an MTF; infinite where none is left.
+
+    Displacements t of any distribution lower the MTF by at most |E exp(2 pi i f t)| >= 1 - 2 (pi f
+    s)^2, s their rms, as cos x >= 1 - x^2 / 2.
+    """
+
+    def undo(frequency: Array, modulus: Array) -> Array:
+        loss = 2.0 * (np.pi * frequency * THRESHOLDS.max_rms_ratio * rms_px) ** 2
+        return np.where(loss < 1.0, modulus / np.maximum(1.0 - loss, 1e-12), np.inf)
+
+    return undo
+
+
+def edge_findings(
+    edge: PreparedEdge, half: float, context: Context, relative_sd: float, least_loss: float
+) -> Iterator[EdgeFinding]:
+    """Yield the findings of an edge by every method.
 
     Parameters
     ----------
     half
         MTF50, cy/px; NaN: unknown.
+    relative_sd
+        Relative standard uncertainty of MTF50.
     least_loss
-        Relative loss of MTF50 by motion or roughness from which on it is flagged; infinite: none
-        is.
+        Relative loss of MTF50 by motion from which on the noise on the slopes is no test.
     """
     picture, profile = edge.picture, edge.profile
     if Stack.of(edge.frames, context).is_clipped():
-        yield "clipped"
-    if abs(edge.rows.line.slope) * picture.value.shape[0] < THRESHOLDS.min_travel_px:
-        yield "tilt-too-small"
-    if _has_bow(edge.rows.offset):
-        yield "curved-edge"
+        yield EdgeFinding(flag="clipped", effect=_clipping(edge))
+    travel_px = abs(edge.rows.line.slope) * picture.value.shape[0]
+    if travel_px < THRESHOLDS.min_travel_px:
+        effect = (
+            f"the edge crosses {travel_px:.1f} pixels along its length: gaps between them are not "
+            f"sampled"
+        )
+        yield EdgeFinding(flag="tilt-too-small", effect=effect)
+    rough, bow_px = edge.roughness, bow_of(edge.rows.offset)
+    if rough.moves or bow_px > 0.0:
+        rms_px = max(rough.rms_px if rough.moves else 0.0, bow_px)
+        effect = f"the edge deviates from a straight line by {rms_px:.2g} px rms beyond the noise"
+        yield EdgeFinding(flag="curved-edge", effect=effect, undo=unblurred(rms_px), sign=-1)
     if is_significant(displacement_of_fields(edge)):
-        yield "interlace-motion"
+        yield plain("interlace-motion")
     if profile.defects:
-        yield "defects"
+        yield _defects(profile, relative_sd)
     noise = profile.noise
     # Neither noise that grows with the light nor an unknown black level contradicts a line.
     if (
         picture.frames > 1
         or profile.black is not None
         or noise.bright_variance < noise.dark_variance
-    ):
-        yield from noise_flags(edge.noise_growth)
-    yield from edge.flags
-    processed = noise_gain_of(picture, profile) > 1.0 or overshoot_of(profile, half) > 0.0
-    if processed:
-        yield "processed"
-    still = picture.frames < 2
-    moves, rough = (
-        motion.moves and np.isfinite(least_loss) and not motion.mtf_loss(half) < least_loss
-        for motion in (TargetMotion() if still else edge.target_motion, edge.roughness)
-    )
-    if moves:
-        yield "drift"
-    if rough:
-        yield "curved-edge"
+    ) and noise_flags(edge.noise_growth):
+        yield plain("gamma")
+    yield from map(plain, edge.flags)
+    gain, overshoot = noise_gain_of(picture, profile), overshoot_of(profile, half)
+    if gain > 1.0 or overshoot > 0.0:
+        effect = (
+            f"sharpened: overshoot of {100.0 * overshoot:.1f} % of the step, and noise is "
+            f"{100.0 * (gain - 1.0):.0f} % larger; MTF50 is that of the processed image and may "
+            "exceed the camera's by as many percent"
+        )
+        yield EdgeFinding(flag="processed", effect=effect)
+    motion = TargetMotion() if picture.frames < 2 else edge.target_motion
+    if motion.moves:
+        effect = f"the edge moves by {motion.rms_px:.2g} px rms"
+        yield EdgeFinding(flag="drift", effect=effect, undo=unblurred(motion.rms_px), sign=-1)
     # An edge that moves far leaves more on its slopes than rows that move in one piece.
+    still = not motion.moves or motion.mtf_loss(half) < least_loss
     several = picture.frames >= LIMITS.min_smoothing_frames
-    if several and not (moves or processed) and edge.slope_noise.is_smoothed:
-        yield "processed"
+    if several and still and not (gain > 1.0 or overshoot > 0.0) and edge.slope_noise.is_smoothed:
+        effect = (
+            f"noise on the edge is {edge.slope_noise.ratio:.1f} times that of its plateaus: noise "
+            "reduction sparing edges may have sharpened or blurred this one"
+        )
+        yield EdgeFinding(flag="processed", effect=effect)
+
+
+def plain(flag: str) -> EdgeFinding:
+    """Return the unbounded finding of a flag whose effect is the same for every edge."""
+    return EdgeFinding(flag=flag, effect=PLAIN_EFFECTS[flag])
+
+
+def _clipping(edge: PreparedEdge) -> str:
+    data = edge.frames.data
+    percents = {float(end): 100.0 * float(np.mean(data == end)) for end in (data.max(), data.min())}
+    # The other end of the scale has a few pixels of noise.
+    ends = [
+        f"{percent:.0f} % of the pixels sit at {end:g} DN"
+        for end, percent in percents.items()
+        if percent >= 0.5
+    ]
+    piles = ", ".join(ends) or "less than 1 % of the pixels sit at an end of the scale"
+    return f"{piles}: the plateaus are lost, and MTF50 may be high by tens of percent"
+
+
+def _defects(profile: EdgeProfile, relative_sd: float) -> EdgeFinding:
+    """Return the finding of excluded pixels, as many of which may be undetected.
+
+    An undetected one is off by at most z standard deviations of the noise. As a measurement is a
+    weighted sum of n pixels, d of them at random places change it by z sqrt(d / n) of its own
+    standard deviations (rms); twice that is the bound. Where more of them lie on the slope than
+    chance puts there, what is excluded is the edge, and nothing is known.
+    """
+    gathered, noise = profile.gathered, max(profile.noise.mean_sd, 1e-12)
+    in_band = (gathered.distance >= gathered.borders[0]) & (
+        gathered.distance < gathered.borders[-1]
+    )
+    at_pixel = np.interp(gathered.distance, profile.distance, profile.value)
+    level = (at_pixel - profile.dark) / (profile.step or 1.0)
+    on_slope = in_band & (np.abs(level - 0.5) < 0.5 - ACCURACY.plateau_fraction)
+    pixels, excluded = np.count_nonzero(in_band), np.count_nonzero(on_slope & ~gathered.valid)
+    expected = profile.defects * np.count_nonzero(on_slope) / max(pixels, 1)
+    largest = max(DEFECT_SD, THRESHOLDS.min_defect * abs(profile.step) / noise)
+    fraction = 2.0 * largest * np.sqrt(profile.defects / max(pixels, 1)) * relative_sd
+    by_chance = excluded <= expected + THRESHOLDS.misfit_sd * np.sqrt(max(expected, 1.0))
+    effect = f"{profile.defects} of {pixels} pixels were excluded, and as many may be undetected"
+    undo = stretched(float(fraction)) if by_chance and np.isfinite(fraction) else None
+    return EdgeFinding(flag="defects", effect=effect, undo=undo)
 
 
 def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
@@ -109,8 +223,8 @@ def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
     )
 
 
-def _has_bow(offset: Array) -> bool:
-    """Return whether the rows' displacements follow a bow or a wave.
+def bow_of(offset: Array) -> float:
+    """Return the bow or wave that the rows' displacements follow, px rms; 0: none.
 
     The scatter of block means is estimated from rows, with the correlation of neighbouring rows
     (Geyer's initial positive sequence, Stat. Sci. 7, 473, 1992), and from differences of
@@ -118,7 +232,7 @@ def _has_bow(offset: Array) -> bool:
     """
     finite = np.isfinite(offset)
     if np.count_nonzero(finite) < 24:
-        return False
+        return 0.0
     rows, value = np.flatnonzero(finite), offset[finite]
     # The polynomials span exactly the valid rows: beyond them they would grow.
     design = np.polynomial.legendre.legvander(
@@ -145,29 +259,29 @@ def _has_bow(offset: Array) -> bool:
         * ACCURACY.bow_blocks
     )
     # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
-    shape, sd = coefficients[2:], error / ACCURACY.bow_blocks * np.sqrt([5.0, 7.0])
-    return bool(
-        np.any((np.abs(shape) > THRESHOLDS.bow_sd * sd) & (np.abs(shape) > THRESHOLDS.bow_px / 1.5))
-    )
+    shape, orders = np.abs(coefficients[2:]), np.array([5.0, 7.0])
+    sd = error / ACCURACY.bow_blocks * np.sqrt(orders)
+    is_bow = np.any((shape > THRESHOLDS.bow_sd * sd) & (shape > THRESHOLDS.bow_px / 1.5))
+    return float(np.sqrt(np.sum(shape**2 / orders))) if is_bow else 0.0
 
 
-def fit_flags(
+def fit_findings(
     picture: OrientedFrame, profile: EdgeProfile, fitted: FittedProfile, half_frequency: float
-) -> Iterator[str]:
-    """Yield the flags of a fitted profile."""
+) -> Iterator[EdgeFinding]:
+    """Yield the findings of a fitted profile."""
     step, slopes = abs(fitted.amplitude[0]), fitted.amplitude[-2:] @ profile.gradient_ways
     if fitted.chi2 / fitted.free > THRESHOLDS.max_reduced_chi2 + THRESHOLDS.misfit_sd * np.sqrt(
         2.0 / fitted.free
     ):
-        yield "model-misfit"
+        yield misfit_finding(profile, fitted)
     if np.abs(slopes).max() * 2.0 * profile.gathered.half_width_px > THRESHOLDS.max_gradient * step:
-        yield "gradient"
+        yield gradient_finding(profile)
     if step < THRESHOLDS.min_step_sd * profile.noise.mean_sd:
-        yield "low-signal"
+        yield low_signal_finding(profile)
     if noise_below_quantisation(picture, profile):
-        yield "quantised"
+        yield quantisation_finding(profile)
     if profile.gathered.half_width_px < 1.6 / half_frequency:
-        yield "window-too-small"
+        yield window_finding(profile)
     # Another step on the plateaus: a tenth of the edge's over several pixels.
     residual, weight = profile.value - fitted.model, profile.count
     cell = np.floor(profile.distance / 3.0).astype(int)
@@ -180,7 +294,61 @@ def fit_flags(
         / np.maximum(pixels, 1.0)
     )
     if np.any((means > 0.1 * step) & (means > THRESHOLDS.misfit_sd * error)):
-        yield "several-targets"
+        yield plain("several-targets")
+
+
+def misfit_finding(profile: EdgeProfile, fitted: FittedProfile) -> EdgeFinding:
+    """Return the finding of a blur model that the profile contradicts."""
+    misfit = float(np.abs(profile.value - fitted.model).max()) / _step_of(profile)
+    effect = f"the blur model deviates from the profile by up to {100.0 * misfit:.1f} % of the step"
+    return EdgeFinding(flag="model-misfit", effect=effect)
+
+
+def gradient_finding(profile: EdgeProfile) -> EdgeFinding:
+    """Return the finding of uneven illumination."""
+    step = _step_of(profile)
+    sides = [profile.value[side] for side in (profile.distance < 0, profile.distance > 0)]
+    changes = max(
+        float(np.ptp(levels[np.abs(levels - np.median(levels)) < 0.3 * step]))
+        for levels in sides
+        if levels.size
+    )
+    effect = (
+        f"the illumination changes by {100.0 * changes / step:.0f} % of the step over a side, as "
+        f"with glare"
+    )
+    return EdgeFinding(flag="gradient", effect=effect)
+
+
+def low_signal_finding(profile: EdgeProfile) -> EdgeFinding:
+    """Return the finding of a step that hardly exceeds the noise."""
+    ratio = _step_of(profile) / max(profile.noise.mean_sd, 1e-300)
+    effect = (
+        f"the step is {ratio:.1f} times the noise of a pixel: the limits of the interval are "
+        f"uncertain"
+    )
+    return EdgeFinding(flag="low-signal", effect=effect)
+
+
+def quantisation_finding(profile: EdgeProfile) -> EdgeFinding:
+    """Return the finding of plateaus that lie anywhere between two grey values."""
+    step = _step_of(profile)
+    effect = f"either plateau may be off by 0.5 DN, {50.0 / step:.2g} % of the step"
+    undo = stretched(THRESHOLDS.quantisation_bias_dn / step)
+    return EdgeFinding(flag="quantised", effect=effect, undo=undo)
+
+
+def window_finding(profile: EdgeProfile) -> EdgeFinding:
+    """Return the finding of a region that may hold less than the blur."""
+    effect = (
+        f"light beyond {profile.gathered.half_width_px:.0f} px from the edge is not included: "
+        f"MTF50 is high by its fraction"
+    )
+    return EdgeFinding(flag="window-too-small", effect=effect)
+
+
+def _step_of(profile: EdgeProfile) -> float:
+    return max(abs(profile.step), 1e-300)
 
 
 def noise_below_quantisation(picture: OrientedFrame, profile: EdgeProfile) -> bool:
@@ -281,127 +449,6 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
     return 1.0
 
 
-def findings_of(
-    flags: Iterable[str],
-    edge: PreparedEdge,
-    half: float,
-    response: CurvatureEstimate = NO_CURVATURE_ESTIMATE,
-    misfit: float = 0.0,
-) -> list[Finding]:
-    """Return the effect and the remedy of each flag that has one.
-
-    Parameters
-    ----------
-    half
-        MTF50, cy/px; NaN: not known.
-    response
-        Curvature of the camera response with its standard uncertainty.
-    misfit
-        Largest residual of the profile, fraction of the step.
-    """
-    return [
-        Finding(
-            flag=flag, effect=_effect(flag, edge, half, response, misfit), remedy=REMEDIES[flag]
-        )
-        for flag in flags
-        if flag in REMEDIES
-    ]
-
-
-def _effect(
-    flag: str, edge: PreparedEdge, half: float, response: CurvatureEstimate, misfit: float
-) -> str:
-    """Return what a flag means for this edge."""
-    profile = edge.profile
-    step = max(abs(profile.step), 1e-300)
-    match flag:
-        case "clipped":
-            data = edge.frames.data
-            shares = {
-                float(end): 100.0 * float(np.mean(data == end)) for end in (data.max(), data.min())
-            }
-            # The other end of the scale has a few pixels of noise.
-            ends = [
-                f"{percent:.0f} % of the pixels sit at {end:g} DN"
-                for end, percent in shares.items()
-                if percent >= 0.5
-            ]
-            piles = ", ".join(ends) or "less than 1 % of the pixels sit at an end of the scale"
-            return f"{piles}: the plateaus are lost, and MTF50 may be high by tens of percent"
-        case "gamma":
-            bias = 100.0 * max_bias_of(response, profile.contrast)
-            return f"a nonlinear camera response may bias MTF50 by up to {bias:.1f} %"
-        case "model-misfit":
-            return (
-                f"the blur model deviates from the profile by up to {100.0 * misfit:.1f} % of "
-                f"the step"
-            )
-        case "defects":
-            pixels = int(np.count_nonzero(profile.gathered.valid))
-            return (
-                f"{profile.defects} of {pixels} pixels were excluded; as many undetected ones may "
-                f"move MTF50 by {100.0 * profile.defects / max(pixels, 1):.2g} %"
-            )
-        case "gradient":
-            sides = [profile.value[side] for side in (profile.distance < 0, profile.distance > 0)]
-            changes = max(
-                float(np.ptp(levels[np.abs(levels - np.median(levels)) < 0.3 * step]))
-                for levels in sides
-                if levels.size
-            )
-            return (
-                f"the illumination changes by {100.0 * changes / step:.0f} % of the step over "
-                f"a side, as with glare"
-            )
-        case "low-signal":
-            ratio = step / max(profile.noise.mean_sd, 1e-300)
-            return (
-                f"the step is {ratio:.1f} times the noise of a pixel: the limits of the "
-                f"interval are uncertain"
-            )
-        case "quantised":
-            return (
-                f"either plateau may be off by 0.5 DN, {50.0 / step:.2g} % of the step, and "
-                f"MTF50 by about as much"
-            )
-        case "window-too-small":
-            half_width_px = profile.gathered.half_width_px
-            return (
-                f"light beyond {half_width_px:.0f} px from the edge is not included: MTF50 is "
-                f"high by its fraction"
-            )
-        case "drift":
-            motion = edge.target_motion
-            return (
-                f"the edge moves by {motion.rms_px:.2g} px rms: MTF50 is "
-                f"{100.0 * motion.mtf_loss(half):.2g} % low"
-            )
-        case "curved-edge":
-            rough = edge.roughness
-            loss = 100.0 * rough.mtf_loss(half)
-            return f"an edge roughness of {rough.rms_px:.2g} px rms lowers MTF50 by {loss:.2g} %"
-        case "processed":
-            over = overshoot_of(profile, half)
-            gain = noise_gain_of(edge.picture, profile)
-            if over > 0.0 or gain > 1.0:
-                return (
-                    f"sharpened: overshoot of {100.0 * over:.1f} % of the step, and noise is "
-                    f"{100.0 * (gain - 1.0):.0f} % larger; MTF50 is that of the processed image "
-                    "and may exceed the camera's by as many percent"
-                )
-            return (
-                f"noise on the edge is {edge.slope_noise.ratio:.1f} times that of its "
-                "plateaus: noise reduction sparing edges may have sharpened or blurred this one"
-            )
-        case "tilt-too-small":
-            travel = abs(edge.rows.line.slope) * edge.picture.value.shape[0]
-            return (
-                f"the edge crosses {travel:.1f} pixels along its length: gaps between them are "
-                f"not sampled"
-            )
-    return PLAIN_EFFECTS[flag]
-
-
 CHAIN = "the interval is the Laplace approximation and may be a third too narrow"
 PLAIN_EFFECTS: dict[str, str] = {
     "interlace-motion": "the two fields of the frame are displaced, which blurs their mean",
@@ -410,6 +457,7 @@ PLAIN_EFFECTS: dict[str, str] = {
         "two values fit the edge about equally well: the interval has both, its "
         "median may be neither"
     ),
+    "gamma": "noise that grows unlike the light speaks of a nonlinear camera response",
     "prior-bound": CHAIN,
     "not-converged": CHAIN,
 }

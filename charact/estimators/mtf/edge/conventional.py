@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 import charact
 from charact.estimators.mtf.curve import FINE, LEVELS, PINNED, REPORTED, crossing_frequency
-from charact.estimators.mtf.edge.checks import edge_flags, noise_below_quantisation
+from charact.estimators.mtf.edge.checks import (
+    edge_findings,
+    gradient_finding,
+    low_signal_finding,
+    noise_below_quantisation,
+    quantisation_finding,
+    window_finding,
+)
 from charact.estimators.mtf.edge.pixels.line import EdgeLine
 from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
 from charact.estimators.mtf.edge.result import edge_result, refuse_edge, shared_fields
@@ -105,14 +112,22 @@ def measure_conventionally(
         )
     estimated = estimate(edge.picture, edge.rows.line)
     half = float(crossing_frequency(estimated.frequency, estimated.values[:1], 0.5)[0])
-    flags = list(edge_flags(edge, half, context, THRESHOLDS.conventional_motion))
+    notes = (*estimated.notes, "Normalised to the light inside the region.")
+    provenance = Provenance(version=charact.__version__, settings=settings)
+    shared = shared_fields(method, edge, notes, provenance)
+    numbers = [
+        _crossing(estimated, quantity, level, bias_sd, shared) for quantity, level in LEVELS.items()
+    ]
+    low, high = numbers[0].interval68 or (-np.inf, np.inf)
+    relative_sd = (high - low) / (2.0 * 0.994458 * half)
+    findings = list(edge_findings(edge, half, context, relative_sd, THRESHOLDS.conventional_motion))
     if step < THRESHOLDS.conventional_min_snr * noise:
-        flags.append("low-signal")
+        findings.append(low_signal_finding(profile))
     if step < THRESHOLDS.coarse_step_dn and noise_below_quantisation(edge.picture, profile):
-        flags.append("quantised")
+        findings.append(quantisation_finding(profile))
     # What an estimator, unlike a fit, cannot allow for.
     if not np.isfinite(half) or profile.gathered.half_width_px < 2.5 / half:
-        flags.append("window-too-small")
+        findings.append(window_finding(profile))
     for side in (profile.distance < -8, profile.distance > 8):
         distance, value, count = (
             part[side] for part in (profile.distance, profile.value, profile.count)
@@ -120,13 +135,7 @@ def measure_conventionally(
         if distance.size >= 8:
             slope, _ = np.polyfit(distance, value, 1, w=np.sqrt(count))
             if abs(slope) * np.ptp(distance) > 0.025 * step:
-                flags.append("gradient")
-    notes = (*estimated.notes, "Normalised to the light inside the region.")
-    provenance = Provenance(version=charact.__version__, settings=settings)
-    shared = shared_fields(method, edge, flags, notes, provenance)
-    numbers = [
-        _crossing(estimated, quantity, level, bias_sd, shared) for quantity, level in LEVELS.items()
-    ]
+                findings.append(gradient_finding(profile))
     at = np.concatenate([PINNED, REPORTED])
     every = np.array([np.interp(at, estimated.frequency, modulus) for modulus in estimated.values])
     value, sd = every[0], jackknife_sd(every[1:])
@@ -139,7 +148,7 @@ def measure_conventionally(
     value, sd = value[len(PINNED) :], sd[len(PINNED) :]
     low, interval95 = (np.stack([value - k * sd, value + k * sd]) for k in (0.994458, 1.959964))
     curve = Curve(frequency_cy_per_px=REPORTED, value=value, interval68=low, interval95=interval95)
-    return edge_result(edge, numbers, curve, shared, half)
+    return edge_result(edge, numbers, curve, shared, findings)
 
 
 def _crossing(

@@ -25,52 +25,35 @@ NO_CURVATURE_ESTIMATE: CurvatureEstimate = (0.0, 1.0)
 STEEPENING, FLATTENING, EITHER_WAY = 0.18, 0.09, 0.1
 
 
-def response_flags(
-    response: CurvatureEstimate, contrast: float, relative_sd: float
-) -> tuple[str, ...]:
-    """Return `gamma` where the profile is asymmetric and may bias MTF50 by more than its standard
-    uncertainty.
-
-    A Gaussian edge through a power law above 1 stays nearly symmetric: at most its noise shows the
-    response.
-    """
-    curved = abs(response[0]) > max(THRESHOLDS.curvature, THRESHOLDS.curvature_sd * response[1])
-    return ("gamma",) if curved and max_bias_of(response, contrast) > relative_sd else ()
-
-
-def nonlinearity_notes(
+def response_bias(
     edge: PreparedEdge, response: CurvatureEstimate, relative_sd: float, context: Context
-) -> tuple[str, ...]:
-    """Return the note on a nonlinear response that would not show and that the intervals of MTF50
-    do not cover.
+) -> tuple[str, float, int] | None:
+    """Return what a nonlinear camera response may do to MTF50: what shows it, the largest relative
+    bias, and its sign; None: nothing.
 
-    A described camera's response, one measured to be linear, or one under which noise grows as
-    photons' does, is taken to be linear.
+    The profile of an edge shows a curvature c where it is asymmetric, of standard uncertainty s. It
+    biases ln MTF50 by at most contrast x rise x (|c| + 2 s). A Gaussian edge through a power law
+    above 1 stays nearly symmetric, which lifts MTF50 by up to 2 s x rise unseen; at contrast one by
+    no more than any power law does. The response of a described camera, one measured to be linear,
+    or one under which noise grows as photons' does, is taken to be linear.
     """
+    (curvature, error), contrast = response, edge.profile.contrast
+    if context.linear:
+        return None
+    if abs(curvature) > max(THRESHOLDS.curvature, THRESHOLDS.curvature_sd * error):
+        rise = (STEEPENING if curvature < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
+        shown = "the profile is asymmetric as by a nonlinear camera response"
+        return shown, contrast * rise * (abs(curvature) + 2.0 * error), 0
     linear = ln_bayes_factor_nonlinear(edge.noise_growth) < THRESHOLDS.linear_ln_bayes_factor
-    if has_tube(context.camera) or context.linear or linear or not np.isfinite(relative_sd):
-        return ()
-    contrast = edge.profile.contrast
-    bias = contrast * min(
-        2.0 * STEEPENING * response[1], THRESHOLDS.max_nonlinearity_bias * contrast
-    )
-    if bias < THRESHOLDS.undetected_bias_sd * relative_sd:
-        return ()
-    return (
-        "A curved response of the camera (a gamma) would not show on this edge: it may have "
-        f"lifted MTF50 by up to {100.0 * bias:.1f} %, more than the errors allow for. A described "
-        "camera, or its code at no light where noise is photons', would tell.",
-    )
-
-
-def max_bias_of(response: CurvatureEstimate, contrast: float) -> float:
-    """Return the fraction by which a nonlinear response may have moved MTF50: as estimated, or as
-    any may.
-    """
-    if response == NO_CURVATURE_ESTIMATE:
-        return THRESHOLDS.max_nonlinearity_bias * contrast**2
-    rise = (STEEPENING if response[0] < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
-    return contrast * rise * (abs(response[0]) + 2.0 * response[1])
+    bias = contrast * min(2.0 * STEEPENING * error, THRESHOLDS.max_nonlinearity_bias * contrast)
+    # What is smaller is part of the interval: the response is marginalised.
+    if (
+        has_tube(context.camera)
+        or linear
+        or not bias >= THRESHOLDS.undetected_bias_sd * relative_sd
+    ):
+        return None
+    return "a nonlinear camera response (a gamma) would not show on this edge", bias, 1
 
 
 def nonlinearity_bias(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.curve import FINE, crossing_frequency
+from charact.estimators.mtf.edge.checks import misfit_finding, window_finding
 from charact.estimators.mtf.edge.fit.edge_form import EdgeForm
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFit, EdgeFitter
 from charact.estimators.mtf.edge.fit.model_selection import (
@@ -158,7 +159,9 @@ def _average_models(edge: PreparedEdge, known: KnownTransfer, context: Context) 
         sum(model.weight for model in fits if _exceeds_window(model.fit))
         > THRESHOLDS.unresolved_glare_weight
     )
-    misfit = ("model-misfit",) if exceeds_model(fitter, best) else ()
+    fitted = fitter.fitted(best)
+    findings = [misfit_finding(fitter.profile, fitted)] if exceeds_model(fitter, best) else []
+    findings += [window_finding(fitter.profile)] if exceeds else []
     return _result(
         PARAMETRIC,
         fitter,
@@ -172,7 +175,7 @@ def _average_models(edge: PreparedEdge, known: KnownTransfer, context: Context) 
             f"Form of the point spread by evidence: {parts}.",
             window_normalisation_note(fitter.profile),
         ),
-        flags=(*misfit, *(("window-too-small",) if exceeds else ())),
+        findings=findings,
         doubt=known.doubt,
     )
 

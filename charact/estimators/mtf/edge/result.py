@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import charact
-from charact.estimators.mtf.curve import mtf_measurements
-from charact.estimators.mtf.edge.checks import FittedProfile, edge_flags, findings_of, fit_flags
-from charact.estimators.mtf.edge.nonlinearity import (
-    NO_CURVATURE_ESTIMATE,
-    CurvatureEstimate,
-    nonlinearity_notes,
-    response_flags,
+from charact.estimators.mtf.curve import FINE, mtf_measurements
+from charact.estimators.mtf.edge.checks import (
+    EdgeFinding,
+    FittedProfile,
+    edge_findings,
+    fit_findings,
+    plain,
+    stretched,
 )
+from charact.estimators.mtf.edge.nonlinearity import CurvatureEstimate, response_bias
 from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
 from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
@@ -25,6 +27,7 @@ from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.inference import has_several_peaks
 from charact.method import Context
+from charact.verdict import judge, widen_curve
 from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
 from labdata.measurement import (
@@ -95,7 +98,7 @@ def edge_result_of_fit(
     *,
     settings: dict,
     notes: tuple[str, ...] = (),
-    flags: tuple[str, ...] = (),
+    findings: Iterable[EdgeFinding] = (),
     doubt: Callable[[Array], Array] | None = None,
 ) -> Result:
     """Return measurements, curve and evidence of a fitted edge.
@@ -112,46 +115,39 @@ def edge_result_of_fit(
         From frequencies, cy/px, to drawn MTFs, shape (f,) -> (draw, f).
     settings
         What the result depends on besides seed and version.
-    notes, flags
+    notes, findings
         The method's own.
     doubt
         Relative standard uncertainty of the MTF by what the method takes as exactly known, shape
         (f,) -> (f,); None: nothing.
     """
-    profile, half = edge.profile, np.nan
-
-    def common(halves: Array) -> dict:
-        """Return what all measurements share, which depends on MTF50."""
-        nonlocal half
-        known = halves[np.isfinite(halves)]
-        half = float(np.median(known)) if known.size else np.nan
-        relative_sd = float(np.std(np.log(known))) if known.size else np.inf
-        black = {} if profile.black is None else {"black_dn": profile.black}
-        own_settings = {"quick": context.quick, **black, **settings}
-        all_flags = [
-            *edge_flags(edge, half, context, LIMITS.max_motion_sd * relative_sd),
-            *fit_flags(edge.picture, profile, fitted, half if half > 0 else 0.01),
-            *(() if context.linear else response_flags(response, profile.contrast, relative_sd)),
-            # Modes count where a quantity has them; a described camera's priors are meant to bound.
-            *(
-                set(posterior.flags)
-                - {"several-modes", *(("prior-bound",) if has_tube(context.camera) else ())}
-            ),
-            *flags,
-        ]
-        all_notes = (
-            *_notes(edge, context),
-            *nonlinearity_notes(edge, response, relative_sd, context),
-            *notes,
-        )
-        provenance = Provenance(
-            version=charact.__version__, seed=context.seed, settings=own_settings
-        )
-        return shared_fields(method, edge, all_flags, all_notes, provenance)
-
-    numbers, curve, _, shared = mtf_measurements(
-        mtf, common, posterior=posterior, doubt=doubt, finish=_finish
+    profile = edge.profile
+    black = {} if profile.black is None else {"black_dn": profile.black}
+    provenance = Provenance(
+        version=charact.__version__,
+        seed=context.seed,
+        settings={"quick": context.quick, **black, **settings},
     )
+    shared = shared_fields(method, edge, (*_notes(edge, context), *notes), provenance)
+    numbers, curve, halves = mtf_measurements(
+        mtf, shared, posterior=posterior, doubt=doubt, finish=_finish
+    )
+    known = halves[np.isfinite(halves)]
+    half = float(np.median(known)) if known.size else np.nan
+    relative_sd = float(np.std(np.log(known))) if known.size else np.inf
+    response_findings = [
+        EdgeFinding(flag="gamma", effect=shown, undo=stretched(-bias), sign=sign)
+        for shown, bias, sign in filter(None, [response_bias(edge, response, relative_sd, context)])
+    ]
+    # Modes count where a quantity has them; a described camera's priors are meant to bound.
+    harmless = {"several-modes", *(("prior-bound",) if has_tube(context.camera) else ())}
+    all_findings = [
+        *edge_findings(edge, half, context, relative_sd, LIMITS.max_motion_sd * relative_sd),
+        *fit_findings(edge.picture, profile, fitted, half if half > 0 else 0.01),
+        *response_findings,
+        *map(plain, sorted(set(posterior.flags) - harmless)),
+        *findings,
+    ]
     assert curve.interval68 is not None and curve.interval95 is not None, (
         "curves of draws have intervals"
     )
@@ -159,30 +155,20 @@ def edge_result_of_fit(
         curve.value, curve.interval68, curve.interval95, ACCURACY.modulus_margin
     )
     curve = replace(curve, interval95=interval95)
-    return edge_result(edge, numbers, curve, shared, half, fitted=fitted, response=response)
+    return edge_result(edge, numbers, curve, shared, all_findings, fitted=fitted)
 
 
 def shared_fields(
-    method: str,
-    edge: PreparedEdge,
-    flags: Iterable[str],
-    notes: Iterable[str],
-    provenance: Provenance,
+    method: str, edge: PreparedEdge, notes: Iterable[str], provenance: Provenance
 ) -> dict:
     """Return what all measurements of an edge share."""
-    rough, tilt = edge.roughness, float(np.rad2deg(edge.profile.angle_rad))
+    tilt = float(np.rad2deg(edge.profile.angle_rad))
     # Upright, the normal stands at -tilt to the columns; mirrored it is turned over, transposed
     # exchanged.
     tilt = tilt if edge.picture.mirrored else -tilt
-    course = (
-        [f"Edge roughness {rough.rms_px:.2g} px rms along the edge, beyond the noise."]
-        if rough.moves
-        else []
-    )
     return {
         "method": method,
-        "flags": tuple(dict.fromkeys(flags)),
-        "notes": (*edge.notes, *course, *notes),
+        "notes": (*edge.notes, *notes),
         "region": edge.where,
         # Direction of the edge's normal from the row direction, in [0, 180).
         "orientation_deg": (90.0 - tilt if edge.picture.transposed else tilt) % 180.0,
@@ -195,15 +181,12 @@ def edge_result(
     numbers: list[Measurement],
     curve: Curve,
     shared: dict,
-    half: float,
+    findings: Iterable[EdgeFinding],
     *,
     fitted: FittedProfile | None = None,
-    response: CurvatureEstimate = NO_CURVATURE_ESTIMATE,
 ) -> Result:
-    """Return measurements with the effects of their flags, the edge's tilt among them, the curve
-    and the profile.
-    """
-    profile, misfit = edge.profile, 0.0
+    """Return judged measurements, the edge's tilt among them, the curve and the profile."""
+    profile, findings = edge.profile, tuple(dict.fromkeys(findings))
     rows, spread = np.flatnonzero(np.isfinite(edge.rows.offset)), edge.rows.offset_sd
     if fitted is not None:
         spread *= np.sqrt(max(profile.noise.covariance_over_variance, 1.0))
@@ -226,7 +209,6 @@ def edge_result(
     if fitted is not None:
         angle = angle.with_(notes=())
         residual = profile.value - fitted.model
-        misfit = float(np.abs(residual).max()) / max(abs(profile.step), 1e-300)
         shown |= {
             "model_dn": fitted.model.tolist(),
             "residual_dn": residual.tolist(),
@@ -234,22 +216,46 @@ def edge_result(
             "degrees_of_freedom": fitted.free,
             "orientation_deg": shared["orientation_deg"],
         }
-    flags = dict.fromkeys(flag for measurement in numbers for flag in measurement.flags)
-    findings = {
-        finding.flag: finding for finding in findings_of(flags, edge, half, response, misfit)
-    }
+    modulus = _modulus_at_fine(curve)
+    # What has a bound concerns the MTF, not the tilt.
+    unbounded = [finding for finding in findings if finding.undo is None]
     return Result(
-        measurements=tuple(
-            measurement.with_(
-                findings=[findings[flag] for flag in measurement.flags if flag in findings]
-            )
-            if measurement.flags
-            else measurement
-            for measurement in (*numbers, angle)
+        measurements=(
+            *(judge(m, [f.finding_of(m, modulus) for f in findings]) for m in numbers),
+            judge(angle, [f.finding_of(angle, modulus) for f in unbounded]),
         ),
-        curves={"mtf": curve},
+        curves={"mtf": _widen(curve, modulus, findings)},
         evidence={"edge-spread": shown},
     )
+
+
+def _modulus_at_fine(curve: Curve) -> Array:
+    """Return a curve at `FINE`, beyond its end as a power of the frequency."""
+    frequency, value = curve.frequency_cy_per_px, np.maximum(curve.value, 1e-6)
+    before = int(np.searchsorted(frequency, 0.8 * frequency[-1]))
+    power = min(np.log(value[-1] / value[before]) / np.log(frequency[-1] / frequency[before]), 0.0)
+    beyond = np.maximum(FINE / frequency[-1], 1.0) ** power
+    return np.interp(FINE, frequency, value) * beyond
+
+
+def _widen(curve: Curve, modulus: Array, findings: Iterable[EdgeFinding]) -> Curve:
+    """Return a curve whose intervals and draws hold the bounded effects, as its numbers do."""
+    bounds = {
+        finding: np.minimum(np.abs(finding.undo(FINE, modulus) - modulus), 1.0)
+        for finding in findings
+        if finding.undo is not None
+    }
+    if not bounds:
+        return curve
+    sides = [
+        np.interp(
+            curve.frequency_cy_per_px,
+            FINE,
+            sum((bound for finding, bound in bounds.items() if finding.sign != sign), 0.0 * FINE),
+        )
+        for sign in (-1, 1)
+    ]
+    return widen_curve(curve, *sides)
 
 
 def _finish(measurement: Measurement, draws: Array) -> Measurement:
@@ -259,8 +265,7 @@ def _finish(measurement: Measurement, draws: Array) -> Measurement:
     A frequency is the most probable one under draws that are normal in ln f, the median times
     exp(-s^2), within the 68 % interval: errors of a frequency reach further up than down.
     """
-    several = has_several_peaks(draws[:, None])
-    flags = (*measurement.flags, "several-modes") if several else measurement.flags
+    findings = [plain("several-modes")] if has_several_peaks(draws[:, None]) else []
     if measurement.value is None or measurement.interval68 is None:
         return measurement
     is_frequency = measurement.quantity != "mtf"
@@ -271,11 +276,13 @@ def _finish(measurement: Measurement, draws: Array) -> Measurement:
     if is_frequency:
         deviation = 0.5 * np.log(high / max(low, 1e-6)) / 0.994458
         if not high - low < 2.0 * THRESHOLDS.max_relative_sd * value:
-            flags = (*flags, "low-signal")
+            effect = f"the 68 % interval is {50.0 * (high - low) / value:.0f} % wide to either side"
+            findings.append(
+                EdgeFinding(flag="low-signal", effect=effect + ": its limits are uncertain")
+            )
         value = float(max(value * np.exp(-(deviation**2)), low))
-    return replace(measurement, value=value, interval95=(float(low95), float(high95))).with_(
-        flags=flags
-    )
+    finished = replace(measurement, value=value, interval95=(float(low95), float(high95)))
+    return judge(finished, [finding.finding_of(finished, draws) for finding in findings])
 
 
 def _with_margin(

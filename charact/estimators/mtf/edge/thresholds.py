@@ -23,6 +23,9 @@ class EdgeThresholds:
     min_step_sd: float = 0.8
     # Noise of one frame below which a plateau may lie anywhere in a step, DN (simulated edges).
     quantisation_noise_dn: float = 0.45
+    # Relative bias of MTF50 by such plateaus, times the step, at most, DN: 1.7 on 200 simulated
+    # edges of steps of 12 to 120 DN by each of four methods
+    quantisation_bias_dn: float = 2.0
     # Overshoot of both plateaus together that is sharpening, fraction of the step: bins and
     # gradients leave 0.004 (study strangers_edges).
     min_overshoot: float = 0.01
@@ -38,8 +41,11 @@ class EdgeThresholds:
     conventional_step_sd: float = 3.0  # Step over the noise of a pixel below which they are refused
     # Step below which half a DN at a plateau matters compared with their bias, DN
     coarse_step_dn: float = 40.0
-    # Relative loss of MTF50 by motion or roughness that is flagged
+    # Relative loss of MTF50 by motion from which on the noise on slopes is no test
     conventional_motion: float = 0.01
+    # Displacements over their rms as measured, at most: it is known to a fifth (test_roughness,
+    # test_target_motion)
+    max_rms_ratio: float = 1.2
     # Model departures from which on a defocused or obscured pupil is fitted, standard deviations.
     pupil_departure_sd: float = 1.0
     # Weight of a blur model below which it is left out of the average

@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, median_filter
 
 from charact.estimators import mtf
-from charact.estimators.mtf.edge.checks import edge_flags
+from charact.estimators.mtf.edge.checks import edge_findings
 from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.method import Context
 from tests.truth.blur import TrueBlur
@@ -75,7 +75,10 @@ def test_noise_of_light_is_not(scene, seed):
     """The ratio is one where pixels are independent, and smaller where they are tied."""
     for number in range(2):
         edge = prepare_edge(scene.frames_drawn(np.random.default_rng([seed, number])), None, QUICK)
-        assert "processed" not in tuple(edge_flags(edge, np.nan, QUICK, np.inf))
+        assert not any(
+            finding.flag == "processed"
+            for finding in edge_findings(edge, np.nan, QUICK, np.inf, np.inf)
+        )
         if scene is EDGE:
             ratio = edge.slope_noise
             assert ratio.ratio == pytest.approx(1.0, abs=4.5 * ratio.sd)

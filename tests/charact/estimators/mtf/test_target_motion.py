@@ -10,7 +10,6 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.estimators.mtf.target_motion import TargetMotion, measure_target_motion
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.method import Context
-from labdata import FrameStack
 from tests.truth.bars import BarScene
 from tests.truth.blur import TrueBlur, level_crossing
 from tests.truth.edge import EdgeScene
@@ -112,7 +111,9 @@ def test_every_method_for_edges_says_that_the_edge_moves(method, jitter_px, seed
     found = mtf.measure(
         "edge", scene.frames_drawn(np.random.default_rng(seed)), method=method, context=QUICK
     )
-    assert ("drift" in found.measurements[0].flags) == (jitter_px > 0)
+    told = found.measurements[0]
+    assert any(note.startswith("drift: ") for note in told.notes) == (jitter_px > 0)
+    assert told.interval95[0] < scene.truth_mtf50 < told.interval95[1] or told.status != "ok"
 
 
 def test_bars_say_that_they_move(seed):
@@ -133,18 +134,3 @@ def test_points_say_that_they_move(method, jitter_px, seed):
     stack = replace(POINT, jitter_px=jitter_px).frames_drawn(np.random.default_rng(seed))
     found = mtf.measure("point", stack, method=method, context=QUICK).measurements[0]
     assert ("drift" in found.flags) == (jitter_px > 0)
-
-
-@pytest.mark.parametrize("kind", ["edge", "bars"])
-def test_two_frames_tell_where_one_cannot(kind, seed):
-    """The same target a pixel further in the second frame; the mean of a single frame has nothing
-    to tell.
-    """
-    scene = EdgeScene(snr=25.0) if kind == "edge" else BARS
-    moved = {"offset_px": 1.0} if kind == "edge" else {"col_px": 1.0}
-    rng = np.random.default_rng(seed)
-    pair = [replace(scene, frames=1, **change).frames_drawn(rng).data for change in ({}, moved)]
-    asked = {"bars": 4, "frequency_cy_per_px": 0.15} if kind == "bars" else {}
-    both = FrameStack(data=np.concatenate(pair), full_scale_dn=255.0)
-    assert "drift" in first(kind, both, **asked).flags
-    assert "drift" not in first(kind, FrameStack(data=pair[0], full_scale_dn=255.0), **asked).flags

@@ -120,7 +120,9 @@ def test_motion_of_lines_along_the_edge_is_told_in_every_drawing(angle_deg, seed
         apart_px, error_px = checks.displacement_of_fields(edge)
         # The mean profile is smeared over both places, and its slope a fifth off.
         assert 0.8 * across - 5.0 * error_px < abs(apart_px) < 1.25 * across + 5.0 * error_px
-        assert "interlace-motion" in checks.edge_flags(edge, 0.2, Context(), np.inf)
+        assert checks.plain("interlace-motion") in checks.edge_findings(
+            edge, 0.2, Context(), 0.01, np.inf
+        )
 
 
 @pytest.mark.parametrize("angle_deg", [93.0, 251.6])
