@@ -1,15 +1,17 @@
-"""Temporal noise of a pixel against its signal: one law for every method.
+"""Temporal noise of a pixel against its signal, and with its neighbours: one law for every method.
 
     sigma^2(mu) = r^2 + g mu + (b + p) mu^2
+    cov(i, j) = sigma(mu_i) sigma(mu_j) rho(l),  l the lag (row, col) of pixels i and j
 
 mu: signal above dark; r: noise without light, rounding included; g: covariance gain, K of EMVA 1288
 without a tube and K + k F^2 behind one; b: nonlinearity, as of a microchannel plate that saturates;
-p: squared PRNU, of frames without flat-field correction. White noise that is blurred after the gain
-keeps g as its power at low frequency: the variance of a sum of many pixels exceeds that of as many
-independent ones by the correlation factor.
+p: squared PRNU, of frames without flat-field correction; rho: correlation of pixels, 1 at lag 0.
+White noise that is blurred after the gain keeps g as its power at low frequency: the variance of a
+sum of many pixels exceeds that of as many independent ones by the sum of rho, the correlation
+factor.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from labdata.errors import check
 
 Array = NDArray[np.float64]
+Lags = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +29,8 @@ class NoiseLaw:
     Parameters
     ----------
     gain_dn, read_dn
-        g and r, in the unit of the signal; g is 0 of a thermal imager, whose r is its NETD.
+        g and r, in the unit of the signal; g is 0 of a thermal imager, whose r is its NETD, and
+        negative where noise falls with the signal, as behind a compressive response.
     bend, pattern
         b, per unit of the signal squared, and p, dimensionless.
     blur_px, read_blur_px
@@ -34,6 +38,8 @@ class NoiseLaw:
         light by a warp, px.
     correlation_factor
         Variance of a sum of many pixels over that of as many independent ones, dimensionless.
+    correlation
+        rho at lags of rows and columns, shape (2 R + 1, 2 C + 1); 0 beyond.
     is_known
         Whether the law was measured or described, not estimated from the frame that it is used for.
     """
@@ -45,19 +51,37 @@ class NoiseLaw:
     blur_px: float = 0.0
     read_blur_px: float = 0.0
     correlation_factor: float = 1.0
+    correlation: Array = field(default_factory=lambda: np.ones((1, 1)), compare=False)
     is_known: bool = True
 
     def __post_init__(self) -> None:
-        names = ("gain_dn", "read_dn", "blur_px", "read_blur_px")
+        names = ("read_dn", "blur_px", "read_blur_px")
         numbers = [name for name in names if np.ndim(getattr(self, name)) == 0]
         check(self, not_negative=numbers, of=" of a noise law")
 
-    def sd(self, signal: Array | float, *, pattern: bool = False) -> Array:
-        """Return sigma of signals, with or without PRNU; that of none where they are negative."""
+    def variance(self, signal: Array | float, *, pattern: bool = False) -> Array:
+        """Return sigma^2 of signals, with or without PRNU; that of none where they are negative."""
         mu = np.maximum(signal, 0.0)
         square = self.bend + self.pattern * pattern
-        variance = self.read_dn**2 + self.gain_dn * mu + square * mu**2
-        return np.sqrt(np.maximum(variance, 1e-300))
+        return np.maximum(self.read_dn**2 + self.gain_dn * mu + square * mu**2, 1e-300)
+
+    def sd(self, signal: Array | float, *, pattern: bool = False) -> Array:
+        """Return sigma of signals."""
+        return np.sqrt(self.variance(signal, pattern=pattern))
+
+    @property
+    def correlation_sum(self) -> float:
+        """Sum of rho: the correlation factor by estimated lags, which chance may make negative."""
+        return float(max(self.correlation.sum(), 0.05))
+
+    def covariance(self, rows: Lags, cols: Lags, signal: Array | float = 0.0) -> Array:
+        """Return the covariance of pixels, shape (pixel,) each, at signals; (pixel, pixel)."""
+        lags = [np.subtract.outer(at, at) for at in (rows, cols)]
+        reach = [size // 2 for size in self.correlation.shape]
+        down, right = (np.clip(lag, -r, r) + r for lag, r in zip(lags, reach, strict=True))
+        in_reach = (np.abs(lags[0]) <= reach[0]) & (np.abs(lags[1]) <= reach[1])
+        sd = np.broadcast_to(self.sd(signal), rows.shape)
+        return np.outer(sd, sd) * np.where(in_reach, self.correlation[down, right], 0.0)
 
     def sum_variance(self, total: float) -> float:
         """Return the variance of the sum of many pixels by the light in them, DN^2."""
@@ -73,3 +97,56 @@ class NoiseLaw:
     def scaled(self, ratio: float) -> "NoiseLaw":
         """Return the law with a ratio of the power of read and shot noise."""
         return replace(self, gain_dn=self.gain_dn * ratio, read_dn=self.read_dn * ratio**0.5)
+
+
+def fit_noise_law(signal: Array, square: Array, top: float, least: float) -> NoiseLaw:
+    """Return the law r^2 + g mu, fitted to squared residuals by least squares.
+
+    Parameters
+    ----------
+    signal, square
+        mu and the squared residual of every pixel, shape (pixel,).
+    top
+        Signal up to which the law is used.
+    least
+        Least variance, at no signal and at the top.
+    """
+    if not signal.size:
+        return NoiseLaw(gain_dn=0.0, read_dn=least**0.5)
+    mean, offset = float(signal.mean()), signal - signal.mean()
+    slope = float(offset @ square) / max(float(offset @ offset), 1e-300)
+    at_none, at_top = (max(float(square.mean()) + slope * (mu - mean), least) for mu in (0.0, top))
+    return NoiseLaw(gain_dn=(at_top - at_none) / top if top > 0 else 0.0, read_dn=at_none**0.5)
+
+
+def masked_covariance(
+    fields: NDArray[np.floating], valid: NDArray[np.bool_], reach: int
+) -> tuple[Array, Array]:
+    """Return mean products of pixels a lag apart, and the number of their pairs in one field.
+
+    Parameters
+    ----------
+    fields
+        Deviations of pixels, shape (field, row, col); those that do not count are 0.
+    valid
+        Pixels that count, shape (row, col).
+    reach
+        Largest lag of rows and of columns; the results have shape (2 reach + 1, 2 reach + 1).
+    """
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    lag = np.arange(-reach, reach + 1)
+    if not valid.any():
+        return np.zeros((lag.size, lag.size)), np.zeros((lag.size, lag.size))
+    rows, cols = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
+    part = np.s_[..., rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+    fields, valid = fields[part], valid[part]
+    size = [int(next_fast_len(length + reach, True) or length) for length in valid.shape]
+
+    def lagged(images: NDArray[np.floating]) -> Array:
+        spectra = np.asarray(rfft2(images, size))
+        power = (spectra.real**2 + spectra.imag**2).sum(axis=0)
+        return np.asarray(irfft2(power, size), np.float64)[lag[:, None], lag]
+
+    pairs = np.rint(lagged(valid[None].astype(fields.dtype)))
+    return np.where(pairs > 0, lagged(fields) / np.maximum(pairs * len(fields), 1), 0.0), pairs

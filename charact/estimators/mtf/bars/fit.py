@@ -12,7 +12,7 @@ from charact.estimators.mtf.bars.bar_image_model import (
     initial_parameters,
     priors,
 )
-from charact.estimators.mtf.bars.noise import BarWindowNoise, noise_of, noise_of_one
+from charact.estimators.mtf.bars.noise import WindowCovariance, noise_of, noise_of_one
 from charact.estimators.mtf.bars.target import BarTarget
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.frames.rounding import rounding_shifts
@@ -51,7 +51,7 @@ class BarFit:
     prior_mean: Array
     precision: Array
     window: Mask  # Pixels used, shape (row, col)
-    noise: BarWindowNoise  # Noise of the pixels
+    noise: WindowCovariance  # Noise of the pixels
     strip: bool  # Whether the bars cross the complete window
     cost: float  # Chi squared with the priors' terms
 
@@ -81,7 +81,7 @@ def fit_bars(
     problem: BarLikelihood,
     target: BarTarget,
     start: dict[str, float],
-    noise: BarWindowNoise | None = None,
+    noise: WindowCovariance | None = None,
     *,
     tolerance: float = 3e-3,
     hopeless: float = np.inf,
@@ -129,7 +129,7 @@ def fit_bars(
         np.linalg.pinv(optimum.at.normal, rcond=1e-14, hermitian=True), dtype=np.float64
     )
     estimator = inverse @ weighted
-    noise = noise or BarWindowNoise(variance=problem.variance, correlation=np.ones((1, 1)))
+    noise = noise or WindowCovariance(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
     point = dict(zip(problem.names, optimum.point.tolist(), strict=True))
     cosine, sine = np.cos(point["angle_rad"]), np.sin(point["angle_rad"])

@@ -1,4 +1,4 @@
-"""Noise of a bar target's pixels: variance against level, correlation, row noise."""
+"""Covariance of a window's pixels by noise: law of one pixel, correlation, row noise, rounding."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.frames.noise_law import fit_noise_law, masked_covariance
 from charact.frames.rounding import rounding_shifts
 
 Array = NDArray[np.float64]
@@ -13,17 +14,20 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
-class BarWindowNoise:
-    """Noise of the pixels of a window."""
+class WindowCovariance:
+    """Covariance of a window's pixels (i, j) in the mean of its frames.
+
+    f sigma_i sigma_j rho(l) + w [i and j in one row] + mean over offsets of d_i d_j
+    """
 
     variance: Array  # Of each pixel, shape (pixel,)
     # Correlation of two pixels by their separation, shape (2 k + 1, 2 k + 1), 1 in the centre
     correlation: Array
-    inflation: float = 1.0  # Factor on all variances by image lag
-    # Possible shifts of the pixels by quantisation, shape (offset, pixel), DN; the offsets are
+    inflation: float = 1.0  # f, by image lag
+    # d: possible shifts of the pixels by quantisation, shape (offset, pixel), DN; the offsets are
     # equally likely
     rounding: Array | None = None
-    row_variance: float = 0.0  # Variance of an offset common to the pixels of a row, DN^2
+    row_variance: float = 0.0  # w: variance of an offset common to the pixels of a row, DN^2
 
     @property
     def correlation_sum(self) -> float:
@@ -70,7 +74,7 @@ class BarWindowNoise:
 
 def noise_of(
     frames: Array, model: Array, window: Mask, *, ground_dn: float, inflation: float
-) -> BarWindowNoise:
+) -> WindowCovariance:
     """Return the noise of the mean of frames, from their scatter.
 
     `frames`: at least two, shape (frame, row, col); integers are taken as quantised; `model`: image
@@ -82,7 +86,7 @@ def noise_of(
     variance = variance_of(model, fraction * np.mean(residuals[:, window] ** 2, axis=0))
     field = np.zeros((min(len(frames), 6), *window.shape))
     field[:, window] = residuals[: len(field), window] / np.sqrt(variance)
-    return BarWindowNoise(
+    return WindowCovariance(
         variance=variance / len(frames),
         correlation=correlation_of(field, window),
         inflation=inflation,
@@ -95,7 +99,7 @@ def noise_of(
 
 def noise_of_one(
     residual: Array, model: Array, absorbed: Array, window: Mask, *, ground_dn: float
-) -> BarWindowNoise:
+) -> WindowCovariance:
     """Return the noise of one frame from the residuals of a fit.
 
     `residual`, `model`: pixels less the image, and the image, shape (pixel,); `absorbed`:
@@ -109,7 +113,7 @@ def noise_of_one(
     residuals = np.zeros((1, *window.shape))
     residuals[0, window] = residual
     shared = row_offset_variance(residuals, np.abs(model - ground_dn), window)
-    return BarWindowNoise(
+    return WindowCovariance(
         variance=variance, correlation=correlation_of(fields, window), row_variance=shared
     )
 
@@ -151,45 +155,19 @@ def row_offset_variance(residuals: Array, height: Array, window: Mask) -> float:
 
 
 def variance_of(level: Array, square: Array) -> Array:
-    """Return the variance of each pixel: a non-decreasing line in its level, at least a tenth of
-    the mean.
-    """
-    mean = float(square.mean())
-    spread = float(level.std())
-    if not spread > 0 or not mean > 0:
-        return np.full(level.shape, max(mean, 1e-12))
-    slope, offset = np.polyfit((level - level.mean()) / spread, square, 1)
-    line = offset + max(slope, 0.0) * (level - level.mean()) / spread
-    return np.maximum(line, 0.1 * mean)
+    """Return the variance of each pixel: a line in its level, at least a tenth of the mean."""
+    signal = level - level.min()
+    least = max(0.1 * float(square.mean()), 1e-12)
+    return fit_noise_law(signal, square, float(signal.max()), least).variance(signal)
 
 
 def correlation_of(fields: Array, window: Mask) -> Array:
     """Return the correlation of noise fields (field, row, col) between pixels of a window."""
-    short_range = _correlation(fields, window, ACCURACY.correlation_px)
-    centre = ACCURACY.correlation_px
-    if (
-        max(short_range[centre + 1, centre], short_range[centre, centre + 1])
-        < LIMITS.long_correlation
-    ):
-        return short_range
-    return _correlation(fields, window, 4)
-
-
-def _correlation(fields: Array, window: Mask, max_lag: int) -> Array:
-    masked = np.where(window, fields, 0.0)
-    rows, cols = window.shape
-    correlation = np.zeros((2 * max_lag + 1, 2 * max_lag + 1))
-    for down in range(min(max_lag + 1, rows)):
-        for right in range(-min(max_lag, cols - 1), min(max_lag + 1, cols)):
-            origin = (slice(0, rows - down), slice(max(0, -right), cols - max(0, right)))
-            shifted = (slice(down, rows), slice(max(0, right), cols + min(0, right)))
-            pairs = np.count_nonzero(window[origin] & window[shifted])
-            if pairs:
-                shared = (
-                    float(np.sum(masked[(slice(None), *origin)] * masked[(slice(None), *shifted)]))
-                    / pairs
-                )
-                correlation[max_lag + down, max_lag + right] = correlation[
-                    max_lag - down, max_lag - right
-                ] = shared
-    return correlation / max(correlation[max_lag, max_lag], 1e-30)
+    covariance, _ = masked_covariance(fields, window, ACCURACY.long_correlation_px)
+    centre = ACCURACY.long_correlation_px
+    correlation = covariance / max(covariance[centre, centre], 1e-30)
+    neighbours = correlation[centre + 1, centre], correlation[centre, centre + 1]
+    if max(neighbours) >= LIMITS.long_correlation:
+        return correlation
+    margin = centre - ACCURACY.correlation_px
+    return correlation[margin:-margin, margin:-margin]

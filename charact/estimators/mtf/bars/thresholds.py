@@ -131,6 +131,7 @@ class BarAccuracy:
     row_step_px: float = 0.18  # Distance of the table's rows at the bars' ends, px
     row_step_growth: float = 0.08  # Growth of that distance per px from the ends
     correlation_px: int = 2  # Range of the noise correlation, px
+    long_correlation_px: int = 4  # The same of noise that is correlated over more than neighbours
     min_background_pixels: int = 300  # Background pixels that row noise needs
     # Shifts at which another number of bars is tried, periods.
     count_shifts_periods: tuple[float, ...] = (-0.5, 0.0, 0.5)

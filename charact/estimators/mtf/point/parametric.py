@@ -472,7 +472,7 @@ def _notes(
         out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")
     if all(model.fit.form.wide is None for model in models):
         out.append("MTF normalised to the core; any halo is not included.")
-    if any(site.dark.common > 0 for site in sites):
+    if any(site.dark.correlation.size > 1 for site in sites):
         out.append("Noise is correlated between pixels; accounted for.")
     shift_dn = float(
         np.exp(-2.0 * np.pi**2 * min(site.window.quiet_sd for site in sites) ** 2) / np.pi

@@ -1,16 +1,26 @@
 """Noise around a point source: surroundings, quiet pixels and correlated pulses."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+from charact.frames.noise_law import NoiseLaw, masked_covariance
 
 Array = NDArray[np.float64]
 
-LAGS = tuple((row, col) for row in range(3) for col in range(-2, 3) if (row, col) > (0, 0))
+# Lags of a pixel's neighbours, half of them, as opposite ones are equal.
+REACH_PX = 2
+LAGS = np.array(
+    [
+        (row, col)
+        for row in range(REACH_PX + 1)
+        for col in range(-REACH_PX, REACH_PX + 1)
+        if (row, col) > (0, 0)
+    ]
+)
 WIDTHS_PX = np.array([0.01, *np.geomspace(0.3, 3.0, 24)])
 # Pulse widths over that of the complete blur.
 WIDTHS = np.geomspace(0.2, 1.0, 24)
@@ -21,41 +31,14 @@ DARK_LN = (float(np.log(3.0)), 1.2)
 RADII_PX = np.linspace(0.0, 16.0, 80)
 
 
-@dataclass(frozen=True, kw_only=True)
-class SurroundingsNoise:
-    """Noise of the surroundings of a source."""
-
-    variance: float  # Of one pixel in one frame, DN^2
-    # common, width_px: correlated fraction of it, and the correlation widths along rows and
-    # columns, px: the correlation is common exp(-x^2 / 4 w^2) in either direction
-    common: float = 0.0
-    width_px: tuple[float, float] = (0.01, 0.01)
-
-    @property
-    def grain(self) -> float:
-        """Sum of a pixel's correlations with all pixels."""
-        along, down = (np.exp(-0.25 * (np.arange(-12, 13) / w) ** 2).sum() for w in self.width_px)
-        return float(1.0 - self.common + self.common * along * down)
-
-    def covariance(self, x: Array, y: Array) -> Array:
-        """Return the covariance of pixels at columns x and rows y counted in pixels, shape (pixel,
-        pixel), DN^2.
-        """
-        along, down = (
-            np.exp(-0.25 * ((at[:, None] - at) / w) ** 2)
-            for at, w in zip((x, y), self.width_px, strict=True)
-        )
-        shared = np.einsum("ab,cd->acbd", down, along).reshape(x.size * y.size, -1)
-        return self.variance * ((1.0 - self.common) * np.eye(len(shared)) + self.common * shared)
-
-
 def measure_surroundings_noise(
     data: NDArray, row: int, col: int, neighbours: NDArray[np.bool_] | bool = False
-) -> SurroundingsNoise:
+) -> NoiseLaw:
     """Return the noise far from a source, from frame differences, or in one frame from its own
     scatter.
 
-    `neighbours` marks pixels of other sources, shape (row, col).
+    `neighbours` marks pixels of other sources, shape (row, col). The correlation, where it is
+    significant, is common exp(-x^2 / 4 w^2) in either direction.
     """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
@@ -79,48 +62,42 @@ def measure_surroundings_noise(
     if len(frames) == 1 and np.any(neighbours):
         # Light of neighbours would resemble correlated noise: use the lower quantiles.
         low, high = np.quantile(off[0, surroundings], ACCURACY.background_quantiles)
-        return SurroundingsNoise(
-            variance=max(float((high - low) / ACCURACY.background_quantile_sd) ** 2, rounding)
-        )
+        variance = float((high - low) / ACCURACY.background_quantile_sd) ** 2
+        return NoiseLaw(gain_dn=0.0, read_dn=max(variance, rounding) ** 0.5)
     # Exclude single bright events such as ion feedback.
     centre = np.clip(off, *np.quantile(off[:, surroundings], (1e-4, 1.0 - 1e-4)))
     variance = float((centre[:, surroundings] ** 2).mean()) / freedom
+    law = NoiseLaw(gain_dn=0.0, read_dn=max(variance, rounding) ** 0.5)
     if variance <= rounding:
-        return SurroundingsNoise(variance=rounding)
-    return _fit_correlation(
-        np.where(surroundings, centre, 0.0), surroundings, variance * freedom, variance
-    )
+        return law
+    return _fit_correlation(law, np.where(surroundings, centre, 0.0), surroundings, freedom)
 
 
 def _fit_correlation(
-    off: Array, surroundings: NDArray[np.bool_], norm: float, variance: float
-) -> SurroundingsNoise:
+    law: NoiseLaw, off: Array, surroundings: NDArray[np.bool_], freedom: float
+) -> NoiseLaw:
     """Return the surroundings' noise with the correlation of neighbours, if significant."""
-    correlations, count = [], []
-    rows, cols = surroundings.shape
-    for down, along in LAGS:
-        a = (slice(None, rows - down), slice(max(0, -along), cols - max(0, along)))
-        b = (slice(down, None), slice(max(0, along), cols + min(0, along)))
-        pairs = max(int((surroundings[a] & surroundings[b]).sum()), 1)
-        correlations.append(
-            float(np.einsum("frc,frc->", off[:, *a], off[:, *b])) / (pairs * len(off) * norm)
-        )
-        count.append(pairs * max(len(off) - 1, 1))
-    correlation, error = np.array(correlations), 1.0 / np.sqrt(np.array(count, float))
-    if np.abs(correlation / error).max() < LIMITS.max_correlation_sd:
-        return SurroundingsNoise(variance=variance)
-    down, along = (
-        np.exp(-0.25 * (lag / WIDTHS_PX[:, None]) ** 2) for lag in np.array(LAGS, float).T
+    products, pairs = (
+        of_lags[tuple((LAGS + REACH_PX).T)]
+        for of_lags in masked_covariance(off, surroundings, REACH_PX)
     )
+    correlation = products / (law.read_dn**2 * freedom)
+    error = 1.0 / np.sqrt(np.maximum(pairs, 1.0) * max(len(off) - 1, 1))
+    if np.abs(correlation / error).max() < LIMITS.max_correlation_sd:
+        return law
+    down, along = (np.exp(-0.25 * (lag / WIDTHS_PX[:, None]) ** 2) for lag in LAGS.T)
     shapes = (down[:, None] * along[None]).reshape(-1, len(LAGS))
     common = np.clip(shapes @ correlation / np.maximum(np.sum(shapes**2, axis=1), 1e-12), 0.0, 1.0)
     best = int(np.argmin(np.sum((correlation - common[:, None] * shapes) ** 2, axis=1)))
-    high, across = np.unravel_index(best, (WIDTHS_PX.size, WIDTHS_PX.size))
-    return SurroundingsNoise(
-        variance=variance,
-        common=float(common[best]),
-        width_px=(float(WIDTHS_PX[across]), float(WIDTHS_PX[high])),
+    widths = WIDTHS_PX[list(np.unravel_index(best, (WIDTHS_PX.size, WIDTHS_PX.size)))]
+    # At all lags within the core.
+    down, along = (
+        np.exp(-0.25 * (np.arange(-2 * half, 2 * half + 1) / width) ** 2)
+        for half, width in zip((ACCURACY.half_rows, ACCURACY.half_cols), widths, strict=True)
     )
+    rho = common[best] * np.outer(down, along)
+    rho[2 * ACCURACY.half_rows, 2 * ACCURACY.half_cols] = 1.0
+    return replace(law, correlation=rho)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,6 @@ from charact.estimators.mtf.point.model_fit import BlurModelFit2D, Censored, Whi
 from charact.estimators.mtf.point.parametric_noise import (
     GAINS,
     Pulses,
-    SurroundingsNoise,
     fit_pulses,
     pulse_covariances,
 )
@@ -25,6 +24,7 @@ from charact.estimators.mtf.point.spot_image_matrix import (
 )
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.image_lag import ImageLagModel
+from charact.frames.noise_law import NoiseLaw
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class SourcePixels:
 
     window: Window  # Its pixels and rings
     aperture: Aperture  # Known part of the camera's transfer
-    dark: SurroundingsNoise  # Noise of its surroundings
+    dark: NoiseLaw  # Noise of its surroundings
     memory: ImageLagModel  # Image lag
     full_scale_dn: float | None  # Full scale, DN; None: unknown
     screen: bool  # Whether a phosphor pattern makes pixels unequal
@@ -89,7 +89,10 @@ class SourcePixels:
             return np.empty(0)
         area = np.pi * (ring[:, -1] ** 2 - ring[:, 0] ** 2) / float(np.diff(self.window.y[:2])[0])
         noise_floor = (
-            self.dark.variance * self.dark.grain / self.window.frames / np.maximum(area, 1.0)
+            self.dark.variance(0.0)
+            * self.dark.correlation_sum
+            / self.window.frames
+            / np.maximum(area, 1.0)
         )
         # Student's t of an estimate from 12 sectors.
         return 11.0 / 9.0 * np.maximum(self.window.ring_variance, noise_floor)
@@ -117,7 +120,7 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
     top = max(float(height.max()), 1e-12)
     variance = (
-        site.dark.variance
+        site.dark.variance(0.0)
         + ACCURACY.first_relative_sd * height * top
         + (ACCURACY.first_relative_sd * top) ** 2
     )
@@ -188,7 +191,9 @@ def _sd(site: SourcePixels) -> Array:
         if site.pulses is None
         else np.diag(site.pulses.covariance)
     )
-    return np.sqrt(site.dark.variance + light + (ACCURACY.model_relative_sd * height.max()) ** 2)
+    return np.sqrt(
+        site.dark.variance(0.0) + light + (ACCURACY.model_relative_sd * height.max()) ** 2
+    )
 
 
 def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
@@ -201,7 +206,7 @@ def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
     transfer = fit.form.transfer(fit.point[None])[0]
     core, near_pixels = _core_residual(site, transfer, _sd(site)), site.near
     light = np.maximum(core.coefficients[0] * core.design[near_pixels, 0], 0.0)
-    still = site.dark.variance + _rounding_variance(site)
+    still = site.dark.variance(0.0) + _rounding_variance(site)
     variance = still + GAINS[:, None] * still / max(float(light.mean()), 1e-300) * light
     return float(
         np.max(-0.5 * np.sum(np.log(variance) + core.residual[near_pixels] ** 2 / variance, axis=1))
@@ -255,9 +260,7 @@ def _slopes(site: SourcePixels, fit: BlurModelFit2D) -> Array:
 
 def dark_noise(site: SourcePixels) -> Array:
     """Return the covariance of the core's pixels without light, shape (pixel, pixel), DN^2."""
-    return site.dark.covariance(
-        *(np.arange(at.size, dtype=np.float64) for at in (site.window.x, site.window.y))
-    )
+    return site.dark.covariance(*np.indices(site.window.core.shape).reshape(2, -1))
 
 
 def covariance(site: SourcePixels, mean: Array, light: float) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from charact.estimators.mtf.bars.bar_image_model import BarLikelihood, initial_parameters
 from charact.estimators.mtf.bars.detection import strip_of
 from charact.estimators.mtf.bars.fit import BarFit, fit_bars, mtf_bias
-from charact.estimators.mtf.bars.noise import BarWindowNoise
+from charact.estimators.mtf.bars.noise import WindowCovariance
 from tests.truth.long_bars import STEP_DN, frames_of, gaussian, strip, tube
 
 PAIRS, ANGLE_DEG, PHASE_PX = 80, 3.0, 0.2
@@ -34,7 +34,7 @@ def fits_of(image: NDArray, frequency: float, snr: float, blur_px: float) -> Fit
     target = strip_of(image, bars=4, frequency=frequency, pitch_ratio=1.0)
     assert target is not None
     variance = np.full(image.size, (STEP_DN / snr) ** 2)
-    noise = BarWindowNoise(variance=variance, correlation=correlation_of(blur_px))
+    noise = WindowCovariance(variance=variance, correlation=correlation_of(blur_px))
 
     def fit(
         picture: NDArray, start: dict[str, float] | None = None

@@ -5,7 +5,7 @@ none.
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.bars.noise import BarWindowNoise, noise_of
+from charact.estimators.mtf.bars.noise import WindowCovariance, noise_of
 
 
 def test_correlations_of_no_noise_make_no_negative_variance(seed):
@@ -14,7 +14,7 @@ def test_correlations_of_no_noise_make_no_negative_variance(seed):
     correlation = np.full((9, 9), 0.45)
     correlation[4, 4] = 1.0
     window = np.ones((24, 30), bool)
-    noise = BarWindowNoise(variance=np.ones(window.sum()), correlation=correlation)
+    noise = WindowCovariance(variance=np.ones(window.sum()), correlation=correlation)
     spread = noise.spread(rng.standard_normal((40, window.sum())), window)
     assert np.linalg.eigvalsh(spread).min() > -1e-9 * np.trace(spread)
     column = np.arange(30) * np.ones((24, 1))
