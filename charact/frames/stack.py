@@ -1,6 +1,6 @@
 """One stack of frames, and what they hold: each computed once, when a method asks for it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,6 +67,11 @@ class Stack:
         return self.data.mean(axis=0, dtype=np.float64)
 
     @cached_property
+    def temporal_variance_dn2(self) -> Array:
+        """Variance of each pixel over two frames or more, shape (row, col), DN^2."""
+        return self.data.var(axis=0, ddof=1, dtype=np.float64)
+
+    @cached_property
     def holds_codes(self) -> bool:
         """Whether the values are whole codes of a digitiser."""
         first = self.data[0]
@@ -88,6 +93,25 @@ class Stack:
     def image_lag(self) -> ImageLagModel:
         """Image lag of the described phosphor between and within frames."""
         return image_lag_model(self.camera, len(self), interlaced=self.interlaced)
+
+    def region(self, row: int, col: int, height: int, width: int) -> "Stack":
+        """Return the frames cut to a rectangle; one that leaves the image is a BadInput."""
+        return replace(self, frames=self.frames.region(row, col, height, width))
+
+    def black_level_dn(
+        self, dark_dn: float | None, unlit: float = CLIPPING.unlit
+    ) -> tuple[float, bool]:
+        """Return the level without light, DN, and whether it is known.
+
+        Parameters
+        ----------
+        dark_dn
+            Mean of a dark stack, DN; None: there is none, and the file's own counts.
+        unlit
+            Quantile of the mean frame that stands for it where neither is known.
+        """
+        known = self.frames.black_level_dn if dark_dn is None else dark_dn
+        return (float(np.quantile(self.mean_dn, unlit)), False) if known is None else (known, True)
 
     def is_clipped(self, pixels: Mask | None = None) -> bool:
         """Return whether pixels, all or those of a mask (row, col), pile up at an end of the

@@ -20,6 +20,10 @@ class ClippingLimits:
     min_rounding_shift_dn: float = 1e-3  # Shift that matters, DN
     # Fraction of frames at the top from which the mean of a pixel underestimates its signal
     max_full_frames: float = 0.02
+    # Quantile of a mean frame that is taken as black where black is not known: of scenes and edges,
+    # which leave some pixels unlit, and of points, which leave most.
+    unlit: float = 0.02
+    unlit_around_points: float = 0.5
     # Fraction of the noise below the lowest grey value: MTF50 is then half a standard uncertainty
     # high.
     max_clipped_noise: float = 0.04

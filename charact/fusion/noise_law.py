@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from charact.frames.noise_law import NoiseLaw
+from charact.frames.rounding import QUANTISATION_DN2
 from charact.fusion.pyramid import decompose, noise_gains, reduce_image
 from charact.fusion.thresholds import FUSION
 from labdata.frames import FrameStack
@@ -75,7 +76,9 @@ def measure_noise(stack: FrameStack, black_dn: float, *, of_light: bool = True) 
     if not of_light:
         return NoiseLaw(gain_dn=0.0, read_dn=float(found[0] ** 0.5))
     (gain, read2), _ = nnls(np.stack([mid / found, 1.0 / found], axis=1), np.ones_like(found))
-    return NoiseLaw(gain_dn=float(gain), read_dn=float(max(read2, 1.0 / 12.0) ** 0.5), blur_px=blur)
+    return NoiseLaw(
+        gain_dn=float(gain), read_dn=float(max(read2, QUANTISATION_DN2) ** 0.5), blur_px=blur
+    )
 
 
 def estimate_noise(image: Image) -> NoiseLaw:

@@ -371,9 +371,8 @@ def map_of(
     """
     entry = _entry(session, label)
     stack = Stack.of(entry.read(), context)
-    full, black = stack.top_dn, session.dark_like(entry.conditions)
-    dark = stack.frames.black_level_dn if black is None else black.read().mean_dn
-    dark = float(np.percentile(stack.data, 1.0)) if dark is None else float(dark)
+    black = session.dark_like(entry.conditions)
+    dark, _ = stack.black_level_dn(None if black is None else black.read().mean_dn)
     rng = np.random.default_rng(context.seed)
     signal = stack.mean_dn - dark
     spread = spread_from(
@@ -382,7 +381,7 @@ def map_of(
     frame_map = bloom_map(
         signal,
         spread,
-        clip_dn=full - dark,
+        clip_dn=stack.top_dn - dark,
         clipped=stack.often_full(),
         pitch_ratio=context.pitch_ratio,
         rng=rng,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from charact.estimators.bloom.point_stack import PointStack
 from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
+from charact.frames.rounding import QUANTISATION_DN2
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
@@ -242,7 +243,7 @@ def mean_frame_noise(image: Array, col: float, dark_dn: float) -> tuple[NoiseLaw
     patch_differences = np.abs(patches[:, pairs + 1] - patches[:, pairs])
     patch = 0.5 * robust_sd(patch_differences, 0.0) ** 2 if patch_differences.size else 0.0
     single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far_patches])) + patch
-    floor = max(single, 0.1 * (1.0 / 12.0))
+    floor = max(single, 0.1 * QUANTISATION_DN2)
     background = float(np.median(patches[:, far_patches])) - dark_dn
     # Below 0.5 DN the noise is not photon noise.
     measurable = background > 0.5

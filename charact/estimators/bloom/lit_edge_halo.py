@@ -381,10 +381,9 @@ def _frame(
 ) -> tuple[Array, str, float, float]:
     """Mean frame, label, dark level and full scale of a stack."""
     stack = Stack.of(entry.read(), context)
-    dark, image = session.dark_like(entry.conditions), stack.mean_dn
-    level = stack.frames.black_level_dn if dark is None else dark.read().mean_dn
-    level = float(np.percentile(image, 2.0)) if level is None else level
-    return image, entry.label, level, stack.top_dn
+    dark = session.dark_like(entry.conditions)
+    level, _ = stack.black_level_dn(None if dark is None else dark.read().mean_dn)
+    return stack.mean_dn, entry.label, level, stack.top_dn
 
 
 def _check_edge_of_halo(best: EdgeHaloOptimum) -> None:

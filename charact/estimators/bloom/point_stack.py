@@ -9,9 +9,9 @@ from charact.estimators.bloom.extent import Extent, contour_at, extent_at
 from charact.estimators.bloom.source_view import Background, SourceView, background_of, view_of
 from charact.frames.robust import robust_sd
 from charact.frames.stack import Stack
+from charact.frames.thresholds import CLIPPING
 from charact.method import Context
 from labdata.conditions import Conditions
-from labdata.frames import FrameStack
 from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
@@ -276,11 +276,9 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
     ]
     positions = []
     for entry, dark in zip(entries, darks, strict=True):
-        stack = entry.read()
-        level = black_level_of(stack, dark)[0]
-        positions.append(
-            place_of(stack, entry.target.region, level, Stack.of(stack, context).top_dn, context)
-        )
+        stack = Stack.of(entry.read(), context)
+        level, _ = stack.black_level_dn(dark, CLIPPING.unlit_around_points)
+        positions.append(place_of(stack, entry.target.region, level, context))
     spots: list[PointStack] = []
     behind: list[tuple[Conditions, Background]] = []
     for done, (entry, dark, position) in enumerate(zip(entries, darks, positions, strict=True)):
@@ -290,22 +288,20 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
             for other, other_entry in zip(positions, entries, strict=True)
             if other_entry.target.region == entry.target.region
         ]
-        stack = entry.read()
-        position = common_position(position, same, stack.data.mean(axis=0, dtype=np.float64))
+        stack = Stack.of(entry.read(), context)
+        position = common_position(position, same, stack.mean_dn)
         spots.append(spot_of(entry, stack, dark, position, context, behind))
         behind.append((entry.conditions, spots[-1].light))
     return tuple(spots)
 
 
-def place_of(
-    stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context
-) -> SourcePosition:
+def place_of(stack: Stack, region, dark_dn: float, context: Context) -> SourcePosition:
     """Locate the source of a stack, at the centre of its contour where it has one."""
-    position = brightest(stack.data.mean(axis=0, dtype=np.float64), region)
+    position = brightest(stack.mean_dn, region)
     if position.significance < DETECTED:
         return position
     row, col = position.row, position.col
-    view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
+    view = view_of(stack, dark_dn, row, col, context.pitch_ratio)
     # Fraction of full scale above which a peak counts as clipped.
     cut = float(view.signal[view.polar.radius < 1.5].max(initial=0.0)) > 0.9 * view.top
     settled = False
@@ -320,7 +316,7 @@ def place_of(
         row, col, settled = better
         if shift_px < 0.4:
             break
-        view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
+        view = view_of(stack, dark_dn, row, col, context.pitch_ratio)
     return SourcePosition(
         row=row, col=col, significance=position.significance, cut=cut, settled=settled
     )
@@ -350,21 +346,9 @@ def common_position(
     return SourcePosition(row=best.row, col=best.col, significance=source.significance)
 
 
-def black_level_of(stack: FrameStack, dark: float | None) -> tuple[float, bool]:
-    """Return the black level, DN, and whether it is known: measured, recorded, else the median of
-    the mean frame.
-    """
-    known = dark if dark is not None else stack.black_level_dn
-    return (
-        (float(np.median(stack.data.mean(axis=0, dtype=np.float64))), False)
-        if known is None
-        else (known, True)
-    )
-
-
 def spot_of(
     entry: StackEntry,
-    stack: FrameStack,
+    stack: Stack,
     dark: float | None,
     position: SourcePosition,
     context: Context,
@@ -377,8 +361,8 @@ def spot_of(
     the faintest first. The background of the faintest stack with the same conditions is used, since
     a bright source illuminates the whole frame.
     """
-    full, (level, known) = Stack.of(stack, context).top_dn, black_level_of(stack, dark)
-    view = view_of(stack.data, level, full, position.row, position.col, context.pitch_ratio)
+    full, (level, known) = stack.top_dn, stack.black_level_dn(dark, CLIPPING.unlit_around_points)
+    view = view_of(stack, level, position.row, position.col, context.pitch_ratio)
     own_background = background_of(view)
     earlier_backgrounds = [
         light

@@ -26,11 +26,11 @@ from charact.estimators.bloom.point_stack import (
 )
 from charact.estimators.bloom.source_view import SECTORS, Background, SourceView, view_of
 from charact.estimators.bloom.thresholds import Unmeasurable
+from charact.frames.stack import Stack
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
-from labdata.frames import FrameStack
 from labdata.measurement import (
     Measurement,
     Result,
@@ -186,7 +186,7 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     session, _ = with_sound_pixels(session)
     (spot,) = read_point_stacks(session, context=context)
     (entry,) = session.of_kind("point")
-    stack, of_spot = entry.read(), {"stack": spot.label, **fields}
+    stack, of_spot = Stack.of(entry.read(), context), {"stack": spot.label, **fields}
     extents = partial(
         bloom_measurements, square=not has_tube(context.camera), sensor=context.camera, **fields
     )
@@ -224,15 +224,13 @@ def _box(spot: PointStack) -> tuple[int, int, int, int]:
 
 
 def _energy_radii(
-    spot: PointStack, stack: FrameStack, context: Context, common: dict[str, Any]
+    spot: PointStack, stack: Stack, context: Context, common: dict[str, Any]
 ) -> list[Measurement]:
     names = [f"encircled_radius_{100 * fraction:.0f}" for fraction in SHARES]
     try:
         if spot.significance < DETECTED:
             raise Unmeasurable("no point source is detected")
-        view = view_of(
-            stack.data, spot.dark_dn, spot.full_scale_dn, spot.row, spot.col, context.pitch_ratio
-        )
+        view = view_of(stack, spot.dark_dn, spot.row, spot.col, context.pitch_ratio)
         radii = ring_energy_radii(view, spot.light, seed=context.seed)
     except Unmeasurable as refusal:
         return [make_refusal(name, "px", str(refusal), **common) for name in names]

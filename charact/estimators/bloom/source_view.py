@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
+from charact.frames.rounding import QUANTISATION_DN2
+from charact.frames.stack import Stack
 
 Array = NDArray[np.float64]
 
@@ -118,8 +120,6 @@ def rings_of(image: Array, polar: Polar) -> Rings:
 
 # Range of signal, fractions of full scale, in which photon noise is measured.
 LIGHT = (0.1, 0.7)
-# Variance of quantisation, DN^2.
-ROUNDING = 1.0 / 12.0
 SMOOTHING_PX = 1.0
 # Rows with independent noise.
 APART_ROWS = 3
@@ -141,19 +141,19 @@ def mean_with_clipping(mean: Array, noise: NoiseLaw, top: float) -> tuple[Array,
 
 
 def noise_of(
-    frames: NDArray, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings
+    stack: Stack, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings
 ) -> NoiseLaw:
     """Estimate pixel noise from frame differences or, in a single frame, from differences within
     rings.
 
-    `frames`, `signal`, `smooth`: frames, shape (frame, row, col), their mean above dark and that
-    smoothed by one pixel, shape (row, col), DN; `top`: full scale above dark, DN; `polar`, `rings`:
-    polar coordinates of the pixels, and sums over cells of the mean.
+    `signal`, `smooth`: mean frame above dark and that smoothed by one pixel, shape (row, col), DN;
+    `top`: full scale above dark, DN; `polar`, `rings`: polar coordinates of the pixels, and sums
+    over cells of the mean.
     """
     profile = rings.median()
     expected = np.interp(polar.radius, rings.radius, profile)
-    if len(frames) > 1:
-        variance = frames.var(axis=0, ddof=1, dtype=np.float64)
+    if len(stack) > 1:
+        variance = stack.temporal_variance_dn2
     else:
         # Differences are no measure of noise where rings fall steeply; along columns they are, even
         # in a streak.
@@ -171,8 +171,8 @@ def noise_of(
         1.0, (spread[0] / max(spread[1], 1e-6)) ** 2 * 4.0 * np.pi * SMOOTHING_PX**2
     )
     # In a single frame, selection by the pixel's own value would bias its noise.
-    of = signal if len(frames) > 1 else expected
-    return _line(variance.ravel(), of.ravel(), top, len(frames), correlation_factor)
+    of = signal if len(stack) > 1 else expected
+    return _line(variance.ravel(), of.ravel(), top, len(stack), correlation_factor)
 
 
 def _line(
@@ -186,16 +186,16 @@ def _line(
     at_faint, of_faint = float(np.maximum(signal[faint], 0.0).mean()), float(variance[faint].mean())
     if lit.sum() < 8:
         # Noise of intensified cameras is mostly photon noise.
-        slope, floor = max(of_faint - ROUNDING, 0.0) / max(at_faint, 1.0), ROUNDING
+        slope, floor = max(of_faint - QUANTISATION_DN2, 0.0) / max(at_faint, 1.0), QUANTISATION_DN2
     else:
         # Medians, since pixels at the end of a streak or under a moving source vary by more than
         # their noise.
         at_lit = float(np.median(signal[lit]))
         of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
-        slope, floor = max(of_lit - ROUNDING, 0.0) / at_lit, ROUNDING
+        slope, floor = max(of_lit - QUANTISATION_DN2, 0.0) / at_lit, QUANTISATION_DN2
         if at_lit >= 1.5 * at_faint:
             slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
-            floor = max(of_faint - slope * at_faint, ROUNDING)
+            floor = max(of_faint - slope * at_faint, QUANTISATION_DN2)
     return NoiseLaw(gain_dn=slope, read_dn=floor**0.5, correlation_factor=correlation_factor)
 
 
@@ -233,19 +233,17 @@ class SourceView:
         return self.rings.radius, self.rings.median()
 
 
-def view_of(
-    frames: NDArray, dark_dn: float, full_scale_dn: float, row: float, col: float, row_pitch: float
-) -> SourceView:
+def view_of(stack: Stack, dark_dn: float, row: float, col: float, row_pitch: float) -> SourceView:
     """Compute rings, sectors and pixel noise of frames around (row, col).
 
-    `frames`: shape (frame, row, col), DN; `dark_dn`, `full_scale_dn`: black level and full scale,
-    DN; `row`, `col`: centre of the source, px; `row_pitch`: row pitch over column pitch.
+    `dark_dn`: black level, DN; `row`, `col`: centre of the source, px; `row_pitch`: row pitch over
+    column pitch.
     """
     from scipy import ndimage
 
-    signal = frames.mean(axis=0, dtype=np.float64) - dark_dn
+    signal = stack.mean_dn - dark_dn
     polar = polar_of((signal.shape[0], signal.shape[1]), row, col, row_pitch)
-    rings, top = rings_of(signal, polar), full_scale_dn - dark_dn
+    rings, top = rings_of(signal, polar), stack.top_dn - dark_dn
     smooth = np.asarray(ndimage.gaussian_filter(signal, SMOOTHING_PX))
     return SourceView(
         signal=signal,
@@ -254,8 +252,8 @@ def view_of(
         top=top,
         polar=polar,
         rings=rings,
-        noise=noise_of(frames, signal, smooth, top, polar, rings),
-        frames=len(frames),
+        noise=noise_of(stack, signal, smooth, top, polar, rings),
+        frames=len(stack),
     )
 
 

@@ -10,6 +10,7 @@ from charact.estimators import bloom
 from charact.estimators.bloom.extent import extent_at
 from charact.estimators.bloom.point_stack import read_point_stacks
 from charact.estimators.bloom.source_view import view_of
+from charact.frames.stack import Stack
 from charact.method import Context
 from labdata import FrameStack, Measurement, load_sensor
 from tests.truth.bloom import bloom_session, stack
@@ -28,8 +29,13 @@ def disc(radius: float, shape=(81, 91), centre=(40, 45), row_pitch=1.0):
     )
 
 
+def view(frames, dark_dn=0.0, centre=(40.0, 45.0), row_pitch=1.0):
+    stack = Stack(frames=FrameStack(data=frames), stated_full_scale_dn=255.0)
+    return view_of(stack, dark_dn, *centre, row_pitch)
+
+
 def extent(image, level=100.0, row_pitch=1.0):
-    found = extent_at(view_of(image[None], 0.0, 255.0, 40.0, 45.0, row_pitch), level)
+    found = extent_at(view(image[None], row_pitch=row_pitch), level)
     assert found is not None
     return found
 
@@ -79,11 +85,9 @@ def test_intervals_hold_where_noise_rules(seed):
         scene = BloomScene(frames=frames)
         held, known = [], truth(scene, overload)
         for rng in np.random.default_rng(seed).spawn(15):
-            view = view_of(
-                stack(scene, overload, rng).data, scene.dark_dn, 255.0, *scene.centre, 1.0
-            )
+            seen = view(stack(scene, overload, rng).data, scene.dark_dn, scene.centre)
             for name, level in (("bloom_diameter", 133.5), ("bloom_diameter_background", 20.0)):
-                found = extent_at(view, level)
+                found = extent_at(seen, level)
                 assert found is not None
                 low, high = np.quantile(found.draws, [0.025, 0.975])
                 held.append(low <= known[name] <= high)
@@ -97,13 +101,7 @@ def test_a_level_within_the_noise_of_the_plateau_is_no_narrow_number(seed):
     scene = BloomScene(frames=1, halo_elastic_share=1.0)
     half = 0.5 * scene.span_dn
     rings = (
-        view_of(
-            stack(scene, 1e3, np.random.default_rng(seed)).data,
-            scene.dark_dn,
-            255.0,
-            *scene.centre,
-            1.0,
-        )
+        view(stack(scene, 1e3, np.random.default_rng(seed)).data, scene.dark_dn, scene.centre)
     ).profile[1]
     overload = 1e3 * half / float(np.median(rings[8:16]))
     known = truth(scene, overload)["bloom_diameter"]
@@ -134,7 +132,7 @@ def test_smear_at_the_level_is_a_streak_to_the_border_however_thin_it_is(seed):
     image = gaussian_filter(disc(15.0), 1.0)
     image[:, 44:46] = np.maximum(image[:, 44:46], 120.0)
     frames = image + rng.normal(0.0, 16.0, (4, *image.shape))
-    found = extent_at(view_of(frames, 0.0, 255.0, 40.0, 45.0, 1.0), 100.0)
+    found = extent_at(view(frames), 100.0)
     assert found is not None and found.pulled and found.touches_border
     assert found.area == pytest.approx((image >= 100.0).sum(), rel=0.03)
 
