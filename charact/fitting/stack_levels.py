@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.illumination import gathering_s
 from charact.fitting.thresholds import LEVELS
+from charact.frames.rounding import rounding_step
 from charact.observables.stack_level import StackLevel, variances_of
 from labdata.conditions import Conditions
 from labdata.session import Session, StackEntry
@@ -117,19 +118,9 @@ def _level(session: Session, entry: StackEntry) -> StackLevel | None:
         entry=entry,
         light_known=light_known,
         full_scale_dn=top,
-        step_dn=_step_dn(stack.data[0]),
+        step_dn=rounding_step([stack.data[0]]) or 1.0,
         **variances_of(stack.data),
     )
-
-
-def _step_dn(frame: NDArray) -> float:
-    """Return the greatest common divisor of the differences of codes, DN; 1 of codes that are no
-    whole numbers.
-    """
-    if not np.issubdtype(frame.dtype, np.integer):
-        return 1.0
-    codes = np.unique(frame).astype(np.int64)
-    return float(max(np.gcd.reduce(codes - codes[0]), 1))
 
 
 def _noise_dn(frame: NDArray) -> float:

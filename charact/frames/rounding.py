@@ -62,18 +62,28 @@ def _variance_before_rounding(variance_dn2: float, position_dn: float) -> float:
     return 0.0 if excess(1e-4) >= 0.0 else root_scalar(excess, bracket=(1e-4, 1.0)).root ** 2
 
 
-def step_of_codes(frames: Sequence[NDArray]) -> int:
-    """Return the largest number of which the differences of each frame's grey values are multiples,
-    DN.
+def rounding_step(frames: Sequence[NDArray], least_differences: int = 1) -> float | None:
+    """Return the largest number of which the differences of each frame's values are multiples, DN.
 
-    1 where there are too few values, or other than whole ones.
+    0 of continuous values; None where fewer differences than asked for tell it. For values that are
+    not whole the smallest spacing is the step if all others are multiples of it.
     """
-    if any(frame.dtype.kind not in "iu" for frame in frames):
-        return 1
-    gaps = np.concatenate(
-        [np.diff(np.unique(frame).astype(np.int64)) for frame in frames] or [np.zeros(0, np.int64)]
-    )
-    return int(np.gcd.reduce(gaps)) if gaps.size >= FEWEST_DIFFERENCES else 1
+    distinct = [np.unique(frame) for frame in frames]
+    gaps = np.concatenate([np.diff(values.astype(np.float64)) for values in distinct] or [[]])
+    if len(gaps) < least_differences:
+        return None
+    if all(np.all(values == np.rint(values)) for values in distinct):
+        return float(np.gcd.reduce(gaps.astype(np.int64)))
+    if len(gaps) > CLIPPING.distinct_fraction * sum(frame.size for frame in frames):
+        return 0.0
+    largest = max(float(np.abs(values).max()) for values in distinct)
+    noise = 4.0 * float(np.finfo(np.float32).eps) * largest
+    real = gaps[gaps > noise]
+    if not len(real):
+        return None
+    step = float(np.mean(real[real < 1.5 * float(real.min())]))
+    off = np.abs(real / step - np.rint(real / step))
+    return step if np.all(off < CLIPPING.step_tolerance + noise / step) else 0.0
 
 
 def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:

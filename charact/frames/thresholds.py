@@ -18,6 +18,9 @@ class ClippingLimits:
     plateau_fraction: float = 0.6
     min_relative_noise: float = 1e-5  # Noise over the range; less is rounding of floats
     min_rounding_shift_dn: float = 1e-3  # Shift that matters, DN
+    # Fraction of full scale at which frames clip or the wells of a sensor fill: their spread from
+    # pixel to pixel and the noise of the digitiser
+    full_fraction: float = 0.97
     # Fraction of frames at the top from which the mean of a pixel underestimates its signal
     max_full_frames: float = 0.02
     # Quantile of a mean frame that is taken as black where black is not known: of scenes and edges,
@@ -31,6 +34,8 @@ class ClippingLimits:
     max_sd_ratio: float = 1.25
     # Lowest values of converters and of the video range, DN
     video_floors_dn: tuple[int, int] = 0, 16
+    distinct_fraction: float = 0.5  # Distinct values beyond which values count as continuous
+    step_tolerance: float = 0.02  # Steps; deviation from multiples in single precision
     rounding_offsets: int = 8  # Offsets of the black level between two steps
     sawtooth_terms: int = 6  # Terms of the sawtooth's series
 

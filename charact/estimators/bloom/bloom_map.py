@@ -120,7 +120,7 @@ def bloom_map(
         else np.broadcast_to(np.asarray(noise_dn, np.float32), image.shape)
     )
     if clipped is None:
-        clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= 0.985 * clip_dn
+        clipped = image >= np.float32(np.inf if clip_dn is None else clip_dn)
     halo_px = 0.5 * float(spread.halo_diameter_px.max())
     grid = FrameGrid(
         shape=(image.shape[0], image.shape[1]), room_px=int(halo_px + 20), pitch_ratio=pitch_ratio

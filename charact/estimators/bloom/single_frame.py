@@ -27,6 +27,7 @@ from charact.estimators.bloom.point_stack import (
 from charact.estimators.bloom.source_view import SECTORS, Background, SourceView, view_of
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.stack import Stack
+from charact.frames.thresholds import CLIPPING
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.camera.description import has_tube
@@ -57,7 +58,7 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     beyond are excluded, and the background's error applies to the full area.
     """
     top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
-    if top > 0.97 * view.top:
+    if top > CLIPPING.full_fraction * view.top:
         raise Unmeasurable(
             "the source's core is clipped, so that its total signal is unknown: a fainter stack "
             "is needed"

@@ -10,7 +10,12 @@ import numpy as np
 
 from charact import verdict
 from charact.estimators.noise.thresholds import SWEEP
-from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2, step_of_codes
+from charact.frames.rounding import (
+    FEWEST_DIFFERENCES,
+    QUANTISATION_DN2,
+    QUANTISED_DN2,
+    rounding_step,
+)
 from charact.method import Context
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Provenance
@@ -142,7 +147,8 @@ def step_finding(session: Session) -> verdict.Finding | None:
     `SWEEP.max_quantisation` of the least variance.
     """
     stacks = [open_lazy_stack(entry) for entry in session.of_kind("dark", "flat")]
-    step = step_of_codes([stack.frames(0, 1)[0] for stack in stacks])
+    first = [stack.frames(0, 1)[0] for stack in stacks]
+    step = rounding_step(first, FEWEST_DIFFERENCES) or 1.0
     pairs = (
         [stack.frames(0, 2).astype(float) for stack in stacks if len(stack) > 1] if step > 1 else []
     )
@@ -154,7 +160,7 @@ def step_finding(session: Session) -> verdict.Finding | None:
         return None
     return COARSE.finding(
         "quantised",
-        f"all grey values are multiples of {step} DN: rounding adds {added:.3g} DN2 to a least "
+        f"all grey values are multiples of {step:g} DN: rounding adds {added:.3g} DN2 to a least "
         f"variance of {variance_dn2:.3g} DN2, and levels of a digitiser that cuts off are "
         f"{(step - 1.0) / 2.0:g} DN low",
     )

@@ -8,38 +8,11 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.thresholds import SURVEY
 from charact.frames.robust import NORMAL, robust_sd
+from charact.frames.rounding import rounding_step
 from charact.frames.thresholds import STACK
 from labdata.errors import BadInput
 from labdata.lazy_stack import open_lazy_stack
 from labdata.session import StackEntry
-
-
-def step_of(values: NDArray[np.float64]) -> float | None:
-    """Return the greatest common difference of values; 0 for continuous ones, None if all are
-    equal.
-
-    For non-integers the smallest spacing is the step if all others are multiples of it.
-    """
-    distinct = np.unique(values)
-    if len(distinct) < 2:
-        return None
-    gaps = np.diff(distinct)
-    if np.all(distinct == np.rint(distinct)):
-        return float(np.gcd.reduce(gaps.astype(np.int64)))
-    if len(distinct) > SURVEY.distinct_fraction * values.size:
-        return 0.0
-    noise = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(distinct).max())
-    real = gaps[gaps > noise]
-    if not len(real):
-        return None
-    smallest = float(real.min())
-    step = float(np.mean(real[real < 1.5 * smallest]))
-    multiples = gaps / step
-    return (
-        step
-        if np.all(np.abs(multiples - np.rint(multiples)) < SURVEY.step_tolerance + noise / step)
-        else 0.0
-    )
 
 
 def common_step(steps: list[float | None]) -> float | None:
@@ -134,7 +107,7 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     values = first[:, pixel].astype(np.float64)
     change = values[-1] - values[0]
     change -= np.median(change)
-    step = step_of(values)
+    step = rounding_step([values])
     sd = _temporal_sd(change, step) / np.sqrt(2.0)
     common = {
         "label": entry.label,

@@ -87,8 +87,6 @@ class SurveyLimits:
     sample: int = 2**14  # values of quantiles
     mean_stacks: int = 8  # stacks whose means are compared pixel by pixel
     replacement_px: int = 32  # px; distance of replacing pixels
-    distinct_fraction: float = 0.5  # distinct values beyond which values count as continuous
-    step_tolerance: float = 0.02  # steps; deviation from integer multiples in single precision
     fine_units: float = 100.0  # smallest noise of continuous values, units
     listed: int = 10  # positions in a note
 

@@ -5,7 +5,7 @@ import pytest
 
 from charact.estimators.noise.findings import Finding, notes_of, step_finding
 from charact.fitting.observation import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
-from charact.frames.rounding import step_of_codes
+from charact.frames.rounding import FEWEST_DIFFERENCES, rounding_step
 from charact.session_measurement import measure_noise, method_context
 from labdata import FrameStack, Measurement, Result, Session, measurement_from_sd
 from labdata.flags import FLAGS
@@ -67,7 +67,7 @@ def test_grey_values_that_are_multiples_are_found_where_their_rounding_adds_nois
 ) -> None:
     values = 2000.0 + sd * np.random.default_rng(seed).standard_normal((2, 64, 80))
     codes = (step * np.floor(values / step)).astype(np.uint16)
-    assert step_of_codes([codes[0]]) == step
+    assert rounding_step([codes[0]], FEWEST_DIFFERENCES) == step
     finding = step_finding(session_of_codes(codes))
     assert (finding is not None) == found
     if finding is not None:
@@ -77,14 +77,14 @@ def test_grey_values_that_are_multiples_are_found_where_their_rounding_adds_nois
 
 def test_few_grey_values_show_no_step() -> None:
     frame = np.array([[16, 32], [48, 64]], np.uint16)
-    assert step_of_codes([frame, frame]) == 1
+    assert rounding_step([frame, frame], FEWEST_DIFFERENCES) is None
     assert step_finding(session_of_codes(np.stack([frame, frame]))) is None
     # Six more from other stacks are enough.
-    assert step_of_codes([frame, frame, frame]) == 16
-    assert step_of_codes([np.arange(0.0, 64.0, 4.0)]) == 1
-    assert step_of_codes([]) == 1
+    assert rounding_step([frame, frame, frame], FEWEST_DIFFERENCES) == 16
+    assert rounding_step([np.arange(0.0, 64.0, 4.0)]) == 4
+    assert rounding_step([]) is None
     # Differences of 2 and 3 have no divisor in common.
-    assert step_of_codes([np.cumsum([2, 3] * 6)]) == 1
+    assert rounding_step([np.cumsum([2, 3] * 6)]) == 1
 
 
 def test_coarse_grey_values_add_their_rounding_to_the_read_noise_and_are_named(seed: int) -> None:

@@ -25,6 +25,7 @@ from charact.estimators.mtf.point.spot_image_matrix import (
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.image_lag import ImageLagModel
 from charact.frames.noise_law import NoiseLaw
+from charact.frames.thresholds import CLIPPING
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ class SourcePixels:
         """Values of the frames at full scale, shape (frame, pixel)."""
         if self.full_scale_dn is None:
             return np.zeros(self.window.deviations.shape, bool)
-        return np.asarray(self.frames >= LIMITS.full_fraction * self.full_scale_dn)
+        return np.asarray(self.frames >= CLIPPING.full_fraction * self.full_scale_dn)
 
     def ring_variance(self) -> Array:
         """Return the variance of the rings' means: from the scatter of their sectors, at least the
@@ -390,7 +391,7 @@ def _pixels_at_full_scale(
     assert site.full_scale_dn is not None
     return Censored(
         matrix=matrix[:size][hidden] - linear @ (back @ raw),
-        limit=LIMITS.full_fraction * site.full_scale_dn - level,
+        limit=CLIPPING.full_fraction * site.full_scale_dn - level,
         sd=np.sqrt(np.diag(pixel_covariance)[:size][hidden] * site.window.frames),
         cut=cut.sum(axis=0).astype(float),
         n_unclipped=n_unclipped.astype(float),

@@ -15,6 +15,7 @@ from charact.estimators.mtf.point.source import DetectedSource
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.clipping import is_clipped_at_black
 from charact.frames.stack import Stack
+from charact.frames.thresholds import CLIPPING
 from charact.method import Context
 from labdata.camera.description import has_tube
 
@@ -170,7 +171,7 @@ def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -
     """
     if full_scale_dn is None:
         return np.ones(core.shape[1:], bool)
-    full = np.asarray(core.max(axis=0) >= LIMITS.full_fraction * full_scale_dn)
+    full = np.asarray(core.max(axis=0) >= CLIPPING.full_fraction * full_scale_dn)
     spoilt = full.copy()
     if filtered:
         for step in range(1, 9):

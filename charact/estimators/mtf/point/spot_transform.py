@@ -21,6 +21,7 @@ from charact.estimators.mtf.point.source import (
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.clipping import is_clipped_at_black
 from charact.frames.stack import Stack
+from charact.frames.thresholds import CLIPPING
 from charact.method import Context, register
 from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
@@ -141,7 +142,7 @@ def _spots(
     background = stack.data[:, ring].mean(axis=1)
     spots = np.where(disc, stack.data - background[:, None, None], 0.0)
     full = Stack.of(stack, context).ceiling_dn
-    saturated = full is not None and stack.data[:, disc].max() >= 0.97 * full
+    saturated = full is not None and stack.data[:, disc].max() >= CLIPPING.full_fraction * full
     cut = min(-y[0, 0], y[-1, 0], -x[0, 0], x[0, -1]) < ACCURACY.background_radius_px
     mean = spots.mean(axis=0)
     is_wide = float((mean * radius**2).sum()) > LIMITS.max_rms_radius_px**2 * float(mean.sum())

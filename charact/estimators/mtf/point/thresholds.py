@@ -30,8 +30,6 @@ class PointLimits:
     # -2 ln likelihood of the best model over the degrees of freedom: residuals of a hundred
     # standard deviations, where the likelihood is too steep to be explored.
     max_cost: float = 1e4
-    # Fraction of full scale at which frames clip or the wells of a sensor fill
-    full_fraction: float = 0.97
     min_variance_dn2: float = 0.25  # Variance to which quantisation only adds its own, DN^2
     min_rounding_shift_dn: float = 0.02  # Quantisation shift of faint light that is reported, DN
     # Chi squared of model departures, standard deviations of its noise

@@ -14,6 +14,7 @@ from charact.estimators.mtf.target_detection.smoothed_mean_frame import (
 )
 from charact.estimators.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from charact.frames.robust import robust_sd
+from charact.frames.thresholds import CLIPPING
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float32]
@@ -236,7 +237,8 @@ def _spot(
     minor, major = np.sqrt(np.linalg.eigvalsh(moments))
     if major > THRESHOLDS.max_axis_ratio * minor or major > 0.5 * half_px:
         return None
-    saturated = full_scale_dn is not None and bool(part.max() >= 0.999 * full_scale_dn)
+    full_dn = np.inf if full_scale_dn is None else CLIPPING.full_fraction * full_scale_dn
+    saturated = bool(part.max() >= full_dn)
     return float(row - half_px + centre[0]), float(col - half_px + centre[1]), saturated
 
 
