@@ -45,7 +45,6 @@ from charact.method import Context
 from charact.transfer.cores import ON_BARS
 from charact.verdict import Finding
 from labdata.camera.description import has_tube
-from labdata.frames import FrameStack
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -96,10 +95,10 @@ class StatedBars:
 
 
 def measure_bars_in(
-    stack: FrameStack, asked: StatedBars, context: Context
+    stack: Stack, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Detect and measure the target of a region."""
-    mean = stack.data.mean(axis=0, dtype=np.float64)
+    mean = stack.mean_dn
     if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
         size = f"{mean.shape[0]} x {mean.shape[1]} px"
         return BarRefusal(f"no target: {asked} require a larger region, got {size}")
@@ -109,14 +108,15 @@ def measure_bars_in(
     if located is None:
         return BarRefusal(f"no target: no group of {asked} found; {asked.remedy}")
     return (_measure_strip if located.through else _measure_complete_target)(
-        stack, mean, located.target, asked, context
+        stack, located.target, asked, context
     )
 
 
 def _measure_strip(
-    stack: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
+    stack: Stack, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Measure bars that cross the region."""
+    mean = stack.mean_dn
     turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
     target = replace(
         target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio
@@ -169,7 +169,7 @@ def _count_lit_pixels(fit: BarFit) -> Mask:
 
 
 def _sample_measurement(
-    stack: FrameStack,
+    stack: Stack,
     fit: BarFit,
     problem: BarLikelihood,
     context: Context,
@@ -222,7 +222,7 @@ def _sample_measurement(
             *findings_of_fit(fit, problem),
             *response_findings(response),
             # White clips where there is light, black mostly where there is none.
-            *clipping_findings(stack, (lit, problem.window), context, fit),
+            *clipping_findings(stack, (lit, problem.window), fit),
         ),
         notes=tuple(notes),
         margin_px=margin,
@@ -264,10 +264,10 @@ def _average_models(
 
 
 def _measure_complete_target(
-    stack: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
+    stack: Stack, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Measure a target that lies completely in the region."""
-    wanted = target
+    mean, wanted = stack.mean_dn, target
     margin, cut = fitting_margin(target, mean.shape, margin_px(context, target.frequency))
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:
@@ -276,7 +276,7 @@ def _measure_complete_target(
             "measurable); enlarge `roi`"
         )
     background, crowded = target_background(mean, target, margin)
-    image_lag = None if not has_tube(context.camera) else Stack.of(stack, context).image_lag
+    image_lag = stack.image_lag if has_tube(context.camera) else None
     amplitudes = amplitudes_of(stack.data, target, window, background, image_lag)
     reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
@@ -309,14 +309,14 @@ def _measure_complete_target(
         margin, LIMITS.min_margin_px if cut else 0.0, crowded=crowded
     )
     if has_tube(context.camera):
-        box = target.box(stack.shape[1:], 1.0)
+        box = target.box(mean.shape, 1.0)
         posterior = sample_sums(amplitudes, lost_fraction(context, margin), context)
         notes = [f"Normalised to the light within {margin:.0f} px of the bars."] if cut else []
         return BarMeasurement(
             target=target,
             posterior=posterior,
             mtf=posterior["mtf"],
-            findings=(*target_findings, *clipping_findings(stack, (box,), context)),
+            findings=(*target_findings, *clipping_findings(stack, (box,))),
             notes=(
                 *sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None),
                 *notes,

@@ -19,9 +19,7 @@ from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS as MTF_LIMITS
 from charact.frames.stack import Stack
-from charact.method import Context
 from charact.verdict import Finding
-from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -111,20 +109,19 @@ def window_findings(margin_px: float, least_px: float, *, crowded: bool = False)
 
 
 def clipping_findings(
-    stack: FrameStack, windows: Iterable[Mask], context: Context, fit: BarFit | None = None
+    stack: Stack, windows: Iterable[Mask], fit: BarFit | None = None
 ) -> list[Finding]:
     """Return a finding where pixels of a window are clipped.
 
     If the frames have hardly any noise, a flat plateau proves clipping only at a stated full scale.
     """
-    frames_of_camera = Stack.of(stack, context)
     if (
         fit is not None
         and _is_noise_hidden(stack, fit)
-        and (frames_of_camera.ceiling_dn is None or stack.data.max() < frames_of_camera.ceiling_dn)
+        and (stack.ceiling_dn is None or stack.data.max() < stack.ceiling_dn)
     ):
         return []
-    if not any(frames_of_camera.is_clipped(window) for window in windows):
+    if not any(stack.is_clipped(window) for window in windows):
         return []
     return [
         finding(
@@ -134,7 +131,7 @@ def clipping_findings(
     ]
 
 
-def _is_noise_hidden(stack: FrameStack, fit: BarFit) -> bool:
+def _is_noise_hidden(stack: Stack, fit: BarFit) -> bool:
     """Return whether a frame's noise is below the quantisation step, or below the error of the
     image's table.
     """

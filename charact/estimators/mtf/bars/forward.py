@@ -10,6 +10,7 @@ from charact.estimators.mtf.bars.checks import findings_of_draws
 from charact.estimators.mtf.bars.target import BarTarget
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
+from charact.frames.stack import Stack
 from charact.method import Context, register
 from charact.transfer.cores import ON_BARS
 from charact.transfer.stages import aperture
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 METHOD = "bars-forward"
 
 
-def measure_bar_motion(stack: FrameStack, target: BarTarget) -> TargetMotion:
+def measure_bar_motion(stack: Stack, target: BarTarget) -> TargetMotion:
     """Return the motion of a target across its bars through a stack."""
     across, along = target.coordinates(stack.data.shape[1:])
     on_bars = (np.abs(across) < target.width_px / 2.0 + 0.5 / target.frequency) & (
@@ -33,13 +34,13 @@ def measure_bar_motion(stack: FrameStack, target: BarTarget) -> TargetMotion:
     return measure_line_motion(list(stack.data), across, line - line[on_bars].min(), on_bars)
 
 
-def bar_profile(stack: FrameStack, target: BarTarget, mtf: float) -> dict:
+def bar_profile(stack: Stack, target: BarTarget, mtf: float) -> dict:
     """Return the mean profile across the bars and a model with the measured MTF, as figure data.
 
     The model has the tube transfer exp(-(f/fc)^1.2) with the measured value at the fundamental.
     """
-    across, along = target.coordinates(stack.shape[1:])
-    mean = stack.data.mean(axis=0, dtype=np.float64)
+    mean = stack.mean_dn
+    across, along = target.coordinates(mean.shape)
     on_bars = (np.abs(along) < 0.3 * target.length_px) & (
         np.abs(across) < target.width_px / 2 + 1.5 / target.frequency
     )
@@ -127,8 +128,8 @@ def bars_forward(
     wide and known, complete targets are summed instead; the light beyond the window is a parameter
     with a prior from the description.
     """
-    cut_stack = stack if region is None else stack.region(*region)
-    where = region or (0, 0, *cut_stack.shape[1:])
+    cut_stack = Stack.of(stack if region is None else stack.region(*region), context)
+    where = region or (0, 0, *cut_stack.mean_dn.shape)
     stated = StatedBars(bars=bars, frequency=frequency_cy_per_px)
     measured = measure_bars_in(cut_stack, stated, context)
     if isinstance(measured, BarRefusal):

@@ -14,9 +14,9 @@ from charact.estimators.mtf.nonlinearity import (
     contrast_of,
     curvatures,
 )
+from charact.frames.stack import Stack
 from charact.inference.least_squares import Linearisation, least_squares, linearise_residual
 from charact.verdict import Finding
-from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -56,11 +56,11 @@ class BarNonlinearity(NamedTuple):
     per_pixel: Power | None
 
 
-def response_of(stack: FrameStack, fit: BarFit) -> BarNonlinearity:
+def response_of(stack: Stack, fit: BarFit) -> BarNonlinearity:
     """Return the evidence of a fitted target; without a black level its noise is not used."""
     background = fit["pedestal_dn"]
     dark, bright = sorted((background, background + fit["level_dn"]))
-    black_dn = usable_black_level(stack.black_level_dn, dark, bright)
+    black_dn = usable_black_level(stack.frames.black_level_dn, dark, bright)
     powers = (None, None) if black_dn is None else noise_powers(stack.data, fit, black_dn)
     curvature, sd, lifts = _curvature(fit)
     return BarNonlinearity(curvature, sd, contrast_of(dark, bright, black_dn), lifts, *powers)
