@@ -138,12 +138,11 @@ def edge_findings(
         yield plain("interlace-motion")
     if profile.defects:
         yield _defects(profile, relative_sd)
-    noise = profile.noise
     # Neither noise that grows with the light nor an unknown black level contradicts a line.
     if (
         picture.frames > 1
         or profile.black is not None
-        or noise.bright_variance < noise.dark_variance
+        or profile.bright_variance < profile.dark_variance
     ) and noise_flags(edge.noise_growth):
         yield plain("gamma")
     yield from map(plain, edge.flags)
@@ -196,7 +195,7 @@ def _defects(profile: EdgeProfile, relative_sd: float) -> EdgeFinding:
     standard deviations (rms); twice that is the bound. Where more of them lie on the slope than
     chance puts there, what is excluded is the edge, and nothing is known.
     """
-    gathered, noise = profile.gathered, max(profile.noise.mean_sd, 1e-12)
+    gathered, noise = profile.gathered, max(profile.noise_variance(0.5) ** 0.5, 1e-12)
     in_band = (gathered.distance >= gathered.borders[0]) & (
         gathered.distance < gathered.borders[-1]
     )
@@ -218,9 +217,8 @@ def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
     profile, gathered = edge.profile, edge.profile.gathered
     valid = gathered.valid & (np.abs(gathered.distance) < ACCURACY.field_distance_px)
     means = profile.distance, profile.value
-    return field_displacement(
-        edge.picture, edge.rows, valid, gathered.distance, means, profile.noise.max_sd
-    )
+    max_sd = max(profile.dark_variance, profile.bright_variance) ** 0.5
+    return field_displacement(edge.picture, edge.rows, valid, gathered.distance, means, max_sd)
 
 
 def bow_of(offset: Array) -> float:
@@ -276,7 +274,7 @@ def fit_findings(
         yield misfit_finding(profile, fitted)
     if np.abs(slopes).max() * 2.0 * profile.gathered.half_width_px > THRESHOLDS.max_gradient * step:
         yield gradient_finding(profile)
-    if step < THRESHOLDS.min_step_sd * profile.noise.mean_sd:
+    if step < THRESHOLDS.min_step_sd * profile.noise_variance(0.5) ** 0.5:
         yield low_signal_finding(profile)
     if noise_below_quantisation(picture, profile):
         yield quantisation_finding(profile)
@@ -289,9 +287,7 @@ def fit_findings(
     pixels = np.bincount(cell, weights=weight)
     means = np.abs(np.bincount(cell, weights=weight * residual)) / np.maximum(pixels, 1e-9)
     error = np.sqrt(
-        profile.noise.covariance_over_variance
-        * profile.noise.bright_variance
-        / np.maximum(pixels, 1.0)
+        profile.correlated_noise.correlation_sum * profile.bright_variance / np.maximum(pixels, 1.0)
     )
     if np.any((means > 0.1 * step) & (means > THRESHOLDS.misfit_sd * error)):
         yield plain("several-targets")
@@ -322,7 +318,7 @@ def gradient_finding(profile: EdgeProfile) -> EdgeFinding:
 
 def low_signal_finding(profile: EdgeProfile) -> EdgeFinding:
     """Return the finding of a step that hardly exceeds the noise."""
-    ratio = _step_of(profile) / max(profile.noise.mean_sd, 1e-300)
+    ratio = _step_of(profile) / max(profile.noise_variance(0.5) ** 0.5, 1e-300)
     effect = (
         f"the step is {ratio:.1f} times the noise of a pixel: the limits of the interval are "
         f"uncertain"
@@ -355,7 +351,8 @@ def noise_below_quantisation(picture: OrientedFrame, profile: EdgeProfile) -> bo
     """Return whether the noise of one frame is too small to dither the quantisation."""
     return (
         picture.whole_codes
-        and profile.noise.mean_sd * np.sqrt(picture.frames) < THRESHOLDS.quantisation_noise_dn
+        and profile.noise_variance(0.5) ** 0.5 * np.sqrt(picture.frames)
+        < THRESHOLDS.quantisation_noise_dn
     )
 
 
@@ -432,7 +429,7 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
     pixels = int(np.count_nonzero(on_plateau))
     if pixels < ACCURACY.sharpening_pixels:
         return 1.0
-    sd = np.sqrt(np.maximum(profile.noise.variance(level), profile.variance_floor))
+    sd = np.sqrt(np.maximum(profile.noise_variance(level), profile.variance_floor))
     noise = np.where(on_plateau, np.clip((picture.value - at_pixel) / sd, -clip_sd, clip_sd), 0.0)
     # A variance below 1 is the residual of the bins, not noise.
     variance, total = max(float(np.sum(noise**2)) / pixels, 1.0), 0.0

@@ -1,18 +1,15 @@
-"""Noise of a frame along an edge: its variance on both sides, its correlation, and the covariance
-of bin means.
+"""Noise of a frame along an edge: its law, its correlation, and the covariance of bin means.
 
 It is estimated from the residuals of the profile and so includes photons, gain, read-out, the fixed
 pattern that frames share, and the correlation by blur.
 """
-
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.frames.noise_law import NoiseLaw, fit_noise_law, masked_covariance
 from charact.frames.robust import median
 from charact.inference.least_squares import Linearisation, least_squares, linearise_residual
 
@@ -27,112 +24,27 @@ LENGTH_PX, EXPONENT, EXPONENT_PRIOR = (0.35, 6.0), (0.7, 2.3), (1.8, 0.3)
 MAX_LAG_PX = 14
 
 
-@dataclass(frozen=True, kw_only=True)
-class EdgeNoiseModel:
-    """Noise of a frame along an edge; its correlation is estimated where it is first asked for.
-
-    Parameters
-    ----------
-    dark_variance, bright_variance
-        Variance of a pixel on both plateaus, DN^2; in between it is linear in the profile.
-    residual, level, valid
-        Frame less its profile, DN, the profile from 0 to 1, and the pixels that count, shape (row,
-        col).
-    slopes
-        Change of the distance from the edge with one column and with one row, px.
-    is_quantisation
-        Whether the residual is quantisation, in the data or in the bins, which does not correlate
-        neighbours.
-    field_axis
-        Axis of the frame along which two fields alternate; None: there are none.
-    """
-
-    dark_variance: float
-    bright_variance: float
-    residual: Array
-    level: Array
-    valid: NDArray[np.bool_]
-    slopes: tuple[float, float]
-    is_quantisation: bool
-    field_axis: int | None = None
-
-    @cached_property
-    def correlation(self) -> Array:
-        """Correlation at lags of rows and columns, shape (2 R + 1, 2 C + 1), 1 in the middle."""
-        if self.is_quantisation:
-            return np.ones((1, 1))
-        standard = np.where(self.valid, self.residual / np.sqrt(self.variance(self.level)), 0.0)
-        return correlation_of(standard, self.valid, self.slopes, self.field_axis)
-
-    @cached_property
-    def covariance_over_variance(self) -> float:
-        """Sum of the correlation: by how much averages are noisier than those of independent
-        pixels.
-        """
-        return float(max(self.correlation.sum(), 0.05))
-
-    @property
-    def mean_sd(self) -> float:
-        """Noise of a pixel, the root mean square of both sides, DN."""
-        return float(np.sqrt(0.5 * (self.dark_variance + self.bright_variance)))
-
-    @property
-    def max_sd(self) -> float:
-        """Noise of a pixel on the noisier side, DN."""
-        return float(np.sqrt(max(self.dark_variance, self.bright_variance)))
-
-    def variance(self, level: Array) -> Array:
-        """Return the variance where the profile stands at a level between 0 (dark) and 1
-        (bright).
-        """
-        return self.dark_variance + (self.bright_variance - self.dark_variance) * np.clip(
-            level, 0.0, 1.0
-        )
-
-
 def estimate_edge_noise(
-    residual: Array,
-    level: Array,
-    valid: NDArray[np.bool_],
-    distance: Array,
-    floor: float,
-    field_axis: int | None = None,
-) -> EdgeNoiseModel:
-    """Estimate the noise from residuals r: r^2 = (1 - u) dark_variance + u bright_variance, u the
-    level.
+    residual: Array, level: Array, valid: NDArray[np.bool_], step: float, floor: float
+) -> NoiseLaw:
+    """Return the noise against the height above the dark side, from the residuals of a profile.
 
     Parameters
     ----------
     residual, level
         Frame less its profile, DN, and the profile from 0 to 1, shape (row, col).
-    valid, distance
-        Pixels that count, and their distance from the edge, px, shape (row, col).
-    floor
-        Least variance, DN^2.
-    field_axis
-        Axis of the frame along which two fields alternate; None: there are none.
+    valid
+        Pixels that count.
+    step, floor
+        Height of the edge, DN, and least variance, DN^2.
     """
-    # Least-squares line through the squared residuals against the level; outliers count as 50
-    # variances at most.
-    residuals, bright = residual[valid], level[valid]
+    residuals = residual[valid]
+    # Outliers count as 50 variances at most.
     square = np.minimum(
         residuals**2, 50.0 * (float(residuals.var()) if residuals.size else 0.0) + floor
     )
-    sides = np.stack([1.0 - bright, bright])
-    normal = sides @ sides.T
-    variances = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), sides @ square)
-    min_variance = max(0.02 * max(float(square.mean()) if square.size else 0.0, floor), floor)
-    dark, bright = (max(float(variance), min_variance) for variance in variances)
-    return EdgeNoiseModel(
-        dark_variance=dark,
-        bright_variance=bright,
-        residual=residual,
-        level=level,
-        valid=valid,
-        slopes=(float(np.diff(distance[0, :2])[0]), float(np.diff(distance[:2, 0])[0])),
-        is_quantisation=max(dark, bright) <= 1.01 * floor,
-        field_axis=field_axis,
-    )
+    least = max(0.02 * float(square.mean()) if square.size else 0.0, floor)
+    return fit_noise_law(level[valid] * step, square, step, least)
 
 
 def fit_correlation_model(
@@ -267,38 +179,24 @@ def correlation_of(
     field_axis
         Axis along which two fields alternate; None: there are none.
     """
-    from scipy.fft import next_fast_len
     from scipy.ndimage import uniform_filter
 
-    rows, cols = standard.shape
-    reach_row, reach_col = min(MAX_LAG_PX, rows - 1), min(MAX_LAG_PX, cols - 1)
-    take_row, take_col = np.arange(-reach_row, reach_row + 1), np.arange(-reach_col, reach_col + 1)
-    fast = [
-        int(next_fast_len(size, real=True) or size) for size in (rows + reach_row, cols + reach_col)
-    ]
     # In single precision: a correlation is known to a thousandth at best.
-    spectra = np.stack(
-        [np.fft.rfft2(field.astype(np.float32), fast) for field in (standard, valid)]
-    ).astype(np.complex64)
-    lagged = np.fft.irfft2(spectra.real**2 + spectra.imag**2, fast)[
-        :, take_row[:, None], take_col
-    ].astype(float)
-    product, pairs = lagged[0], np.rint(lagged[1])
-    correlation = np.where(pairs > 50, product / np.maximum(pairs, 1), 0.0)
-    if not correlation[reach_row, reach_col] > 0:
+    product, pairs = masked_covariance(standard[None].astype(np.float32), valid, MAX_LAG_PX)
+    correlation = np.where(pairs > 50, product, 0.0)
+    if not correlation[MAX_LAG_PX, MAX_LAG_PX] > 0:
         return np.ones((1, 1))
-    correlation = correlation / correlation[reach_row, reach_col]
-    across = np.add.outer(take_row * slopes[1], take_col * slopes[0])
-    odd = np.broadcast_to(
-        (take_row[:, None], take_col[None, :])[field_axis or 0] % 2 == 1, correlation.shape
-    )
+    correlation = correlation / correlation[MAX_LAG_PX, MAX_LAG_PX]
+    lag = np.arange(-MAX_LAG_PX, MAX_LAG_PX + 1)
+    across = np.add.outer(lag * slopes[1], lag * slopes[0])
+    odd = np.broadcast_to((lag[:, None], lag)[field_axis or 0] % 2 == 1, correlation.shape)
     form, loss = fit_correlation_model(
         correlation, pairs, across, None if field_axis is None else odd
     )
     residual = correlation - form - loss
     # Bartlett: errors of a correlation are tied over lags as the noise itself is.
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
-    short = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= ACCURACY.correlation_near_px
+    short = np.maximum.outer(np.abs(lag), np.abs(lag)) <= ACCURACY.correlation_near_px
     tied_error = np.sqrt(
         np.sum(uniform_filter(form, 3, mode="constant") ** 2) / np.maximum(pairs, 1)
     )
@@ -309,15 +207,11 @@ def correlation_of(
         THRESHOLDS.correlation_sd if formless else THRESHOLDS.correlation_departure_sd
     )
     keep = np.abs(uniform_filter(tested, 3, mode="constant")) > min_significance * tied_error
-    keep[reach_row, reach_col] = False
+    keep[MAX_LAG_PX, MAX_LAG_PX] = False
     # 1 up to half the largest lag, then a cosine down to 0.
-    falloff = [
-        np.clip((np.abs(lag) - MAX_LAG_PX / 2) / (MAX_LAG_PX / 2 + 1), 0.0, 1.0)
-        for lag in (take_row, take_col)
-    ]
-    departure = np.where(keep, residual, 0.0) * np.outer(
-        *(0.5 * (1.0 + np.cos(np.pi * field)) for field in falloff)
-    )
+    falloff = np.clip((np.abs(lag) - MAX_LAG_PX / 2) / (MAX_LAG_PX / 2 + 1), 0.0, 1.0)
+    taper = 0.5 * (1.0 + np.cos(np.pi * falloff))
+    departure = np.where(keep, residual, 0.0) * np.outer(taper, taper)
     if formless or not keep.any():
         return form + departure
     # Without what it takes from the noise at any frequency: blur leaves little noise at high
@@ -327,9 +221,9 @@ def correlation_of(
 
 
 def bin_covariance(
-    noise: EdgeNoiseModel,
+    noise: NoiseLaw,
     borders: Array,
-    level: Array,
+    height: Array,
     count: Array,
     keep: NDArray[np.bool_],
     slopes: tuple[float, float],
@@ -338,10 +232,12 @@ def bin_covariance(
 
     Parameters
     ----------
+    noise
+        With its correlation.
     borders
         Borders of all bins of the band, px.
-    level, count
-        Profile at each kept bin and its number of pixels, shape (bin,).
+    height, count
+        Profile above the dark side at each kept bin, DN, and its number of pixels, shape (bin,).
     keep
         Which bins of the band are kept.
     slopes
@@ -367,7 +263,7 @@ def bin_covariance(
     lag_px = np.arange(-max_cells, max_cells + 1) * NARROWEST_PX
     index = np.searchsorted(delta, lag_px)
     ramp = np.asarray(total[index] * lag_px - moment[index], np.float64)
-    sd = np.sqrt(noise.variance(level))
+    sd = noise.sd(height)
     scale = sd / np.sqrt(np.diff(borders)[keep] * count)
     ramp = ramp[max_cells + cell - cell[:, None]]
     overlap = (ramp[:-1, 1:] - ramp[1:, 1:] + ramp[1:, :-1] - ramp[:-1, :-1])[np.ix_(keep, keep)]

@@ -130,7 +130,7 @@ class PreparedEdge:
         """How the noise grows with the light: from frame to frame where there are several that
         differ, or by covariances above a known black level; else by the noise of the mean frame.
         """
-        profile, noise = self.profile, self.profile.noise
+        profile, correlation_sum = self.profile, self.profile.correlated_noise.correlation_sum
         if self.picture.frames > 1 or profile.black is not None:
             value, _, sides = self.expected
             plateaus = plateau_noise(
@@ -138,21 +138,21 @@ class PreparedEdge:
                 value,
                 sides,
                 along=0 if self.picture.transposed else 1,
-                correlation_sum=noise.covariance_over_variance,
+                correlation_sum=correlation_sum,
             )
             several = self.picture.frames > 1
             growth = plateaus and noise_growth(plateaus, profile.black, several=several)
             if growth:
                 return growth
         pixels = 0.5 * np.count_nonzero(profile.gathered.valid)
-        pixels /= max(noise.covariance_over_variance, 1.0)
+        pixels /= max(correlation_sum, 1.0)
         photons = None
         if profile.black is not None and profile.dark > profile.black:
             bright_dn = profile.bright - profile.black
-            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(noise.bright_variance):
+            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(profile.bright_variance):
                 photons = bright_dn / (profile.dark - profile.black)
         return PlateauNoiseRatio(
-            ratio=noise.bright_variance / noise.dark_variance,
+            ratio=profile.bright_variance / profile.dark_variance,
             # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
             scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
             photon_ratio=photons,
@@ -416,7 +416,7 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
         # All pixels of a plateau have the same quantisation error; those near an edge differ: the
         # mean square of the sawtooth of `charact.frames.rounding` at any level,
         # DN^2.
-        sides = np.array([profile.noise.dark_variance, profile.noise.bright_variance])
+        sides = np.array([profile.dark_variance, profile.bright_variance])
         variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
         turn = np.pi * np.arange(1, 7)[:, None]
         quantisation = np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0))

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from charact.estimators.mtf.edge.pixels.line import EdgeLine, steepness
 from charact.estimators.mtf.edge.pixels.noise_model import (
     NARROWEST_PX,
-    EdgeNoiseModel,
     bin_covariance,
+    correlation_of,
     estimate_edge_noise,
 )
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, usable_black_level
 from charact.estimators.mtf.nonlinearity import contrast_of
+from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import median, robust_sd
 
 Array = NDArray[np.float64]
@@ -203,7 +204,11 @@ class EdgeProfile:
     dark, bright, black
         Levels of both sides at the edge, and black level, DN; None: unknown.
     noise
-        Noise of the frame.
+        Noise of the frame against the height above the dark side, neighbours taken as independent.
+    residual, level
+        Frame less its profile, DN, and the profile from 0 to 1, shape (row, col).
+    field_axis
+        Axis of the frame along which two fields alternate; None: there are none.
     defects
         Number of pixels left out for values that the noise cannot explain.
     angle_rad, slopes
@@ -223,7 +228,10 @@ class EdgeProfile:
     dark: float
     bright: float
     black: float | None
-    noise: EdgeNoiseModel
+    noise: NoiseLaw
+    residual: Array
+    level: Array
+    field_axis: int | None
     defects: int
     angle_rad: float
     slopes: tuple[float, float]
@@ -235,12 +243,42 @@ class EdgeProfile:
         """Height of the edge, DN."""
         return self.bright - self.dark
 
+    def noise_variance(self, level: Array | float) -> Array:
+        """Return the variance of a pixel where the profile stands at a level between 0 and 1,
+        DN^2.
+        """
+        return self.noise.variance(self.step * np.clip(level, 0.0, 1.0))
+
+    @property
+    def dark_variance(self) -> float:
+        """Variance of a pixel on the dark side, DN^2."""
+        return float(self.noise_variance(0.0))
+
+    @property
+    def bright_variance(self) -> float:
+        """Variance of a pixel on the bright side, DN^2."""
+        return float(self.noise_variance(1.0))
+
+    @cached_property
+    def correlated_noise(self) -> NoiseLaw:
+        """Noise with the correlation of neighbours; quantisation does not correlate them."""
+        if max(self.dark_variance, self.bright_variance) <= 1.01 * self.variance_floor:
+            return self.noise
+        valid = self.gathered.valid
+        standard = np.where(valid, self.residual / np.sqrt(self.noise_variance(self.level)), 0.0)
+        correlation = correlation_of(standard, valid, self.slopes, self.field_axis)
+        return replace(self.noise, correlation=correlation)
+
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the bin means by noise and shading, shape (bin, bin), DN^2."""
-        level = (self.value - self.dark) / (self.step or 1.0)
         covariance = bin_covariance(
-            self.noise, self.gathered.borders, level, self.count, self.keep, self.slopes
+            self.correlated_noise,
+            self.gathered.borders,
+            np.clip(self.value - self.dark, 0.0, max(self.step, 0.0)),
+            self.count,
+            self.keep,
+            self.slopes,
         )
         if not self.shading_sd:
             return covariance
@@ -353,9 +391,10 @@ def profile_of(
         dark=dark,
         bright=bright,
         black=usable_black_level(picture.black_dn, dark, bright),
-        noise=estimate_edge_noise(
-            residual, level, gathered.valid, gathered.distance, floor, picture.field_axis
-        ),
+        noise=estimate_edge_noise(residual, level, gathered.valid, bright - dark, floor),
+        residual=residual,
+        level=level,
+        field_axis=picture.field_axis,
         defects=defects,
         angle_rad=angle,
         slopes=slopes,
@@ -391,11 +430,11 @@ def refine_noise(profile: EdgeProfile, picture: OrientedFrame, model_value: Arra
     level = (at_pixel - profile.dark) / profile.step
     value = np.where(gathered.valid, picture.value - at_pixel, 0.0)
     residual = np.where(gathered.valid, value - _slope_along(value, gathered, level), value)
-    floor = profile.variance_floor
     noise = estimate_edge_noise(
-        residual, level, gathered.valid, gathered.distance, floor, picture.field_axis
+        residual, level, gathered.valid, profile.step, profile.variance_floor
     )
-    return with_shading(replace(profile, noise=noise, shading_sd=0.0), profile.value)
+    changed = replace(profile, noise=noise, residual=residual, level=level, shading_sd=0.0)
+    return with_shading(changed, profile.value)
 
 
 def undulation(distance: Array) -> Array:

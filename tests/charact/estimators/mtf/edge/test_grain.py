@@ -89,9 +89,7 @@ def test_no_chance_takes_noise_away_at_any_frequency(rng):
 
 
 def variances(residual, level, used):
-    distance = np.add.outer(0.1 * np.arange(len(level)), np.arange(level.shape[1], dtype=float))
-    grain = estimate_edge_noise(residual, level, used, distance, 1e-6)
-    return grain.dark_variance, grain.bright_variance
+    return estimate_edge_noise(residual, level, used, 1.0, 1e-6).variance(np.array([0.0, 1.0]))
 
 
 def test_variances_of_both_sides_are_those_of_the_noise(rng):

@@ -111,7 +111,7 @@ def test_the_sum_of_the_noise_correlation_is_unbiased(sigma_px, share, seed):
             1 - share
         ) * rng.standard_normal((110, 110))
         stack = FrameStack(data=(frame + 60.0 * noise)[None])
-        sums.append(prepare_edge(stack, None, QUICK).profile.noise.covariance_over_variance)
+        sums.append(prepare_edge(stack, None, QUICK).profile.correlated_noise.correlation_sum)
     f = np.fft.fftfreq(110)
     power = np.mean(np.exp(-4 * (np.pi * sigma_px) ** 2 * (f[:, None] ** 2 + f[None] ** 2)))
     truth = share / power + 1 - share
@@ -149,7 +149,7 @@ def test_noise_of_no_smooth_form_keeps_its_own_correlation(seed):
     frame = frame_of(8.0, rows=200, cols=200)
     correlation = prepare_edge(
         FrameStack(data=(frame + 60.0 * noise)[None]), None, QUICK
-    ).profile.noise.correlation
+    ).profile.correlated_noise.correlation
     # Errors of a correlation under this noise, by Bartlett: sqrt(sum rho^2 / pairs), at most 0.04
     # here.
     for x, y in ((1, 0), (0, 1), (1, 1), (2, 0), (0, 3), (3, 3)):
