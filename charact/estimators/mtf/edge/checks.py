@@ -16,7 +16,6 @@ from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.frames.robust import median
-from charact.frames.stack import Stack
 from charact.method import Context
 from charact.verdict import Finding
 from labdata.flags import FLAGS
@@ -120,7 +119,7 @@ def edge_findings(
         Relative loss of MTF50 by motion from which on the noise on the slopes is no test.
     """
     picture, profile = edge.picture, edge.profile
-    if Stack.of(edge.frames, context).is_clipped():
+    if edge.stack.is_clipped():
         yield EdgeFinding(flag="clipped", effect=_clipping(edge))
     travel_px = abs(edge.rows.line.slope) * picture.value.shape[0]
     if travel_px < THRESHOLDS.min_travel_px:
@@ -175,7 +174,7 @@ def plain(flag: str) -> EdgeFinding:
 
 
 def _clipping(edge: PreparedEdge) -> str:
-    data = edge.frames.data
+    data = edge.stack.data
     percents = {float(end): 100.0 * float(np.mean(data == end)) for end in (data.max(), data.min())}
     # The other end of the scale has a few pixels of noise.
     ends = [

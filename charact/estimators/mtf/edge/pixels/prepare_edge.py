@@ -65,7 +65,7 @@ class PreparedEdge:
 
     Parameters
     ----------
-    frames
+    stack
         The frames cut to the edge and its plateaus.
     where
         ROW, COL, HEIGHT, WIDTH of that in the frames of the caller.
@@ -79,7 +79,7 @@ class PreparedEdge:
         Those of finding it.
     """
 
-    frames: FrameStack
+    stack: Stack
     where: Region
     picture: OrientedFrame
     rows: RowFit
@@ -92,7 +92,7 @@ class PreparedEdge:
         """Frames in the orientation of the picture, shape (frame, row, col), DN."""
         if self.picture.frames == 1:
             return self.picture.value[None]
-        return self.picture.upright(self.frames.data)
+        return self.picture.upright(self.stack.data)
 
     @cached_property
     def target_motion(self) -> TargetMotion:
@@ -160,7 +160,7 @@ class PreparedEdge:
 
 
 def prepare_edge(
-    stack: FrameStack,
+    frames: FrameStack,
     region: Region | None,
     context: Context,
     *,
@@ -177,23 +177,23 @@ def prepare_edge(
         Whether the two fields of an interlaced frame are taken each at its own position, where the
         edge moved between them; else that is left to be flagged.
     """
-    frames = stack if region is None else stack.region(*region)
+    stack = Stack.of(frames if region is None else frames.region(*region), context)
     row, col, *_ = region or (0, 0)
-    height, width = frames.shape[1:]
+    height, width = stack.data.shape[1:]
     where: Region = (row, col, height, width)
     cut = False
     while True:
         if min(height, width) < 8:
             reason = f"an edge needs a region of at least 8 x 8 px, got {height} x {width}"
             return EdgeRefusal(reason=reason, where=where, flag="window-too-small")
-        picture, coarse = find(mean_oriented_frame(Stack.of(frames, context)))
+        picture, coarse = find(mean_oriented_frame(stack))
         part = (
             edge_extent(picture, coarse) if min(height, width) >= 2 * MIN_ROWS and not cut else None
         )
         if part is None:
             break
-        frames, where, cut = (
-            frames.region(*part),
+        stack, where, cut = (
+            stack.region(*part),
             (row + part[0], col + part[1], part[2], part[3]),
             True,
         )
@@ -213,7 +213,7 @@ def prepare_edge(
     profile = profile_of(picture, edge, WIDEST_PX, quickly=quickly)
     if not profile.step > 0 or profile.gathered.half_width_px < THRESHOLDS.min_half_width_px:
         return no_step
-    notes, black = [], frames.black_level_dn
+    notes, black = [], stack.frames.black_level_dn
     if cut:
         notes.append("The frame shows more than this edge; the region is the part that was used.")
     if edge.fields is not None:
@@ -230,7 +230,7 @@ def prepare_edge(
             f"{profile.dark:.4g} DN: taken as not known."
         )
     return PreparedEdge(
-        frames=frames,
+        stack=stack,
         where=where,
         picture=picture,
         rows=replace(rows, line=edge),
