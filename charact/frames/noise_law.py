@@ -99,7 +99,7 @@ class NoiseLaw:
         return replace(self, gain_dn=self.gain_dn * ratio, read_dn=self.read_dn * ratio**0.5)
 
 
-def fit_noise_law(signal: Array, square: Array, top: float, least: float) -> NoiseLaw:
+def fit_noise_law(signal: Array, square: Array, top: float, floor: float) -> NoiseLaw:
     """Return the law r^2 + g mu, fitted to squared residuals by least squares.
 
     Parameters
@@ -108,14 +108,14 @@ def fit_noise_law(signal: Array, square: Array, top: float, least: float) -> Noi
         mu and the squared residual of every pixel, shape (pixel,).
     top
         Signal up to which the law is used.
-    least
+    floor
         Least variance, at no signal and at the top.
     """
     if not signal.size:
-        return NoiseLaw(gain_dn=0.0, read_dn=least**0.5)
+        return NoiseLaw(gain_dn=0.0, read_dn=floor**0.5)
     mean, offset = float(signal.mean()), signal - signal.mean()
     slope = float(offset @ square) / max(float(offset @ offset), 1e-300)
-    at_none, at_top = (max(float(square.mean()) + slope * (mu - mean), least) for mu in (0.0, top))
+    at_none, at_top = (max(float(square.mean()) + slope * (mu - mean), floor) for mu in (0.0, top))
     return NoiseLaw(gain_dn=(at_top - at_none) / top if top > 0 else 0.0, read_dn=at_none**0.5)
 
 

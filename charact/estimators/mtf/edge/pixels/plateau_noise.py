@@ -8,7 +8,6 @@ flicker are then excluded.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR
@@ -23,8 +22,8 @@ LAGS_PX = (1, 8, 9, 10)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlateauNoise:
-    """Noise of one plateau of a target.
+class TransferPoint:
+    """Level and noise of one plateau: a point of a photon transfer curve, with its errors.
 
     Parameters
     ----------
@@ -44,7 +43,7 @@ class PlateauNoise:
     covariance_sd: float
 
 
-Sides = tuple[PlateauNoise, PlateauNoise]
+Sides = tuple[TransferPoint, TransferPoint]
 
 
 def plateau_noise(
@@ -71,84 +70,40 @@ def plateau_noise(
     subtracted. Uncertainties follow from the scatter of the pixels, which includes heavy-tailed
     pulses, and from their correlation.
     """
-    mean = frames.mean(axis=0) if len(frames) > 1 else expected
-    sums = _sum_products(frames, mean, sides, 1 - along, along)
-    if sums[:, 0].min() < LIMITS.min_plateau_pixels:
-        return None
-    free, correlation_sum, sides_noise = max(len(frames) - 1, 1), max(correlation_sum, 1.0), []
-    for moments in sums / np.array([1, 1, free, free**2, free, free**2, 1, free, 1]):
-        pixels, level, variances, squares, neighbours, near_squares, pairs, distant, far_pairs = (
-            moments.tolist()
+    residual = frames - (frames.mean(axis=0) if len(frames) > 1 else expected)
+    free, widening, points = max(len(frames) - 1, 1), max(correlation_sum, 1.0), []
+    for side in (sides == 1, sides == 2):
+        if np.count_nonzero(side) < LIMITS.min_plateau_pixels:
+            return None
+        off = residual - residual[:, side].mean(axis=1)[:, None, None]
+        square, product, *distant = (
+            _lagged_products(off, side, along, lag) / free for lag in (0, *LAGS_PX)
         )
-        variance, covariance = variances / pixels, neighbours / max(pairs, 1.0)
-        scatter = max(squares / pixels - variance**2, 0.0)
-        error = max(near_squares / max(pairs, 1.0) - covariance**2, 0.0)
-        side = PlateauNoise(
-            level=level / pixels,
+        unshared, variance = np.concatenate(distant), float(square.mean())
+        pairs = max(product.size, 1)
+        point = TransferPoint(
+            level=float(frames[:, side].mean()),
             variance=variance,
-            scatter=float(np.sqrt(scatter * correlation_sum / pixels)) / max(variance, 1e-300),
-            covariance=covariance - distant / max(far_pairs, 1.0),
-            covariance_sd=float(np.sqrt(error * correlation_sum / pairs)) if pairs else np.inf,
+            scatter=float(np.sqrt(square.var() * widening / square.size)) / max(variance, 1e-300),
+            covariance=float(product.sum() / pairs - unshared.sum() / max(unshared.size, 1)),
+            covariance_sd=float(np.sqrt(product.var() * widening / pairs))
+            if product.size
+            else np.inf,
         )
-        sides_noise.append(side)
-    return sides_noise[0], sides_noise[1]
+        points.append(point)
+    return points[0], points[1]
 
 
-@njit(cache=True)
-def _sum_products(
-    values: Array, mean: Array, sides: NDArray[np.int64], down: int, across: int
-) -> Array:
-    """Return sums over both plateaus, shape (side, 9).
-
-    Number of pixels, sum of values; sums of squares and of squares squared; sums of neighbours'
-    products and of those squared, number of neighbours; sum of distant pixels' products, and their
-    number.
-    """
-    frames, rows, cols = values.shape
-    out, residual = np.zeros((2, 9)), np.zeros((frames, rows, cols))
-    for k in range(frames):
-        total, count = np.zeros(3), np.zeros(3)
-        for i in range(rows):
-            for j in range(cols):
-                residual[k, i, j] = values[k, i, j] - mean[i, j]
-                total[sides[i, j]] += residual[k, i, j]
-                count[sides[i, j]] += 1.0
-        for i in range(rows):
-            for j in range(cols):
-                residual[k, i, j] -= total[sides[i, j]] / count[sides[i, j]]
-    for i in range(rows):
-        for j in range(cols):
-            side = sides[i, j]
-            if side == 0:
-                continue
-            totals = out[side - 1]
-            square, value = 0.0, 0.0
-            for k in range(frames):
-                square += residual[k, i, j] ** 2
-                value += values[k, i, j] / frames
-            totals[0] += 1.0
-            totals[1] += value
-            totals[2] += square
-            totals[3] += square**2
-            for lag in LAGS_PX:
-                p, q = i + lag * down, j + lag * across
-                if p >= rows or q >= cols or sides[p, q] != side:
-                    continue
-                product = 0.0
-                for k in range(frames):
-                    product += residual[k, i, j] * residual[k, p, q]
-                if lag == 1:
-                    totals[4] += product
-                    totals[5] += product**2
-                    totals[6] += 1.0
-                else:
-                    totals[7] += product
-                    totals[8] += 1.0
-    return out
+def _lagged_products(off: Array, side: NDArray[np.bool_], along: int, lag: int) -> Array:
+    """Return the sums over frames of the products of a plateau's pixels a lag apart."""
+    off, side = np.moveaxis(off, along - 2, -1), np.moveaxis(side, along - 2, -1)
+    last = max(side.shape[-1] - lag, 0)
+    products = np.einsum("frc,frc->rc", off[..., :last], off[..., lag:])
+    return products[side[:, :last] & side[:, lag:]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlopeNoise:
+class SlopeVariance:
     """Temporal variance on the slopes of a target over that expected from its plateaus.
 
     Parameters
@@ -168,7 +123,7 @@ class SlopeNoise:
 
 def noise_on_slopes(
     frames: Array, level: Array, steep: Array, sides: NDArray[np.int64]
-) -> SlopeNoise:
+) -> SlopeVariance:
     """Return the noise on the slopes of a target relative to that of its plateaus.
 
     Parameters
@@ -192,7 +147,7 @@ def noise_on_slopes(
         np.count_nonzero(sides, axis=1) > 0
     )[:, None]
     if len(frames) < LIMITS.min_smoothing_frames or not on_slope.any():
-        return SlopeNoise()
+        return SlopeVariance()
     residual, valid = frames - frames.mean(axis=0), on_slope | (sides > 0)
     design = np.stack([np.ones(np.count_nonzero(valid)), level[valid]])
     base, contrast = np.linalg.lstsq(design.T, residual[:, valid].T, rcond=None)[0]
@@ -220,7 +175,7 @@ def noise_on_slopes(
     rows = np.stack([np.asarray(part, np.float64) for part in parts])
     blocks = rows.shape[1] // ACCURACY.block_rows
     if blocks < ACCURACY.min_blocks:
-        return SlopeNoise()
+        return SlopeVariance()
     sums = (
         rows[:, : blocks * ACCURACY.block_rows]
         .reshape(len(rows), blocks, ACCURACY.block_rows)
@@ -228,7 +183,7 @@ def noise_on_slopes(
     )
     total = sums.sum(axis=1, keepdims=True)
     if total[1:].min() <= 0:
-        return SlopeNoise()
+        return SlopeVariance()
     # Of all rows, and with each block of them left out.
     slope, dark, bright, *plateaus = np.concatenate([total, total - sums], axis=1)
     dark_sum, dark_count, bright_sum, bright_count = plateaus
@@ -236,11 +191,11 @@ def noise_on_slopes(
         bright_count, 1.0
     )
     ratio, *left_out = slope / np.maximum(expected, 1e-300)
-    return SlopeNoise(ratio=float(ratio), sd=float(np.sqrt((blocks - 1) * np.var(left_out))))
+    return SlopeVariance(ratio=float(ratio), sd=float(np.sqrt((blocks - 1) * np.var(left_out))))
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlateauNoiseRatio:
+class NoiseGrowth:
     """Ratio of the noise on the bright side of a target to that on the dark side.
 
     Parameters
@@ -262,9 +217,7 @@ class PlateauNoiseRatio:
     of_light: bool = False
 
 
-def noise_growth(
-    sides: Sides, black_dn: float | None, *, several: bool
-) -> PlateauNoiseRatio | None:
+def noise_growth(sides: Sides, black_dn: float | None, *, several: bool) -> NoiseGrowth | None:
     """Return the ratio of the neighbours' covariances, of the variances where those are too small,
     or None.
 
@@ -280,7 +233,7 @@ def noise_growth(
             >= LIMITS.min_covariance_sd
         ):
             scatter = [side.covariance_sd / side.covariance for side in sides]
-            return PlateauNoiseRatio(
+            return NoiseGrowth(
                 ratio=bright.covariance / dark.covariance,
                 scatter=float(
                     np.linalg.norm([*scatter, ACCURACY.black_sd_dn / (dark.level - black_dn)])
@@ -290,14 +243,14 @@ def noise_growth(
             )
     if not several or max(dark.variance, bright.variance) <= 0:
         return None
-    return PlateauNoiseRatio(
+    return NoiseGrowth(
         ratio=bright.variance / max(dark.variance, 1e-300),
         scatter=float(np.hypot(dark.scatter, bright.scatter)),
         photon_ratio=photons,
     )
 
 
-def noise_flags(growth: PlateauNoiseRatio) -> tuple[str, ...]:
+def noise_flags(growth: NoiseGrowth) -> tuple[str, ...]:
     """Return `gamma` where the plateau noise contradicts a linear response.
 
     Notes
@@ -319,7 +272,7 @@ def noise_flags(growth: PlateauNoiseRatio) -> tuple[str, ...]:
     return ("gamma",) if falling or rising else ()
 
 
-def ln_bayes_factor_nonlinear(growth: PlateauNoiseRatio) -> float:
+def ln_bayes_factor_nonlinear(growth: NoiseGrowth) -> float:
     """Return the ln Bayes factor of a nonlinear against a linear response for the noise ratio.
 
     Notes

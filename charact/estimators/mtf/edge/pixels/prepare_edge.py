@@ -20,8 +20,8 @@ from charact.estimators.mtf.edge.pixels.line import (
     steepness,
 )
 from charact.estimators.mtf.edge.pixels.plateau_noise import (
-    PlateauNoiseRatio,
-    SlopeNoise,
+    NoiseGrowth,
+    SlopeVariance,
     noise_growth,
     noise_on_slopes,
     plateau_noise,
@@ -119,14 +119,14 @@ class PreparedEdge:
         return value, level, sides * profile.gathered.valid
 
     @cached_property
-    def slope_noise(self) -> SlopeNoise:
+    def slope_noise(self) -> SlopeVariance:
         """Temporal noise of the slopes over that of the plateaus."""
         profile, (_, level, sides) = self.profile, self.expected
         steep = steepness(profile.distance, profile.value, profile.gathered.distance)
         return noise_on_slopes(self.upright_frames, level, steep * profile.gathered.valid, sides)
 
     @cached_property
-    def noise_growth(self) -> PlateauNoiseRatio:
+    def noise_growth(self) -> NoiseGrowth:
         """How the noise grows with the light: from frame to frame where there are several that
         differ, or by covariances above a known black level; else by the noise of the mean frame.
         """
@@ -151,7 +151,7 @@ class PreparedEdge:
             bright_dn = profile.bright - profile.black
             if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(profile.bright_variance):
                 photons = bright_dn / (profile.dark - profile.black)
-        return PlateauNoiseRatio(
+        return NoiseGrowth(
             ratio=profile.bright_variance / profile.dark_variance,
             # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
             scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),

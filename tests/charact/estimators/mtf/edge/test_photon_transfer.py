@@ -7,7 +7,7 @@ import pytest
 
 from charact.estimators.mtf.edge.pixels.plateau_noise import (
     READ_OUT,
-    PlateauNoiseRatio,
+    NoiseGrowth,
     ln_bayes_factor_nonlinear,
     noise_flags,
 )
@@ -95,7 +95,7 @@ def test_odds_are_those_of_noise_drawn_as_was_said(photons, scatter, share, seed
     moved = grown + np.where(kept, 0.0, 2.0 * BENDING * most * rng.standard_normal(count))
     near = 0.1 * scatter
     straight, curved = (np.count_nonzero(np.abs(drawn - at) < near) for drawn in (grown, moved))
-    growth = PlateauNoiseRatio(ratio=float(np.exp(at)), scatter=scatter, photon_ratio=photons)
+    growth = NoiseGrowth(ratio=float(np.exp(at)), scatter=scatter, photon_ratio=photons)
     if curved > 10.0 * straight:
         assert ln_bayes_factor_nonlinear(growth) == pytest.approx(MAX_LN_BAYES_FACTOR, abs=0.1)
         return
