@@ -71,6 +71,9 @@ class FrameLevels:
 class Bench(Protocol):
     """Gate, gain and light of the tube; leaving its `with` block makes the tube safe."""
 
+    # Called with the manual steps while a tube that may be hot is being made safe
+    say: Callable[[str], None]
+
     def set_conditions(self, conditions: Conditions) -> Conditions:
         """Set gate and gain behind a shut gate, and return the read-backs; `gate_ns` None or 0
         leaves it shut.

@@ -136,7 +136,11 @@ def safe(
             print("This bench has no serial ports: no instrument is on between runs.")
             return
 
-        report = make_bench_safe(wires, lambda step, **details: None)
+        report = make_bench_safe(
+            wires,
+            lambda step, **details: None,
+            lambda report: print_message(report.warning(), events=events),
+        )
         print(f"The tube: {report.last_words()}.")
         for failure in report.failures:
             print_message(f"charact: {failure}", events=events)

@@ -139,6 +139,8 @@ def acquire(
         opened.enter_context(asked.listen())
         # The bench makes the tube safe before plan, folder or camera can fail.
         tube = opened.enter_context(bench)
+        if requests is not None:
+            tube.say = requests.say
         asked.make_safe_at_once, asked.last_words = tube.safe_at_once, lambda: tube.last_words
         sensor = None if plan.sensor is None else load_sensor(plan.sensor)
         plan = in_volts(plan, sensor)

@@ -27,7 +27,13 @@ from drivers.bench.connection import (
     Request,
 )
 from drivers.bench.light_control import GuardedLight
-from drivers.bench.safe_state import REOPEN_S, Crew, SafeStateReport, make_safe
+from drivers.bench.safe_state import (
+    REOPEN_S,
+    Crew,
+    SafeStateReport,
+    make_safe,
+    say_on_stderr,
+)
 from drivers.bench.setup import BenchSetup, remember_bench
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
@@ -74,6 +80,7 @@ class BenchClient:
         self.fault: BenchError | None = None  # First error of the bench since it was opened
         self.report: SafeStateReport | None = None  # Report of the last safe action
         self.dark_seen = False
+        self.say = say_on_stderr
         self._numbers = itertools.count(1)
         self._replies: dict[int, queue.SimpleQueue[Reply]] = {}
         self._ports: dict[Role, int] = {}
@@ -247,6 +254,8 @@ class BenchClient:
             self._drivers = {role: self._driver(role) for role in self._ports}
         elif isinstance(message, Fault):
             self.fault = self.fault or message.error
+        elif isinstance(message, MadeSafe) and message.is_warning:
+            self._crew.start(lambda: self.say(message.report.warning()))
         elif isinstance(message, MadeSafe):
             self.report = message.report
         elif isinstance(message, Reply):
@@ -344,6 +353,7 @@ class BenchClient:
                 lamps=[self._drivers.get("light-source")] if self._setup.wires.light else [],
                 record=self._log,
                 crew=self._crew,
+                warn=lambda report: self.say(report.warning()),
             )
             self._log("made safe", whole=self.report.whole, sentence=self.report.sentence())
             return self.report

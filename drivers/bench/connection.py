@@ -61,9 +61,10 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class MadeSafe:
-    """Report of a safe action."""
+    """Report of a safe action; of one that goes on where it is a warning."""
 
     report: SafeStateReport
+    is_warning: bool = False
 
 
 class Connection:

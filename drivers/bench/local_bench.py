@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from drivers.bench.client import BenchClient
 from drivers.bench.light_control import GuardedLight
+from drivers.bench.safe_state import say_on_stderr
 from drivers.bench.setup import BenchSetup
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError
@@ -33,8 +34,13 @@ class LocalBench(TubeBench):
         self._log = EventLog(setup.log)
         stations = stations_on(lines, setup.wires)
         super().__init__(
-            setup, stations, record=self._log, on_failure=lambda error: self.make_safe(str(error))
+            setup,
+            stations,
+            record=self._log,
+            on_failure=lambda error: self.make_safe(str(error)),
+            warn=lambda report: self.say(report.warning()),
         )
+        self.say = say_on_stderr
         self._looked_s = 0.0
 
     def __enter__(self) -> Self:

@@ -1,6 +1,7 @@
 """Safe state of the tube: gate shut, high voltage off, lamp off, each step recorded."""
 
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,16 +20,23 @@ from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Ro
 DANGEROUS: tuple[Role, ...] = "gate", "supply", "light-source"
 
 Record = Callable[..., object]  # Called as record(step, **details) for each step; it must not block
+Warn = Callable[["SafeStateReport"], object]  # Called with a report of a tube that may be hot
 
 FOLLOW_S = 0.2  # Interval between attempts, s
 DEAF_S = 3.0  # Longest time of attempts on an instrument that does not obey, s
 REOPEN_S = 15.0  # Longest time of attempts to reopen a lost port, s
+STEADY_READINGS = 3  # Readings of an output ordered off that does not fall, before it is reported
 
 # Manual steps for a tube that could not be made safe
 BY_HAND = (
     "switch the high-voltage supply off at its front panel, then cover the camera and "
     "disconnect the gate unit"
 )
+
+
+def say_on_stderr(sentence: str) -> None:
+    """Say a sentence to the person at the terminal."""
+    print(sentence, file=sys.stderr, flush=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +78,10 @@ class SafeStateReport:
         """Return the state of the tube, with manual steps if it may be hot."""
         return self.sentence() if self.whole else f"{self.sentence()}; by hand, now: {BY_HAND}"
 
+    def warning(self) -> str:
+        """Return what a person must do while the safe action goes on."""
+        return f"The tube: {self.last_words()}; the software goes on trying meanwhile."
+
     def not_whole(self) -> str:
         """Return the sentence of the error of an unverified safe state."""
         why = f" ({self.failures[0]})" if self.failures else ""
@@ -87,7 +99,7 @@ class Crew:
     safe.
     """
 
-    def __init__(self, size: int = 3) -> None:
+    def __init__(self, size: int = 4) -> None:
         self._jobs: queue.SimpleQueue[tuple[Callable[[], object], threading.Event] | None] = (
             queue.SimpleQueue()
         )
@@ -97,11 +109,14 @@ class Crew:
 
     def run(self, tasks: Sequence[Callable[[], object]]) -> None:
         """Run tasks at once and wait for all of them."""
-        ended = [threading.Event() for _ in tasks]
-        for job in zip(tasks, ended, strict=True):
-            self._jobs.put(job)
-        for event in ended:
+        for event in [self.start(task) for task in tasks]:
             event.wait()
+
+    def start(self, task: Callable[[], object]) -> threading.Event:
+        """Run a task without waiting; return the event of its end."""
+        ended = threading.Event()
+        self._jobs.put((task, ended))
+        return ended
 
     def dismiss(self) -> None:
         """End the threads."""
@@ -124,6 +139,8 @@ def make_safe(
     lamps: Sequence[LightSource | None] = (),
     record: Record,
     crew: Crew | None = None,
+    warn: Warn = lambda report: None,
+    is_patient: bool = True,
 ) -> SafeStateReport:
     """Shut the gate, switch high voltage and lamps off in parallel, then follow the decay of the
     output.
@@ -138,6 +155,11 @@ def make_safe(
         Instruments of the tube; None if the line to one could not be opened.
     crew
         Threads to use; None: new ones.
+    warn
+        Called once, in a thread of the crew, with the report so far as soon as the first attempts
+        show an instrument that does not obey.
+    is_patient
+        Whether to repeat the attempts on an instrument that is lost or silent.
     """
     shut = _Task(
         gate,
@@ -159,19 +181,42 @@ def make_safe(
         )
         for lamp in lamps
     ]
-    workers = crew or Crew(2 + len(dark))
-    workers.run([task.run for task in (shut, fall, *dark)])
+    tasks, workers = (shut, fall, *dark), crew or Crew(3 + len(dark))
+
+    def report() -> SafeStateReport:
+        failures = dict.fromkeys(failure for task in tasks for failure in tuple(task.failures))
+        return SafeStateReport(
+            gate_shut=shut.verified,
+            off_ordered=fall.ordered,
+            residual_v=fall.residual_v,
+            light_dark=all(task.verified for task in dark),
+            failures=tuple(failures),
+        )
+
+    attempts = _FirstAttempts(len(tasks), lambda: workers.start(partial(warn, report())))
+    workers.run([partial(task.run, attempts, is_patient) for task in tasks])
     if crew is None:
         workers.dismiss()
-    return SafeStateReport(
-        gate_shut=shut.verified,
-        off_ordered=fall.ordered,
-        residual_v=fall.residual_v,
-        light_dark=all(task.verified for task in dark),
-        failures=tuple(
-            dict.fromkeys(failure for task in (shut, fall, *dark) for failure in task.failures)
-        ),
-    )
+    return report()
+
+
+class _FirstAttempts:
+    """Calls `alarm` once, when all tasks have made their first attempt and one shows trouble."""
+
+    def __init__(self, size: int, alarm: Callable[[], object]) -> None:
+        self._pending, self._alarm = size, alarm
+        self._is_troubled = self._has_alarmed = False
+        self._turn = threading.Lock()
+
+    def take(self, *, is_first: bool, is_troubled: bool) -> None:
+        """Take the outcome of an attempt of one task."""
+        with self._turn:
+            self._pending -= is_first
+            self._is_troubled = self._is_troubled or is_troubled
+            if self._pending or not self._is_troubled or self._has_alarmed:
+                return
+            self._has_alarmed = True
+        self._alarm()
 
 
 class _Task:
@@ -196,14 +241,20 @@ class _Task:
         self.ordered = self.verified = False
         self.failures: list[str] = []
 
-    def run(self) -> None:
+    def run(self, attempts: _FirstAttempts, is_patient: bool) -> None:
         """Repeat the steps until they are verified or the time is over; a lost port is reopened."""
         if self._instrument is None:
             self.failures.append(f"the {self._name} could not be reached")
+            attempts.take(is_first=True, is_troubled=True)
             return
-        began_s = time.monotonic()
+        began_s, is_first = time.monotonic(), True
         with self._instrument.line.safing():
-            while not self.secure() and time.monotonic() < began_s + self.patience_s:
+            while True:
+                verified = self.secure()
+                attempts.take(is_first=is_first, is_troubled=self.is_troubled)
+                is_first = False
+                if verified or time.monotonic() >= began_s + self.patience_s(is_patient):
+                    break
                 time.sleep(FOLLOW_S)
                 if self._disconnected:
                     self._reopen()
@@ -211,8 +262,14 @@ class _Task:
             self.failures.clear()
 
     @property
-    def patience_s(self) -> float:
-        """Longest time of attempts, s."""
+    def is_troubled(self) -> bool:
+        """Whether the last attempt shows an instrument that does not obey."""
+        return not self.verified
+
+    def patience_s(self, is_patient: bool) -> float:
+        """Return the longest time of attempts, s."""
+        if not is_patient:
+            return 0.0
         return REOPEN_S if self._disconnected else DEAF_S
 
     def secure(self) -> bool:
@@ -258,10 +315,15 @@ class _Falling(_Task):
 
     residual_v: float | None = None
     _answers = _falls = False
+    _steady_readings = 0
 
     @property
-    def patience_s(self) -> float:
-        return FALL_S if self._answers else super().patience_s
+    def is_troubled(self) -> bool:
+        is_deaf = not (self._answers and self.ordered) or self._steady_readings >= STEADY_READINGS
+        return is_deaf and not self.verified
+
+    def patience_s(self, is_patient: bool) -> float:
+        return FALL_S if self._answers else super().patience_s(is_patient)
 
     def secure(self) -> bool:
         if not self._falls:
@@ -273,17 +335,21 @@ class _Falling(_Task):
         if isinstance(reading, float):
             self.residual_v = reading
             self._falls = self.ordered and before_v is not None and reading < before_v
+        self._steady_readings = 0 if self._falls else self._steady_readings + 1
         self.verified = (
             self._answers and self.residual_v is not None and self.residual_v <= DISCHARGED_V
         )
         return self.verified
 
 
-def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
+def make_bench_safe(
+    wires: InstrumentConfig, record: Record, warn: Warn = lambda report: None
+) -> SafeStateReport:
     """Make the tube of a bench safe through its serial ports alone, even if another program has
     opened them.
 
-    The report names instruments whose port could not be opened within 15 s.
+    The report names instruments whose port could not be opened within 15 s; `warn` is called as by
+    `make_safe`, by the first attempts alone.
     """
     connections: dict[Role, InstrumentConnection] = {
         connection.role: connection
@@ -294,13 +360,18 @@ def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
     failures: dict[Role, str] = {}
     give_up_s = time.monotonic() + REOPEN_S
 
+    report: SafeStateReport | None = None
+
     def secure() -> SafeStateReport:
         lamps = [drivers.get("light-source")] if wires.light else []
         return make_safe(
-            gate=drivers.get("gate"), supply=drivers.get("supply"), lamps=lamps, record=record
+            gate=drivers.get("gate"),
+            supply=drivers.get("supply"),
+            lamps=lamps,
+            record=record,
+            warn=warn if report is None else lambda report: None,
         )
 
-    report = None
     while report is None or (len(drivers) < len(connections) and time.monotonic() < give_up_s):
         has_new_driver = False
         for role, connection in connections.items():

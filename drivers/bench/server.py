@@ -247,22 +247,14 @@ class BenchServer:
         self._client.send(Ports(roles=roles), tuple(lines[role].fileno() for role in roles))
         stations = stations_on(lines, self._setup.wires)
         if missing is not None:
-            self._bench = TubeBench(
-                self._setup, stations, record=self._log, on_failure=self._report_failure
-            )
+            self._bench = self._bench_on(stations)
             self._bench.fail(missing)
             raise missing
         return stations
 
     def open_bench(self, stations: Mapping[Role, Station]) -> None:
         """Open the bench on its instruments; each is then checked by its own thread."""
-        self._bench = bench = TubeBench(
-            self._setup,
-            stations,
-            record=self._log,
-            on_failure=self._report_failure,
-            clock=self._clock,
-        )
+        self._bench = bench = self._bench_on(stations)
         bench.record_heartbeat()
         bench.open()
         self._is_open = True
@@ -270,6 +262,16 @@ class BenchServer:
             if role not in DISPENSABLE:
                 look = partial(TubeBench.look, role=role)
                 threading.Thread(target=self._look, args=(LOOK_EVERY_S, look), daemon=True).start()
+
+    def _bench_on(self, stations: Mapping[Role, Station]) -> TubeBench:
+        return TubeBench(
+            self._setup,
+            stations,
+            record=self._log,
+            on_failure=self._report_failure,
+            warn=lambda report: self._client.send(MadeSafe(report=report, is_warning=True)),
+            clock=self._clock,
+        )
 
     def obey(self, request: Request) -> None:
         """Run a command and send the reply."""

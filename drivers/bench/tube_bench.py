@@ -11,7 +11,14 @@ from typing import Any
 from drivers.bench.interlock import Interlock
 from drivers.bench.light_control import METER_ZERO, LightControl, Station
 from drivers.bench.meters import AuxiliaryMeters, DoseMeter, Reading
-from drivers.bench.safe_state import DANGEROUS, Crew, Record, SafeStateReport, make_safe
+from drivers.bench.safe_state import (
+    DANGEROUS,
+    Crew,
+    Record,
+    SafeStateReport,
+    Warn,
+    make_safe,
+)
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import (
     Command,
@@ -75,7 +82,8 @@ class TubeBench(LightControl):
 
     One thread gives commands; others may check the instruments and make the tube safe meanwhile.
     `record` is called with each safety step and must not block; `on_failure` from any thread after
-    a failure that requires the safe state.
+    a failure that requires the safe state; `warn` with the report of a safe action that goes on, as
+    by `make_safe`.
     """
 
     def __init__(
@@ -85,9 +93,11 @@ class TubeBench(LightControl):
         *,
         record: Record,
         on_failure: Callable[[BenchError], object],
+        warn: Warn = lambda report: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._setup, self._record, self._on_failure, self._clock = setup, record, on_failure, clock
+        self._warn = warn
         self.stations = stations
         self.interlock = Interlock(setup.limits, clock=clock)
         self._dose = (
@@ -362,7 +372,9 @@ class TubeBench(LightControl):
                 station.line.take_over()
             self._record("making safe", reason=reason)
             self.interlock.tell(SafeOrdered())
-            report = self.secure(self._record, self._crew)
+            # A port that stayed lost is left to later attempts: a run must not wait for each.
+            is_patient = self.report is None or self.report.whole
+            report = self.secure(self._record, self._crew, self._warn, is_patient=is_patient)
             if "supply" in dangerous:
                 dangerous["supply"].driver.is_on = False
             self._record(
@@ -382,7 +394,14 @@ class TubeBench(LightControl):
                     station.procedure.release()
             return report
 
-    def secure(self, record: Record, crew: Crew | None = None) -> SafeStateReport:
+    def secure(
+        self,
+        record: Record,
+        crew: Crew | None = None,
+        warn: Warn = lambda report: None,
+        *,
+        is_patient: bool = True,
+    ) -> SafeStateReport:
         """Run the safe action on the instruments that have a line, whatever the state says."""
         drivers: dict[Role, Any] = {role: station.driver for role, station in self.stations.items()}
         return make_safe(
@@ -391,6 +410,8 @@ class TubeBench(LightControl):
             lamps=[drivers.get("light-source")] if self._setup.wires.light else [],
             record=record,
             crew=crew,
+            warn=warn,
+            is_patient=is_patient,
         )
 
     def safe_at_once(self) -> None:

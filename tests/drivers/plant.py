@@ -67,6 +67,9 @@ class InOneThread:
             ended_s.append(CLOCK.now_s)
         CLOCK.now_s = max(ended_s)
 
+    def start(self, task: Callable[[], object]) -> None:
+        task()
+
     def dismiss(self) -> None:
         pass
 

@@ -124,3 +124,12 @@ def test_the_server_stands_guard_until_silent_instruments_answer(virtual, pair, 
     while '"end"' not in (log := (tmp_path / "safety.jsonl").read_text()):
         time.sleep(0.1)
     assert "standing guard" in log
+
+
+def test_the_manual_steps_are_said_within_a_second_of_the_loss_of_a_port(virtual, pair):
+    inject_faults(virtual.folder, "delay_generator", Faults(unplugged=True))
+    lost_s = time.monotonic()
+    assert "may be open, " in (words := pair[0].stderr.readline()) and "by hand, now" in words
+    assert time.monotonic() - lost_s < WITHIN_S
+    inject_faults(virtual.folder, "delay_generator", Faults())
+    assert ms_until_safe(virtual, time.monotonic()) < 2e3

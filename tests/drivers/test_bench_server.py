@@ -116,8 +116,9 @@ def test_the_client_knows_of_a_failure_before_the_gate_is_shut_and_gets_the_repo
     hot.said.clear()
     hot.lab.supply.line.break_down("wrong")
     hot.passes(1.0)
-    assert [type(one) for one in hot.said] == [Fault, MadeSafe]
-    assert hot.said[1].report.gate_shut
+    assert [type(one) for one in hot.said] == [Fault, MadeSafe, MadeSafe]
+    assert [one.is_warning for one in hot.said[1:]] == [True, False]
+    assert hot.said[2].report.gate_shut
 
 
 def test_a_client_that_is_silent_for_half_a_second_ends_the_server(hot):
