@@ -74,31 +74,30 @@ class DelayGenerator(Gate):
     def _program(self, *, width_ns: float, rate_hz: float, delay_ns: float, sync: Sync) -> float:
         for edge in (4, 5, 6, 7, 8, 9):
             self._set(f"DLAY {edge},0,0")
-        self._set("BURM 0")
-        self._hold_off(HOLDOFF / rate_hz if sync == "triggered" else None)
-        self._set("INHB 0")
+        hold_s = HOLDOFF / rate_hz if sync == "triggered" else 0.0
+        advanced = int(hold_s > 0.0)
+        modes = (
+            ("burst mode", "BURM 0", "BURM?", 0),
+            ("trigger prescaler", "PRES 0,1", "PRES? 0", 1),
+            ("output prescaler", f"PRES {OUTPUT_AB},1", f"PRES? {OUTPUT_AB}", 1),
+            ("trigger hold-off", f"HOLD {hold_s:.12f}", "HOLD?", hold_s),
+            ("advanced triggering", f"ADVT {advanced}", "ADVT?", advanced),
+            ("inhibit input", "INHB 0", "INHB?", 0),
+        )
+        for _, command, _, _ in modes:
+            self._set(command)
         self._set(f"LAMP {OUTPUT_AB},{GATE_LEVEL_V:g}")
         if sync == "free-running":
             self._set(f"TRAT {rate_hz:.6f}")
         self._set(f"DLAY {EDGE_A},0,{delay_ns * 1e-9:.12f}")
         self._set(f"DLAY {EDGE_B},{EDGE_A},{width_ns * 1e-9:.12f}")
+        for setting, _, question, value in modes:
+            self._verify(setting, question, value, tolerance=1e-9)
         if sync == "free-running":
             self._verify("trigger rate", "TRAT?", rate_hz, tolerance=1e-5 * rate_hz)
         self._verify("amplitude", f"LAMP? {OUTPUT_AB}", GATE_LEVEL_V, tolerance=0.05)
         self._verify_delay("gate delay", EDGE_A, 0, delay_ns)
         return self._verify_delay("gate width", EDGE_B, EDGE_A, width_ns)
-
-    def _hold_off(self, seconds: float | None) -> None:
-        """Set the hold-off after each trigger; None: only while the gate is busy."""
-        if seconds is None:
-            self._set("ADVT 0")
-            return
-        for prescaler in (0, OUTPUT_AB):
-            self._set(f"PRES {prescaler},1")
-        self._set(f"HOLD {seconds:.12f}")
-        self._set("ADVT 1")
-        self.line.verify_read_back("HOLD?", seconds, tolerance=1e-9)
-        self.line.verify_read_back("ADVT?", 1)
 
     def _refuse_errors(self, command: str) -> None:
         if code := self.line.query_int("LERR?"):

@@ -67,6 +67,9 @@ OTHER_EDGES = [f"DLAY {edge},0,0" for edge in range(4, 10)]
 PROGRAM = sets(
     *OTHER_EDGES,
     "BURM 0",
+    "PRES 0,1",
+    "PRES 1,1",
+    "HOLD 0.000000000000",
     "ADVT 0",
     "INHB 0",
     "LAMP 1,4",
@@ -75,6 +78,12 @@ PROGRAM = sets(
     "DLAY 3,2,0.016000000000",
 )
 READ_BACK = [
+    ("BURM?", "0"),
+    ("PRES? 0", "1"),
+    ("PRES? 1", "1"),
+    ("HOLD?", "+0.000000000000"),
+    ("ADVT?", "0"),
+    ("INHB?", "0"),
     ("TRAT?", "+60.000000"),
     ("LAMP? 1", "+4.00"),
     ("DLAY? 2", "0,+0.000000000000"),
@@ -149,7 +158,7 @@ def test_lost_triggers_shut_the_gate_again():
 
 
 def test_a_width_read_back_otherwise_never_opens_the_gate():
-    back = [*READ_BACK[:3], ("DLAY? 3", "2,+0.015000000000")]
+    back = [*READ_BACK[:-1], ("DLAY? 3", "2,+0.015000000000")]
     with (
         Exchanges(*SHUT, *PROGRAM, *back) as line,
         pytest.raises(
