@@ -1,5 +1,7 @@
 """Complete frames from camera buffers; incomplete ones are counted with their reason."""
 
+import math
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Self
@@ -48,11 +50,19 @@ class FrameCapture:
     `discard` discarded ones.
 
     Subclasses implement start, stop and `_next_frame`, which waits for a frame and calls
-    `while_waiting` at least every 0.1 s; an exception of it ends the capture.
+    `while_waiting` at least every 0.1 s; an exception of it ends the capture. `patience_s` is the
+    longest wait for a frame, s, and the longest time in which incomplete frames alone may come: the
+    tube is at gain meanwhile, and nobody sees its light.
     """
 
     def __init__(
-        self, *, frames: int, discard: int, while_waiting: Callable[[], None], identifier: str
+        self,
+        *,
+        frames: int,
+        discard: int,
+        while_waiting: Callable[[], None],
+        identifier: str,
+        patience_s: float = math.inf,
     ) -> None:
         if frames < 1 or discard < 0:
             raise BadInput(
@@ -60,7 +70,7 @@ class FrameCapture:
                 f"{discard}"
             )
         self._wanted, self._discard, self._identifier = frames, discard, identifier
-        self._while_waiting = while_waiting
+        self._while_waiting, self._patience_s = while_waiting, patience_s
         self._expected: int | None = None
         self._faults: dict[int, str] = {}
         self._losses: tuple[LostFrames, ...] = ()
@@ -91,6 +101,7 @@ class FrameCapture:
         frames.
         """
         complete = broken = 0
+        broken_since_s: float | None = None
         while complete < self._discard + self._wanted:
             self._while_waiting()
             frame = self._next_frame()
@@ -104,14 +115,16 @@ class FrameCapture:
                 broken += 1
                 if frame.number is not None:
                     self._faults[frame.number] = frame.fault
-                # Largest number of incomplete frames of a capture beyond the number of requested
-                # ones
-                if broken > 20 + self._wanted:
+                now_s = time.monotonic()
+                broken_since_s = now_s if broken_since_s is None else broken_since_s
+                if now_s - broken_since_s > self._patience_s:
                     raise CameraError(
-                        f"camera {self._identifier} must send whole frames, got {broken} broken "
-                        f"ones (the last: {frame.fault}) and {complete} whole"
+                        f"camera {self._identifier} must send a whole frame within "
+                        f"{self._patience_s:.2g} s, got {broken} broken ones (the last: "
+                        f"{frame.fault}) after {complete} whole"
                     )
                 continue
+            broken, broken_since_s = 0, None
             self._count_lost(frame.number, is_returned=complete >= self._discard)
             complete += 1
             if complete > self._discard:

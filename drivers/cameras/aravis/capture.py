@@ -103,6 +103,7 @@ class AravisCapture(FrameCapture):
             discard=discard,
             while_waiting=while_waiting,
             identifier=connection.identifier,
+            patience_s=patience_s,
         )
         if settings.pixel_format not in PIXELS:
             raise CameraError(
@@ -110,7 +111,7 @@ class AravisCapture(FrameCapture):
                 f"{', '.join(PIXELS)}, got {settings.pixel_format}"
             )
         self._connection, self._library = connection, connection.library
-        self._patience_s, self._resend = patience_s, resend
+        self._resend = resend
         self._format, self._frame_rate_hz = settings.pixel_format, settings.frame_rate_hz
         self._shape = (settings.rows or 0, settings.columns or 0)
         self._stream: int | None = None

@@ -61,10 +61,14 @@ class V4l2Capture(FrameCapture):
         identifier: str,
     ) -> None:
         super().__init__(
-            frames=frames, discard=discard, while_waiting=while_waiting, identifier=identifier
+            frames=frames,
+            discard=discard,
+            while_waiting=while_waiting,
+            identifier=identifier,
+            patience_s=patience_s,
         )
         self._device, self._picture, self._standard = device, picture_of(form), standard
-        self._patience_s, self._start_s = patience_s, start_s
+        self._start_s = start_s
         self._memory: list[MappedBuffer] = []
         self._numbers = RunningNumbers(1 << 32)
         is_alternate = form.of.pix.field == ALTERNATE
