@@ -98,12 +98,10 @@ class PacedCapture(_Opened):
             time.sleep(max(0.0, began_s + number * period_s - time.monotonic()))
             if number > self._discard:
                 handed_out += 1
-                # A frame of its own, as a driver copies it out of its buffer.
-                yield Frame(
-                    pixels=self._camera.pictures[number % 8].copy(),
-                    number=number,
-                    time_s=time.time(),
-                )
+                # A frame of its own, as a driver copies it out of its buffer, and a new picture.
+                pixels = self._camera.pictures[number % 8].copy()
+                pixels.flat[number % pixels.size] ^= 1
+                yield Frame(pixels=pixels, number=number, time_s=time.time())
 
 
 class SlowBench(_Opened):

@@ -14,7 +14,7 @@ from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError, CameraError
 from drivers.interface import Bench, Camera, FrameLevels, Operator
 from labdata.camera.description import Camera as Description
-from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
+from labdata.capture import PIXEL_BITS, CameraSettings, Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
@@ -37,6 +37,11 @@ SAME, SAME_LIGHT = 1e-3, 0.02
 
 # Measured conditions without set-point; they may differ between runs
 OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")
+
+# Temporal noise above which no two frames are equal, DN, and where it is unknown the fraction of
+# pixels off the median that shows it: hot pixels are fewer
+VISIBLE_NOISE_DN, VISIBLE_PIXELS = 0.25, 0.01
+DIGEST_BYTES = 1 << 20  # Bytes of a frame, evenly chosen rows, by which it is known again
 
 DISCARDED_FRAMES = 3  # a frame in the grabber, a frame in the camera, and one for the phosphor
 
@@ -115,6 +120,7 @@ class Run:
         self._tell(step, 0)
         self.log("step begins", step=step.label)
         anew, watcher = self._set_aside(step), self._watcher(step)
+        self._freshness = Freshness(step, self._noise_dn)
         stored_frames = 0 if anew else self._partial.get(step.label, 0)
         before = self._look_back(step, watcher) if stored_frames else None
         conditions = self._set(step, clock)
@@ -280,6 +286,7 @@ class Run:
                         with clock.wire():
                             self._show(step, frame.pixels, allowed)
                             self._look()
+                        self._freshness.see(frame)
                         stack.enqueue(frame)
                         frame_count += 1
                         watcher.see(frame.pixels)
@@ -296,6 +303,14 @@ class Run:
             with clock.wire():
                 running.close()
         return capture.losses, enough
+
+    @property
+    def _noise_dn(self) -> float | None:
+        """Read noise by the description, DN; None if unknown."""
+        if self.sensor is None or self.sensor.is_thermal:
+            return None
+        gain_dn_per_e = float(self.sensor.video.conversion_gain_dn_per_e)
+        return gain_dn_per_e * float(self.sensor.ccd.read_noise_e)
 
     def _show(self, step: Step, pixels: NDArray, allowed: float) -> None:
         """Report the levels of a frame to the bench."""
@@ -318,7 +333,8 @@ class Run:
             if stored_frames
             else None
         )
-        return tuple(note for note in (anew, filled_up, enough, watcher.complaint()) if note)
+        notes = (anew, filled_up, enough, watcher.complaint(), self._freshness.complaint())
+        return tuple(note for note in notes if note)
 
     def _tell(self, step: Step, frames: int) -> None:
         sentence = f"{step.label}: {frames} of {step.frames} frames{self._pace.words(frames)}"
@@ -339,6 +355,41 @@ class Run:
                     f"the bench failed while they were taken, and the last may be dark: {error}"
                 )
             raise
+
+
+class Freshness:
+    """Notices frames of a stack that equal an earlier one under another number.
+
+    Noise makes every frame new. A camera that repeats its pictures shows no light of the room, so
+    that the second repeat ends the run; a dark without noise is noted alone. `noise_dn`: read noise
+    by the camera's description, DN; None if unknown.
+    """
+
+    def __init__(self, step: Step, noise_dn: float | None) -> None:
+        self._is_lit, self._noise_dn = bool(step.conditions.illuminance_lux), noise_dn
+        self._numbers: dict[int, int] = {}  # of the first frame of each digest
+        self._repeats = 0
+
+    def see(self, frame: Frame) -> None:
+        """Take a frame; the second repeat is BenchError where noise must show."""
+        rows = frame.pixels[:: max(1, frame.pixels.nbytes // DIGEST_BYTES)]
+        first = self._numbers.setdefault(hash(rows.tobytes()), frame.number)
+        self._repeats += first != frame.number
+        if first != frame.number and self._repeats > 1 and self._must_vary(rows):
+            raise BenchError.of(
+                "camera",
+                "send a new picture under each number",
+                f"frame {frame.number} equal to frame {first}: restart the camera",
+            )
+
+    def complaint(self) -> str | None:
+        """Return a sentence on repeated frames, or None."""
+        return f"{self._repeats} frames equal an earlier one" if self._repeats else None
+
+    def _must_vary(self, pixels: NDArray) -> bool:
+        if self._is_lit or self._noise_dn is not None:
+            return self._is_lit or self._noise_dn > VISIBLE_NOISE_DN
+        return np.count_nonzero(pixels != np.median(pixels)) > VISIBLE_PIXELS * pixels.size
 
 
 class _Unwatched:

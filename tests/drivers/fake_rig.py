@@ -26,6 +26,7 @@ class FakeRig:
         self.light_lux = 0.0
         self.mcp_v = 0.0
         self.frames_sent = 0
+        self.picture = lambda number: np.full(SIZE, number % 251, np.uint8)
         self.camera, self.bench, self.operator = (
             FakeCamera(self),
             FakeBench(self),
@@ -106,9 +107,7 @@ class FakeCapture:
             self.rig.frames_sent += 1
             self.rig.happens("frame")
             number = self.rig.frames_sent
-            yield Frame(
-                pixels=np.full(SIZE, number % 251, np.uint8), number=number, time_s=float(number)
-            )
+            yield Frame(pixels=self.rig.picture(number), number=number, time_s=float(number))
 
 
 class FakeBench(_Opened):

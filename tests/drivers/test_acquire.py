@@ -233,6 +233,24 @@ def test_a_changed_plan_is_not_resumed_but_other_wires_are(tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("first", "picture"), [(4, lambda n: 0), (4, lambda n: 90 + n // 99), (11, lambda n: n % 8)]
+)
+def test_pictures_that_come_again_under_new_numbers_end_the_run(tmp_path, first, picture):
+    rig = FakeRig()
+    rig.picture = lambda number: np.full(fake_rig.SIZE, picture(number), np.uint8)
+    plan = replace(PLAN, steps=(step("low", frames=200),))
+    with pytest.raises(BenchError, match="a new picture under each number"):
+        take(rig, tmp_path / "s", plan)
+    assert rig.frames_sent < first and not rig.gate_open
+    assert "doubt = " in (tmp_path / "s/session.toml").read_text()
+    # A dark may lie below one code, but is no such secret.
+    rig, dark = FakeRig(), replace(PLAN, steps=PLAN.steps[:1])
+    rig.picture = lambda number: np.full(fake_rig.SIZE, 12, np.uint8)
+    session = take(rig, tmp_path / "dark", dark)
+    assert "3 frames equal an earlier one" in session.stack("dark").notes
+
+
 def test_a_folder_with_a_session_is_not_written_over(tmp_path):
     take(FakeRig(), tmp_path / "s")
     with pytest.raises(BadInput, match="without a session"):
