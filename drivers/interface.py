@@ -53,19 +53,59 @@ class Camera(Protocol):
         ...
 
 
+# Fraction of full scale above black, or above 0 where black is unknown, from which a frame's own
+# maximum may be a ceiling; drift of black and brightest dark (codes without noise look alike)
+CEILING_ABOVE_BLACK, CEILING = 0.03, 0.25
+# Fraction of pixels at a frame's own maximum, and their ratio to those at the next lower code, that
+# noise does not give: a ceiling of the data below the camera's top code
+CEILING_PIXELS, CEILING_RATIO = 0.002, 2.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameLevels:
     """Levels of a frame."""
 
     mean: float  #: Mean pixel value, fraction of full scale
-    saturated: float  #: Fraction of pixels at full scale
+    saturated: float  #: Fraction of pixels at full scale, or at the ceiling of the data below it
     allowed: float = 0.0  #: Fraction allowed by its step
 
     @classmethod
-    def of(cls, pixels: NDArray, full_scale_dn: float, *, allowed: float = 0.0) -> "FrameLevels":
-        """Return the levels of a frame, shape (row, col), DN."""
-        saturated = float(np.count_nonzero(pixels >= full_scale_dn)) / pixels.size
-        return cls(mean=float(pixels.mean()) / full_scale_dn, saturated=saturated, allowed=allowed)
+    def of(
+        cls,
+        pixels: NDArray,
+        full_scale_dn: float,
+        *,
+        allowed: float = 0.0,
+        black_dn: float | None = None,
+    ) -> "FrameLevels":
+        """Return the levels of a frame, shape (row, col), DN; `black_dn`: mean of a dark, if
+        known.
+        """
+        top = pixels.max()
+        saturated = np.count_nonzero(pixels >= min(full_scale_dn, top)) / pixels.size
+        floor_dn = CEILING * full_scale_dn
+        if black_dn is not None:
+            floor_dn = black_dn + CEILING_ABOVE_BLACK * full_scale_dn
+        if top < full_scale_dn and not (
+            top > floor_dn
+            and saturated > CEILING_PIXELS
+            and _is_ceiling(pixels, top, top - CEILING_ABOVE_BLACK * full_scale_dn)
+        ):
+            saturated = 0.0
+        return cls(
+            mean=float(pixels.mean()) / full_scale_dn, saturated=float(saturated), allowed=allowed
+        )
+
+
+def _is_ceiling(pixels: NDArray, top: float, near: float) -> bool:
+    """Whether pixels pile up at the largest code as noise alone does not; codes below `near` are
+    another part of the scene.
+    """
+    lower = pixels[(pixels < top) & (pixels >= near)]
+    if not lower.size:
+        return True
+    next_lower = np.count_nonzero(lower == lower.max())
+    return np.count_nonzero(pixels == top) > CEILING_RATIO * next_lower
 
 
 class Bench(Protocol):

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 from charact.cli.output import Progress, print_message
 from charact.cli.outputs import remove_session
 from labdata.camera.description import has_tube
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.plan import Plan
 from labdata.session import Session
 from labdata.tube_dose import warnings
 
 if TYPE_CHECKING:
+    from drivers.acquisition.run import Predict
     from drivers.interface import Camera
     from simulate.virtual_bench.bench import VirtualBench
     from simulate.virtual_bench.rehearsal import FaultScript
@@ -61,6 +63,7 @@ def acquire_session(
                     session,
                     **rig,
                     judge=SaturationJudge(),
+                    predict=_level_predictor(plan),
                     resume=resume,
                     progress=progress,
                     requests=RunControl(tell),
@@ -74,6 +77,36 @@ def acquire_session(
     for sentence in warnings(dose_ledger(plan, session).total(), sensor):
         tell(sentence)
     return acquired
+
+
+def _level_predictor(plan: Plan) -> "Predict | None":
+    """Return the level of evenly lit pixels above black, DN, by the description of the plan's tube;
+    None without one, or with a gamma.
+    """
+    from labdata.sensors import load_sensor
+    from simulate.camera import tube_photometry
+    from simulate.camera.camera import CameraModel
+    from simulate.camera.chain import Slot
+    from simulate.camera.moments import PulseMoments
+
+    sensor = None if plan.sensor is None else load_sensor(plan.sensor)
+    if not has_tube(sensor) or float(sensor.video.gamma) != 1.0:
+        return None
+    camera = CameraModel(sensor)
+    gain_dn_per_e = float(sensor.video.conversion_gain_dn_per_e)
+    electrons_per_lux_s = tube_photometry.photoelectrons_per_lumen_s(sensor) * 1e-4
+    electrons_per_lux_s *= camera.field_pixel_area_cm2
+    ebi_lux = float(sensor.photocathode.ebi_lm_per_cm2) * 1e4
+
+    def predict(conditions: Conditions) -> float:
+        open_s = camera.stage(Slot.PHOTOCATHODE, conditions).open_s
+        gain_dn = PulseMoments(camera.chain(conditions)).gain_e * gain_dn_per_e
+        gain_dn *= 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
+        lux = (conditions.illuminance_lux or 0.0) + ebi_lux
+        return gain_dn * electrons_per_lux_s * open_s * lux
+
+    predict(Conditions())  # compiles what the run must not wait for
+    return predict
 
 
 def remove_run(plan: Plan, session: Path) -> None:

@@ -13,7 +13,7 @@ from drivers.acquisition.plan_check import (
     sentences_out_of_step,
 )
 from drivers.acquisition.plans import load_plan
-from drivers.acquisition.run import Run, make_safe_after
+from drivers.acquisition.run import Predict, Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
 from drivers.bench.client import BenchClient
 from drivers.bench.local_bench import LocalBench, open_bench
@@ -49,6 +49,7 @@ def acquire(
     camera: AbstractContextManager[Camera] | None = None,
     bench: AbstractContextManager[Bench] | None = None,
     judge: Judge | None = None,
+    predict: Predict | None = None,
     resume: bool = False,
     progress: Callable[[str, float], None] = lambda sentence, fraction: None,
     requests: RunControl | None = None,
@@ -74,6 +75,9 @@ def acquire(
     judge
         Assesses each stack during acquisition, such as `charact.live.judge.SaturationJudge`; its
         complaint becomes a note of the stack.
+    predict
+        Predicts the level of the brightest part of a step above black, DN, from its conditions with
+        the voltage of the plate; a frame far above it ends the run. None: not compared.
     resume
         Continue an interrupted run: finished stacks are not repeated, a partial one is completed,
         or acquired again where the bench failed during it.
@@ -177,6 +181,7 @@ def acquire(
             full_scale_dn=2.0 ** _bit_depth(sensor, settings) - 1.0,
             judge=judge,
             progress=report,
+            predict=predict,
         )
         with asked.running(), _safe_first(tube):
             run.take_all(asked)

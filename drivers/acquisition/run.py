@@ -41,9 +41,19 @@ OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "
 # Temporal noise above which no two frames are equal, DN, and where it is unknown the fraction of
 # pixels off the median that shows it: hot pixels are fewer
 VISIBLE_NOISE_DN, VISIBLE_PIXELS = 0.25, 0.01
+# Factor by which a level above black may exceed the one that the description predicts (specimens
+# are within 2.5), and fraction of full scale by which it may exceed it in any case
+PREDICTED_FACTOR, PREDICTED_MARGIN = 5.0, 0.05
+# Fraction of pixels that may be saturated where none is expected, even in the brightest specimen:
+# hot pixels and ions are fewer
+STRAY_FACTOR, STRAY_SATURATION = 2.5, 0.005
 DIGEST_BYTES = 1 << 20  # Bytes of a frame, evenly chosen rows, by which it is known again
 
 DISCARDED_FRAMES = 3  # a frame in the grabber, a frame in the camera, and one for the phosphor
+
+
+# Predicts the level of the brightest part of a step above black, DN, from its conditions
+Predict = Callable[[Conditions], float]
 
 
 @dataclass(kw_only=True)
@@ -65,9 +75,11 @@ class Run:
     full_scale_dn: float
     judge: Judge | None
     progress: Callable[[str, float], None]
+    predict: Predict | None
 
     def __post_init__(self) -> None:
         self._gain_table, self._before = gain_table_of(self.plan, self.sensor), None
+        self._black_dn: float | None = None  # Mean of the first frame without light
         self._finished, self._partial, self._doubtful = (
             self.writer.finished_labels,
             self.writer.partial,
@@ -220,7 +232,7 @@ class Run:
     def _require_dark(self) -> None:
         """Require a dark frame through the open gate before the first light."""
         if not self.bench.dark_seen:
-            self.bench.dark_frame_seen(self._one_frame(0.0))
+            self._take_dark(self._one_frame(0.0))
 
     def _probe_light(self, step: Step) -> None:
         """Report a frame in a light that a person set, with a hundredth of the gate width."""
@@ -235,7 +247,15 @@ class Run:
         capture = self.camera.capture(frames=1, discard=DISCARDED_FRAMES, while_waiting=self._look)
         with capture as running:
             (frame,) = running
-        return FrameLevels.of(frame.pixels, self.full_scale_dn, allowed=allowed)
+        return self._levels(frame.pixels, allowed)
+
+    def _levels(self, pixels: NDArray, allowed: float) -> FrameLevels:
+        return FrameLevels.of(pixels, self.full_scale_dn, allowed=allowed, black_dn=self._black_dn)
+
+    def _take_dark(self, levels: FrameLevels) -> None:
+        """Report a frame without light, and keep its level."""
+        self.bench.dark_frame_seen(levels)
+        self._black_dn = levels.mean * self.full_scale_dn
 
     def _look_back(self, step: Step, watcher: Watcher) -> Conditions:
         """Pass the frames of a continued stack to the watcher, and return its original
@@ -314,10 +334,32 @@ class Run:
 
     def _show(self, step: Step, pixels: NDArray, allowed: float) -> None:
         """Report the levels of a frame to the bench."""
-        levels = FrameLevels.of(pixels, self.full_scale_dn, allowed=allowed)
+        levels = self._levels(pixels, allowed)
         if step.kind == "dark" and not self.bench.dark_seen:
-            self.bench.dark_frame_seen(levels)
+            self._take_dark(levels)
         self.bench.frame_seen(levels)
+        if self.predict is not None and self._black_dn is not None and step.conditions.mcp_v:
+            self._require_predicted(levels, self.predict(step.conditions))
+
+    def _require_predicted(self, levels: FrameLevels, predicted_dn: float) -> None:
+        """Require a frame to be no brighter than its step explains; BenchError otherwise."""
+        full_dn, black_dn = self.full_scale_dn, self._black_dn or 0.0
+        highest_dn = black_dn + PREDICTED_FACTOR * predicted_dn + PREDICTED_MARGIN * full_dn
+        remedy = "find the light, or correct sensor, light or gate of the plan"
+        if levels.mean * full_dn > highest_dn and not levels.allowed:
+            raise BenchError.of(
+                "light",
+                f"keep the mean of a frame below {highest_dn:.4g} DN, as its step explains",
+                f"{levels.mean * full_dn:.4g} DN: {remedy}",
+            )
+        is_below = black_dn + STRAY_FACTOR * predicted_dn < full_dn
+        if is_below and levels.saturated > STRAY_SATURATION and not levels.allowed:
+            raise BenchError.of(
+                "light",
+                f"saturate at most {STRAY_SATURATION:.1%} of the pixels at {predicted_dn:.4g} DN "
+                "above black",
+                f"{levels.saturated:.1%}: {remedy}, or state saturated_fraction in the step",
+            )
 
     def _shut(self, step: Step, stack: StoredStack, clock: StepClock) -> None:
         """Verify the settings of the tube, then shut the gate before any target moves."""

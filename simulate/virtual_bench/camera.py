@@ -14,8 +14,10 @@ import sys
 import tempfile
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import IO, Self
 
@@ -23,7 +25,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.virtual_bench import aravis_library as aravis
-from simulate.virtual_bench.faults import FaultFile
+from simulate.virtual_bench.faults import FaultFile, Faults
 from simulate.virtual_bench.outputs import TargetPlacement, read_outputs
 from simulate.virtual_bench.tube import Scene, VirtualTube
 
@@ -94,6 +96,8 @@ class VirtualCamera:
         self._wire.lose_packets(lost_packet_share)
         self._slot: queue.Queue[tuple[Scene, bytes]] = queue.Queue(maxsize=1)
         self._prepared: TargetPlacement | None = None
+        self._pictures: deque[NDArray] = deque(maxlen=8)  # the last new ones
+        self._sent = count()
         self._wire.name_model(MODEL)
         video, ccd = tube.sensor.video, tube.sensor.ccd
         field_rate_hz, fields = float(video.field_rate_hz), 2 if video.interlaced else 1
@@ -124,13 +128,21 @@ class VirtualCamera:
             self._prepare(scene)
             time.sleep(IDLE_S)
         elif self._slot.empty():
-            frame = self._tube.expose(scene)
+            frame = self._picture(scene, faults)
             # A frame whose scene changed while it was drawn is of no time at all.
             if self._scene() == scene:
                 self._slot.put((scene, self._as_sent(frame)))
                 self._wire.trigger()
         else:
             time.sleep(IDLE_S)
+
+    def _picture(self, scene: Scene, faults: Faults) -> NDArray:
+        """Return the next picture: a new one, or one of the last."""
+        repeated = faults.repeated_pictures
+        if repeated and len(self._pictures) >= repeated:
+            return self._pictures[-repeated + next(self._sent) % repeated]
+        self._pictures.append(self._tube.expose(scene).clip(max=faults.ceiling_dn))
+        return self._pictures[-1]
 
     def _lose_packets(self, fraction: float) -> None:
         if fraction != self._losing:

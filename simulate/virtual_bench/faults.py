@@ -23,6 +23,9 @@ class Faults:
     #: How often it has lost its power for a moment; each rise is one more time
     power_cycles: int = 0
     stalled: bool = False  #: The camera answers, and sends no frame
+    #: The camera sends its last pictures again and again under new numbers, as many in turn; 0: no
+    repeated_pictures: int = 0
+    ceiling_dn: int | None = None  #: Largest pixel value that the camera sends, DN; None: any
     lost_packet_share: float = 0.0  #: Fraction of the camera's packets that get lost, dimensionless
     clock_jump_s: float = 0.0  #: How far the camera's clock is off its time, s
     #: Commands entered at the front panel, in the instrument's own language: once, when they change

@@ -233,6 +233,13 @@ def test_a_changed_plan_is_not_resumed_but_other_wires_are(tmp_path):
     )
 
 
+def spotted(number, size):
+    """Light on one pixel of some fifty, up to a ceiling below the top code."""
+    light = np.zeros(size, np.uint8)
+    light[2, 3] = 200
+    return light
+
+
 @pytest.mark.parametrize(
     ("first", "picture"), [(4, lambda n: 0), (4, lambda n: 90 + n // 99), (11, lambda n: n % 8)]
 )
@@ -249,6 +256,24 @@ def test_pictures_that_come_again_under_new_numbers_end_the_run(tmp_path, first,
     rig.picture = lambda number: np.full(fake_rig.SIZE, 12, np.uint8)
     session = take(rig, tmp_path / "dark", dark)
     assert "3 frames equal an earlier one" in session.stack("dark").notes
+
+
+@pytest.mark.parametrize(
+    ("light", "rule"),
+    [(lambda n, size: 100, "keep the mean of a frame below"), (spotted, "at most 0.5% of the")],
+)
+def test_light_that_the_step_does_not_explain_ends_the_run(tmp_path, light, rule):
+    rig = FakeRig()
+    rig.bench.dark_seen, rig.bench.dark_frame_seen = False, lambda levels: None
+
+    def after_the_dark(number):
+        return np.full(fake_rig.SIZE, 12 + (number > 1) * light(number, fake_rig.SIZE), np.uint8)
+
+    rig.picture = after_the_dark
+    plan = replace(PLAN, steps=(step("low"),))
+    with pytest.raises(BenchError, match=rule):
+        take(rig, tmp_path / "s", plan, predict=lambda conditions: 7.0)
+    assert rig.frames_sent == 2 and not rig.gate_open
 
 
 def test_a_folder_with_a_session_is_not_written_over(tmp_path):

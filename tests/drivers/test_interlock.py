@@ -246,6 +246,17 @@ def test_a_bench_needs_ports(tmp_path):
         open_bench(InstrumentConfig(), LIMITS, log=tmp_path / "log")
 
 
+@pytest.mark.parametrize("top", [180, 235, 250, 255, 300])
+@pytest.mark.parametrize("area", [0.048, 1.0])
+def test_light_at_the_datas_own_ceiling_is_saturation_and_noise_is_not(top, area):
+    scene = np.random.default_rng(7).normal(70.0, 3.0, (200, 300))
+    assert FrameLevels.of(np.rint(scene), 255.0).saturated == 0.0
+    scene[: round(200 * area)] += 1e3
+    lit = np.minimum(np.rint(scene), min(top, 255))
+    assert FrameLevels.of(lit, 255.0, black_dn=12.0).saturated == pytest.approx(area, abs=0.01)
+    assert FrameLevels.of(np.full((9, 9), 12, np.uint8), 255.0, black_dn=12.0).saturated == 0.0
+
+
 class Hands:
     """An operator whose meter reads what is asked times a factor."""
 
@@ -313,7 +324,7 @@ def test_light_that_reads_too_bright_makes_the_tube_safe(bench, virtual):
 def test_a_bright_frame_without_light_ends_the_work(bench, virtual):
     with bench:
         bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6))
-        with pytest.raises(BenchError, match=r"mean below 25% of full scale .* got 78% and 0.0%"):
+        with pytest.raises(BenchError, match=r"mean below 25% of full scale .* got 78% and 100.0%"):
             bench.dark_frame_seen(FrameLevels.of(np.full((4, 6), 200, np.uint8), 255.0))
         with pytest.raises(BenchError, match="a frame without light must"):
             bench.set_conditions(Conditions(mcp_v=600.0, gate_ns=1e6))

@@ -433,6 +433,9 @@ KINDS: dict[str, Draw] = {
         lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3))), limit_s=5.0
     ),
     "camera stalls": _seen(lambda rng: Faults(stalled=True), silence_s=SILENCE_S, ends_run=True),
+    "pictures come again": _seen(
+        lambda rng: Faults(repeated_pictures=int(rng.integers(1, 9))), ends_run=True
+    ),
     "clocks jump": _clock_jump,
     KILL_CLIENT: _struck("client", KILL),
     "client stopped": _struck("client", STOP),
@@ -461,6 +464,7 @@ KINDS: dict[str, Draw] = {
     "port under another name for 2 s": _line_lost("renamed"),
     "panel: gate idles open": _panel(GATE, "LOFF 1,2"),
     "panel: gate stopped": _panel(GATE, "TSRC 5"),
+    "panel: burst": _panel(GATE, "BURM 1"),
     "panel: gate of 1 us": _panel(GATE, "DLAY 3,2,1e-6"),
     "panel: 100 V": _panel(SUPPLY, "VSET 100"),
     "panel: 850 V": _panel(SUPPLY, "VLIM 900", "VSET 850"),
