@@ -3,7 +3,6 @@ its laboratory.
 """
 
 import contextlib
-import importlib.util
 import queue
 import threading
 from collections import Counter
@@ -22,12 +21,8 @@ from drivers.interface import FrameLevels
 from labdata import Conditions, Target
 from labdata.gating import Gating
 from labdata.instrument_config import InstrumentConfig, Meters
+from tests.drivers import laboratory
 
-_spec = importlib.util.spec_from_file_location(
-    "laboratory", Path(__file__).with_name("laboratory.py")
-)
-laboratory = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(laboratory)
 CLOCK, LIMITS, SENSOR = laboratory.CLOCK, laboratory.LIMITS, laboratory.SENSOR
 
 TICK_S = 0.1
@@ -49,6 +44,7 @@ LUX = (
     1e5,
     float("nan"),
 )
+
 TARGETS = (Target(), Target(angle_deg=5.0), Target(pinhole_px=1.0))
 # a gate that is too wide at the second is not open for too much of the time
 FIELDS_HZ = 59.94, 49.0

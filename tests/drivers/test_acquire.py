@@ -2,9 +2,7 @@
 losing a frame.
 """
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,10 +16,8 @@ from labdata.event_log import read_events
 from labdata.plan import FrameFormat, Plan, SaturationSearch, Step, StopCriterion
 from labdata.plan_file import read_plan
 from labdata.session_writer import StackWriter
+from tests.drivers import fake_rig
 
-_spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
-fake_rig = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(fake_rig)
 FakeRig = fake_rig.FakeRig
 
 

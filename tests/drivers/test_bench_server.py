@@ -2,20 +2,15 @@
 makes the tube safe.
 """
 
-import importlib.util
 import socket
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 from drivers.bench.connection import Beat, Connection, Fault, MadeSafe, Reply, Request
 from drivers.errors import BenchError, BenchStopped
 from labdata import BadInput, Conditions, Target
-
-_spec = importlib.util.spec_from_file_location("plant", Path(__file__).with_name("plant.py"))
-plant = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(plant)
+from tests.drivers import plant
 
 HOT = Conditions(mcp_v=600.0, gate_ns=1e6)
 

@@ -2,10 +2,8 @@
 rule it does.
 """
 
-import importlib.util
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -39,10 +37,7 @@ from drivers.bench.state import (
 )
 from labdata import Target
 from labdata.limits import LIMITS
-
-_spec = importlib.util.spec_from_file_location("plant", Path(__file__).with_name("plant.py"))
-plant = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(plant)
+from tests.drivers import plant
 
 LEAST_STEPS = 100_000
 ALL = [one.name for one in (*RULES, *REACTIONS)]

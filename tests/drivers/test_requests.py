@@ -2,12 +2,10 @@
 and the light out.
 """
 
-import importlib.util
 import os
 import signal
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -16,10 +14,7 @@ from drivers.acquisition.run_control import PAUSED, STOPPING, RunControl
 from drivers.errors import InstrumentTripped
 from labdata import Conditions, Plan, Step, open_session
 from labdata.event_log import read_events
-
-_spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
-fake_rig = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(fake_rig)
+from tests.drivers import fake_rig
 
 LIT = Conditions(mcp_v=700.0, gate_ns=1.6e7, illuminance_lux=1e-4)
 PLAN = Plan(

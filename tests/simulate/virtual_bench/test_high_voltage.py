@@ -37,35 +37,54 @@ def bus():
     return Bus()
 
 
-def test_high_voltage_comes_up_off():
-    bus = Bus()
-    assert bus.ask("VOUT?") == 0
-    assert not int(bus.ask("*STB? 7"))
-    bus.tell("VSET 800")
-    bus.wait(1)
-    assert bus.ask("VOUT?") == 0
+def near(value: float, error: float):
+    return pytest.approx(value, abs=error)
 
 
-def test_the_set_value_is_read_at_once_and_the_output_lags(bus):
-    bus.tell("VSET 800;HVON")
-    bus.wait(0.1)
-    assert bus.ask("VSET?") == 800
-    assert 100 < bus.ask("VOUT?") < 250
-    assert int(bus.ask("*STB?")) & 1 == 0
-    bus.wait(1)
-    assert bus.ask("VOUT?") == 800
-    assert int(bus.ask("*STB?")) & 1
+ON = "VSET 800;HVON"
+# What happens in order: a command, a time in seconds, a short circuit, or a question and its answer
+STORIES = {
+    "high voltage comes up off": (("VOUT?", 0), ("*STB? 7", 0), "VSET 800", 1, ("VOUT?", 0)),
+    "the set value is read at once and the output lags": (
+        *(ON, 0.1, ("VSET?", 800), ("VOUT?", near(175, 75)), ("*STB? 0", 0)),
+        *(1, ("VOUT?", 800), ("*STB? 0", 1)),
+    ),
+    "full scale takes 3 s up and 6 s to a hundredth down": (
+        *("VSET 5000;HVON", 2.9, ("VOUT?", near(4900, 99)), 0.2, ("VOUT?", 5000)),
+        *("HVOF", 6, ("VOUT?", near(50, 1))),
+    ),
+    "a trip switches off at once and latches until the byte is read": (
+        *(ON, 1, SHORTED, ("VOUT?", near(700, 99)), 1, ("*STB?", 0b100), ("*STB?", near(1, 1))),
+    ),
+    "reading one bit leaves the other latches": (
+        *(ON, 1, SHORTED, ("*STB? 1", 0), ("*STB? 2", 1), ("*STB? 2", 0)),
+    ),
+    "clear status unlatches but does not clear the trip": (
+        *(ON, SHORTED, "*CLS", ("*STB? 2", 0), "HVON", ("*ESR?", EXE), ("*STB? 7", 0)),
+        *("TCLR;HVON", ("*STB? 7", 1)),
+    ),
+    "a load beyond the trip current trips": (
+        *("ITRP 4e-6", ON, 1, ("*STB? 2", 1), ("VOUT?", near(250, 249))),
+    ),
+    "a load beyond the current limit holds the voltage down": (
+        *("ILIM 4e-6", ON, 2, ("VOUT?", 400), ("*STB? 3", 1)),
+    ),
+    "the load draws the strip current": (ON, 1, ("IOUT?", near(8e-6, 1e-12))),
+    "an answer not taken is lost to the next message": (
+        *("VSET?", ("VLIM?", 5000), ("*ESR?", QYE)),
+    ),
+}
 
 
-def test_full_scale_takes_3_s_up_and_6_s_to_a_hundredth_down(bus):
-    bus.tell("VSET 5000;HVON")
-    bus.wait(2.9)
-    assert bus.ask("VOUT?") < 5000
-    bus.wait(0.2)
-    assert bus.ask("VOUT?") == 5000
-    bus.tell("HVOF")
-    bus.wait(6.0)
-    assert bus.ask("VOUT?") == pytest.approx(50, abs=1)
+@pytest.mark.parametrize("story", STORIES)
+def test_the_supply_does_as_its_manual_says(bus, story):
+    for event in STORIES[story]:
+        if isinstance(event, str):
+            bus.tell(event)
+        elif isinstance(event, tuple):
+            assert bus.ask(event[0]) == event[1], event
+        else:
+            bus.wait(*((0.02, event) if event is SHORTED else (event,)))
 
 
 @pytest.mark.parametrize(
@@ -91,63 +110,6 @@ def test_what_cannot_be_is_refused_not_clamped(bus, command, bit):
     bus.tell(command)
     assert int(bus.ask("*ESR?")) == bit
     assert [bus.ask(question) for question in ("VSET?", "VLIM?", "ILIM?")] == before
-
-
-def test_a_trip_switches_off_at_once_and_latches_until_the_byte_is_read(bus):
-    bus.tell("VSET 800;HVON")
-    bus.wait(1)
-    bus.wait(0.02, SHORTED)
-    assert bus.supply.output_v < 800
-    bus.wait(1)
-    assert int(bus.ask("*STB?")) & 0b10000100 == 0b100  # current trip, high voltage off
-    assert int(bus.ask("*STB?")) & 0b100 == 0  # reading was destructive
-
-
-def test_reading_one_bit_leaves_the_other_latches(bus):
-    bus.tell("VSET 800;HVON")
-    bus.wait(1)
-    bus.wait(0.02, SHORTED)
-    assert bus.ask("*STB? 1") == 0
-    assert bus.ask("*STB? 2") == 1
-    assert bus.ask("*STB? 2") == 0
-
-
-def test_clear_status_unlatches_but_does_not_clear_the_trip(bus):
-    bus.tell("VSET 800;HVON")
-    bus.wait(0.02, SHORTED)
-    bus.tell("*CLS")
-    assert not int(bus.ask("*STB?")) & 4
-    bus.tell("HVON")
-    assert int(bus.ask("*ESR?")) == EXE
-    assert bus.ask("*STB? 7") == 0
-    bus.tell("TCLR;HVON")
-    assert bus.ask("*STB? 7") == 1
-
-
-def test_a_load_beyond_the_trip_current_trips(bus):
-    bus.tell("ITRP 4e-6;VSET 800;HVON")
-    bus.wait(1)
-    assert int(bus.ask("*STB?")) & 4
-    assert bus.ask("VOUT?") < 500
-
-
-def test_a_load_beyond_the_current_limit_holds_the_voltage_down(bus):
-    bus.tell("ILIM 4e-6;VSET 800;HVON")
-    bus.wait(2)
-    assert bus.ask("VOUT?") == 400
-    assert int(bus.ask("*STB?")) & 8
-
-
-def test_the_load_draws_the_strip_current(bus):
-    bus.tell("VSET 800;HVON")
-    bus.wait(1)
-    assert bus.ask("IOUT?") == pytest.approx(8e-6)
-
-
-def test_an_answer_not_taken_is_lost_to_the_next_message(bus):
-    bus.tell("VSET?")
-    assert bus.ask("VLIM?") == 5000
-    assert int(bus.ask("*ESR?")) == QYE
 
 
 def test_talking_with_nothing_asked_is_silence_and_a_query_error(bus):
