@@ -31,7 +31,7 @@ from charact.fusion.truth_scores import (
     object_channels,
     truth_scores,
 )
-from simulate import api, session_files
+from simulate import api, conditions_of, load_described_camera, session_files
 from simulate.camera.scene_to_photoelectrons import photoelectrons_from_radiance
 
 SENSORS = ("pulnix-ag5745ef3", "vox-lwir-640")
@@ -86,10 +86,10 @@ def objects_of(truth: Any) -> NDArray[np.int_]:
 
 def simulate_scene() -> Scene:
     """Render the hangar for both cameras: some minutes."""
-    described = {name: api.load_described_camera(name) for name in SENSORS}
+    described = {name: load_described_camera(name) for name in SENSORS}
     request = api.SimulationRequest(source=Path("hangar"), tolerance=0.1, seed=0)
     shots = api.simulate_rig(
-        request, {name: (one, api.conditions_of(one)) for name, one in described.items()}
+        request, {name: (one, conditions_of(one)) for name, one in described.items()}
     )
     return scene_of(shots)
 
@@ -140,7 +140,7 @@ def draw_frames(scene: Scene, count: int, *, objects: bool) -> list[NDArray[Any]
 
 def sources_of(scene: Scene, folder: Path) -> list[Source]:
     """Return the cameras with all that a session states of them."""
-    described = {name: api.load_described_camera(name) for name in SENSORS}
+    described = {name: load_described_camera(name) for name in SENSORS}
     session_files.save_rig_session(
         scene.shots, described, folder, frames=8, seed=0, notes=dict.fromkeys(SENSORS, ())
     )

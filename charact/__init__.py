@@ -9,8 +9,9 @@ for measurement in charact.measure("day1").find("mtf50"):
     print(measurement.value, measurement.interval95, measurement.status)
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from labdata.lazy_names import import_on_first_use
 from labdata.numba_cache import keep_loops
 
 __version__ = "0.1.0"
@@ -47,25 +48,18 @@ __all__ = [
     "validate",
 ]
 
-_HOMES = {
-    "charact.api.analysis": ("Analysis",),
-    "charact.api.deciding": ("check", "compare"),
-    "charact.api.fusing": ("fuse", "fusion_colours", "fusion_scores"),
-    "charact.api.inputs": ("frames_of", "session", "stack"),
-    "charact.api.measuring": ("bloom", "measure", "mtf", "noise"),
-    "charact.api.modelling": ("fit", "report", "simulate", "validate"),
-    "labdata.errors": ("BadInput",),
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import the module of a name on first use, so that the command line starts fast."""
-    for home, names in _HOMES.items():
-        if name in names:
-            from importlib import import_module
-
-            return getattr(import_module(home), name)
-    raise AttributeError(f"module 'charact' has no attribute {name!r}")
+__getattr__ = import_on_first_use(
+    __name__,
+    {
+        "charact.api.analysis": "Analysis",
+        "charact.api.deciding": "check compare",
+        "charact.api.fusing": "fuse fusion_colours fusion_scores",
+        "charact.api.inputs": "frames_of session stack",
+        "charact.api.measuring": "bloom measure mtf noise",
+        "charact.api.modelling": "fit report simulate validate",
+        "labdata.errors": "BadInput",
+    },
+)
 
 
 def __dir__() -> list[str]:

@@ -133,8 +133,8 @@ def temperatures(
     >>> warm.map_k.shape
     (16, 20)
     """
-    from simulate.api import load_described_camera
     from simulate.camera.scene_to_photoelectrons import camera_from_description
+    from simulate.operating_conditions import load_described_camera
     from simulate.outdoor_rendering import OutdoorRendering
     from simulate.radiance.scene import LabScene, load_scene
     from simulate.thermal.temperatures import temperatures_of

@@ -17,8 +17,7 @@ import tifffile
 from typer.testing import CliRunner
 
 from charact.cli.application import app
-from labdata.flags import FLAGS
-from labdata.quantity import QUANTITIES
+from labdata import FLAGS, QUANTITIES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [

@@ -24,7 +24,8 @@ from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
 from simulate.thermal import infrared_rendering as rendering
 from simulate.thermal import infrared_surfaces as surfaces
-from simulate.thermal.infrared_rendering import AIR, BETWEEN, MORE, SUN, infrared_radiance, look_at
+from simulate.thermal.infrared_rendering import infrared_radiance, tracer_of
+from simulate.thermal.infrared_tracer import AIR, BETWEEN, MORE, SUN
 from simulate.thermal.temperatures import Temperatures, temperatures_of
 from simulate.thermal.thresholds import INFRARED
 
@@ -68,7 +69,7 @@ class View:
         ahead = np.subtract(stands.look_at_m, stands.position_m)
         forward = tuple((ahead / np.linalg.norm(ahead)).tolist())
         viewpoint = camera.viewpoint(stands.position_m, forward).smaller(factor)
-        look = look_at(temperatures, scene, viewpoint, band_um=camera.band_um, seed=0)
+        look = tracer_of(temperatures, scene, viewpoint, band_um=camera.band_um, seed=0)
         look = replace(look, rays=MORE_RAYS, mirror_rays=MORE_RAYS)
         runs = [seen(replace(look, seed=100 + number)) for number in range(REPEATS)]
         parts = [look.rows(start) for start in range(0, viewpoint.shape[0], INFRARED.rows)]

@@ -25,9 +25,10 @@ from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.sky.moon import ObserverLocation
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN, band_radiance, brightness_temperature
 from simulate.thermal.clear_day import clear_sun, sky_emissivity, solar_hour, sun_directions
-from simulate.thermal.infrared_rendering import AIR, infrared_radiance
+from simulate.thermal.infrared_rendering import infrared_radiance
 from simulate.thermal.infrared_sky import InfraredSky
 from simulate.thermal.infrared_surfaces import infrared_brdf
+from simulate.thermal.infrared_tracer import AIR
 from simulate.thermal.slab import ZERO_C
 from simulate.thermal.temperatures import Temperatures, temperatures_of
 from simulate.thermal.thresholds import LIMITS

@@ -164,7 +164,7 @@ def simulate(
     ] = None,
     kind: Annotated[
         "Kind | None",
-        Argument("Kind of the stack, as for `simulate.api.SimulationRequest`."),
+        Argument("Kind of the stack, as for `simulate.SimulationRequest`."),
     ] = None,
     error_budget_percent: Annotated[
         float | None,
@@ -183,14 +183,13 @@ def simulate(
     black_dn: Annotated[float | None, Argument("Of an image: its black level, DN.")] = None,
     target: Annotated[
         "Target | None",
-        Argument("Target on the bench, as for `simulate.api.SimulationRequest`."),
+        Argument("Target on the bench, as for `simulate.SimulationRequest`."),
     ] = None,
     progress: ProgressSink = ignore_progress,
     **conditions: Annotated[
         Any,
         Argument(
-            "Settings of the camera as for `simulate.api.conditions_of`, such as `gain` and "
-            "`gate_ns`."
+            "Settings of the camera as for `simulate.conditions_of`, such as `gain` and `gate_ns`."
         ),
     ],
 ) -> "FrameStack":
@@ -211,12 +210,12 @@ def simulate(
     import numpy as np
 
     from labdata.frames import FrameStack
-    from simulate import api, session_files
+    from simulate import api, conditions_of, load_described_camera, session_files
 
-    described = api.load_described_camera(str(sensor)) if isinstance(sensor, str | Path) else sensor
+    described = load_described_camera(str(sensor)) if isinstance(sensor, str | Path) else sensor
     if frames < 1:
         raise BadInput(f"at least 1 frame must be simulated, got {frames}")
-    settings = api.conditions_of(described, **conditions)
+    settings = conditions_of(described, **conditions)
     request = api.SimulationRequest(
         source=Path(source) if isinstance(source, str | Path) else source,
         kind=kind,

@@ -225,13 +225,13 @@ def _load_cameras(sensors: list[str], phosphor: str | None) -> "dict[str, Camera
     BadInput.
     """
     from labdata.errors import BadInput
-    from simulate import api
+    from simulate import load_described_camera
 
     names = [Path(name).stem for name in sensors]
     if repeated := {name for name in names if names.count(name) > 1}:
         raise BadInput(f"sensors of one rig must have different names, got {min(repeated)!r} twice")
     return dict(
-        zip(names, (api.load_described_camera(name, phosphor) for name in sensors), strict=True)
+        zip(names, (load_described_camera(name, phosphor) for name in sensors), strict=True)
     )
 
 
@@ -241,12 +241,12 @@ def _set_cameras(
     """Return the cameras with the options `given`; with visible ones a thermal imager takes
     none.
     """
-    from simulate import api
+    from simulate import conditions_of, voltage_limit_warnings
 
     visible, found = not all(camera.is_thermal for camera in cameras.values()), {}
     for name, camera in cameras.items():
-        conditions = api.conditions_of(camera, **({} if camera.is_thermal and visible else given))
-        beyond = api.voltage_limit_warnings(camera, conditions)
+        conditions = conditions_of(camera, **({} if camera.is_thermal and visible else given))
+        beyond = voltage_limit_warnings(camera, conditions)
         for sentence in beyond:
             print_message(sentence, events=events)
         notes = [f"camera {camera.name}"]

@@ -16,8 +16,7 @@ import pytest
 import tifffile
 from scipy.special import erf
 
-from labdata import BadInput, open_session, read_frames
-from labdata.session_import import import_frames
+from labdata import BadInput, import_frames, open_session, read_frames
 from tests.charact.cli.runner import charact
 
 ROOT = Path(__file__).resolve().parents[2]

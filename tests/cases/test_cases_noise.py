@@ -9,7 +9,7 @@ import pytest
 from charact.estimators import noise
 from charact.session_measurement import method_context
 from labdata import open_session
-from labdata.camera.chip import excess_noise_factor
+from labdata.camera import excess_noise_factor
 from tests.truth.counted_pulses import one
 
 ROOT = Path(__file__).parents[2]

@@ -14,15 +14,20 @@ from pathlib import Path
 import numpy as np
 
 from drivers import plan_report
-from labdata import BadInput, load_camera, open_session
-from labdata.phosphors import load_phosphor
-from labdata.plan_file import plan_toml, read_plan
-from labdata.session import MANIFEST
-from labdata.session_import import import_emva1288
-from labdata.tube_dose import Dose, DoseLedger
-from simulate.radiance.outdoor.built_scene import build_surfaces
-from simulate.radiance.outdoor.scene import OutdoorScene
-from simulate.radiance.scene import load_scene
+from labdata import (
+    BadInput,
+    Dose,
+    DoseLedger,
+    import_emva1288,
+    load_camera,
+    load_phosphor,
+    open_session,
+    plan_toml,
+    read_plan,
+    session,
+)
+from simulate.radiance import load_scene
+from simulate.radiance.outdoor import OutdoorScene, build_surfaces
 
 VALUES = (
     "nan",
@@ -199,7 +204,7 @@ def _read_scene(path: Path) -> None:
 
 
 def _read_descriptor(path: Path) -> None:
-    (path.parent / MANIFEST).unlink(missing_ok=True)
+    (path.parent / session.MANIFEST).unlink(missing_ok=True)
     import_emva1288(path, path.parent)
 
 
@@ -224,7 +229,7 @@ TARGETS: dict[str, tuple[Reader, Callable[[], list[bytes]], str]] = {
         lambda: [SWEPT, SWEPT, *_shipped("drivers.acquisition", "plans")],
         "plan.toml",
     ),
-    "session": (_read_session, lambda: [SESSION], MANIFEST),
+    "session": (_read_session, lambda: [SESSION], session.MANIFEST),
     "sensor": (_read_sensor, lambda: _shipped("labdata.sensors"), "sensor.toml"),
     "phosphor": (_read_phosphor, lambda: _shipped("labdata.phosphors"), "phosphor.toml"),
     "scene": (_read_scene, lambda: _shipped("simulate", "scenes"), "scene.toml"),

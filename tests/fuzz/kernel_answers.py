@@ -11,8 +11,7 @@ from pathlib import Path
 from drivers.cameras.v4l2 import V4l2Camera
 from drivers.cameras.v4l2.listing import describe
 from drivers.errors import CameraError
-from labdata import BadInput
-from labdata.capture import CameraSettings
+from labdata import BadInput, CameraSettings
 from tests.drivers.camera_laws import taken
 from tests.drivers.fake_video import FakeDevice
 

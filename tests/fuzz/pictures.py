@@ -20,12 +20,9 @@ import numpy as np
 import tifffile
 
 from labdata import BadInput, read_frames
-from labdata.store.array_writer import ArrayWriter
-from labdata.store.journal import METADATA
-from simulate.radiance.outdoor.build import KINDS as MESHES
-from simulate.radiance.outdoor.build import build_surfaces
-from simulate.radiance.outdoor.scene import Object, OutdoorScene
-from simulate.radiance.scene import load_scene
+from labdata.store import array_writer, journal
+from simulate.radiance import load_scene
+from simulate.radiance.outdoor import Object, OutdoorScene, build, build_surfaces
 from tests.fuzz.documents import mangled
 from tests.labdata import dng
 
@@ -100,7 +97,7 @@ def _avi(path: Path) -> None:
 
 
 def _store(path: Path) -> None:
-    array = ArrayWriter(path, (ROWS, COLUMNS), np.uint16)
+    array = array_writer.ArrayWriter(path, (ROWS, COLUMNS), np.uint16)
     for number, frame in enumerate(_frames()):
         array.append(frame, 0.1 * number, number)
     array.close()
@@ -136,7 +133,7 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
     "dng": ("a.dng", lambda path: dng.write(path, _frames(np.uint16, 40, 60))),
     "store": ("a.zarr", _store),
     "zarr": ("b.zarr", _zarr),
-    **{f"mesh {kind}": (f"a{kind}", _mesh) for kind in MESHES},
+    **{f"mesh {kind}": (f"a{kind}", _mesh) for kind in build.KINDS},
 }
 """What is read: the name of each file, and who writes a sound one."""
 
@@ -164,7 +161,7 @@ def read(name: str, rng: random.Random, folder: Path, *, wrong: bool = True) -> 
     if whole.is_dir():
         shutil.copytree(whole, path)
         parts = sorted(part for part in path.iterdir() if part.is_file())
-        part = path / METADATA if rng.random() < 0.5 else rng.choice(parts)
+        part = path / journal.METADATA if rng.random() < 0.5 else rng.choice(parts)
     else:
         part = Path(shutil.copy(whole, path))
     if wrong:

@@ -11,8 +11,8 @@ import pytest
 import tifffile
 
 from labdata import BadInput, read_frames
-from labdata.store.journal import chunk
-from simulate.radiance.outdoor.build import build_surfaces
+from labdata.store import journal
+from simulate.radiance.outdoor import build_surfaces
 from tests.fuzz import pictures
 from tests.fuzz.bounds import in_time
 
@@ -74,7 +74,7 @@ def test_a_tiff_without_rows_is_refused(tmp_path):
 
 def test_a_frame_of_the_store_that_was_cut_or_grew_is_refused(tmp_path):
     pictures.read("store", random.Random(1), tmp_path, wrong=False)
-    file = chunk(tmp_path / "a.zarr", 1)
+    file = journal.chunk(tmp_path / "a.zarr", 1)
     for content in (file.read_bytes()[:-9], file.read_bytes() + b"more"):
         file.write_bytes(content)
         with pytest.raises(

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from labdata.background import BackgroundWriter
+from labdata import BackgroundWriter
 
 # What must not wait returns within this, s: a fifth of the time in which a tube must be safe
 SOON_S = 0.2

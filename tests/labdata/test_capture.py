@@ -2,8 +2,7 @@
 
 import pytest
 
-from labdata import BadInput
-from labdata.capture import LostFrames, losses_before
+from labdata import BadInput, LostFrames, losses_before
 
 
 def test_a_gap_in_the_numbers_is_told_with_its_reasons():

@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdata import (
+    FLAGS,
+    QUANTITIES,
     BadInput,
     Conditions,
     FrameStack,
@@ -18,14 +20,14 @@ from labdata import (
     Result,
     Step,
     Target,
+    convert_frequency,
     make_measurement,
     make_refusal,
     measurement_from_draws,
     measurement_from_sd,
+    order_flags,
 )
-from labdata.camera.parameters import Parameter
-from labdata.flags import FLAGS, order_flags
-from labdata.quantity import QUANTITIES, convert_frequency
+from labdata.camera import Parameter
 
 
 def test_frames_cannot_be_written_to_through_the_stack():

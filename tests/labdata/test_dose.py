@@ -13,16 +13,15 @@ from contextlib import contextmanager
 
 import pytest
 
-from labdata import BadInput, load_sensor
-from labdata.tube_dose import (
-    FOLDER_VARIABLE,
+from labdata import (
+    BadInput,
     Dose,
     DoseLedger,
-    _lock,
     dose_of,
     ledger_of,
+    load_sensor,
     total_dose,
-    warnings,
+    tube_dose,
 )
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
@@ -49,7 +48,7 @@ def test_doses_add_and_their_uncertainty_does_not_average_out():
 
 
 def test_the_ledger_of_a_tube_goes_on_over_sessions(tmp_path, monkeypatch):
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "tubes"))
+    monkeypatch.setenv(tube_dose.FOLDER_VARIABLE, str(tmp_path / "tubes"))
     ledger_of("SN 1234").append(dose(1e-6), session="monday")
     ledger_of("SN 1234").append(dose(2e-6), session="tuesday")
     assert ledger_of("SN 1234").total().screen_c_per_cm2 == pytest.approx(3e-6)
@@ -151,7 +150,7 @@ def test_a_reader_in_the_same_process_does_not_end_the_lock(tmp_path, monkeypatc
     ledger.append(dose())
     monkeypatch.setattr("labdata.tube_dose.PATIENCE_S", 0.1)
     with open(ledger.path, "ab") as file:
-        _lock(file.fileno())
+        tube_dose._lock(file.fileno())
         assert len(ledger) == 1
         with pytest.raises(TimeoutError):
             ledger.append(dose())
@@ -174,14 +173,16 @@ def test_an_append_reads_one_byte_of_the_ledger_however_long_it_is(tmp_path, mon
 
 
 def test_a_life_nearly_used_up_is_warned_of():
-    assert warnings(dose(charge=0.2), SENSOR) == ()
-    (told,) = warnings(dose(charge=0.25), SENSOR)
+    assert tube_dose.warnings(dose(charge=0.2), SENSOR) == ()
+    (told,) = tube_dose.warnings(dose(charge=0.25), SENSOR)
     assert (
         told == "The tube's screen charge is 0.25 C/cm2, 83% of the 0.3 C/cm2 expected of its life."
     )
-    (told,) = warnings(dose(hours=20_000.0), SENSOR)
+    (told,) = tube_dose.warnings(dose(hours=20_000.0), SENSOR)
     assert "time at gain is 2e+04 h, 100% of the 20000 h" in told
 
 
 def test_an_unknown_tube_is_warned_of_sooner():
-    assert warnings(dose(charge=0.09), None) and not warnings(dose(charge=0.09), SENSOR)
+    assert tube_dose.warnings(dose(charge=0.09), None) and not tube_dose.warnings(
+        dose(charge=0.09), SENSOR
+    )

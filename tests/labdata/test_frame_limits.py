@@ -17,10 +17,7 @@ import pytest
 import tifffile
 import zarr
 
-from labdata import BadInput, file_io, open_session
-from labdata.file_io import MOST_PICTURE_PX
-from labdata.importers import read_frames
-from labdata.lazy_stack import open_lazy_stack
+from labdata import BadInput, file_io, open_lazy_stack, open_session, read_frames
 from tests.charact.cli.runner import charact
 from tests.fuzz.bounds import most_resident_mb
 from tests.labdata import dng
@@ -133,7 +130,7 @@ def raw(path: Path) -> None:
             file.pages[0].tags[tag].overwrite(SIDE)
 
 
-TOO_LARGE = f"at most {MOST_PICTURE_PX} pixels, got"
+TOO_LARGE = f"at most {file_io.MOST_PICTURE_PX} pixels, got"
 BOMBS = {
     "a.png": (
         png,

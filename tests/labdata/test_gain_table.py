@@ -4,8 +4,7 @@ calibrated.
 
 import pytest
 
-from labdata import BadInput
-from labdata.calibration import GainTable
+from labdata import BadInput, GainTable
 
 # A plate whose gain goes as the fifteenth power of its voltage.
 VOLTS = (600.0, 700.0, 800.0, 900.0)

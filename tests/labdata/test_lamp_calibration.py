@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from labdata import BadInput
-from labdata.calibration import LampCalibration
+from labdata import BadInput, LampCalibration
 
 # A diode whose light is as its current, 0.1 lux for 0.1 A, behind a wheel of whole densities.
 LAMP = LampCalibration(

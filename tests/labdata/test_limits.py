@@ -6,10 +6,17 @@ from dataclasses import fields
 
 import pytest
 
-from labdata import BadInput, load_camera, load_sensor
-from labdata.camera.tube import TubeLimits
-from labdata.limits import LIMITS, Limits, Override, limits_in_force
-from labdata.sensors import sensor_names
+from labdata import (
+    BadInput,
+    Limits,
+    Override,
+    limits_in_force,
+    load_camera,
+    load_sensor,
+    sensor_names,
+)
+from labdata import limits as limits_module
+from labdata.camera import TubeLimits
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 TUBES = [name for name in sensor_names() if load_camera(name).has_tube]
@@ -64,7 +71,7 @@ def test_an_unknown_tube_is_taken_for_a_delicate_and_strong_one():
     assert not unknown.known
     assert all(
         getattr(unknown, name) <= getattr(known, name)
-        for name in LIMITS
+        for name in limits_module.LIMITS
         if not name.startswith("point_anode")
     )
     for volts in (600.0, 800.0, 900.0):

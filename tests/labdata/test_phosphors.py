@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from labdata import BadInput, Camera, load_sensor
-from labdata.camera.parameters import Draws
-from labdata.camera.tube import Phosphor
-from labdata.phosphors import load_phosphor, phosphor_names
-from labdata.serialiser import to_toml
+from labdata import BadInput, Camera, load_phosphor, load_sensor, phosphor_names, to_toml
+from labdata.camera import Draws, Phosphor
 
 # 90 to 10 % and 10 to 1 % of the light, ms.
 TABLE = {"p20": (4.0, 55.0), "p43": (1.0, 1.6), "p46": (3e-4, 0.09), "p47": (1e-4, 2.9e-3)}

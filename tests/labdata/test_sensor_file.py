@@ -7,11 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Camera, load_camera, load_sensor, save_sensor
-from labdata.camera.description import camera_from_mapping
-from labdata.camera.parameters import Draws, Parameter
-from labdata.sensors import sensor_names
-from labdata.serialiser import to_mapping, to_toml
+from labdata import (
+    BadInput,
+    Camera,
+    load_camera,
+    load_sensor,
+    save_sensor,
+    sensor_names,
+    to_mapping,
+    to_toml,
+)
+from labdata.camera import Draws, Parameter, camera_from_mapping
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_M_PER_S = 299792458.0

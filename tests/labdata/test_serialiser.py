@@ -11,12 +11,24 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from labdata import BadInput, Conditions, InstrumentConfig, Limits, Plan, Step, Target
-from labdata.capture import LostFrames
-from labdata.plan_file import plan_of, plan_toml, read_plan
-from labdata.schema import file_schema
-from labdata.serialiser import from_mapping, to_toml
-from labdata.session import SessionFile, stack_record
+from labdata import (
+    BadInput,
+    Conditions,
+    InstrumentConfig,
+    Limits,
+    LostFrames,
+    Plan,
+    SessionFile,
+    Step,
+    Target,
+    file_schema,
+    from_mapping,
+    plan_of,
+    plan_toml,
+    read_plan,
+    stack_record,
+    to_toml,
+)
 
 # The machine may be busy: how long an example takes is no law of the border.
 unhurried = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
@@ -278,7 +290,7 @@ def test_the_schema_of_a_plan_holds_for_every_plan_file(plan):
 def test_the_schema_of_a_sensor_holds_for_the_shipped_ones_and_not_for_a_misspelt_key():
     from importlib import resources
 
-    from labdata.sensors import sensor_names
+    from labdata import sensor_names
 
     for name in sensor_names():
         mapping = tomllib.loads((resources.files("labdata.sensors") / f"{name}.toml").read_text())

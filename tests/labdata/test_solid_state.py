@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, Camera, load_camera, load_sensor, open_session
-from labdata.camera.parameters import Parameter
-from labdata.serialiser import to_toml
+from labdata import BadInput, Camera, load_camera, load_sensor, open_session, to_toml
+from labdata.camera import Parameter
 
 
 @pytest.fixture

@@ -10,9 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdata import BadInput, Target
-from labdata.plan import StopCriterion
-from labdata.plan_file import SweepRecord, plan_of, plan_toml
+from labdata import BadInput, StopCriterion, SweepRecord, Target, plan_of, plan_toml
 
 VOLTS, LUX = (600.0, 700.0, 800.0), (1e-5, 1e-4, 1e-3)
 GRID = SweepRecord(kind="flat", frames=4, mcp_v=VOLTS, gate_ns=1.6e7, illuminance_lux=LUX)

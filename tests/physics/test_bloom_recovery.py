@@ -11,11 +11,9 @@ from scipy import ndimage
 from charact.estimators import bloom
 from charact.method import Context
 from labdata import Conditions, Target, load_sensor
-from simulate.camera import true_quantities
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.lab import LabBench
-from simulate.virtual_bench.true_sensor import draw_true_sensor
+from simulate import LabBench
+from simulate.camera import CameraModel, Slot, true_quantities
+from simulate.virtual_bench import true_sensor
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 ROWS, COLUMNS = 200, 260
@@ -42,7 +40,7 @@ def series(sensor, lights_lux, seed, *, frames, depletes=False, darks=False):
 
 
 def specimen(sheet, seed, **values):
-    drawn = draw_true_sensor(sheet, seed)
+    drawn = true_sensor.draw_true_sensor(sheet, seed)
     return replace(drawn, ccd=replace(drawn.ccd, rows=ROWS, columns=COLUMNS)).with_values(
         {"photocathode.halo_fraction": 0.1, "photocathode.halo_elastic_share": 0.3, **values}
     )

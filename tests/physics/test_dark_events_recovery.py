@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from charact.estimators.noise.events.event_measurements import measure_events
 from charact.method import Context
-from labdata import Conditions, load_sensor
-from labdata.camera.parameters import Parameter
-from simulate.camera.true_quantities import true_quantities
-from simulate.lab import LabBench, Target
+from labdata import Conditions, Target, load_sensor
+from labdata.camera import Parameter
+from simulate import LabBench
+from simulate.camera import true_quantities
 from tests.truth.sessions import stack_in_memory
 
 SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167, illuminance_lux=0.0)
@@ -50,7 +50,7 @@ def finer(bits: int):
 def test_pulses_of_the_simulated_camera_are_found_within_a_tenth_at_twelve_bits(seed):
     """The sheet's screen gives off 56 % of its light with 35 ms, and a field lasts 16.7 ms."""
     sensor = finer(12)
-    result, truth = darks(sensor, seed), true_quantities(sensor, SETTINGS)
+    result, truth = darks(sensor, seed), true_quantities.true_quantities(sensor, SETTINGS)
     for name, units in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px")):
         found = next(m for m in result.find(name) if m.unit == units)
         assert found.value is not None and found.interval95 is not None, found.reason

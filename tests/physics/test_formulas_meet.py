@@ -9,7 +9,7 @@ from charact.fitting import predicted_quantities
 from charact.observables import Values
 from labdata import Camera, Conditions, load_sensor
 from simulate.camera import true_quantities
-from simulate.virtual_bench.true_sensor import draw_true_sensor
+from simulate.virtual_bench import true_sensor
 
 GATE_S = 0.0133
 MCP_V = 780.0
@@ -18,7 +18,7 @@ FREQUENCY = np.linspace(0.02, 0.6, 30)
 
 @pytest.fixture(scope="module", params=range(4))
 def specimen(request: pytest.FixtureRequest, seed: int) -> Camera:
-    return draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed + request.param)
+    return true_sensor.draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed + request.param)
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,7 @@ from charact.estimators.noise.gain.pooled_noise import ImageLag, PooledNoise
 from charact.estimators.noise.gain.single_setting import blur_exponent
 from charact.frames.spectrum import bins_of
 from charact.method import Context
-from simulate.camera import true_quantities
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
+from simulate.camera import CameraModel, Slot, true_quantities
 
 NO_LAG = ImageLag(
     lag=np.array([1]),

@@ -19,7 +19,7 @@ from labdata import (
     result_io,
     save_sensor,
 )
-from simulate.camera.thermal_imager import ThermalImager
+from simulate.camera import ThermalImager
 from tests.charact.cli.runner import done_well
 from tests.truth.infrared import entry
 from tests.truth.thermal_targets import half_moon

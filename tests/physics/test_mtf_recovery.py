@@ -9,16 +9,16 @@ import pytest
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import Conditions, Target, load_sensor
+from simulate import LabBench
 from simulate.camera import true_quantities
-from simulate.lab import LabBench
-from simulate.virtual_bench.true_sensor import draw_true_sensor
+from simulate.virtual_bench import true_sensor
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 
 @pytest.fixture(scope="module")
 def edge(seed):
     """A specimen nobody chose, and frames of an edge before it."""
-    specimen = small(draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed))
+    specimen = small(true_sensor.draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed))
     conditions = Conditions(mcp_v=760.0, gate_ns=1.6e7, illuminance_lux=3e-4)
     return specimen, LabBench(specimen).expose(
         "edge", Target(angle_deg=5.0), conditions, frames=8, seed=seed
@@ -90,7 +90,7 @@ def test_flats_of_a_coarse_digitiser_recover_the_transfer_after_the_gain(seed):
     Left out, numbers are up to 14 standard errors off, and the model does not fit.
     """
     sheet = load_sensor("pulnix-ag5745ef3")
-    specimen = small(draw_true_sensor(sheet, 745))
+    specimen = small(true_sensor.draw_true_sensor(sheet, 745))
     context = Context(quick=True, camera=sheet, interlaced=True, full_scale_dn=255.0)
     found = mtf.measure_flats(flats_before(specimen, seed), context=context).find("post_gain_mtf")
     pitch_ratio = float(sheet.ccd.pitch_y_um) / float(sheet.ccd.pitch_x_um)

@@ -9,9 +9,9 @@ import numpy as np
 from charact.estimators import noise
 from charact.method import Context
 from labdata import Conditions, Session, Target, load_sensor
+from simulate import LabBench
 from simulate.camera import true_quantities
-from simulate.lab import LabBench
-from simulate.virtual_bench.true_sensor import draw_true_sensor
+from simulate.virtual_bench import true_sensor
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 # A part of the chip: what is tested is independent of its size.
@@ -21,7 +21,7 @@ SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7)
 
 def specimen(seed: int):
     """A camera drawn within the sheet's ranges, on a smaller chip."""
-    drawn = draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
+    drawn = true_sensor.draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
     return replace(drawn, ccd=replace(drawn.ccd, rows=ROWS, columns=COLUMNS))
 
 

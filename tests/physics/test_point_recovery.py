@@ -11,9 +11,9 @@ from charact.estimators.mtf.point.forward import point_forward
 from charact.estimators.mtf.point.parametric import point_parametric
 from charact.method import Context
 from labdata import Conditions, Target, load_sensor
+from simulate import LabBench
 from simulate.camera import true_quantities
-from simulate.lab import LabBench
-from simulate.virtual_bench.true_sensor import draw_true_sensor
+from simulate.virtual_bench import true_sensor
 
 FAINT_LUX, OPEN_GATE_NS = 3e-3, 1.6e7
 
@@ -21,7 +21,7 @@ FAINT_LUX, OPEN_GATE_NS = 3e-3, 1.6e7
 @pytest.fixture(scope="module")
 def specimen(seed):
     """A specimen nobody chose, on a smaller chip."""
-    drawn = draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
+    drawn = true_sensor.draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
     return replace(drawn, ccd=replace(drawn.ccd, rows=200, columns=200))
 
 

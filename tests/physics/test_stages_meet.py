@@ -9,7 +9,7 @@ from charact.estimators.mtf.session.mtf_budget import MeasuredCurve, MeasuredCur
 from charact.estimators.mtf.session.stage_transfers import STAGES, Direction, StageModel
 from labdata import Camera, load_sensor
 from simulate.camera import true_quantities
-from simulate.virtual_bench.true_sensor import draw_true_sensor
+from simulate.virtual_bench import true_sensor
 
 FREQUENCY = np.linspace(0.02, 0.48, 24)
 DIRECTIONS: tuple[Direction, ...] = ("horizontal", "vertical")
@@ -31,7 +31,7 @@ def test_the_product_of_the_stages_is_the_simulated_camera(
 ) -> None:
     described = load_sensor(name)
     for number in range(3):
-        sensor = draw_true_sensor(described, seed + number)
+        sensor = true_sensor.draw_true_sensor(described, seed + number)
         model = StageModel.of(sensor, interlaced=sensor.video.interlaced, halo=True)
         found = model.mtf(model.mean[None], FREQUENCY * per_pitch(sensor, direction), direction)[0]
         assert found == pytest.approx(
@@ -48,7 +48,7 @@ def test_stages_of_specimens_lie_in_their_intervals(seed: int) -> None:
     described, rng = load_sensor("pulnix-ag5745ef3"), np.random.default_rng(seed)
     held = []
     for number in range(12):
-        specimen = draw_true_sensor(described, seed + number)
+        specimen = true_sensor.draw_true_sensor(described, seed + number)
         curves = [
             MeasuredCurves(
                 curves=(

@@ -11,12 +11,9 @@ from charact.fitting import tube_dark_observations, tube_ions, tube_time_observa
 from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.stack_levels import levels_of
 from charact.observables import Values
-from labdata import Camera, Conditions, Result, Target, load_camera, measurement_from_sd
-from labdata.session import Kind
-from simulate.camera.phosphor import PhosphorDecay
-from simulate.camera.true_quantities import true_quantities
-from simulate.camera.video import VideoFilter
-from simulate.lab import LabBench
+from labdata import Camera, Conditions, Kind, Result, Target, load_camera, measurement_from_sd
+from simulate import LabBench
+from simulate.camera import PhosphorDecay, VideoFilter, true_quantities
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 NAMES = ("pulnix-ag5745ef3", "gen3-digital-iccd")
@@ -76,7 +73,7 @@ def test_pulses_cover_their_neighbours_alike(seed: int, name: str) -> None:
     found = tube_time_observations.pulse_covariance(
         values_of_description(specimen), ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
     )[0]
-    told = true_quantities(specimen, Conditions(mcp_v=800.0, gate_ns=GATE_S * 1e9))
+    told = true_quantities.true_quantities(specimen, Conditions(mcp_v=800.0, gate_ns=GATE_S * 1e9))
     # The blur factor told is that of pulses and of the electrons they are counted by, one in a
     # thousand of the noise.
     assert found[0] == pytest.approx(told["blur_factor"], rel=0.01)
@@ -118,7 +115,7 @@ def observed_of(name: str, seed: int) -> tuple[list, Values]:
         for kind, conditions in shown
     )
     session = session_in_memory(stacks, camera=specimen, bit_depth=specimen.video.bit_depth)
-    gain = true_quantities(specimen, shared)["covariance_gain"]
+    gain = true_quantities.true_quantities(specimen, shared)["covariance_gain"]
     told = Result(
         measurements=(
             measurement_from_sd("covariance_gain", "DN", gain, 0.01 * gain, method="told"),

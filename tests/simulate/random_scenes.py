@@ -13,10 +13,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import Camera, Conditions, load_sensor
-from labdata.camera.parameters import Parameter
-from labdata.phosphors import load_phosphor, phosphor_names
-from simulate.camera.camera import CameraModel
+from labdata import Camera, Conditions, load_phosphor, load_sensor, phosphor_names
+from labdata.camera import Parameter
+from simulate.camera import CameraModel
 
 Image = NDArray[np.floating]
 REFERENCE_V = 800.0

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata import Conditions
-from simulate.camera.camera import CameraModel
-from simulate.camera.stage_image import StageImage
+from simulate.camera import CameraModel, StageImage
 
 Sampler = Literal["chain", "fast", "normal"]
 SAMPLERS: tuple[Sampler, ...] = ("chain", "fast", "normal")

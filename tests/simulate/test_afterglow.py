@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.camera.phosphor import PhosphorDecay
-from simulate.camera.stage_image import StageImage
+from simulate.camera import PhosphorDecay, StageImage
 
 FIELD_S = 0.01668
 

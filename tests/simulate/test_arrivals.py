@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.camera.camera import CameraModel
+from simulate.camera import CameraModel
 
 LIGHT_M_PER_S = 2.99792458e8
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, load_sensor
-from simulate.camera import tube_photometry
-from simulate.camera.automatic_controls import (
-    SET_LEVEL,
+from simulate.camera import (
     AutomaticControls,
     AutomaticGain,
     AutomaticState,
     BrightnessControl,
+    CameraModel,
+    automatic_controls,
+    mcp_input_from_photoelectrons,
+    tube_photometry,
 )
-from simulate.camera.camera import CameraModel
-from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
 GAIN = AutomaticGain(set_level_dn=100.0, range_db=16.0, time_constant_s=0.5, step_s=1 / 30)
 CONTROL = BrightnessControl(limit_e_per_s_cm2=1e8, attack_s=0.2, step_s=1 / 30)
@@ -126,7 +126,7 @@ def test_the_two_controls_bend_the_noise_law_at_their_own_places(plain, seed):
     assert lowered[0] == pytest.approx(steady[0], rel=0.02)
     # The same video of eight times the photoelectrons: an eighth of the noise power.
     assert lowered[1] / steady[1] == pytest.approx(1.0 / 8.0, rel=0.15)
-    set_dn = SET_LEVEL * (2**16 - 1 - 400.0)
+    set_dn = automatic_controls.SET_LEVEL * (2**16 - 1 - 400.0)
     dim = _lit(camera, threshold * set_dn / steady[0] / 4.0)
     raised = _noise_over_signal(camera, Conditions(automatic_gain=True), dim, seed)
     alone = _noise_over_signal(camera, Conditions(), dim, seed)

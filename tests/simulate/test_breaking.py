@@ -16,16 +16,16 @@ import pytest
 from numpy.typing import NDArray
 
 from labdata import BadInput, Camera, Conditions, Target, load_camera
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.camera.scene_to_photoelectrons import (
+from simulate import LabBench
+from simulate.camera import (
+    CameraModel,
+    Slot,
+    StageImage,
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
 )
-from simulate.camera.stage_image import StageImage
-from simulate.lab import LabBench
-from simulate.radiance.cube import RadianceCube
+from simulate.radiance import RadianceCube
 
 ROWS, COLUMNS = 24, 32
 FRAMES = 12

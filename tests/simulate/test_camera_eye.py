@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, load_sensor
-from simulate.camera.camera import CameraModel
-from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.outdoor_rendering import render_sensor_of
+from simulate import render_sensor_of
+from simulate.camera import CameraModel, mcp_input_from_photoelectrons
 
 
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])

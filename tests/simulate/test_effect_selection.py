@@ -19,15 +19,18 @@ import pytest
 from numpy.typing import NDArray
 
 from labdata import BadInput, Camera, Conditions
-from simulate.camera import pattern
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.camera.effect_bounds import select_camera_effects
-from simulate.camera.scene_to_photoelectrons import photoelectrons_from_image
-from simulate.camera.stage_image import StageImage
-from simulate.camera.transfer import PixelAperture, product
-from simulate.camera.video import filter_lines
-from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
+from simulate import EffectSelection, OptionalEffect, select_effects
+from simulate.camera import (
+    CameraModel,
+    PixelAperture,
+    Slot,
+    StageImage,
+    filter_lines,
+    pattern,
+    photoelectrons_from_image,
+    product,
+    select_camera_effects,
+)
 from tests.simulate.random_scenes import random_scene
 from tests.simulate.samplers import drawn_by
 

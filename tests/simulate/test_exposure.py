@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, Target, load_camera
-from simulate.camera import tube_photometry
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.camera.scene_to_photoelectrons import (
+from simulate import LabBench
+from simulate.camera import (
+    CameraModel,
+    Slot,
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
+    tube_photometry,
 )
-from simulate.lab import LabBench
-from simulate.radiance.cube import RadianceCube
-from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.radiance import LUMENS_PER_WATT, RadianceCube, luminous_efficiency, planck
 
 NM = np.arange(360.0, 1100.0, 10.0)
 IDEAL_LENS = {
@@ -54,7 +53,7 @@ def camera(request, plain, silicon):
 
 def _per_pixel(camera, light) -> np.ndarray:
     """Photoelectrons that every pixel as read collects."""
-    from simulate.camera.pixels import Collection
+    from simulate.camera import Collection
 
     return Collection(row_pairs=camera.description.interlaced).mean(light).values
 

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from labdata import Conditions
-from simulate.camera import image_placement, pattern
-from simulate.camera.camera import CameraModel
-from simulate.camera.grid import grid_with_margin
-from simulate.camera.stage_image import StageImage
-from simulate.camera.taper import FibreGeometry
+from simulate.camera import (
+    CameraModel,
+    FibreGeometry,
+    StageImage,
+    grid_with_margin,
+    image_placement,
+    pattern,
+)
 
 GRID = grid_with_margin(300, 400, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
 

@@ -14,10 +14,10 @@ from dataclasses import replace
 from hashlib import sha256
 from itertools import islice
 import numpy as np
-from labdata.conditions import Conditions
-from labdata.sensors import load_sensor
-from simulate.camera.camera import CameraModel
-from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from labdata import Conditions
+from labdata import load_sensor
+from simulate.camera import CameraModel
+from simulate.camera import mcp_input_from_photoelectrons
 from simulate.camera.fast_sampler.phosphor_rows import glow_rows
 sheet = load_sensor("gen3-digital-iccd")
 camera = CameraModel(replace(sheet, ccd=replace(sheet.ccd, rows=200, columns=256)))

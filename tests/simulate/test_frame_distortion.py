@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 
 from labdata import load_camera
-from simulate import conditions_of
-from simulate.camera.scene_to_photoelectrons import (
-    camera_from_description,
-    photoelectrons_from_radiance,
-)
-from simulate.radiance.cube import RadianceCube
-from simulate.shot import Shot
+from simulate import Shot, conditions_of
+from simulate.camera import camera_from_description, photoelectrons_from_radiance
+from simulate.radiance import RadianceCube
 
 HALF_PX = 14
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, Target
-from simulate.camera import true_quantities
-from simulate.camera.transfer import HaloBlur
-from simulate.lab import LabBench
+from simulate import LabBench
+from simulate.camera import HaloBlur, true_quantities
 
 GAP_MM = 0.21
 # Section 1.5: density times d^2 at r/d = 0.1, 0.3, ... 1.9, elastic and for energies uniform in

@@ -11,10 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from labdata import Camera, Conditions, Target
-from simulate.camera.camera import CameraModel
-from simulate.camera.column_blooming import apply_column_blooming, spread_excess_charge
-from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.lab import LabBench
+from simulate import LabBench
+from simulate.camera import (
+    CameraModel,
+    apply_column_blooming,
+    mcp_input_from_photoelectrons,
+    spread_excess_charge,
+)
 from tests.simulate import event_by_event as slow
 
 NO_DECAY = {"phosphor.fast_decay_ms": 1e-6, "phosphor.slow_decay_ms": 1e-6}

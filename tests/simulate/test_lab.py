@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, Target, load_camera
-from simulate.lab import LabBench
-from simulate.virtual_bench.true_sensor import VARIED, draw_true_sensor
+from simulate import LabBench
+from simulate.virtual_bench import true_sensor
 
 LUX = Conditions(illuminance_lux=1e-4)
 
@@ -122,10 +122,10 @@ def test_progressive_camera_has_one_exposure_a_frame(plain):
 
 def test_specimens_lie_within_the_sheets_ranges_and_follow_their_seed(sheet, seed):
     known = sheet.parameters()
-    drawn = [draw_true_sensor(sheet, seed + n) for n in range(200)]
-    assert draw_true_sensor(sheet, seed) == drawn[0]
+    drawn = [true_sensor.draw_true_sensor(sheet, seed + n) for n in range(200)]
+    assert true_sensor.draw_true_sensor(sheet, seed) == drawn[0]
     assert any(str(seed) in note for note in drawn[0].notes)
-    for path in VARIED:
+    for path in true_sensor.VARIED:
         values = np.array([float(s.parameters()[path]) for s in drawn])
         low, high = known[path].low, known[path].high
         assert low is not None and high is not None

@@ -8,12 +8,23 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.camera import image_placement, tube_photometry
-from simulate.camera.grid import Grid, grid_with_margin, rfft_image
-from simulate.camera.lens import RadiometricLens, few_transfers
-from simulate.camera.transfer import Defocus
-from simulate.radiance.cube import RadianceCube, band_widths
-from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.camera import (
+    Defocus,
+    Grid,
+    RadiometricLens,
+    few_transfers,
+    grid_with_margin,
+    image_placement,
+    rfft_image,
+    tube_photometry,
+)
+from simulate.radiance import (
+    LUMENS_PER_WATT,
+    RadianceCube,
+    band_widths,
+    luminous_efficiency,
+    planck,
+)
 
 BANDS_NM = np.arange(360.0, 1100.0, 5.0)
 

@@ -18,8 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from labdata import Camera, Conditions
-from simulate.camera.camera import CameraModel
-from simulate.camera.stage_image import StageImage
+from simulate.camera import CameraModel, StageImage
 from tests.simulate import event_by_event as slow
 from tests.simulate.samplers import Sampler, drawn_by
 

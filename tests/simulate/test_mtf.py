@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, Target
-from simulate.camera import true_quantities
-from simulate.camera.chain import Slot
-from simulate.camera.stage_image import StageImage
-from simulate.camera.transfer import product
-from simulate.lab import LabBench
+from simulate import LabBench
+from simulate.camera import Slot, StageImage, product, true_quantities
 
 ROWS, COLUMNS, RATIO = 160, 200, 13.0 / 11.0
 LUX = Conditions(illuminance_lux=1e-4)

@@ -14,11 +14,8 @@ import pytest
 from scipy.integrate import quad
 
 from labdata import Conditions
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.camera.fast_sampler.kernel import noise_kernel
-from simulate.camera.stage_image import StageImage
-from simulate.camera.transfer import GapSpread, PixelAperture, fold_transfer
+from simulate.camera import CameraModel, GapSpread, PixelAperture, Slot, StageImage, fold_transfer
+from simulate.camera.fast_sampler import noise_kernel
 from tests.simulate.samplers import drawn_by
 
 PITCH_MM = 0.02

@@ -8,16 +8,21 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, Target
-from simulate.camera import true_quantities
-from simulate.camera.chain import Chain, Slot
-from simulate.camera.grid import grid_with_margin
-from simulate.camera.microchannel import MicrochannelPlate
-from simulate.camera.phosphor import Phosphor
-from simulate.camera.pixels import Collection
-from simulate.camera.stage_image import StageImage
-from simulate.camera.taper import Taper
-from simulate.camera.transfer import PixelAperture, TubeShare, product
-from simulate.lab import LabBench
+from simulate import LabBench
+from simulate.camera import (
+    Chain,
+    Collection,
+    MicrochannelPlate,
+    Phosphor,
+    PixelAperture,
+    Slot,
+    StageImage,
+    Taper,
+    TubeShare,
+    grid_with_margin,
+    product,
+    true_quantities,
+)
 
 LUX = 1e-4
 FRAMES = 40
@@ -156,7 +161,7 @@ def _captured(sensor, rows: int, columns: int) -> float:
     """Share of the covariance sum that sums over blocks hold, by the same theory in the plane of
     frequencies.
     """
-    from simulate.camera.camera import CameraModel
+    from simulate.camera import CameraModel
 
     camera = CameraModel(sensor)
     # As many points as three times this on either axis tell the same to a millionth.
@@ -225,7 +230,7 @@ def test_charge_alone_has_the_system_gain_as_its_noise(plain, seed):
     """Without a tube's pulses, K mu is all: a plate of a very large pulse-height shape and no
     losses, many pulses.
     """
-    from simulate.camera.ccd import Ccd
+    from simulate.camera import Ccd
 
     ccd = Ccd(quantum_efficiency=0.3, full_well_e=1e6)
     light = StageImage(values=np.full((200, 300), 9000.0, np.float32))

@@ -5,9 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulate.camera.ccd import Ccd
-from simulate.camera.column_blooming import apply_column_blooming, spread_excess_charge
-from simulate.camera.stage_image import StageImage
+from simulate.camera import Ccd, StageImage, apply_column_blooming, spread_excess_charge
 
 
 @settings(max_examples=40, deadline=None)

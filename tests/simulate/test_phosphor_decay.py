@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.phosphors import load_phosphor
-from simulate.camera.grid import ACCURACY
-from simulate.camera.phosphor import PhosphorDecay, decay_components
+from labdata import load_phosphor
+from simulate.camera import PhosphorDecay, decay_components, grid
 
 
 def _glow(name: str, field_s: float, gate_s: float | None = None) -> PhosphorDecay:
@@ -43,7 +42,7 @@ def test_every_screen_gives_all_its_light_at_any_rate(name, field_s):
     assert glow.weights.min() >= 0.0
     # What is remembered reaches as far as the slow component does.
     exact = _late(glow, glow.n_lag_fields + 1)
-    assert exact < ACCURACY.max_lag_fraction
+    assert exact < grid.ACCURACY.max_lag_fraction
 
 
 def _late(glow: PhosphorDecay, fields: int) -> float:
@@ -67,7 +66,7 @@ def test_gates_shorter_than_a_decay_leave_what_the_closed_integral_says(name, ga
     glow = _glow(name, 0.01668, gate_s)
     for fields in range(1, min(glow.n_lag_fields, 5) + 1):
         assert glow.residuals(5)[fields - 1] == pytest.approx(
-            _late(glow, fields), abs=1e-4 + ACCURACY.max_lag_fraction
+            _late(glow, fields), abs=1e-4 + grid.ACCURACY.max_lag_fraction
         )
 
 

@@ -5,13 +5,18 @@ reference, section 8).
 import numpy as np
 import pytest
 
-from simulate.camera import true_quantities, tube_photometry
-from simulate.camera.camera import CameraModel
-from simulate.camera.grid import grid_with_margin
-from simulate.camera.microchannel import MicrochannelPlate
-from simulate.camera.random_numbers import key_of, poisson_numbers
-from simulate.camera.stage_image import StageImage
-from simulate.camera.tube_photometry import ELEMENTARY_CHARGE_C, JOULE_METRE
+from simulate.camera import (
+    ELEMENTARY_CHARGE_C,
+    JOULE_METRE,
+    CameraModel,
+    MicrochannelPlate,
+    StageImage,
+    grid_with_margin,
+    key_of,
+    poisson_numbers,
+    true_quantities,
+    tube_photometry,
+)
 
 
 def test_gallium_arsenide_of_table_1_2_has_1996_microamperes_per_lumen(sheet):

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.camera import pattern, tube_photometry
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.camera.grid import grid_with_margin
-from simulate.camera.microchannel import MicrochannelPlate
-from simulate.camera.stage_image import StageImage
+from simulate.camera import (
+    CameraModel,
+    MicrochannelPlate,
+    Slot,
+    StageImage,
+    grid_with_margin,
+    pattern,
+    tube_photometry,
+)
 
 GRID = grid_with_margin(60, 80, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
 # Luminous gain of a published intensified camera at six control words (physics reference, 1.4;

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.infrared_view import InfraredView
-from simulate.radiance.cube import RadianceCube
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance_files import FORMATS, save_view_radiance
+from simulate import InfraredView, radiance_files, save_view_radiance
+from simulate.radiance import RadianceCube
+from simulate.radiance.geometry import Viewpoint
 
 BANDS_NM = np.array([450.0, 550.5, 1050.0, 1100.25])
 EDGES_UM = (7.5, 8.0, 9.0, 10.5)
@@ -155,4 +154,4 @@ def test_exr_of_infrared_bins_names_their_middles(infrared, tmp_path):
 def test_another_ending_is_refused(visible, tmp_path):
     with pytest.raises(BadInput, match=r"must end in \.npz, \.fits, \.hdr, \.exr, got light\.tif"):
         save_view_radiance(visible, tmp_path / "light.tif")
-    assert list(FORMATS) == ["npz", "fits", "envi", "exr"]
+    assert list(radiance_files.FORMATS) == ["npz", "fits", "envi", "exr"]

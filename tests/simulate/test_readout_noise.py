@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Camera, Conditions, Target, load_camera
-from labdata.camera.chip import Readout, gain_at_no_signal
-from simulate.camera import readout_noise
-from simulate.camera.stage_image import StageImage
-from simulate.camera.video import Video
-from simulate.lab import LabBench
+from labdata.camera import Readout, gain_at_no_signal
+from simulate import LabBench
+from simulate.camera import StageImage, Video, readout_noise
 
 
 def small(**values: float) -> Camera:

@@ -10,12 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from simulate.camera import true_quantities, tube_photometry
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.camera.microchannel import MicrochannelPlate
-from simulate.camera.phosphor import PhosphorDecay, apply_phosphor_decay
-from simulate.camera.transfer import HaloBlur, PixelAperture, TubeShare, product
+from simulate.camera import (
+    CameraModel,
+    HaloBlur,
+    MicrochannelPlate,
+    PhosphorDecay,
+    PixelAperture,
+    Slot,
+    TubeShare,
+    apply_phosphor_decay,
+    product,
+    true_quantities,
+    tube_photometry,
+)
 from tests.simulate.test_photometry import drawn_pulses
 
 FIELD_S = 1.0 / 59.94

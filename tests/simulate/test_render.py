@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Target
-from simulate.radiance.cube import RadianceCube
-from simulate.radiance.lab_target import TargetView, outline_cells, render_bench, target_outlines
-from simulate.radiance.scene import load_scene
-from simulate.radiance.spectrum import luminous_efficiency, planck
+from simulate.radiance import (
+    RadianceCube,
+    TargetView,
+    load_scene,
+    luminous_efficiency,
+    outline_cells,
+    planck,
+    render_bench,
+    target_outlines,
+)
 
 NM = np.array([500.0, 600.0, 800.0])
 VIEW = TargetView(

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.camera import tube_photometry
-from simulate.camera.automatic_controls import SET_LEVEL
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.camera import (
+    CameraModel,
+    Slot,
+    automatic_controls,
+    mcp_input_from_photoelectrons,
+    tube_photometry,
+)
 
 NONE = Conditions()
 LEVELS = {"dense": 20.0, "sparse": 0.2}
@@ -150,7 +152,7 @@ def test_a_lamp_that_enters_the_picture_pumps_the_tubes_brightness(plain, seed):
 
 def test_automatic_gain_follows_the_frames_it_has_seen(plain, seed):
     camera, on = CameraModel(plain(30, 44)), Conditions(automatic_gain=True)
-    set_dn = SET_LEVEL * (2**16 - 1 - 400.0)
+    set_dn = automatic_controls.SET_LEVEL * (2**16 - 1 - 400.0)
     per_pe = (camera.mean_frame(_scene(camera, 10.0), NONE).mean() - 400.0) / 10.0
     scene = _scene(camera, 0.5 * set_dn / per_pe)
     frames = list(camera.moving_frames([scene] * 160, on, seed=seed))

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, load_camera
-from simulate.camera import pattern
-from simulate.camera.camera import CameraModel
-from simulate.camera.ccd import Ccd
-from simulate.camera.register import Register
-from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.camera.stage_image import StageImage
+from simulate.camera import (
+    CameraModel,
+    Ccd,
+    Register,
+    StageImage,
+    mcp_input_from_photoelectrons,
+    pattern,
+)
 
 COLD = Conditions(temperature_c=-70.0)
 

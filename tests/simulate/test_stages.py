@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, load_camera
-from simulate.camera.camera import CameraModel
-from simulate.camera.ccd import Ccd
-from simulate.camera.chain import Chain, Slot, Stage
-from simulate.camera.scene_to_photoelectrons import camera_from_description
-from simulate.camera.stage_image import StageImage
-from simulate.radiance.cube import RadianceCube
+from simulate.camera import (
+    CameraModel,
+    Ccd,
+    Chain,
+    Slot,
+    Stage,
+    StageImage,
+    camera_from_description,
+)
+from simulate.radiance import RadianceCube
 
 DRAWS = 60
 # Every stage there is: of a tube with video, of a tube with a digital back end, and of silicon

@@ -9,22 +9,27 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, load_sensor
-from simulate.camera import true_quantities
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
+from simulate.camera import (
+    CameraModel,
+    PhosphorDecay,
+    PixelAperture,
+    PulseMoments,
+    Slot,
+    StageImage,
+    grid,
+    mcp_input_from_photoelectrons,
+    product,
+    true_quantities,
+)
 from simulate.camera.fast_sampler import (
+    Exposure,
+    SparseLight,
+    SparseScreen,
     charge_distribution,
     event_samplers,
     frame_generator,
     kernel,
 )
-from simulate.camera.fast_sampler.event_samplers import Exposure, SparseLight, SparseScreen
-from simulate.camera.grid import ACCURACY
-from simulate.camera.moments import PulseMoments
-from simulate.camera.phosphor import PhosphorDecay
-from simulate.camera.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.camera.stage_image import StageImage
-from simulate.camera.transfer import PixelAperture, product
 from tests.simulate.samplers import SAMPLERS, drawn_by
 from tests.simulate.test_noise import _block_variance, _captured
 
@@ -281,7 +286,7 @@ def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
     assert first == pytest.approx(truth[:, 1].mean(), abs=1e-3)
     both = (1.0 - later.sum()) * first - spread.sum() * np.sum(spread * (1.0 - kept))
     assert both == pytest.approx(np.mean(truth[:, 0] * truth[:, 1]), abs=1e-3)
-    assert np.sum(later * kept**memory) < ACCURACY.max_lag_fraction
+    assert np.sum(later * kept**memory) < grid.ACCURACY.max_lag_fraction
 
 
 @pytest.fixture(scope="module")

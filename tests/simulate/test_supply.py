@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions
-from simulate.camera.camera import CameraModel
-from simulate.camera.chain import Slot
-from simulate.camera.photocathode import BrightSourceProtection, Photocathode
-from simulate.camera.stage_image import StageImage
+from simulate.camera import BrightSourceProtection, CameraModel, Photocathode, Slot, StageImage
 
 
 @pytest.fixture
@@ -31,7 +28,7 @@ def _transfer(blur, frequency: float) -> float:
     ("voltage_v", "radius_um", "at_64"), [(800.0, 4.7, 0.41), (400.0, 6.6, 0.17)]
 )
 def test_flight_across_the_gap_is_that_of_table_1_5(supply, voltage_v, radius_um, at_64):
-    from simulate.camera.transfer import GapSpread
+    from simulate.camera import GapSpread
 
     radius = supply.flight_um(voltage_v)
     assert radius == pytest.approx(radius_um, abs=0.05)

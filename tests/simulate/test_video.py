@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.camera.stage_image import StageImage
-from simulate.camera.video import (
-    CORRECTED_MHZ,
+from simulate.camera import (
     NoFilter,
+    StageImage,
     Video,
     VideoFilter,
     filter_lines,
     shift_lines,
+    video,
 )
 
 CLOCK_MHZ = 14.318
@@ -40,7 +40,7 @@ def _video(**changes) -> Video:
 
 @pytest.mark.parametrize("boost_db", [2.0, 6.0])
 def test_aperture_correction_boosts_by_its_decibels_at_4_5_megahertz(boost_db):
-    at = np.array([0.0, CORRECTED_MHZ / CLOCK_MHZ])
+    at = np.array([0.0, video.CORRECTED_MHZ / CLOCK_MHZ])
     ratio = np.abs(_filter(boost_db).transfer(at) / _filter().transfer(at))
     assert ratio == pytest.approx([1.0, 10 ** (boost_db / 20)], rel=1e-9)
 

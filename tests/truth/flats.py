@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import FrameStack, Session, StackEntry
-from labdata.session import Kind
+from labdata import FrameStack, Kind, Session, StackEntry
 from tests.truth.sessions import session_in_memory, tube_stack
 
 

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import FrameStack, Session, StackEntry
-from labdata.session import Kind
+from labdata import FrameStack, Kind, Session, StackEntry
 from tests.truth.sessions import session_in_memory, tube_stack
 
 Array = NDArray[np.floating]

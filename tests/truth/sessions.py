@@ -4,8 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from labdata import Conditions, FrameStack, Session, StackEntry
-from labdata.session import Kind, LoadedStackEntry
+from labdata import Conditions, FrameStack, Kind, LoadedStackEntry, Session, StackEntry
 
 
 def stack_in_memory(

@@ -8,9 +8,8 @@ import numpy as np
 
 from charact.fitting.prior import prior_of
 from charact.fitting.tube_observations import LAG, LEVEL, SHAPE
-from labdata import Camera, Conditions, Session, Target, load_camera
-from labdata.session import Kind, LoadedStackEntry
-from simulate.lab import LabBench
+from labdata import Camera, Conditions, Kind, LoadedStackEntry, Session, Target, load_camera
+from simulate import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512", "machine-vision")

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.camera.thermal_imager import ThermalImager
+from simulate.camera import ThermalImager
 
 Array = NDArray[np.floating]
 

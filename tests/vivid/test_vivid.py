@@ -15,7 +15,7 @@ import pytest
 
 from drivers.cameras.v4l2 import V4l2Camera, list_devices
 from drivers.errors import CameraError
-from labdata.capture import CameraSettings, Frame
+from labdata import CameraSettings, Frame
 from tests.drivers.camera_laws import Bench, CameraLaws, taken
 
 PATH, WEBCAM, COMPOSITE = "/dev/video0", 0, 1

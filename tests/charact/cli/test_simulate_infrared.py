@@ -258,11 +258,11 @@ def test_what_a_thermal_imager_cannot_do_is_refused_in_one_sentence(files, tmp_p
 
 def test_radiance_as_fits_has_bands_range_and_pose(files, tmp_path):
     fits = pytest.importorskip("astropy.io.fits")
-    from simulate import api
+    from simulate import api, conditions_of
 
     imager = load_camera(files / "thermal.toml")
     request = api.SimulationRequest(source=files / "scene.toml", tolerance=0.1)
-    view = api.preview(request, imager, api.conditions_of(imager))
+    view = api.preview(request, imager, conditions_of(imager))
     save_view_radiance(view, tmp_path / "light.fits")
     with fits.open(tmp_path / "light.fits") as file:
         assert file[0].data.shape == (8, 40, 48) and file[0].header["BUNIT"] == "W m-2 sr-1"

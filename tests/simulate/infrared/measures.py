@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from labdata import load_camera
-from simulate.camera.thermal_imager import ThermalImager
+from simulate.camera import ThermalImager
 from tests.truth.thermal_targets import half_moon
 
 RANDOM = ("white noise", "1/f noise", "line clamp", "quantisation")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.camera.thermal_imager import ThermalImager
+from simulate.camera import ThermalImager
 from tests.simulate.infrared.measures import (
     contrast,
     imager,

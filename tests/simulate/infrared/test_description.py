@@ -2,18 +2,24 @@
 half.
 """
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from labdata import BadInput, load_camera, load_sensor, save_sensor
-from labdata.camera.description import ThermalImagerFile
-from labdata.serialiser import from_mapping
-from simulate import api
-from simulate.camera.thermal_imager import ThermalImager
-from simulate.radiance.spectrum import band_radiance
+from labdata import (
+    BadInput,
+    file_io,
+    from_mapping,
+    load_camera,
+    load_sensor,
+    read_toml,
+    save_sensor,
+)
+from labdata.camera import ThermalImagerFile
+from simulate import SimulationRequest, conditions_of, load_described_camera, simulate
+from simulate.camera import ThermalImager
+from simulate.radiance import band_radiance
 from tests.simulate.infrared.measures import imager
 from tests.truth.thermal_targets import half_moon
 
@@ -45,10 +51,7 @@ def test_the_shipped_imagers_have_the_geometry_of_their_class():
 
 
 def test_a_description_has_the_tables_of_one_kind(tmp_path):
-    tables = [
-        tomllib.loads((Path(api.__file__).parents[1] / f"labdata/sensors/{name}.toml").read_text())
-        for name in NAMES
-    ]
+    tables = [read_toml(file_io.path_of_shipped("sensors", name)) for name in NAMES]
     described = ThermalImagerFile
     with pytest.raises(
         BadInput, match="must have one of scanner, bolometer, cooled_array, got scanner, bolometer"
@@ -116,19 +119,19 @@ def test_what_no_imager_can_have_is_refused(name, path, value, sentence):
 
 def test_verbs_that_need_visible_light_or_a_tube_refuse_an_imager_in_one_sentence():
     described = load_camera("vox-lwir-640")
-    picture = api.SimulationRequest(source=np.ones((480, 640)), photoelectrons_per_dn=1.0)
-    conditions = api.conditions_of(described)
+    picture = SimulationRequest(source=np.ones((480, 640)), photoelectrons_per_dn=1.0)
+    conditions = conditions_of(described)
     with pytest.raises(BadInput, match="thermal imager needs an outdoor scene"):
-        api.simulate(picture, described, conditions)
+        simulate(picture, described, conditions)
     with pytest.raises(BadInput, match="a thermal imager needs an outdoor scene, got bench"):
-        api.simulate(api.SimulationRequest(source=Path("bench")), described, conditions)
+        simulate(SimulationRequest(source=Path("bench")), described, conditions)
     for option in ({"gain": 3.0}, {"mcp_v": 700.0}, {"illuminance_lux": 1e-4}):
         with pytest.raises(
             BadInput, match=r"^[a-z_]+ needs a camera of visible light, got 'VOx LWIR 640'$"
         ):
-            api.conditions_of(described, **option)
+            conditions_of(described, **option)
     with pytest.raises(BadInput, match="phosphor needs a camera with a tube"):
-        api.load_described_camera("vox-lwir-640", "p43")
+        load_described_camera("vox-lwir-640", "p43")
     with pytest.raises(BadInput, match="must be an intensified camera"):
         load_sensor("vox-lwir-640")
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, load_camera
-from simulate.camera.scanner import noise_equivalent_radiance
-from simulate.camera.thermal_imager import ThermalImager
+from simulate.camera import ThermalImager, noise_equivalent_radiance
 from tests.simulate.infrared.measures import (
     AMPLITUDE_MRAD,
     FIELD_MRAD,

@@ -5,14 +5,22 @@ get.
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.brdf.protocol import Brdf, Lambert, grey
-from simulate.radiance.geometry.surfaces import Mesh, collect_surfaces
-from simulate.radiance.integrator.environment_map import black, environment_map
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.light_sources import DiscLight, LampLight, Lighting, Panels
-from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
-from simulate.radiance.integrator.spectral_scene import Air, BsdfSet, SpectralScene
-from simulate.radiance.lamps.distribution import Isotropic
+from simulate.radiance.brdf import Brdf, Lambert, grey
+from simulate.radiance.geometry import Mesh, collect_surfaces
+from simulate.radiance.integrator import (
+    Air,
+    BsdfSet,
+    DiscLight,
+    IntegratorSettings,
+    LampLight,
+    Lighting,
+    Panels,
+    SpectralScene,
+    black,
+    environment_map,
+    outgoing_radiance,
+)
+from simulate.radiance.lamps import Isotropic
 
 NM = np.array([500.0, 600.0])
 UP = (0.0, 0.0, 1.0)
@@ -39,7 +47,7 @@ def staged(parts, rho, *, glow=None, sky=None, lamps=(), discs=()) -> SpectralSc
         -1, 2
     )
     lighting = Lighting(
-        environment_map=environment_map(sky) if sky else black(2),
+        environment_map=environment_map.environment_map(sky) if sky else black(2),
         lamps=lamps,
         discs=discs,
         panels=Panels.of(found, of_material[found.material_of], spectra) if glow else None,
@@ -103,7 +111,7 @@ def irradiance(
     hit = stage.surfaces.tracer.hits(places + 1e-2 * normals, -normals)
     share = np.full(len(places), sky_control_fraction, np.float32)
     points = stage.bsdfs.points(stage.surfaces, hit.face, places, -normals, share)
-    light = outgoing_radiance(
+    light = outgoing_radiance.outgoing_radiance(
         stage, points, effort, np.random.default_rng(seed), rays=rays
     ).total()[:, 0]
     return light / stage.bsdfs.rho_by_pi[points.material, 0]

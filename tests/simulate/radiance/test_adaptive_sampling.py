@@ -7,13 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.radiance.integrator.integrator_settings import (
-    KNOWN,
-    LIMITS,
-    RenderSensor,
-    additional_rays,
-)
-from simulate.radiance.outdoor.render_settings import RENDER_LIMITS, _influence
+from simulate.radiance.integrator import RenderSensor, additional_rays, integrator_settings
+from simulate.radiance.outdoor import render_settings
 
 SHAPE = (32, 96)
 LEFT = np.broadcast_to(np.arange(SHAPE[1]) < SHAPE[1] // 2, SHAPE)
@@ -24,7 +19,7 @@ def sent_for(variance, allowed, max_rays=100_000, total=np.inf):
     """Rays of pixels whose single rays have a variance, turn by turn, and the number of turns."""
     sent, turns = np.full(SHAPE, 8, np.int64), 0
     while (more := additional_rays(variance / sent / allowed, sent, GROUPS, max_rays, total)).any():
-        assert (more <= LIMITS.max_growth * sent).all(), (
+        assert (more <= integrator_settings.LIMITS.max_growth * sent).all(), (
             "few rays are not trusted for many times as many"
         )
         sent, turns = sent + more, turns + 1
@@ -63,25 +58,28 @@ def test_differences_are_weighed_by_noise_or_by_a_share_of_the_signal():
     )
     assert eye.noise_floor(0.0) == 2.0
     assert eye.noise_floor(20.0) == pytest.approx(8.0)
-    assert eye.noise_floor(1e6) == pytest.approx(KNOWN * 1e6)
+    assert eye.noise_floor(1e6) == pytest.approx(integrator_settings.KNOWN * 1e6)
     blurred = replace(eye, noise_averaging_factor=0.3)
     assert blurred.noise_floor(20.0) == eye.noise_floor(20.0), (
         "blur evens what differs by chance like the noise"
     )
     assert blurred.noise_floor(20.0, smooth=True) == pytest.approx(0.3 * 8.0)
-    assert blurred.noise_floor(1e6, smooth=True) == pytest.approx(KNOWN * 1e6)
+    assert blurred.noise_floor(1e6, smooth=True) == pytest.approx(integrator_settings.KNOWN * 1e6)
 
 
 def test_the_influence_of_a_part_is_its_size_where_it_is_largest_and_specks_have_none():
     shape, rng = (40, 40), np.random.default_rng(6)
     part = np.zeros(shape)
-    part[: shape[0] // RENDER_LIMITS.regions, : shape[1] // RENDER_LIMITS.regions] = 0.3
+    part[
+        : shape[0] // render_settings.RENDER_LIMITS.regions,
+        : shape[1] // render_settings.RENDER_LIMITS.regions,
+    ] = 0.3
     twice = np.repeat(part.reshape(-1, 1), 2, axis=1)
-    assert _influence(twice, shape) == pytest.approx(0.3)
+    assert render_settings._influence(twice, shape) == pytest.approx(0.3)
     # Each ray in a hundred is a speck of 10: the mean of two rays makes 0.7 of that, their product
     # rarely anything.
     many = [np.where(rng.random((1600, 2)) < 0.01, 10.0, 0.0) - 0.1 for _ in range(15)]
-    assert np.median([_influence(twice + specks, shape) for specks in many]) == pytest.approx(
-        0.3, abs=0.15
-    )
+    assert np.median(
+        [render_settings._influence(twice + specks, shape) for specks in many]
+    ) == pytest.approx(0.3, abs=0.15)
     assert np.median([np.sqrt(np.mean(specks.mean(axis=1) ** 2)) for specks in many]) > 0.6

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.atmosphere import (
+from simulate.radiance import (
     Atmosphere,
     airmass,
     kruse_per_km,
     rayleigh_depth,
     visibility_extinction_per_km,
 )
-from simulate.radiance.sky.moon import Disc, moon_spectrum
-from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance.sky import Disc, NightSky, moon_spectrum
 
 CLEAREST_KM = 339.0
 

@@ -4,10 +4,17 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.brdf import microfacet
-from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
-from simulate.radiance.brdf.microfacet import specular_albedo
-from simulate.radiance.brdf.protocol import Lambert, MeasuredTable, Reflectance, grey
+from simulate.radiance.brdf import (
+    Glossy,
+    Lambert,
+    MeasuredTable,
+    Metal,
+    Reflectance,
+    Retroreflector,
+    grey,
+    microfacet,
+    specular_albedo,
+)
 
 WAVELENGTH = np.array([450.0, 650.0, 850.0])
 TABLE = Reflectance(wavelength_nm=(450.0, 650.0, 850.0), fraction=(0.2, 0.6, 1.0))

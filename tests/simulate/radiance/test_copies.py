@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.geometry import embree
-from simulate.radiance.geometry.embree import COPY_BITS
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.auxiliary_layers import truth
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
-from simulate.radiance.outdoor import build
-from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.materials import MaterialSpec
-from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, Pose, SceneCamera
+from simulate.radiance.geometry import Viewpoint, embree
+from simulate.radiance.integrator import IntegratorSettings, radiance_along, truth
+from simulate.radiance.outdoor import (
+    BuiltScene,
+    LampPlacement,
+    MaterialSpec,
+    Object,
+    OutdoorScene,
+    Pose,
+    SceneCamera,
+    build,
+)
 
 NM = np.array([500.0, 600.0])
 
@@ -88,7 +90,8 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
     own = site().surfaces
     here, there = (of.tracer.hits(origin, towards) for of in (one, own))
     assert (
-        np.count_nonzero(here.face >> COPY_BITS > 0) > 500 and (there.face >> COPY_BITS <= 0).all()
+        np.count_nonzero(here.face >> embree.COPY_BITS > 0) > 500
+        and (there.face >> embree.COPY_BITS <= 0).all()
     )
     met = np.flatnonzero((here.face >= 0) & (there.face >= 0))
     assert len(met) > 0.999 * max(len(here.met), len(there.met))
@@ -146,9 +149,9 @@ def test_truth_and_refusals_know_shared_copies(shared):
 
 
 PEAK = """
-from simulate.radiance.outdoor.build import build_surfaces
-from simulate.radiance.outdoor.materials import MaterialSpec
-from simulate.radiance.outdoor.scene import Object, OutdoorScene, Pose, SceneCamera
+from simulate.radiance.outdoor import build_surfaces
+from simulate.radiance.outdoor import MaterialSpec
+from simulate.radiance.outdoor import Object, OutdoorScene, Pose, SceneCamera
 
 poses = tuple(
     Pose(position_m=(3.0 * (i % 150), 3.0 * (i // 150), 1.0), heading_deg=i % 360)

@@ -5,8 +5,8 @@ were measured.
 import numpy as np
 import pytest
 
-from simulate.radiance.atmosphere import airmass
-from simulate.radiance.sky.night_sky import AIRGLOW_HEMISPHERE, NightSky, dark_sky, van_rhijn
+from simulate.radiance import airmass
+from simulate.radiance.sky import NightSky, dark_sky, night_sky, van_rhijn
 
 # Means over 50 nm, 1e-6 W m-2 sr-1 um-1 and 1e12 photons s-1 m-2 sr-1 um-1.
 BANDS = [
@@ -61,7 +61,7 @@ def test_airglow_on_level_ground_is_more_than_its_zenith_says():
     elevation = np.rad2deg(np.arcsin(cosine))
     assert np.mean(2.0 * cosine * van_rhijn(elevation)) == pytest.approx(1.71, rel=5e-3)
     assert np.mean(2.0 * cosine * van_rhijn(elevation)) == pytest.approx(
-        AIRGLOW_HEMISPHERE, rel=2e-3
+        night_sky.AIRGLOW_HEMISPHERE, rel=2e-3
     )
     lost = 10.0 ** (-0.06 * (airmass(elevation) - 1.0))
     assert np.mean(2.0 * cosine * van_rhijn(elevation) * lost) == pytest.approx(1.42, rel=5e-3)

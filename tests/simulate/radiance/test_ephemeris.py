@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.sky.moon import ObserverLocation, ephemeris, visible_disc_fraction
+from simulate.radiance.sky import ObserverLocation, ephemeris, visible_disc_fraction
 
 ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
 

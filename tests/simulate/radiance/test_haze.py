@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
-from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.scene import load_scene
+from simulate.radiance import load_scene
+from simulate.radiance.integrator import IntegratorSettings, radiance_along
+from simulate.radiance.outdoor import BuiltScene
 
 NM = np.array([500.0, 550.0, 600.0])
 AHEAD = np.array([[0.0, 1.0, 0.0]])

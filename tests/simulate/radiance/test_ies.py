@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from labdata import BadInput
-from simulate.radiance.lamps.distribution import parse_photometry, read_ies
-from simulate.radiance.outdoor.built_scene import BuiltScene
+from simulate.radiance.lamps import parse_photometry, read_ies
+from simulate.radiance.outdoor import BuiltScene
 from tests.simulate.radiance.test_scenes import BALL, CAMERA, GREY, scene_of
 
 EXAMPLES = int(os.environ.get("CHARACT_FUZZ_EXAMPLES", "200"))

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.camera.tube_photometry import JOULE_METRE
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
-from simulate.radiance.lamps.spectra import read_spectrum, spectrum
-from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.scene import load_scene
+from simulate.camera import JOULE_METRE
+from simulate.radiance import load_scene
+from simulate.radiance.integrator import IntegratorSettings, radiance_along
+from simulate.radiance.lamps import read_spectrum, spectrum
+from simulate.radiance.outdoor import BuiltScene
 
 SCENE = """
 name = "a wall and an illuminator"

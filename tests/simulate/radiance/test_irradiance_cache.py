@@ -8,19 +8,18 @@ from functools import partial
 import numpy as np
 import pytest
 
-from simulate.radiance.geometry.surfaces import box, plane
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.cache_smoothing import Nodes
-from simulate.radiance.integrator.integrator_settings import (
-    LIMITS,
+from simulate.radiance.geometry import Viewpoint, box, plane
+from simulate.radiance.integrator import (
     IntegratorSettings,
+    Nodes,
     SamplingSettings,
+    SpectralScene,
+    build_irradiance_cache,
+    integrator_settings,
     one_by_one,
+    render_scene,
     workers,
 )
-from simulate.radiance.integrator.irradiance_cache import build_irradiance_cache
-from simulate.radiance.integrator.renderer import render_scene
-from simulate.radiance.integrator.spectral_scene import SpectralScene
 from tests.simulate.radiance.staging import UNIFORM, at, lamp, staged, upright
 
 WHITE = np.ones(2, np.float32)
@@ -92,7 +91,9 @@ def test_shared_light_knows_its_own_error(seed):
         )
 
     found = shared(16)
-    missed = found.change[..., 0] - np.pi * (sky_seen(ABOVE.smaller(LIMITS.cache_step_px)) - 1.0)
+    missed = found.change[..., 0] - np.pi * (
+        sky_seen(ABOVE.smaller(integrator_settings.LIMITS.cache_step_px)) - 1.0
+    )
     assert 0.25 < np.mean(missed**2) / found.variance.mean() < 4.0
     assert shared(128).variance.mean() < found.variance.mean() / 4.0
 

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.camera.tube_photometry import JOULE_METRE, quantum_efficiency
-from simulate.radiance.brdf.protocol import read_measured
-from simulate.radiance.lamps.distribution import (
+from simulate.camera import JOULE_METRE, quantum_efficiency
+from simulate.radiance import luminous_efficiency
+from simulate.radiance.brdf import read_measured
+from simulate.radiance.lamps import (
     Cosine,
     Isotropic,
     MeasuredDistribution,
     SpotBeam,
     read_ies,
+    read_spectrum,
+    spectra,
+    spectrum,
 )
-from simulate.radiance.lamps.spectra import KINDS, read_spectrum, spectrum
 from simulate.radiance.outdoor import build
-from simulate.radiance.sky.moon import moon_spectrum
-from simulate.radiance.sky.night_sky import dark_sky
-from simulate.radiance.spectrum import luminous_efficiency
+from simulate.radiance.sky import dark_sky, moon_spectrum
 
 
 def per_lumen(sheet, light):
@@ -57,7 +58,7 @@ def test_photoelectrons_of_a_lumen_of_moon_and_dark_sky(sheet):
     assert per_lumen(sheet, dark_sky().total) == pytest.approx(6.6e15, rel=0.02)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", spectra.KINDS)
 @pytest.mark.parametrize("temperature", [2200.0, 3200.0])
 def test_every_lamp_has_the_lumens_asked_for(kind, temperature):
     light = spectrum(kind, lumens=1234.0, temperature_k=temperature)

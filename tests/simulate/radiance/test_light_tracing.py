@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from simulate.radiance.geometry.surfaces import plane
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
+from simulate.radiance.geometry import plane
+from simulate.radiance.integrator import IntegratorSettings, outgoing_radiance
 from tests.simulate.radiance.staging import agree, at, inside_out, irradiance, lamp, staged
 
 FLOOR, ABOVE_M = 0.6, 2.0
@@ -81,7 +80,7 @@ def test_what_hides_a_part_of_a_lamp_hides_as_much_of_its_light_from_the_floor(s
         shaded.surfaces, np.full(MANY, 2), places, np.tile([0, 0, 1.0], (MANY, 1))
     )
     by = {
-        split: outgoing_radiance(
+        split: outgoing_radiance.outgoing_radiance(
             shaded, points, ONCE, np.random.default_rng(3), rays=16, split=split
         ).total()[:, 0]
         for split in (True, False)

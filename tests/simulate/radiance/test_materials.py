@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from labdata import BadInput
-from labdata.serialiser import from_mapping
-from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
-from simulate.radiance.brdf.protocol import Lambert
-from simulate.radiance.materials import Material, material, material_names
+from labdata import BadInput, from_mapping
+from simulate.radiance import Material, material, material_names
+from simulate.radiance.brdf import Glossy, Lambert, Metal, Retroreflector
 
 # Reflectance at 450, 550, 700, 850 nm.
 TABLE = {

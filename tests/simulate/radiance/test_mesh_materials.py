@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.outdoor.build import build_surfaces
-from simulate.radiance.scene import load_scene
-from simulate.thermal.temperatures import library, slab_of
+from simulate.radiance import load_scene
+from simulate.radiance.outdoor import build_surfaces
+from simulate.thermal import slab_of, temperatures
 
 SCENE = """
 name = "a car"
@@ -83,7 +83,7 @@ def test_colours_have_the_slab_of_paint_and_say_so_and_metals_have_none(tmp_path
     named = {one.label: one for one in scene.material}
     red, chrome, concrete = (named[f"car: {name}"] for name in ("red", "chrome", "concrete"))
     assert float(slab_of(scene, red).emissivity) == float(
-        library()["steel-sheet-painted"].emissivity
+        temperatures.library()["steel-sheet-painted"].emissivity
     )
     assert float(slab_of(scene, red).absorptivity) == pytest.approx(1.0 - 32.0 / 255.0, abs=0.07)
     assert "slab and infrared emissivity of painted steel" in red.note

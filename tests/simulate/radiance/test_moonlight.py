@@ -5,9 +5,8 @@ Allen's phase curve.
 import numpy as np
 import pytest
 
-from simulate.radiance.atmosphere import Atmosphere
-from simulate.radiance.sky.moon import Disc, moon_reflectance, moon_spectrum, sun_spectrum
-from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance import Atmosphere
+from simulate.radiance.sky import Disc, NightSky, moon_reflectance, moon_spectrum, sun_spectrum
 
 # Phase, lux, mW m-2 um-1 at 550, 700 and 850 nm (means over 21 nm) and over 500 to 900 nm, above
 # the atmosphere.

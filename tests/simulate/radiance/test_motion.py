@@ -8,20 +8,20 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions
-from labdata.serialiser import from_mapping
-from simulate.motion import Look, Motion
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.outdoor.poses import (
+from labdata import BadInput, Conditions, from_mapping
+from simulate import Look, Motion, Shot
+from simulate.radiance.geometry import Viewpoint
+from simulate.radiance.outdoor import (
     CameraKeyframe,
+    Object,
     ObjectKeyframe,
+    OutdoorScene,
     Pose,
+    SceneCamera,
     pose_at,
     rotation_of,
 )
-from simulate.radiance.outdoor.scene import Object, OutdoorScene, SceneCamera
-from simulate.shot import Shot
-from simulate.thermal.temperatures import temperatures_of
+from simulate.thermal import temperatures_of
 
 SCENE = {
     "name": "a box on a lawn",

@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.atmosphere import Atmosphere
-from simulate.radiance.cube import band_widths
-from simulate.radiance.lamps.spectra import spectrum
-from simulate.radiance.sky.moon import Disc, ObserverLocation, moon_spectrum, sun_spectrum
-from simulate.radiance.sky.night_sky import NightSky, TownGlow
-from simulate.radiance.sky.scattering import krisciunas_schaefer_mie, krisciunas_schaefer_rayleigh
-from simulate.radiance.spectrum import luminous_efficiency
+from simulate.radiance import Atmosphere, band_widths, luminous_efficiency
+from simulate.radiance.lamps import spectrum
+from simulate.radiance.sky import (
+    Disc,
+    NightSky,
+    ObserverLocation,
+    TownGlow,
+    krisciunas_schaefer_mie,
+    krisciunas_schaefer_rayleigh,
+    moon_spectrum,
+    sun_spectrum,
+)
 
 ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
 SVALBARD = ObserverLocation(latitude_deg=78.2, longitude_deg=15.6)

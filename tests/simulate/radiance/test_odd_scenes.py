@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, load_camera
-from simulate.camera.scene_to_photoelectrons import (
-    camera_from_description,
-    photoelectrons_from_radiance,
-)
-from simulate.outdoor_rendering import OutdoorRendering
-from simulate.radiance.scene import load_scene
+from simulate import OutdoorRendering
+from simulate.camera import camera_from_description, photoelectrons_from_radiance
+from simulate.radiance import load_scene
 
 HEAD = 'name = "odd"\n'
 CAMERA = "camera = { position_m = [0, -9, 1.5], look_at_m = [0, 0, 1] }\n"

@@ -9,19 +9,16 @@ from typing import cast
 import numpy as np
 import pytest
 
-from labdata import BadInput
-from labdata.serialiser import from_mapping
-from simulate.radiance.geometry.surfaces import Mesh, collect_surfaces, shape
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
-from simulate.radiance.integrator.spectral_scene import Panes
-from simulate.radiance.integrator.subpixel_sources import add_small_sources
-from simulate.radiance.materials import clearest, pane_shares
-from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.materials import MaterialSpec
-from simulate.radiance.outdoor.scene import OutdoorScene
-from simulate.radiance.scene import load_scene
+from labdata import BadInput, from_mapping
+from simulate.radiance import clearest, load_scene, pane_shares
+from simulate.radiance.geometry import Mesh, Viewpoint, collect_surfaces, shape
+from simulate.radiance.integrator import (
+    IntegratorSettings,
+    Panes,
+    add_small_sources,
+    radiance_along,
+)
+from simulate.radiance.outdoor import BuiltScene, MaterialSpec, OutdoorScene
 from tests.simulate.radiance.staging import (
     NM,
     UNIFORM,

@@ -3,14 +3,17 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.brdf.glossy import Glossy
-from simulate.radiance.brdf.protocol import grey
-from simulate.radiance.geometry.surfaces import box, plane
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.light_sources import LampLight, lamp_arrays, lamp_pattern
-from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
-from simulate.radiance.integrator.spectral_scene import SpectralScene
-from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
+from simulate.radiance.brdf import Glossy, grey
+from simulate.radiance.geometry import box, plane
+from simulate.radiance.integrator import (
+    IntegratorSettings,
+    LampLight,
+    SpectralScene,
+    lamp_arrays,
+    lamp_pattern,
+    outgoing_radiance,
+)
+from simulate.radiance.lamps import Cosine, Isotropic, MeasuredDistribution, SpotBeam
 from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out, lamp, staged
 
 
@@ -110,7 +113,7 @@ def test_loops_find_what_batches_find(number, name, seed):
     found = np.array(
         [
             [
-                outgoing_radiance(
+                outgoing_radiance.outgoing_radiance(
                     stage, points, case["effort"], rng, rays=case.get("rays", 16), split=split
                 ).total()[:, 0]
                 for split in (True, False)

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from charact.cli.application import app
-from labdata.serialiser import read_toml
+from labdata import read_toml
 from tests.labdata.test_serialiser import keeps
 
 

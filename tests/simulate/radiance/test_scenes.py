@@ -8,23 +8,26 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.brdf.glossy import Metal
-from simulate.radiance.brdf.protocol import grey
-from simulate.radiance.geometry.surfaces import SIZES, Mesh, box, ground, plane, shape, shed, sphere
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.auxiliary_layers import truth
-from simulate.radiance.integrator.integrator_settings import (
+from simulate.radiance import load_bench, load_scene
+from simulate.radiance.brdf import Metal, grey
+from simulate.radiance.geometry import Mesh, Viewpoint, box, ground, plane, shape, shed, sphere
+from simulate.radiance.geometry import surfaces as surface_shapes
+from simulate.radiance.integrator import (
     IntegratorSettings,
     RenderSensor,
     SamplingSettings,
+    radiance_along,
+    render_scene,
+    truth,
 )
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
-from simulate.radiance.integrator.renderer import render_scene
-from simulate.radiance.outdoor.build import build_surfaces, place_mesh
-from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.render_settings import choose_render_settings
-from simulate.radiance.outdoor.scene import OutdoorScene, Pose
-from simulate.radiance.scene import load_bench, load_scene
+from simulate.radiance.outdoor import (
+    BuiltScene,
+    OutdoorScene,
+    Pose,
+    build_surfaces,
+    choose_render_settings,
+    place_mesh,
+)
 from tests.simulate.radiance.staging import (
     NM,
     UNIFORM,
@@ -362,7 +365,7 @@ def test_solids_are_closed_and_hold_their_volume():
         assert mesh.is_closed, name
         assert volume == pytest.approx(volumes.get(name, volume), rel=0.005), name
         assert volume > 0.0
-    assert set(SIZES) == {*sizes, "plane", "disc", "ground"}
+    assert set(surface_shapes.SIZES) == {*sizes, "plane", "disc", "ground"}
     assert not plane(1, 1).is_closed
     assert ground(1000.0).corners_m[:2].max() <= 32.0
 

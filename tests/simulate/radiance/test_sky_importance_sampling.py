@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.radiance.brdf.glossy import Glossy
-from simulate.radiance.brdf.protocol import grey
-from simulate.radiance.geometry.surfaces import plane
-from simulate.radiance.integrator.environment_map import SkyImportance, environment_map
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
-from simulate.radiance.integrator.spectral_scene import SpectralScene
+from simulate.radiance.brdf import Glossy, grey
+from simulate.radiance.geometry import plane
+from simulate.radiance.integrator import (
+    IntegratorSettings,
+    SkyImportance,
+    SpectralScene,
+    environment_map,
+    radiance_along,
+)
 from tests.simulate.radiance.staging import OVERCAST, UNIFORM, at, inside_out, staged, upright
 
 SUN = np.array([0.0, np.cos(0.6), np.sin(0.6)])
@@ -99,7 +101,7 @@ def test_light_of_a_glow_is_that_found_by_gathering_with_less_chance(
 
 
 def test_directions_are_drawn_with_the_density_stated(seed):
-    bright = SkyImportance.of(environment_map(glow))
+    bright = SkyImportance.of(environment_map.environment_map(glow))
     assert bright is not None
     rng = np.random.default_rng(seed)
     way = bright.draw(40_000, rng)
@@ -115,5 +117,5 @@ def test_directions_are_drawn_with_the_density_stated(seed):
 
 
 def test_an_even_sky_costs_no_further_rays():
-    assert SkyImportance.of(environment_map(UNIFORM)) is None
-    assert SkyImportance.of(environment_map(OVERCAST)) is None
+    assert SkyImportance.of(environment_map.environment_map(UNIFORM)) is None
+    assert SkyImportance.of(environment_map.environment_map(OVERCAST)) is None

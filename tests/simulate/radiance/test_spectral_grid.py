@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.camera.tube_photometry import JOULE_METRE, detection_weights, quantum_efficiency
-from simulate.radiance.cube import band_widths
-from simulate.radiance.lamps.spectra import KINDS, spectrum
-from simulate.radiance.outdoor.render_settings import RENDER_LIMITS
-from simulate.radiance.sky.moon import moon_spectrum
-from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.spectrum import SourceSpectrum, spectral_grid, sum_spectra
+from simulate.camera import JOULE_METRE, detection_weights, quantum_efficiency
+from simulate.radiance import SourceSpectrum, band_widths, spectral_grid, sum_spectra
+from simulate.radiance.lamps import spectra, spectrum
+from simulate.radiance.outdoor import render_settings
+from simulate.radiance.sky import NightSky, moon_spectrum
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "moon", "dark sky"])
+@pytest.mark.parametrize("kind", [*spectra.KINDS, "moon", "dark sky"])
 def test_any_grid_keeps_all_power_and_its_mean_wavelength(kind, seed):
     """A weight that is linear in wavelength is integrated exactly, however coarse and uneven the
     grid.
@@ -51,7 +49,7 @@ def response(sheet):
     return nm, quantum_efficiency(sheet, nm) * nm * 1e-9 / JOULE_METRE
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", spectra.KINDS)
 def test_every_line_is_on_the_grid(sheet, kind):
     light = spectrum(kind)
     grid = spectral_grid([light], *response(sheet))
@@ -64,7 +62,10 @@ def test_photoelectrons_on_the_grid_are_those_of_the_whole_spectrum(sheet, toler
     """Also through a leaf, whose reflectance jumps at 700 nm, which the grid was told of."""
     nm, per_watt = response(sheet)
     leaf = np.array([400.0, 650.0, 690.0, 740.0, 950.0]), np.array([0.05, 0.04, 0.06, 0.42, 0.45])
-    lights = [spectrum(kind) for kind in KINDS] + [moon_spectrum(5.0), *NightSky().sources()]
+    lights = [spectrum(kind) for kind in spectra.KINDS] + [
+        moon_spectrum(5.0),
+        *NightSky().sources(),
+    ]
     grid = spectral_grid(lights, nm, per_watt, tolerance=tolerance, spectra=[leaf])
     width = band_widths(grid)
     for light in lights:
@@ -101,7 +102,9 @@ def detected(light, nm, efficiency):
     """
     fine = np.union1d(nm, np.arange(nm[0], nm[-1], 5.0))
     per_watt = np.interp(fine, nm, efficiency) * fine * 1e-9 / JOULE_METRE
-    grid = spectral_grid([light], fine, per_watt, tolerance=RENDER_LIMITS.max_spectral_error)
+    grid = spectral_grid(
+        [light], fine, per_watt, tolerance=render_settings.RENDER_LIMITS.max_spectral_error
+    )
     return light.on(grid) @ detection_weights(grid, nm, efficiency, averaged=True)
 
 

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.geometry.surfaces import shape
-from simulate.radiance.geometry.viewpoint import RasterGeometry, Viewpoint
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings, SamplingSettings
-from simulate.radiance.integrator.renderer import render_scene
-from simulate.radiance.integrator.subpixel_sources import add_small_sources
+from simulate.radiance.geometry import RasterGeometry, Viewpoint, shape
+from simulate.radiance.integrator import (
+    IntegratorSettings,
+    SamplingSettings,
+    add_small_sources,
+    render_scene,
+)
 from tests.simulate.radiance.staging import at, disc_light, lamp, staged, upright
 
 

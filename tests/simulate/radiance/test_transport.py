@@ -5,11 +5,9 @@ rooms, shadows.
 import numpy as np
 import pytest
 
-from simulate.radiance.brdf.glossy import Glossy, Metal
-from simulate.radiance.brdf.protocol import grey
-from simulate.radiance.geometry.surfaces import Mesh, box, disc, plane, sphere
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.brdf import Glossy, Metal, grey
+from simulate.radiance.geometry import Mesh, box, disc, plane, sphere
+from simulate.radiance.integrator import IntegratorSettings, radiance_along
 from tests.simulate.radiance.staging import (
     OVERCAST,
     UNIFORM,

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from labdata.camera.parameters import Parameter
-from simulate.radiance.outdoor.materials import Layer, Slab
-from simulate.radiance.spectrum import STEFAN_BOLTZMANN
-from simulate.thermal.slab import Exchange, Forcing
+from labdata.camera import Parameter
+from simulate.radiance import STEFAN_BOLTZMANN
+from simulate.radiance.outdoor import Layer, Slab
+from simulate.thermal import Exchange, Forcing
 
 HOUR, DAY = 3600.0, 86400.0
 CONCRETE, ASPHALT, DRY_SOIL = (

@@ -8,13 +8,25 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.atmosphere import Atmosphere, vapour_density_g_m3
-from simulate.radiance.outdoor.scene import Weather as State
-from simulate.radiance.sky.moon import ObserverLocation
-from simulate.radiance.spectrum import STEFAN_BOLTZMANN, band_radiance, brightness_temperature
-from simulate.thermal.air import WINDOWS_UM, InfraredAir, bins_of
-from simulate.thermal.infrared_sky import InfraredSky, notes_on_sky, ring_radiance, sky_of
-from simulate.thermal.weather import Weather
+from simulate.radiance import (
+    STEFAN_BOLTZMANN,
+    Atmosphere,
+    band_radiance,
+    brightness_temperature,
+    vapour_density_g_m3,
+)
+from simulate.radiance.outdoor import Weather as State
+from simulate.radiance.sky import ObserverLocation
+from simulate.thermal import (
+    InfraredAir,
+    InfraredSky,
+    Weather,
+    bins_of,
+    notes_on_sky,
+    ring_radiance,
+    sky_of,
+)
+from simulate.thermal import air as air_module
 
 RANGES_M = (10.0, 100.0, 300.0, 1000.0, 3000.0, 5000.0)
 # Air temperature, K, relative humidity, band, transmittance of LOWTRAN7 with 420 ppm of CO2 over
@@ -92,7 +104,7 @@ def test_depth_of_lines_grows_with_short_paths_and_ever_less_with_long_ones():
     """In every bin the depth of gases is as the range below 1 mm, and nowhere grows faster or
     falls.
     """
-    for band in WINDOWS_UM:
+    for band in air_module.WINDOWS_UM:
         air = humid_air(band, 293.15, 0.6)
         km = np.geomspace(1e-8, 20.0, 200)
         growth = np.diff(np.log(air.depth(km, km, km)), axis=0) / np.diff(np.log(km))[:, None]
@@ -164,7 +176,7 @@ def test_sky_and_air_stay_within_black_bodies_in_any_weather():
     for kelvin, humidity, visibility in product(
         (223.0, 268.0, 293.0, 318.0), (0.0, 0.5, 1.0), (None, 0.05)
     ):
-        for band in WINDOWS_UM:
+        for band in air_module.WINDOWS_UM:
             air = humid_air(band, kelvin, humidity, visibility)
             through, light = (
                 air.transmittance(metres),

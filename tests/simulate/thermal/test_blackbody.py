@@ -5,7 +5,7 @@ together.
 import numpy as np
 import pytest
 
-from simulate.radiance.spectrum import (
+from simulate.radiance import (
     STEFAN_BOLTZMANN,
     band_photon_radiance,
     band_radiance,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.spectrum import STEFAN_BOLTZMANN
-from simulate.thermal.slab import Columns, Exchange, periodic_start, vapour_pressure_pa
+from simulate.radiance import STEFAN_BOLTZMANN
+from simulate.thermal import Columns, Exchange, periodic_start, vapour_pressure_pa
 from tests.simulate.thermal.slabs import STEEL, forcing_of, slab_of
 
 AIR, DIFFERENCE = np.array([285.0]), np.array([2.0, 5.0, 10.0])

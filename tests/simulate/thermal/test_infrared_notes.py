@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.serialiser import from_mapping
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.outdoor.scene import OutdoorScene
-from simulate.thermal.infrared_picture import notes_beyond_laws
-from simulate.thermal.infrared_rendering import FINER, infrared_radiance
-from simulate.thermal.temperatures import temperatures_of
-from simulate.thermal.thresholds import INFRARED
+from labdata import from_mapping
+from simulate.radiance.geometry import Viewpoint
+from simulate.radiance.outdoor import OutdoorScene
+from simulate.thermal import (
+    infrared_radiance,
+    infrared_rendering,
+    notes_beyond_laws,
+    temperatures_of,
+    thresholds,
+)
 from tests.simulate.thermal.test_air import humid_air
 from tests.simulate.thermal.test_infrared_rendering import NIGHT, box, ground
 
@@ -45,20 +48,27 @@ def seen():
 def test_a_picture_whose_rays_do_not_suffice_says_so(seen):
     """0.1 mK needs more than 512 rays of a pixel, 300 mK does not."""
     fine = picture_of(netd_k=1e-4)
-    assert fine.rays[0] == INFRARED.max_rays and fine.error_k > INFRARED.error_share * 1e-4
+    assert (
+        fine.rays[0] == thresholds.INFRARED.max_rays
+        and fine.error_k > thresholds.INFRARED.error_share * 1e-4
+    )
     assert any(
         "uncertain by" in note and "more than 0.7 of the imager's 0.1 mK" in note
         for note in fine.notes
     )
     assert not any("more than 0.7" in note for note in seen.notes)
-    assert seen.error_k < INFRARED.error_share * 0.3
+    assert seen.error_k < thresholds.INFRARED.error_share * 0.3
 
 
 def test_edges_say_their_error_and_metals_that_of_the_bins(seen):
     (edges,) = (note for note in seen.notes if "where objects or faces meet" in note)
     assert "mean of 9 parts" in edges
     finer = {
-        name: next(one.influence for one in picture_of(name).left_out if one.name == FINER)
+        name: next(
+            one.influence
+            for one in picture_of(name).left_out
+            if one.name == infrared_rendering.FINER
+        )
         for name in ("concrete", "aluminium")
     }
     assert finer == {"concrete": 20.0, "aluminium": 100.0}

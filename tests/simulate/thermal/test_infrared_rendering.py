@@ -7,35 +7,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from labdata.camera.parameters import Parameter
-from labdata.serialiser import from_mapping
-from simulate.radiance.brdf.glossy import Glossy
-from simulate.radiance.brdf.microfacet import dielectric
-from simulate.radiance.brdf.protocol import directions_at_cosine
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.materials import internal_transmittance, material, material_names
-from simulate.radiance.outdoor.materials import MaterialSpec, Slab
-from simulate.radiance.outdoor.scene import OutdoorScene
-from simulate.radiance.spectrum import brightness_temperature
-from simulate.thermal.air import InfraredAir, bins_of
-from simulate.thermal.exposure import open_rings
-from simulate.thermal.infrared_picture import apparent_temperature
-from simulate.thermal.infrared_rendering import (
-    AIR,
-    BETWEEN,
-    GLASS,
-    INSIDE,
-    MORE,
-    SUN,
-    _Look,
-    _render,
-    infrared_radiance,
+from labdata import from_mapping
+from labdata.camera import Parameter
+from simulate.radiance import (
+    brightness_temperature,
+    internal_transmittance,
+    material,
+    material_names,
 )
-from simulate.thermal.infrared_sky import sky_of
-from simulate.thermal.infrared_surfaces import infrared_brdf, infrared_surfaces, pane_transmittance
-from simulate.thermal.slab import ZERO_C
-from simulate.thermal.temperatures import temperatures_of
-from simulate.thermal.thresholds import INFRARED
+from simulate.radiance.brdf import Glossy, dielectric, directions_at_cosine
+from simulate.radiance.geometry import Viewpoint
+from simulate.radiance.outdoor import MaterialSpec, OutdoorScene, Slab
+from simulate.thermal import (
+    ZERO_C,
+    InfraredAir,
+    InfraredTracer,
+    apparent_temperature,
+    bins_of,
+    infrared_brdf,
+    infrared_radiance,
+    infrared_rendering,
+    infrared_surfaces,
+    infrared_tracer,
+    open_rings,
+    pane_transmittance,
+    sky_of,
+    temperatures_of,
+    thresholds,
+)
 
 AIR_C = 16.0
 NIGHT = {
@@ -92,13 +91,13 @@ def ground(material, side=300.0, **more):
 
 def look_of(
     scene, view, band=(8.0, 12.0), sky_k=None, rays=32, mirror_rays=64, without=()
-) -> _Look:
+) -> InfraredTracer:
     temperatures = temperatures_of(scene)
     sky = sky_of(band, temperatures.balance.weather, scene.weather)
     above = sky if sky_k is None else EvenSky(sky.air, sky_k)
-    return _Look(
+    return InfraredTracer(
         temperatures=temperatures,
-        surfaces=infrared_surfaces(temperatures, scene, sky.air, above),
+        surfaces=infrared_surfaces.infrared_surfaces(temperatures, scene, sky.air, above),
         air=sky.air,
         sky=above,
         viewpoint=view,
@@ -143,7 +142,7 @@ def test_an_isothermal_world_is_a_black_body_whatever_the_materials_angle_and_ra
             focal_px=(2.2 * distance, 2.2 * distance),
         )
         look = look_of(scene, view, band, sky_k=ZERO_C + AIR_C, rays=8, mirror_rays=8)
-        picture = _render(look, 10.0, None, lambda share: None)
+        picture = infrared_rendering._render(look, 10.0, None, lambda share: None)
         assert len(np.unique(picture.truth.material)) > 10
         black = look.air.black_body(ZERO_C + AIR_C)
         assert np.abs(picture.radiance / black - 1.0).max() < 1e-6
@@ -178,7 +177,7 @@ def test_a_plate_under_an_even_sky_looks_as_cold_as_the_closed_form_says(emissiv
         where="test",
     )
     for sky_k, expected in zip((220.0, 250.0), looks_c, strict=True):
-        seen = look_of(scene, down(), band, sky_k=sky_k, without=(AIR,)).rows(0)
+        seen = look_of(scene, down(), band, sky_k=sky_k, without=(infrared_tracer.AIR,)).rows(0)
         found = brightness_temperature(band[0], band[1], seen.radiance.sum(axis=1))
         assert found - ZERO_C == pytest.approx(expected, abs=0.005)
 
@@ -267,7 +266,11 @@ def test_bare_aluminium_looks_cold_and_painted_tops_and_walls_lie_between_it_and
     assert mean["ground"][1] > AIR_C > mean["wall"][0] > looks
     assert truth.range_m.min() == pytest.approx(11.0, abs=0.02) and truth.sources == ()
     names = {effect.name for effect in (*picture.effects, *picture.left_out)}
-    assert {AIR, MORE, SUN} < names and SUN in {effect.name for effect in picture.left_out}
+    assert {
+        infrared_tracer.AIR,
+        infrared_tracer.MORE,
+        infrared_tracer.SUN,
+    } < names and infrared_tracer.SUN in {effect.name for effect in picture.left_out}
     assert "times the NETD" in picture.text(100.0)
 
 
@@ -293,7 +296,7 @@ def test_the_error_is_that_of_repeated_pictures_and_falls_with_the_noise_asked_f
         # Random pixels of the trial, independent rays: within a half of all pixels, whose
         # neighbours share rays.
         assert errors[netd_k] == pytest.approx(runs[0].error_k, rel=0.5)
-        assert runs[0].rays <= (INFRARED.max_rays, INFRARED.max_mirror_rays)
+        assert runs[0].rays <= (thresholds.INFRARED.max_rays, thresholds.INFRARED.max_mirror_rays)
         fine = fine or runs[0]
     assert errors[0.05] < 0.6 * errors[0.4] < 0.6 * 0.4
     assert fine.rays[0] > runs[0].rays[0]
@@ -346,10 +349,16 @@ def test_a_hot_plate_behind_panes_shows_by_what_they_let_through(panes):
         position_m=(0.0, 0.0, 9.0), forward=(0.0, 0.0, -1.0), shape=(2, 2), focal_px=(400.0, 400.0)
     )
     for band, clear in (((3.4, 4.1), True), ((8.0, 12.0), False)):
-        look = look_of(scene, view, band, sky_k=250.0, without=(AIR, BETWEEN))
+        look = look_of(
+            scene,
+            view,
+            band,
+            sky_k=250.0,
+            without=(infrared_tracer.AIR, infrared_tracer.BETWEEN),
+        )
         seen = look.rows(0).radiance
         assert (
-            replace(look, without=look.without | {GLASS}).rows(0).radiance == seen
+            replace(look, without=look.without | {infrared_tracer.GLASS}).rows(0).radiance == seen
         ).all() != clear
         pane, hot, sky = (
             look.air.black_body(kelvin) for kelvin in (ZERO_C + 10.0, ZERO_C + 60.0, 250.0)
@@ -382,7 +391,11 @@ def test_what_is_left_out_of_glass_is_stated():
         changes = {
             effect.name: effect.influence for effect in (*picture.effects, *picture.left_out)
         }
-        assert (changes[GLASS] > 10.0) == clear == (changes[INSIDE] > 10.0)
+        assert (
+            (changes[infrared_tracer.GLASS] > 10.0)
+            == clear
+            == (changes[infrared_rendering.INSIDE] > 10.0)
+        )
 
 
 def test_the_sun_reflects_in_the_mid_infrared_and_not_in_the_shadow():
@@ -397,11 +410,14 @@ def test_the_sun_reflects_in_the_mid_infrared_and_not_in_the_shadow():
     )
     lit, dark = (replace(down(1.0), position_m=(x, 0.0, 1.0)) for x in (-60.0, AWAY[0]))
     for view, shines in ((lit, True), (dark, False)):
-        look = look_of(scene, view, (3.4, 4.1), without=(AIR,))
+        look = look_of(scene, view, (3.4, 4.1), without=(infrared_tracer.AIR,))
         sun = look.sky.sun
         assert sun is not None
         added = (
-            look.rows(0).radiance - replace(look, without=frozenset({AIR, SUN})).rows(0).radiance
+            look.rows(0).radiance
+            - replace(look, without=frozenset({infrared_tracer.AIR, infrared_tracer.SUN}))
+            .rows(0)
+            .radiance
         )
         reflectance = np.pi * look.surfaces.bsdfs.rho_by_pi[0]
         expected = reflectance * look.sky.sunlight * sun[2] / np.pi
@@ -435,7 +451,7 @@ def test_pixels_where_objects_meet_are_means_over_their_parts():
         position_m=(0.0, 0.0, 2.0), forward=(0.0, 0.0, -1.0), shape=(6, 8), focal_px=(8.0, 8.0)
     )
     look = look_of(scene, view, sky_k=280.0, rays=8)
-    radiance = _render(look, 1.0, None, lambda share: None).radiance.sum(axis=2)
+    radiance = infrared_rendering._render(look, 1.0, None, lambda share: None).radiance.sum(axis=2)
     ends = look.air.after_path(look.air.black_body([273.15, 313.15]), [2.0, 2.0]).sum(axis=1)
     share = (radiance - ends[0]) / (ends[1] - ends[0])
     # The edge lies a fifth of a pixel to the right of the middle of the frame: a third of the pixel

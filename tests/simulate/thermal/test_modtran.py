@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput
-from labdata.serialiser import from_mapping
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.outdoor.scene import OutdoorScene
+from labdata import BadInput, from_mapping
+from simulate.radiance.geometry import Viewpoint
+from simulate.radiance.outdoor import OutdoorScene
+from simulate.thermal import (
+    InfraredAir,
+    bins_of,
+    infrared_radiance,
+    modtran_air,
+    sky_of,
+    temperatures_of,
+    weather_of,
+)
 from simulate.thermal import air as air_module
-from simulate.thermal.air import PATHS_KM, WAVELENGTH_UM, InfraredAir, bins_of, modtran_air
-from simulate.thermal.infrared_rendering import infrared_radiance
-from simulate.thermal.infrared_sky import sky_of
-from simulate.thermal.temperatures import temperatures_of
-from simulate.thermal.weather import weather_of
 
 BAND = (8.0, 12.0)
 # Depth of gases at 1 km, by r^0.7, and of haze at 1 km and a visibility of 1 km, by r and 1/V.
@@ -33,11 +36,11 @@ def write_database(folder, transmittance) -> None:
         0,
     )
     for visibility, code in ((23.0, 1), (5.0, 2)):
-        for height, each in PATHS_KM:
+        for height, each in air_module.PATHS_KM:
             for km in each:
                 number += 1
                 rows.append(f"{number},{height:g},{km:g},{code},")
-                columns = np.zeros((5, len(WAVELENGTH_UM)), np.float32)
+                columns = np.zeros((5, len(air_module.WAVELENGTH_UM)), np.float32)
                 columns[0] = transmittance(float(np.hypot(height, km)), visibility)
                 columns.tofile(folder / f"{number}.bin")
     (folder / "fileDecoder.csv").write_text("\n".join(rows) + "\n")
@@ -99,7 +102,10 @@ def test_a_bin_is_the_mean_over_a_black_body_of_its_own_part_of_the_spectrum(tmp
     radiance.
     """
     write_database(
-        tmp_path, lambda km, v: np.where((WAVELENGTH_UM > 10.0) & (WAVELENGTH_UM < 10.25), 0.0, 1.0)
+        tmp_path,
+        lambda km, v: np.where(
+            (air_module.WAVELENGTH_UM > 10.0) & (air_module.WAVELENGTH_UM < 10.25), 0.0, 1.0
+        ),
     )
     found = air_of(scene_of(tmp_path)).transmittance([1000.0])[0]
     assert found == pytest.approx(

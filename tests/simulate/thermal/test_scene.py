@@ -8,18 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput
-from labdata.serialiser import from_mapping
-from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.scene import OutdoorScene
-from simulate.radiance.scene import load_scene
-from simulate.radiance.spectrum import STEFAN_BOLTZMANN
-from simulate.thermal.balance import Balance
-from simulate.thermal.exposure import exposure_of, facets_of
-from simulate.thermal.slab import ZERO_C
-from simulate.thermal.temperatures import Temperatures, library, slab_of, temperatures_of
-from simulate.thermal.weather import weather_of
+from labdata import BadInput, from_mapping
+from simulate.radiance import STEFAN_BOLTZMANN, load_scene
+from simulate.radiance.geometry import Viewpoint
+from simulate.radiance.outdoor import BuiltScene, OutdoorScene
+from simulate.thermal import (
+    ZERO_C,
+    Balance,
+    Temperatures,
+    exposure_of,
+    facets_of,
+    slab_of,
+    temperatures,
+    temperatures_of,
+    weather_of,
+)
 
 NIGHT = {
     "name": "night",
@@ -345,7 +348,7 @@ def test_the_law_of_convection_is_chosen():
 
 
 def test_the_library_names_a_source_for_every_number():
-    shelf = library()
+    shelf = temperatures.library()
     assert len(shelf) >= 20
     for slab in shelf.values():
         for name, number in slab.parameters().items():

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import erfc
 
-from simulate.radiance.spectrum import STEFAN_BOLTZMANN
-from simulate.thermal.slab import Columns, kernels, march, periodic_start, vapour_pressure_pa
-from simulate.thermal.thresholds import LIMITS
+from simulate.radiance import STEFAN_BOLTZMANN
+from simulate.thermal import Columns, kernels, march, periodic_start, thresholds, vapour_pressure_pa
 from tests.simulate.thermal.slabs import (
     ASPHALT,
     CONCRETE,
@@ -36,7 +35,7 @@ def harmonic(series):
 
 def centres(mm: float = 600.0):
     """Depths of the centres of cells, m."""
-    size = LIMITS.ratio ** np.arange(LIMITS.cells)
+    size = thresholds.LIMITS.ratio ** np.arange(thresholds.LIMITS.cells)
     size *= 1e-3 * mm / size.sum()
     return np.cumsum(size) - 0.5 * size
 
@@ -79,7 +78,10 @@ def test_a_step_of_the_face_sinks_in_as_erfc(hours):
     steps = round(hours * 60.0)
     concrete = Columns.of([slab_of(CONCRETE)])
     _, cells = march(
-        concrete, forcing_of(np.zeros((steps, 1)), 1.0, h=1e7), np.zeros((LIMITS.cells, 1)), 60.0
+        concrete,
+        forcing_of(np.zeros((steps, 1)), 1.0, h=1e7),
+        np.zeros((thresholds.LIMITS.cells, 1)),
+        60.0,
     )
     exact = erfc(centres() / (2.0 * np.sqrt(1.4 / (2300.0 * 880.0) * hours * HOUR)))
     assert cells[:, 0] == pytest.approx(exact, abs=5e-3)
@@ -88,11 +90,17 @@ def test_a_step_of_the_face_sinks_in_as_erfc(hours):
 def test_a_step_of_flux_or_of_air_warms_the_face_as_the_half_space():
     concrete, steps = Columns.of([slab_of(CONCRETE)]), 360
     flux, _ = march(
-        concrete, forcing_of(np.full((steps, 1), 100.0), 0.0), np.zeros((LIMITS.cells, 1)), 60.0
+        concrete,
+        forcing_of(np.full((steps, 1), 100.0), 0.0),
+        np.zeros((thresholds.LIMITS.cells, 1)),
+        60.0,
     )
     assert flux[[59, 359], 0] == pytest.approx([4.02195, 9.85173], rel=5e-3)
     air, _ = march(
-        concrete, forcing_of(np.zeros((steps, 1)), 1.0, h=13.3), np.zeros((LIMITS.cells, 1)), 60.0
+        concrete,
+        forcing_of(np.zeros((steps, 1)), 1.0, h=13.3),
+        np.zeros((thresholds.LIMITS.cells, 1)),
+        60.0,
     )
     assert air[[9, 59, 359], 0] == pytest.approx([0.185750, 0.370765, 0.612756], abs=5e-3)
 
@@ -105,7 +113,7 @@ def test_a_layered_slab_conducts_as_its_resistances_in_series():
     resistance = 0.1 / 1.4 + 0.08 / 0.04 + 0.012 / 0.5 + 1.0 / 8.0
     exact = 273.15 + (50.0 + 20.0 / resistance) / (10.0 + 1.0 / resistance)
     assert face[-1, 0] == pytest.approx(exact, abs=1e-3)
-    assert np.argmax(np.abs(np.diff(cells[:, 0]))) >= LIMITS.cells - 1
+    assert np.argmax(np.abs(np.diff(cells[:, 0]))) >= thresholds.LIMITS.cells - 1
 
 
 @pytest.mark.parametrize(
@@ -138,7 +146,7 @@ def test_an_insulated_plate_cools_to_its_balance(sky, emissivity, h, depression)
 def test_thin_slabs_follow_with_the_time_constant_of_a_lump(layer, emissivity, h, tau_s):
     columns, steps = Columns.of([slab_of(layer)]), 400
     flux = np.full((steps, 1), emissivity * STEFAN_BOLTZMANN * 283.0**4)
-    start = np.full((LIMITS.cells, 1), 283.1)
+    start = np.full((thresholds.LIMITS.cells, 1), 283.1)
     face, _ = march(
         columns, forcing_of(flux, 283.0, emissivity=emissivity, h=h), start, tau_s / 200.0
     )

@@ -8,21 +8,26 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from simulate.radiance.outdoor.scene import OutdoorScene, SceneCamera, Where
-from simulate.radiance.outdoor.scene import Weather as State
-from simulate.radiance.sky.moon import ObserverLocation
-from simulate.radiance.spectrum import STEFAN_BOLTZMANN
-from simulate.thermal.clear_day import clear_sun, sky_emissivity, sky_radiance, sun_directions
-from simulate.thermal.slab import (
+from simulate.radiance import STEFAN_BOLTZMANN
+from simulate.radiance.outdoor import OutdoorScene, SceneCamera, Where
+from simulate.radiance.outdoor import Weather as State
+from simulate.radiance.sky import ObserverLocation
+from simulate.thermal import (
     ZERO_C,
     Columns,
+    clear_sun,
     dew_point_k,
     march,
     periodic_start,
+    sky_emissivity,
+    sky_radiance,
+    sun_directions,
+    temperatures,
     vapour_pressure_pa,
+    weather_from_files,
+    weather_of,
 )
-from simulate.thermal.temperatures import library
-from simulate.thermal.weather import DAY_STEPS, weather_from_files, weather_of
+from simulate.thermal import weather as weather_module
 from tests.simulate.thermal.slabs import forcing_of
 
 ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
@@ -94,7 +99,9 @@ def test_the_sky_by_directions_has_its_mean_and_lights_walls_more():
 
 def test_a_clear_day_passes_through_the_state_of_the_scene():
     weather = weather_of(scene_of(temperature_c=16.0, relative_humidity=0.7, wind_m_s=1.0))
-    assert len(weather) == DAY_STEPS and weather.times[-1] == datetime(1998, 6, 24, 6, tzinfo=UTC)
+    assert len(weather) == weather_module.DAY_STEPS and weather.times[-1] == datetime(
+        1998, 6, 24, 6, tzinfo=UTC
+    )
     assert weather.air_k[-1] == ZERO_C + 16.0 and weather.wind_m_s[-1] == 1.0
     assert np.ptp(weather.air_k) == pytest.approx(12.0, abs=0.2)
     hour = np.array([time.hour for time in weather.times])
@@ -227,7 +234,7 @@ def own(
 
 def test_a_csv_of_this_project_is_read_as_it_is(tmp_path):
     weather = weather_from_files([own(tmp_path / "day.csv", minutes=5)], ROCHESTER, NOON)
-    assert len(weather) == DAY_STEPS
+    assert len(weather) == weather_module.DAY_STEPS
     assert weather.longwave_w_m2[[0, -1]] == pytest.approx([300 + 13, 300 + 300])
     by_day = np.array([6 <= time.hour < 20 for time in weather.times])
     assert (
@@ -363,12 +370,14 @@ def test_alamosa_is_met_with_nothing_fitted(shared_data):
     files = [folder / "slv15365.dat", folder / "slv16001.dat"]
     place = ObserverLocation(latitude_deg=37.70, longitude_deg=-105.92, altitude_m=2317.0)
     weather = weather_from_files(files, place, datetime(2016, 1, 2, tzinfo=UTC))
-    assert len(weather) == 2 * DAY_STEPS and any("measured" in note for note in weather.notes)
+    assert len(weather) == 2 * weather_module.DAY_STEPS and any(
+        "measured" in note for note in weather.notes
+    )
     rows = np.concatenate([np.loadtxt(file, skiprows=2) for file in files])[4::5]
     assert len(rows) == len(weather)
     absorbed = np.maximum(rows[:, 8] - rows[:, 10], 0.0)
     measured = ((rows[:, 22] - 0.03 * rows[:, 16]) / (0.97 * STEFAN_BOLTZMANN)) ** 0.25
-    soil = library()["moist-soil"]
+    soil = temperatures.library()["moist-soil"]
     emissivity = float(soil.emissivity)
     forcing = forcing_of(
         (absorbed + emissivity * weather.longwave_w_m2)[:, None],
@@ -381,9 +390,9 @@ def test_alamosa_is_met_with_nothing_fitted(shared_data):
         pressure_hpa=weather.pressure_hpa,
     )
     columns = Columns.of([soil])
-    _, start = periodic_start(columns, forcing.part(slice(0, DAY_STEPS)))
-    found = march(columns, forcing.part(slice(DAY_STEPS, None)), start)[0][:, 0]
-    exact, air = measured[DAY_STEPS:], weather.air_k[DAY_STEPS:]
+    _, start = periodic_start(columns, forcing.part(slice(0, weather_module.DAY_STEPS)))
+    found = march(columns, forcing.part(slice(weather_module.DAY_STEPS, None)), start)[0][:, 0]
+    exact, air = measured[weather_module.DAY_STEPS :], weather.air_k[weather_module.DAY_STEPS :]
     error = found - exact
     rms = float(np.sqrt(np.mean(error**2)))
     null = float(np.sqrt(np.mean((air - exact) ** 2)))

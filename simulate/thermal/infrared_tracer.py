@@ -1,0 +1,274 @@
+"""Infrared radiance of points of an image: emission, traced reflection, air and sky."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.geometry.embree import ROW
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.sampling import (
+    EvenNumbers,
+    SequenceSlice,
+    low_discrepancy_points,
+    shading_frames,
+)
+from simulate.radiance.integrator.spectral_scene import ShadingPoints, within
+from simulate.thermal.air import InfraredAir
+from simulate.thermal.exposure import Spots, Views, precise_view
+from simulate.thermal.infrared_sky import Surroundings
+from simulate.thermal.infrared_surfaces import InfraredSurfaces
+from simulate.thermal.temperatures import Temperatures
+from simulate.thermal.thresholds import INFRARED
+
+Array = NDArray[np.floating]
+Index = NDArray[np.int64]
+# Terms that may be left out.
+AIR, MORE, SUN = "air on the path", "reflected light of surfaces that reflect", "sunlight reflected"
+BETWEEN, GLASS = "air between surfaces", "what lies behind clear glass"
+
+# Steps of an octave, and octaves from 1 m on, by which the air between surfaces is tabulated.
+STEPS, OCTAVES = 8, 14
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracedPixels:
+    """Pixels: radiance (pixel, bin), temperature (pixel,), K, NaN for the sky, and those that meet
+    a surface.
+    """
+
+    radiance: Array
+    kelvin: Array
+    glossy: NDArray[np.bool_]
+    range_m: Array
+    points: ShadingPoints
+    met: Index
+    shadow: NDArray[np.bool_]
+    albedo: Array  # towards the viewer, mean over the bins, of those that meet a surface
+
+
+@dataclass(frozen=True, kw_only=True)
+class InfraredTracer:
+    """Surfaces, air, sky and rays by which a viewpoint sees; `without` names the terms left out."""
+
+    temperatures: Temperatures
+    surfaces: InfraredSurfaces
+    air: InfraredAir
+    sky: Surroundings
+    viewpoint: Viewpoint
+    seed: int
+    rays: int
+    mirror_rays: int
+    without: frozenset[str] = frozenset()
+
+    def rows(self, start: int) -> TracedPixels:
+        """Return the pixels of some rows."""
+        stop = min(start + INFRARED.rows, self.viewpoint.shape[0])
+        grid = np.meshgrid(
+            np.arange(start, stop), np.arange(self.viewpoint.shape[1]), indexing="ij"
+        )
+        row, col = (axis.ravel() for axis in grid)
+        sequence = low_discrepancy_points(row, col, self.rays, [self.seed, start])
+        return self.see(row + 0.5, col + 0.5, sequence, np.random.default_rng([self.seed, start]))
+
+    def mean_radiance(self, pixels: Index) -> tuple[Array, Array]:
+        """Return the radiance of pixels (pixel,) as means over parts of each, (pixel, bin), and
+        their error, (pixel,).
+
+        Where an edge crosses side^2 parts in a grid, the area to one side of it errs by about
+        side^-1.5.
+        """
+        side, rng = INFRARED.edge_parts, np.random.default_rng([self.seed, 3, int(pixels[0])])
+        part = (np.indices((side, side)).reshape(2, -1, 1) + 0.5) / side
+        row, col = (
+            pixel_coordinate + at
+            for pixel_coordinate, at in zip(
+                np.divmod(pixels, self.viewpoint.shape[1]), part, strict=True
+            )
+        )
+        sequence = SequenceSlice.random(row.size, max(self.rays // side, 1), rng)
+        few = replace(self, mirror_rays=max(self.mirror_rays // side**2, 1))
+        parts = few.see(row.ravel(), col.ravel(), sequence, rng).radiance.reshape(
+            side**2, len(pixels), -1
+        )
+        return parts.mean(axis=0), parts.sum(axis=2).std(axis=0) / side**1.5
+
+    def see(
+        self, row: Array, col: Array, sequence: SequenceSlice, rng: np.random.Generator
+    ) -> TracedPixels:
+        """Return points of the image, at coordinates (point,), by the rays of a sequence for
+        each.
+        """
+        facets = self.temperatures.balance.facets
+        tracer = facets.surfaces.tracer
+        origin, towards = self.viewpoint.rays(row, col)
+        hit = tracer.hits(origin, towards)
+        met, radiance = hit.met, self.sky.radiance(towards)
+        position_m = origin[met] + hit.range_m[met, None] * towards[met]
+        points = self.surfaces.bsdfs.points(
+            facets.surfaces, hit.face[met], position_m, towards[met]
+        )
+        spots = Spots.on(facets.surfaces, points.face, position_m)
+        views = precise_view(facets.surfaces, spots, sequence.some(met))
+        kelvin, incoming = (
+            self.temperatures.spots_k(facets.of_faces(points.face), spots, views),
+            self._diffuse(views),
+        )
+        start_m = tracer.above(points.face, position_m, points.normal)
+        behind = np.flatnonzero(~points.on_outer_side)
+        if len(behind):
+            spots = Spots(start_m=start_m[behind], normal=points.normal[behind])
+            incoming[behind] = self._diffuse(
+                precise_view(facets.surfaces, spots, sequence.some(met[behind]))
+            )
+        albedo = np.pi * self.surfaces.bsdfs.diffuse_brdf(points)
+        for which, brdf in points.glossy:
+            outgoing = within(shading_frames(points.normal[which]), points.outgoing[which])
+            albedo[which] = brdf.albedo(outgoing, self.air.centre_nm).T
+            incoming[which] = self._mirrored(
+                points.normal[which], outgoing, start_m[which], brdf, rng
+            )
+        leaving = (1.0 - albedo) * self.air.black_body(kelvin) + albedo * incoming
+        clear, through = self._clear(
+            points.material, np.einsum("ij,ij->i", points.normal, points.outgoing)
+        )
+        if len(clear):
+            # No more than the pane does not reflect.
+            through = np.minimum(through, 1.0 - albedo[clear])
+            below_pane = tracer.above(points.face[clear], position_m[clear], -points.normal[clear])
+            behind_it = self._along(below_pane, towards[met[clear]], INFRARED.panes - 1)
+            leaving[clear] += through * (behind_it - self.air.black_body(kelvin[clear]))
+        lit = self._lit(points, start_m)
+        if len(lit) and SUN not in self.without:
+            assert self.sky.sun is not None
+            some = points.some(lit)
+            cosine = some.normal @ self.sky.sun
+            value = self.surfaces.bsdfs.value(
+                some, np.broadcast_to(self.sky.sun, some.normal.shape)
+            )
+            leaving[lit] += value * cosine[:, None] * self.sky.sunlight
+        radiance[met] = (
+            leaving if AIR in self.without else self.air.after_path(leaving, hit.range_m[met])
+        )
+        image_points = TracedPixels(
+            radiance=radiance,
+            kelvin=np.full(len(row), np.nan),
+            glossy=np.zeros(len(row), np.bool_),
+            range_m=hit.range_m,
+            points=points,
+            met=met,
+            shadow=np.ones(len(met), np.bool_),
+            albedo=albedo.mean(axis=1),
+        )
+        image_points.kelvin[met], image_points.glossy[met], image_points.shadow[lit] = (
+            kelvin,
+            ~points.is_diffuse,
+            False,
+        )
+        return image_points
+
+    @property
+    def of_facets(self) -> Array:
+        """Radiance of facets as they are seen by reflection, shape (facet, bin)."""
+        return self.surfaces.black if MORE in self.without else self.surfaces.facets
+
+    def _diffuse(self, views: Views) -> Array:
+        """Mean radiance that spots see by the cosine law, shape (spot, bin)."""
+        spot, face, part, range_m = views.surfaces()
+        of, ground = (
+            self.temperatures.balance.facets.of_faces(face),
+            self.air.black_body(self.air.temperature_k),
+        )
+        radiance = views.rings @ self.surfaces.rings + views.off_scene[:, None] * ground
+        step = self._step_of(range_m)
+        for number, light in enumerate(self.of_facets.T):
+            ray = light[of]
+            if BETWEEN not in self.without:
+                ray = ground[number] + self._through[step, number] * (ray - ground[number])
+            radiance[:, number] += np.bincount(spot, part * ray, len(radiance))
+        return radiance
+
+    @cached_property
+    def _through(self) -> Array:
+        """Transmittance of paths in steps of their logarithm, shape (step, bin)."""
+        return self.air.transmittance(2.0 ** (np.arange(OCTAVES * STEPS + 1) / STEPS))
+
+    @staticmethod
+    def _step_of(range_m: Array) -> Index:
+        """Row of `_through` of paths; shorter ones than a metre count as that long."""
+        return np.rint(STEPS * np.log2(np.clip(range_m, 1.0, 2.0**OCTAVES))).astype(np.int64)
+
+    def _mirrored(
+        self, normal: Array, outgoing: Array, start_m: Array, brdf: Brdf, rng: np.random.Generator
+    ) -> Array:
+        """Mean radiance that points see, weighted by the BRDF, by rays drawn from it, shape (point,
+        bin).
+
+        The mean over the weights rather than their expectation: uniform surroundings give no noise.
+        """
+        radiance = np.empty((len(normal), len(self.air.low_um)))
+        batch_points = max(1, INFRARED.batch_rays // self.mirror_rays)
+        for first in range(0, len(normal), batch_points):
+            part = slice(first, first + batch_points)
+            count = len(normal[part])
+            out = np.repeat(outgoing[part], self.mirror_rays, axis=0)
+            numbers = cast(np.random.Generator, EvenNumbers(count, self.mirror_rays, rng))
+            local, density = brdf.sample(out, numbers)
+            weight = (
+                brdf.value(local, out, self.air.centre_nm) * np.maximum(local[:, 2], 0.0) / density
+            )
+            frames = np.repeat(shading_frames(normal[part]), self.mirror_rays, axis=0)
+            light = self._along(
+                np.repeat(start_m[part], self.mirror_rays, axis=0),
+                np.einsum("ij,ijk->ik", local, frames),
+            )
+            weight = weight.T.reshape(count, self.mirror_rays, -1)
+            # A lobe of which all is below the surface is seen as it is drawn.
+            weight += np.where(weight.sum(axis=1, keepdims=True) > 0.0, 0.0, 1.0)
+            radiance[part] = np.average(light.reshape(weight.shape), axis=1, weights=weight)
+        return radiance
+
+    def _clear(self, material: Index, cosine: Array) -> tuple[Index, Array]:
+        """Rays that see through panes, and the transmittance of each."""
+        if GLASS in self.without:
+            return np.zeros(0, np.int64), np.zeros((0, len(self.air.low_um)))
+        return self.surfaces.through(material, cosine)
+
+    def _along(self, start_m: Array, direction: Array, panes: int = INFRARED.panes) -> Array:
+        """Radiance of sky and facets along rays, through some panes, shape (ray, bin)."""
+        facets = self.temperatures.balance.facets
+        tracer = facets.surfaces.tracer
+        hit = tracer.hits(start_m, direction)
+        radiance = self.sky.radiance(direction)
+        face = hit.face[hit.met]
+        light = self.of_facets[facets.of_faces(face)]
+        if panes and self.surfaces.clear.any():
+            facing, cosine = tracer.facing(face, direction[hit.met])
+            clear, through = self._clear(facets.surfaces.material_of[face & ROW], cosine)
+            if len(clear):
+                rays = hit.met[clear]
+                pane_position_m = start_m[rays] + hit.range_m[rays, None] * direction[rays]
+                behind = self._along(
+                    tracer.above(face[clear], pane_position_m, -facing[clear]),
+                    direction[rays],
+                    panes - 1,
+                )
+                light[clear] += through * (behind - light[clear])
+        if BETWEEN not in self.without:
+            ground = self.air.black_body(self.air.temperature_k)
+            light = ground + self._through[self._step_of(hit.range_m[hit.met])] * (light - ground)
+        radiance[hit.met] = light
+        return radiance
+
+    def _lit(self, points: ShadingPoints, start_m: Array) -> Index:
+        """Points on which the sun shines."""
+        if self.sky.sun is None:
+            return np.zeros(0, np.int64)
+        faces = np.flatnonzero(points.normal @ self.sky.sun > 0.0)
+        way = np.broadcast_to(self.sky.sun, (len(faces), 3))
+        return faces[
+            ~self.temperatures.balance.facets.surfaces.tracer.is_occluded(start_m[faces], way)
+        ]
