@@ -25,7 +25,7 @@ MADE_BY = {"plan": "acquired", "simulation": "simulated", "import": "of frames m
 FITTED = "fitted.toml"
 # What charact writes into the folder of a session: about it, and with its frames.
 REPORTS = ("report.html", "report.pdf", FITTED)
-BESIDE_FRAMES = ("sensor.toml", "economy.json", "light.json", "truth.npz", "radiance.png")
+FILES_OF_A_VIEW = ("sensor.toml", "economy.json", "light.json", "truth.npz", "radiance.png")
 OF_A_RIG = ("truth-*.npz", "truth/*.npz", "light/*.json", "economy/*.json")
 
 
@@ -149,7 +149,7 @@ def remove_session(folder: Path, maker: Maker) -> None:
         return
     with SessionWriter.resume(folder) if (folder / MANIFEST).is_file() else nullcontext():
         remove_results(folder)
-        _delete(folder, (MANIFEST, "plan.toml", "log.jsonl", *BESIDE_FRAMES, *OF_A_RIG))
+        _delete(folder, (MANIFEST, "plan.toml", "log.jsonl", *FILES_OF_A_VIEW, *OF_A_RIG))
         for array in filter(is_ours, (folder / FRAMES).glob("*.zarr")):
             shutil.rmtree(array)
 

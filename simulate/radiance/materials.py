@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating]
 
 
-Finish = Literal["matt", "glossy", "metal", "retroreflective"]
+Finish = Literal["diffuse", "glossy", "metal", "retroreflective"]
 # Parameters that each finish needs in addition to the tables.
 NEEDED = {
-    "matt": (),
+    "diffuse": (),
     "glossy": ("roughness", "refractive_index"),
     "metal": ("roughness",),
     "retroreflective": ("retroreflected_share", "half_width_deg"),
@@ -43,7 +43,7 @@ class Material:
         Fractions of the light, dimensionless, together at most 1; linear between wavelengths,
         constant outside. One value applies to all wavelengths.
     finish
-        "matt" (Lambertian), "glossy" (a dielectric over a diffuse base of this reflectance),
+        "diffuse" (Lambertian), "glossy" (a dielectric over a diffuse base of this reflectance),
         "metal" (rough mirror of this reflectance at normal incidence) or "retroreflective" (a lobe
         back to the light over a diffuse base).
     roughness
@@ -65,7 +65,7 @@ class Material:
     wavelength_nm: tuple[float, ...] = (550.0,)
     reflectance: tuple[float, ...] = (0.0,)
     transmittance: tuple[float, ...] = (0.0,)
-    finish: Finish = "matt"
+    finish: Finish = "diffuse"
     roughness: float | None = None
     refractive_index: float | None = None
     retroreflected_share: float | None = None

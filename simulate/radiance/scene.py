@@ -102,10 +102,10 @@ class LabScene:
                 f"and {self.holder.height_m:g} m"
             )
         for name in ("open", "mask", "ring"):
-            if getattr(self, name).finish != "matt":
+            if getattr(self, name).finish != "diffuse":
                 raise BadInput(
-                    f"materials of the bench must be matt, got a {getattr(self, name).finish} one "
-                    f"for {name}"
+                    "materials of the bench must be diffuse, got a "
+                    f"{getattr(self, name).finish} one for {name}"
                 )
         if not self.holder.outer_radius_px > self.holder.inner_radius_px > 0.0:
             raise BadInput(

@@ -53,7 +53,7 @@ class MaterialSpec:
     library: str | None = None
     wavelength_nm: tuple[float, ...] = (550.0,)
     reflectance: tuple[float, ...] | None = None
-    finish: Finish = "matt"
+    finish: Finish = "diffuse"
     roughness: float | None = None
     refractive_index: float | None = None
     retroreflected_share: float | None = None

@@ -34,7 +34,7 @@ def measured():
 
 
 BRDFS = {
-    "matt": Lambert(reflectance=TABLE),
+    "diffuse": Lambert(reflectance=TABLE),
     "metal-.05": Metal(reflectance=TABLE, roughness=0.05),
     "metal-.3": Metal(reflectance=TABLE, roughness=0.3),
     "metal-1": Metal(reflectance=TABLE, roughness=1.0),

@@ -26,10 +26,12 @@ from simulate.radiance.outdoor import (
 NM = np.array([500.0, 600.0])
 
 
-def site(finish="matt", **lamp):
+def site(finish="diffuse", **lamp):
     """Return twelve turned and scaled boxes, on a floor far from the origin, lit by a lamp."""
     rng = np.random.default_rng(5)
-    more = {} if finish == "matt" else {"finish": finish, "roughness": 0.3, "refractive_index": 1.5}
+    more = (
+        {} if finish == "diffuse" else {"finish": finish, "roughness": 0.3, "refractive_index": 1.5}
+    )
     poses = tuple(
         Pose(
             position_m=(500.0 + 2.5 * (i % 4), 3.0 * (i // 4), 0.3),
@@ -102,7 +104,7 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("finish", "place"), [("glossy", (503.0, 1.5, 4.0)), ("matt", (500.9, -1.2, 0.05))]
+    ("finish", "place"), [("glossy", (503.0, 1.5, 4.0)), ("diffuse", (500.9, -1.2, 0.05))]
 )
 def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(
     shared, monkeypatch, finish, place

@@ -67,7 +67,7 @@ def test_one_share_stands_for_all_wavelengths():
             "3 wavelengths, 2 and 1",
         ),
         ({"finish": "metal"}, "roughness must be given for a metal material"),
-        ({"roughness": 0.2}, "roughness must not be given for a matt material"),
+        ({"roughness": 0.2}, "roughness must not be given for a diffuse material"),
         ({"finish": "glossy", "roughness": 2.0, "refractive_index": 1.5}, "roughness must lie in"),
         ({"finish": "shiny"}, "finish"),
         ({"emissivity": 1.5}, r"emissivity must lie in \[0, 1\], got 1.5"),

@@ -75,8 +75,8 @@ def wall(y: float):
         (GLOSS, 1.0, 1.0, 1, 0.8),
     ],
     ids=[
-        "hidden from matt ground",
-        "on matt ground",
+        "hidden from diffuse ground",
+        "on diffuse ground",
         "on a wall behind",
         "in a gloss",
         "hidden from a gloss",

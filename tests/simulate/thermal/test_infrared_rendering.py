@@ -203,7 +203,7 @@ def test_a_glossy_coat_emits_less_at_grazing_angles():
     assert found == pytest.approx([0.96, 0.91, 0.75, 0.39], abs=0.02)
 
 
-@pytest.mark.parametrize("finish", ["matt", "metal"])
+@pytest.mark.parametrize("finish", ["diffuse", "metal"])
 def test_emissivities_of_both_windows_hold_along_the_normal(finish):
     roughness = 0.3 if finish == "metal" else None
     surface = MaterialSpec(
