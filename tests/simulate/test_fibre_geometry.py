@@ -103,14 +103,3 @@ def test_bench_camera_has_no_geometry_and_a_whole_one_has(sheet):
     assert "taper distortion and fibre shear" in [
         stage.name for stage in whole.chain(Conditions()).stages
     ]
-
-
-def test_transmission_of_a_fibre_optic_is_na_over_m_squared_times_core_and_bulk(sheet):
-    """T = (NA/M)^2 core bulk (physics reference, 1.8): the numbers of the shipped taper agree with
-    each other.
-    """
-    taper = sheet.taper
-    product = (float(taper.numerical_aperture) / float(taper.demagnification)) ** 2
-    product *= float(taper.core_fraction) * float(taper.bulk_transmission)
-    assert float(taper.transmission) == pytest.approx(product, rel=0.01)
-    assert 0.18 < product < 0.24

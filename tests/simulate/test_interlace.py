@@ -1,6 +1,4 @@
-"""The interlaced default camera: what lines share, scintillations in the dark, its glow, its halo
-and its overflow.
-"""
+"""The interlaced default camera: what lines share, and scintillations in the dark."""
 
 from dataclasses import replace
 from itertools import islice
@@ -14,9 +12,8 @@ from labdata import Camera, Conditions, Target
 from simulate import LabBench
 from simulate.camera import (
     CameraModel,
-    apply_column_blooming,
     mcp_input_from_photoelectrons,
-    spread_excess_charge,
+    true_quantities,
 )
 from tests.simulate import event_by_event as slow
 
@@ -85,7 +82,8 @@ def test_p20_correlates_pixels_of_a_line_so_many_times_as_lines(glowing, sheet):
     shares, weight = slow.field_shares(camera)
     decay = float(weight @ np.sum(shares**2, axis=1))
     following = float(weight @ np.sum(shares[:, 1:] * shares[:, :-1], axis=1))
-    assert following / decay == pytest.approx(0.36, abs=0.005)
+    field_correlation = true_quantities.true_quantities(sheet)["field_correlation"]
+    assert [following / decay, field_correlation] == pytest.approx([0.36, 0.36], abs=0.005)
     theory = slow.campbell(
         camera, LEVEL_PE / 2.0, step_e=1.0 / float(sheet.video.conversion_gain_dn_per_e)
     )
@@ -190,101 +188,3 @@ def _window_share(camera: slow.EventCamera) -> float:
     inside = inside[:, centre - reach_columns : centre + reach_columns]
     assert abs(centre - col) < 2 * slow.PHASES
     return float(inside.sum()) / slow.PHASES**2 / 2.0
-
-
-# Glow after light.
-
-
-# The halo of a bright point.
-
-
-def _point(plain, halo_fraction: float) -> tuple[NDArray[np.floating], NDArray[np.floating], float]:
-    """A point's light on the frame per unit of it, distances from it in double gaps, the halo's
-    disc in pixels.
-    """
-    sensor = plain(
-        120,
-        120,
-        photocathode__halo_fraction=halo_fraction,
-        photocathode__halo_elastic_share=1.0,
-        photocathode__ebi_lm_per_cm2=0.0,
-        tube__mtf_exponent=2.0,
-        tube__mtf_frequency_lp_per_mm=45.0,
-        ccd__full_well_e=1e12,
-        video__bandwidth_mhz=1e3,
-    )
-    camera = CameraModel(replace(sensor, video=replace(sensor.video, interlaced=False)))
-    picture = np.zeros(camera.shape)
-    picture[60, 60] = 1e6
-    light = mcp_input_from_photoelectrons(camera, picture, Conditions())
-    frame = camera.mean_frame(light, Conditions()).astype(float) - 400.0
-    doubled = mcp_input_from_photoelectrons(camera, 2.0 * picture, Conditions())
-    assert camera.mean_frame(doubled, Conditions()) - 400.0 == pytest.approx(
-        2.0 * frame, rel=1e-3, abs=2e-6 * frame.max()
-    )
-    pitch_x, pitch_y = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm
-    reach_mm = 2.0 * float(sensor.photocathode.gap_mm)
-    along = np.arange(120) - 60.0
-    distance = np.hypot(along[None, :] * pitch_x, along[:, None] * pitch_y) / reach_mm
-    return frame / frame.sum(), distance, np.pi * reach_mm**2 / (pitch_x * pitch_y)
-
-
-def _bloom_px(point: NDArray[np.floating], overload: float) -> int:
-    """Pixels above full scale when the point's light is so many times a pixel's full scale."""
-    return int((overload * point > 1.0).sum())
-
-
-def test_bloom_steps_where_halo_fraction_and_overload_say_and_stays(plain):
-    """An elastic halo has 1/(2 sqrt(1 - x^2)) of its mean density at x = r/2d: of its disc, s^2 is
-    above full scale.
-
-    s = q overload/(2 disc area). The rim is left out, which blur softens; of the disc within x =
-    0.9 that is s^2 - 0.19, and the core has its own few pixels.
-    """
-    q = 0.1
-    point, distance, disc = _point(plain, q)
-    core, _, _ = _point(plain, 0.0)
-    assert disc == pytest.approx(1446, rel=0.01)
-    inside = distance < 0.9
-    for above in (0.35, 0.5, 0.7):
-        overloads = np.geomspace(0.3, 3.0, 800) * disc / q
-        areas = [
-            _bloom_px(point * inside, o) - _bloom_px((1.0 - q) * core * inside, o)
-            for o in overloads
-        ]
-        crossing = overloads[np.argmax(np.array(areas) > (above - 0.19) * disc)]
-        assert q * crossing / disc == pytest.approx(2.0 * np.sqrt(above), rel=0.05)
-
-
-def test_bloom_stays_at_the_halo_over_more_than_a_decade(plain):
-    q = 0.1
-    point, _, disc = _point(plain, q)
-    whole_px = 2.0 * np.sqrt(disc / np.pi)
-    before, *after = (
-        2.0 * np.sqrt(_bloom_px(point, s * disc / q) / np.pi) for s in (0.35, 2.1, 6.0, 20.0, 60.0)
-    )
-    assert before < 0.25 * whole_px
-    assert after == pytest.approx([whole_px] * 4, rel=0.07)
-
-
-# Column overflow.
-
-
-@pytest.mark.parametrize("ratio", [1.0, 3.0, 300.0])
-def test_held_and_drained_charge_are_each_what_wells_and_drains_take(ratio, seed):
-    """The drains' part is counted by itself: what pixels take beyond their wells, and nothing
-    else.
-    """
-    rng = np.random.default_rng(seed)
-    full_well = 5e4
-    field = full_well * 0.2 * rng.random((300, 12))
-    field[140:160] += full_well * ratio * rng.exponential(1.5, (20, 12))
-    held, drained = apply_column_blooming(field, full_well, ratio)
-    settled_e = np.stack(
-        [spread_excess_charge(column, full_well * ratio) for column in field.T], axis=1
-    )
-    taken = np.maximum(settled_e - full_well, 0.0)
-    assert drained == pytest.approx(taken.sum(), rel=1e-9, abs=1e-9 * field.sum())
-    assert held == pytest.approx(settled_e - taken, rel=1e-9)
-    assert held.sum() + taken.sum() == pytest.approx(field.sum(), rel=1e-9)
-    assert (ratio == 1.0) == (drained < 1e-9 * field.sum())

@@ -30,9 +30,6 @@ LINE_START_PX = 16
 ERRORS = 4.0
 BLOCKS = 20
 SAMPLES = float(os.environ.get("CHARACT_TEST_SAMPLES", "1"))
-# Rows and columns of the torus and frames of a block, by level: photoelectrons cost most at high
-# light.
-EVENTS = {0.05: (192, 3), 0.5: (192, 3), 5.0: (128, 2), 50.0: (64, 2), 500.0: (48, 1)}
 TOLERANCE = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}
 
 
@@ -119,20 +116,6 @@ def flats(plain, seed):
     return make
 
 
-@pytest.fixture(scope="module")
-def event_moments(seed):
-    """Moments of photoelectrons followed one by one, and their errors, by camera and level."""
-
-    @cache
-    def make(camera: slow.EventCamera, level: float) -> tuple[slow.Moments, slow.Moments]:
-        side, frames = EVENTS[level]
-        stream = slow.frames(camera, level / camera.rows_summed, shape=(side, side), seed=seed)
-        blocks = (np.stack(list(islice(stream, round(frames * SAMPLES)))) for _ in range(BLOCKS))
-        return slow.measured(blocks, camera.charge_e * level)
-
-    return make
-
-
 def departures(found: slow.Moments, expected: slow.Moments, *errors: slow.Moments) -> list[str]:
     """Return the statistics that depart by more than the tolerance and the errors, in words."""
     wrong = []
@@ -159,16 +142,6 @@ def test_flats_have_the_moments_of_campbells_theorem(tier, level, shape, flats):
     camera, found, error, step_e = flats(tier, level, shape)
     expected = slow.campbell(camera, level / camera.rows_summed, step_e=step_e)
     assert not departures(found, expected, error)
-
-
-@pytest.mark.parametrize(
-    ("level", "shape"), [(0.05, 1.0), (0.5, 2.0), (5.0, 1.0), (50.0, 2.0), (500.0, 1.0)]
-)
-def test_single_events_have_the_moments_of_campbells_theorem(level, shape, plain, event_moments):
-    """The two ways of the reference agree, so that neither is believed alone."""
-    camera = slow.of_sensor(plain(240, 320, microchannel_plate__pulse_height_shape=shape))
-    found, error = event_moments(camera, level)
-    assert not departures(found, slow.campbell(camera, level / camera.rows_summed), error)
 
 
 # Variance from column to column under stripes eight pixels wide, a tenth of the light in their dark
@@ -227,28 +200,3 @@ def _by_phase(frames: NDArray[Any], period: int, power: int) -> tuple[NDArray[An
         columns = (columns - columns.mean(axis=(0, 1, 2))) ** 2
     blocks = np.stack([block.mean(axis=(0, 1, 2)) for block in np.array_split(columns, 12)])
     return blocks.mean(axis=0), blocks.std(axis=0, ddof=1) / np.sqrt(12.0)
-
-
-# Physics reference, section 10: share of the variance that is left when pulses are drawn on the
-# pixels and spread by a kernel averaged over them, for Gaussian blurs of so many pixels.
-NAIVE = {0.5: 0.836, 0.7: 0.876, 1.0: 0.928, 1.5: 0.965}
-
-
-def _one_axis(sigma_px: float) -> tuple[float, float]:
-    """Sum of squared shares along one axis: of pulses anywhere, and of pulses at pixels' centres
-    with a mean kernel.
-    """
-    from scipy.special import ndtr
-
-    x = (np.arange(-2000, 2000) + 0.5) / 100.0
-    share = ndtr((x + 0.5) / sigma_px) - ndtr((x - 0.5) / sigma_px)
-    averaged = share.reshape(-1, 100)
-    centred = np.convolve(share, np.full(100, 0.01), "same")[0::100]
-    assert averaged.sum() == pytest.approx(100.0)
-    return float(np.sum(share**2) / 100.0), float(np.sum(centred**2))
-
-
-@pytest.mark.parametrize("sigma_px", NAIVE)
-def test_the_reference_knows_what_naive_drawing_loses(sigma_px):
-    continuous, naive = _one_axis(sigma_px)
-    assert (naive / continuous) ** 2 == pytest.approx(NAIVE[sigma_px], abs=6e-4)

@@ -53,15 +53,6 @@ def test_luminous_gain_15000_is_10229_photons_per_photoelectron(sheet):
     assert tube_photometry.photons_per_photoelectron(sheet) == pytest.approx(10229, rel=1e-3)
 
 
-def test_stage_resolutions_add_in_quadrature_to_a_64_lp_per_mm_tube(sheet):
-    stages = [
-        float(sheet.photocathode.gap_resolution_lp_per_mm),
-        float(sheet.microchannel_plate.resolution_lp_per_mm),
-        float(sheet.phosphor.resolution_lp_per_mm),
-    ]
-    assert np.sum(1.0 / np.square(stages)) ** -0.5 == pytest.approx(62.15, abs=0.05)
-
-
 def test_gain_doubles_within_45_to_70_volt_of_800(sheet):
     for step_v in (45.0, 70.0):
         factor = tube_photometry.gain_factor(sheet, 800.0 + step_v, None)

@@ -10,7 +10,6 @@ from simulate.radiance import (
     RadianceCube,
     TargetView,
     load_scene,
-    luminous_efficiency,
     outline_cells,
     planck,
     render_bench,
@@ -136,16 +135,6 @@ def test_ring_of_a_pinhole_reflects_the_room_faintly(scene):
     # What stands above the plate shades it on the side away from the lamp, and nothing is lit from
     # behind.
     assert image.min() >= 0.0
-
-
-def test_lamp_of_2856_kelvin_has_its_published_photometry():
-    """77 lm/W and 5.00e16 photons/lm within 390 to 960 nm (physics reference, 1.1)."""
-    fine = np.arange(390.0, 961.0, 1.0)
-    power = planck(fine, 2856.0)
-    lumens = 683.0 * np.sum(luminous_efficiency(fine) * power)
-    assert lumens / power.sum() == pytest.approx(77.0, rel=0.01)
-    photons = np.sum(power * fine * 1e-9 / (6.62607015e-34 * 2.99792458e8))
-    assert photons / lumens == pytest.approx(5.00e16, rel=0.01)
 
 
 @pytest.mark.parametrize(

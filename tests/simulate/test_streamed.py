@@ -19,7 +19,6 @@ from simulate.camera import (
     grid,
     mcp_input_from_photoelectrons,
     product,
-    true_quantities,
 )
 from simulate.camera.fast_sampler import (
     Exposure,
@@ -31,7 +30,6 @@ from simulate.camera.fast_sampler import (
     kernel,
 )
 from tests.simulate.samplers import SAMPLERS, drawn_by
-from tests.simulate.test_noise import _block_variance, _captured
 
 
 def _moments_of(quantiles: np.ndarray) -> list[float]:
@@ -188,14 +186,6 @@ def sparse(plain):
     return camera, mcp_input_from_photoelectrons(camera, image, Conditions())
 
 
-def test_sparse_frames_follow_from_seed_and_number_whoever_draws_them(sparse, monkeypatch):
-    monkeypatch.setattr(frame_generator, "SEGMENT_FRAMES", 4)
-    run = _frames(sparse, 11)
-    assert run.tobytes() == _frames(sparse, 11, threads=2).tobytes()
-    for first in (1, 4, 6):
-        assert run[first : first + 2].tobytes() == _frames(sparse, 2, first_frame=first).tobytes()
-
-
 def test_sparse_frames_average_to_the_mean_frame(sparse, seed):
     camera, light = sparse
     stream = camera.frames(light, Conditions(), seed=seed)
@@ -306,10 +296,13 @@ def _frames(scene, count, tier="fast", seed=9, **more):
     )
 
 
-@pytest.mark.parametrize("tier", ["fast", "normal"])
+@pytest.mark.parametrize(
+    ("light", "tier"), [("scene", "fast"), ("scene", "normal"), ("sparse", "fast")]
+)
 def test_frames_follow_from_seed_and_number_whoever_draws_them_and_in_whatever_order(
-    scene, tier, monkeypatch
+    light, tier, monkeypatch, request
 ):
+    scene = request.getfixturevalue(light)
     monkeypatch.setattr(frame_generator, "SEGMENT_FRAMES", 4)
     run = _frames(scene, 11, tier=tier)
     assert run.tobytes() == _frames(scene, 11, tier=tier, threads=2).tobytes()
@@ -410,28 +403,3 @@ def test_a_screen_far_faster_than_the_gate_s_end_leaves_nothing():
     assert later.sum() < 1e-6 > abs(spread.sum())
     assert np.isfinite(glow.lateness)
     assert glow.n_lag_fields == 0
-
-
-def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
-    """What spreads beyond the compact kernel adds up, too: a covariance gain is read from such
-    sums.
-    """
-    sensor = plain(120, 320)
-    camera, level, blocks = CameraModel(sensor), 10.0, ((2, 4), (5, 10), (10, 20))
-    light = StageImage(
-        values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells
-    )
-    mean = camera.mean_frame(light, Conditions())[0::2, 20:]
-    found = []
-    for frame in islice(camera.frames(light, Conditions(), seed=seed), 800):
-        field = frame[0::2, 20:] - mean
-        found.append([_block_variance(field[None], rows, columns)[0] for rows, columns in blocks])
-    batches = np.array(found).reshape(20, 40, len(blocks)).mean(axis=1)
-    error = batches.std(axis=0, ddof=1) / np.sqrt(len(batches))
-    q = true_quantities.true_quantities(sensor)
-    shot = q["field_covariance_gain"] * level * q["photoelectron_gain"]
-    expected = np.array(
-        [_captured(sensor, *block) * shot + q["read_noise"] ** 2 for block in blocks]
-    )
-    assert np.all(error < 0.014 * expected)
-    assert np.all(np.abs(batches.mean(axis=0) - expected) < 0.004 * expected + 4.0 * error)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from labdata import BadInput, FrameStack
 from tests.truth.blur import TrueBlur
-from tests.truth.camera_effects import boost, correlate_noise, sharpen_images
+from tests.truth.camera_effects import TargetScene, boost, correlate_noise
 
 # The pattern repeats after this many pixels, and spectra this many sampling frequencies away still
 # fold back.
@@ -69,55 +69,38 @@ def spectrum_of_bars(
 
 
 @dataclass(frozen=True, kw_only=True)
-class BarScene:
-    """A bar target as a camera would digitise it, with one knob for each way in which bar methods
-    break.
-    """
+class BarScene(TargetScene):
+    """A bar target; the step of its noise is that of a wide bar."""
 
-    blur: TrueBlur = field(default_factory=TrueBlur)  # The blur whose MTF is the truth
     # bars, frequency_cy_per_px: number of bars, and their frequency across them
     bars: int = 4
     frequency_cy_per_px: float = 0.12
-    # rows, cols, frames: size of the stack
     rows: int = 160
     cols: int = 180
     frames: int = 8
-    angle_deg: float = 4.0  # Direction across the bars from the row direction, degrees
+    angle_deg: float = 4.0
     # row_px, col_px: where the target's middle stands off the middle of the frame, px
     row_px: float = 0.0
     col_px: float = 0.0
     # pedestal_dn, level_dn: ground, and what a wide bar adds to it, DN
     pedestal_dn: float = 15.0
     level_dn: float = 150.0
-    # `level_dn` over the standard deviation of one pixel's noise half way up, dimensionless.
-    # Infinite: no noise
     snr: float = 20.0
-    # shot_share, noise_blur_px: as for `tests.truth.edge.EdgeScene`
-    shot_share: float = 0.8
-    noise_blur_px: float = 0.0
-    gamma: float = 1.0  # Exponent of the response, on a scale from black to full scale
-    gradient: float = 0.0  # Illumination at the right border over that at the left, minus 1
-    motion_px: float = 0.0  # Horizontal displacement of odd rows, exposed in the later field, px
-    # Standard deviation of a horizontal displacement that each frame has for itself, px
-    jitter_px: float = 0.0
-    clip_share: float = 0.0  # Share of `level_dn` that lies above full scale
-    hot_share: float = 0.0  # Share of pixels stuck at full scale
-    # Share by which the camera raises fine detail, see `tests.truth.camera_effects`
-    sharpening: float = 0.0
     # Gap between the target and another of three quarters of its frequency along the bars, px;
     # infinite: none
     neighbour_px: float = np.inf
-    # black_dn, full_scale_dn: codes at no light and at the top, DN
-    black_dn: float = 10.0
-    full_scale_dn: float = 255.0
 
     def __post_init__(self) -> None:
-        if not self.snr > 0:
-            raise BadInput(f"snr must be positive, got {self.snr:g}")
+        super().__post_init__()
         if max(self.rows, self.cols) > PERIOD_PX:
             raise BadInput(
                 f"rows and cols must be at most {PERIOD_PX}, got {self.rows} x {self.cols}"
             )
+
+    @property
+    def levels_dn(self) -> tuple[float, float]:
+        """Levels of the ground and of a wide bar, DN, black level included."""
+        return self.pedestal_dn, self.pedestal_dn + self.level_dn
 
     @property
     def truth_mtf(self) -> float:
@@ -147,10 +130,6 @@ class BarScene:
             light = light + self._target(distance_px, other, motion_px)
         return light
 
-    def mean(self) -> NDArray[np.floating]:
-        """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
-        return self._response(self.light())
-
     def light(self, moved_px: float = 0.0) -> NDArray[np.floating]:
         """Noiseless light signal over black, DN of a straight response, shape (row, col).
 
@@ -172,44 +151,6 @@ class BarScene:
                 / (self.pedestal_dn - self.black_dn + (1 - self.clip_share) * self.level_dn)
             )
         return light
-
-    def _frames_light(self, rng: np.random.Generator) -> NDArray[np.floating]:
-        """Light of every frame, or of all of them where nothing moves."""
-        if not self.jitter_px:
-            return self.light()
-        return np.stack(
-            [
-                self.light(offset_px)
-                for offset_px in self.jitter_px * rng.standard_normal(self.frames)
-            ]
-        )
-
-    def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
-        """What the camera makes of light: DN, black included."""
-        room = self.full_scale_dn - self.black_dn
-        return self.black_dn + room * np.sign(light) * np.abs(light / room) ** self.gamma
-
-    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: noise of the light correlated after the gain, the response, white read
-        noise, digitised.
-        """
-        light = self._frames_light(rng)
-        sd = self.level_dn / self.snr if np.isfinite(self.snr) else 0.0
-        half_way = self.pedestal_dn + 0.5 * self.level_dn - self.black_dn
-        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
-        shape = (self.frames, self.rows, self.cols)
-        drawn = self._response(
-            light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px)
-        )
-        drawn = drawn + np.sqrt(1 - self.shot_share) * sd * rng.standard_normal(shape)
-        drawn = sharpen_images(drawn, self.sharpening)
-        drawn = np.where(rng.random(shape[1:]) < self.hot_share, self.full_scale_dn, drawn)
-        codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(
-            np.uint8 if self.full_scale_dn < 256 else "u2"
-        )
-        return FrameStack(
-            data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn
-        )
 
 
 @lru_cache(maxsize=64)

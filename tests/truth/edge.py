@@ -2,15 +2,15 @@
 from no simulator.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import BadInput, FrameStack
+from labdata import BadInput
 from tests.truth.blur import TrueBlur, level_crossing
-from tests.truth.camera_effects import boost, correlate_noise, sharpen_images
+from tests.truth.camera_effects import TargetScene, boost
 
 # Places of a rough edge's course to a px.
 COURSE_PER_PX = 8
@@ -71,86 +71,39 @@ def distance_across(
 
 
 @dataclass(frozen=True, kw_only=True)
-class EdgeScene:
-    """An edge as a camera would digitise it, with one knob for each way in which edge methods
-    break.
+class EdgeScene(TargetScene):
+    """A blurred step.
 
     Parameters
     ----------
-    blur
-        The blur whose MTF is the truth.
-    rows, cols, frames
-        Size of the stack.
-    angle_deg
-        Angle of the edge's normal to the rows, degrees: 0 is a vertical edge.
     offset_px
         Where the edge passes the middle of the frame, px along the normal.
     dark_dn, bright_dn
         Levels on both sides, DN, black level included.
-    snr
-        Step over the standard deviation of the noise half way up, dimensionless. Infinite: no
-        noise.
-    shot_share
-        Share of the variance half way up that grows with the signal; the rest is white read noise.
-    noise_blur_px
-        Standard deviation of the Gaussian that correlates the signal's noise after the gain, px; 0
-        is white.
-    gamma
-        Exponent of the response, on a scale from black to full scale.
-    gradient
-        Illumination at the right border over that at the left, minus 1.
-    motion_px
-        Horizontal displacement of odd rows, exposed in the later field, px.
-    jitter_px
-        Standard deviation of a horizontal displacement that each frame has for itself, px.
     sagitta_px
         Bow of the edge over its length in the frame, px.
     roughness_px, roughness_length_px
         Root mean square of how far the edge wanders along its length, the same in all frames, and
         the standard deviation of the Gaussian that smooths its course, px. Seen by the camera
         without loss, as courses are that are long compared with the blur.
-    clip_share
-        Share of the step that lies above full scale.
-    floor_dn
-        Lowest code: what is darker sits on it, DN.
-    hot_share
-        Share of pixels stuck at full scale.
-    sharpening
-        Share by which the camera raises fine detail, see `tests.truth.camera_effects`.
-    black_dn, full_scale_dn
-        Codes at no light and at the top, DN.
     """
 
-    blur: TrueBlur = field(default_factory=TrueBlur)
-    rows: int = 100
-    cols: int = 100
-    frames: int = 1
-    angle_deg: float = 5.0
     offset_px: float = 0.0
     dark_dn: float = 40.0
     bright_dn: float = 190.0
-    snr: float = 50.0
-    shot_share: float = 0.8
-    noise_blur_px: float = 0.0
-    gamma: float = 1.0
-    gradient: float = 0.0
-    motion_px: float = 0.0
-    jitter_px: float = 0.0
     sagitta_px: float = 0.0
     roughness_px: float = 0.0
     roughness_length_px: float = 2.0
-    clip_share: float = 0.0
-    floor_dn: float = 0.0
-    hot_share: float = 0.0
-    sharpening: float = 0.0
-    black_dn: float = 10.0
-    full_scale_dn: float = 255.0
 
     def __post_init__(self) -> None:
-        if not self.snr > 0:
-            raise BadInput(f"snr must be positive, got {self.snr:g}")
+        super().__post_init__()
         if not 0 <= self.clip_share < 1:
             raise BadInput(f"clip_share must lie in [0, 1), got {self.clip_share:g}")
+
+    @property
+    def levels_dn(self) -> tuple[float, float]:
+        """Levels of the dark and the bright side, DN, black level included."""
+        return self.dark_dn, self.bright_dn
 
     @property
     def truth_mtf50(self) -> float:
@@ -158,10 +111,6 @@ class EdgeScene:
         return level_crossing(
             lambda f: self.blur.mtf(f, self.angle_deg) * boost(f, self.sharpening), 0.5
         )
-
-    def mean(self) -> NDArray[np.floating]:
-        """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
-        return self._response(self.light())
 
     def light(
         self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0
@@ -200,12 +149,8 @@ class EdgeScene:
         course = self._course(rng) if self.roughness_px else 0.0
         if not self.jitter_px:
             return self.light(course_px=course)
-        return np.stack(
-            [
-                self.light(displacement, course)
-                for displacement in self.jitter_px * rng.standard_normal(self.frames)
-            ]
-        )
+        offsets_px = self.jitter_px * rng.standard_normal(self.frames)
+        return np.stack([self.light(offset_px, course) for offset_px in offsets_px])
 
     def _course(self, rng: np.random.Generator) -> NDArray[np.floating]:
         """How far a rough edge lies off its line, seen from each pixel, px."""
@@ -221,34 +166,3 @@ class EdgeScene:
             rng.standard_normal(position.size), self.roughness_length_px * COURSE_PER_PX
         )
         return np.interp(along, position, self.roughness_px * course / np.std(course))
-
-    def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
-        """What the camera makes of light: DN, black included."""
-        room = self.full_scale_dn - self.black_dn
-        return self.black_dn + room * np.sign(light) * np.abs(light / room) ** self.gamma
-
-    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: noise of the light correlated after the gain, the response, white read
-        noise, digitised.
-
-        The noise is sqrt(v_s(mean)) w blurred by a kernel h of unit sum of squares, plus white
-        noise: variance v_s + v_r, covariance v_s R_h. The signal's part of the variance is
-        proportional to the light; the response bends light and its noise alike.
-        """
-        light = self._frames_light(rng)
-        sd = (self.bright_dn - self.dark_dn) / self.snr if np.isfinite(self.snr) else 0.0
-        half_way = (self.bright_dn + self.dark_dn) / 2 - self.black_dn
-        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
-        read = np.sqrt(1 - self.shot_share) * sd
-        shape = (self.frames, self.rows, self.cols)
-        drawn = self._response(
-            light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px)
-        )
-        drawn = sharpen_images(drawn + read * rng.standard_normal(shape), self.sharpening)
-        stuck = rng.random((self.rows, self.cols)) < self.hot_share
-        drawn = np.where(stuck, self.full_scale_dn, drawn)
-        kind = np.uint8 if self.full_scale_dn < 256 else np.uint16
-        codes = np.clip(np.rint(drawn), self.floor_dn, self.full_scale_dn).astype(kind)
-        return FrameStack(
-            data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn
-        )

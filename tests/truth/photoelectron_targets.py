@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from labdata import BadInput, FrameStack
 from tests.truth.bars import spectrum_of_bars
 from tests.truth.blur import TrueBlur, level_crossing
-from tests.truth.camera_effects import boost, correlate_noise, sharpen_images
+from tests.truth.camera_effects import boost, correlate_noise, digitised, sharpen_images
 from tests.truth.edge import distance_across, edge_spread
 
 Array = NDArray[np.floating]
@@ -161,14 +161,8 @@ class PhotoelectronTarget(ABC):
         if self.row_noise_dn:
             signal += self.row_noise_dn * rng.standard_normal((*signal.shape[:2], 1))
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
-        digits = np.where(stuck, self.full_scale_dn, sharpen_images(signal, self.sharpening))
-        return FrameStack(
-            data=np.clip(np.rint(digits), 0, self.full_scale_dn).astype(
-                np.uint8 if self.full_scale_dn < 256 else np.uint16
-            ),
-            full_scale_dn=self.full_scale_dn,
-            black_level_dn=self.black_dn,
-        )
+        signal = sharpen_images(signal, self.sharpening)
+        return digitised(signal, stuck, black_dn=self.black_dn, full_scale_dn=self.full_scale_dn)
 
     def _light(self, rng: np.random.Generator) -> Sequence[Array]:
         """Light of each frame over black, DN; of interlaced ones each field has an exposure of its

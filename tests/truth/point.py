@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labdata import BadInput, FrameStack
 from tests.truth.blur import TrueBlur, level_crossing
-from tests.truth.camera_effects import boost, sharpen_images
+from tests.truth.camera_effects import boost, digitised, sharpen_images
 
 SPARED_PX = 12.0
 
@@ -145,12 +145,7 @@ class PointScene:
             signal + self.read_dn * rng.standard_normal(signal.shape), self.sharpening
         )
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
-        codes = np.clip(np.rint(np.where(stuck, self.full_scale_dn, signal)), 0, self.full_scale_dn)
-        return FrameStack(
-            data=codes.astype(np.uint8 if self.full_scale_dn < 256 else np.uint16),
-            full_scale_dn=self.full_scale_dn,
-            black_level_dn=self.black_dn,
-        )
+        return digitised(signal, stuck, black_dn=self.black_dn, full_scale_dn=self.full_scale_dn)
 
     def _frame(
         self, number: int, jitter_px: float, rng: np.random.Generator
