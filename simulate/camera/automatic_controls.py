@@ -8,12 +8,11 @@ noise. The state, a factor, is carried by the caller.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from simulate.camera import tube_photometry
 from simulate.camera.grid import CameraFrame
 from simulate.camera.microchannel import MicrochannelPlate
@@ -34,12 +33,6 @@ class AutomaticState:
 UNTOUCHED = AutomaticState()
 
 
-def _require_positive(control: Any, *names: str) -> None:
-    for name in names:
-        if not getattr(control, name) > 0.0:
-            raise BadInput(f"{name} must be positive, got {getattr(control, name):g}")
-
-
 @dataclass(frozen=True, kw_only=True)
 class AutomaticGain:
     """Automatic gain of the camera, controlled by the mean level above black.
@@ -55,9 +48,7 @@ class AutomaticGain:
     step_s: float  # time from one reading of the meter to the next, s
 
     def __post_init__(self) -> None:
-        _require_positive(self, "set_level_dn", "time_constant_s", "step_s")
-        if not self.range_db >= 0.0:
-            raise BadInput(f"range_db must not be negative, got {self.range_db:g}")
+        check(self, positive="set_level_dn time_constant_s step_s", not_negative="range_db")
 
     @property
     def highest(self) -> float:
@@ -89,7 +80,7 @@ class BrightnessControl:
     step_s: float  # time from one reading to the next, s
 
     def __post_init__(self) -> None:
-        _require_positive(self, "limit_e_per_s_cm2", "attack_s", "step_s")
+        check(self, positive="limit_e_per_s_cm2 attack_s step_s")
 
     def next(self, state: float, output_e_per_s_cm2: float) -> float:
         """Return the MCP's gain factor after a field whose mean output, at factor `state`, was

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from simulate.camera import image_placement, tube_photometry
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import ACCURACY, CameraFrame, Grid, irfft_image, rfft_image
@@ -110,14 +110,10 @@ class RadiometricLens(
     row_pairs: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("f_number", "transmission", "focal_length_mm"):
-            if not getattr(self, name) > 0.0:
-                raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
+        check(self, positive="f_number transmission focal_length_mm", not_negative="magnification")
         for name in ("vignetting_fraction", "veiling_glare_fraction"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise BadInput(f"{name} must lie in [0, 1), got {getattr(self, name):g}")
-        if not self.magnification >= 0.0:
-            raise BadInput(f"magnification must not be negative, got {self.magnification:g}")
 
     @property
     def t_number(self) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from simulate.camera import pattern, tube_photometry
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import CameraFrame, Grid
@@ -111,20 +111,17 @@ class MicrochannelPlate(
             raise BadInput(
                 f"detection_probability must lie in (0, 1], got {self.detection_probability:g}"
             )
-        if not self.pulse_height_shape > 0.0 or not self.gain >= 0.0:
-            raise BadInput(
-                "pulse_height_shape must be positive and gain not negative, got "
-                f"{self.pulse_height_shape:g} and {self.gain:g}"
-            )
         if not 0.0 <= self.pattern_contrast < 1.0:
             raise BadInput(f"pattern_contrast must lie in [0, 1), got {self.pattern_contrast:g}")
-        for name in ("saturation_e_per_s_cm2", "recovery_ms", "field_s"):
-            if not getattr(self, name) > 0.0:
-                raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
-        if not (self.depletion_blur_um or 0.0) >= 0.0:
+        if not self.saturation_e_per_s_cm2 > 0.0:
             raise BadInput(
-                f"depletion_blur_um must not be negative, got {self.depletion_blur_um:g}"
+                f"saturation_e_per_s_cm2 must be positive, got {self.saturation_e_per_s_cm2:g}"
             )
+        check(
+            self,
+            positive="pulse_height_shape recovery_ms field_s",
+            not_negative="gain depletion_blur_um",
+        )
 
     @property
     def excess_noise_factor(self) -> float:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from simulate.camera import tube_photometry
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import CameraFrame, Grid
@@ -69,10 +69,7 @@ class Photocathode(
         )
 
     def __post_init__(self) -> None:
-        if not self.gate_s > 0.0:
-            raise BadInput(f"gate_s must be positive, got {self.gate_s:g}")
-        if not self.on_off_ratio >= 1.0:
-            raise BadInput(f"on_off_ratio must be at least 1, got {self.on_off_ratio:g}")
+        check(self, positive="gate_s", one_or_more="on_off_ratio")
 
     @property
     def open_s(self) -> float:
@@ -117,8 +114,7 @@ class BrightSourceProtection:
                 "bright_source_v must be positive and at most gap_v, got "
                 f"{self.bright_source_v:g} and {self.gap_v:g}"
             )
-        if not self.bright_source_lux > 0.0:
-            raise BadInput(f"bright_source_lux must be positive, got {self.bright_source_lux:g}")
+        check(self, positive="bright_source_lux")
 
     def voltage_v(self, cathode_lux: float) -> float:
         """Return the voltage across the gap under a mean illuminance, V."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from simulate.camera.ccd import dark_charge
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import CameraFrame
@@ -81,16 +81,12 @@ class Register(
     def __post_init__(self) -> None:
         if not 1.0 <= self.gain < np.inf:
             raise BadInput(f"em_gain must be at least 1 and finite, got {self.gain:g}")
-        if self.stages < 1 or not self.pulse_height_shape > 0.0:
-            raise BadInput(
-                "a register must have a stage and a positive pulse_height_shape, got "
-                f"{self.stages} and {self.pulse_height_shape:g}"
-            )
-        if not self.fine_noise_ratio > 0.0:
-            raise BadInput(f"fine_noise_ratio must be positive, got {self.fine_noise_ratio:g}")
-        for name in ("clock_induced_e", "read_noise_e", "dark_e"):
-            if not getattr(self, name) >= 0.0:
-                raise BadInput(f"{name} must not be negative, got {getattr(self, name):g}")
+        check(
+            self,
+            one_or_more="stages",
+            positive="pulse_height_shape fine_noise_ratio",
+            not_negative="clock_induced_e read_noise_e dark_e",
+        )
 
     @property
     def excess_noise_factor(self) -> float:

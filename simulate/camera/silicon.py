@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from simulate.camera.chain import Slot, Stage
 from simulate.camera.grid import CameraFrame, Grid
 from simulate.camera.stage_image import StageImage
@@ -52,8 +52,7 @@ class Silicon(
             raise BadInput(
                 f"quantum_efficiency must lie in (0, 1], got {self.quantum_efficiency:g}"
             )
-        if not self.exposure_s > 0.0:
-            raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
+        check(self, positive="exposure_s")
 
     def detect(self, light: StageImage) -> StageImage:
         """Return photoelectrons per exposure on the cells of the light."""

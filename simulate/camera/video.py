@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labdata.camera.chip import gain_at_no_signal
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import check, check_range
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import ACCURACY, CameraFrame
 from simulate.camera.readout_noise import draw_interference, draw_row_offsets
@@ -149,17 +149,10 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
         )
 
     def __post_init__(self) -> None:
-        if not 1 <= self.bit_depth <= 16:
-            raise BadInput(f"bit_depth must lie in 1..16, got {self.bit_depth}")
-        if not self.gamma > 0.0:
-            raise BadInput(f"gamma must be positive, got {self.gamma:g}")
+        check_range(self, 1, 16, "bit_depth")
         # A parabola through three pixels describes shifts well below a pixel only.
-        if not 0.0 <= self.sync_jitter_px <= 0.5:
-            raise BadInput(
-                f"sync_jitter_px must lie between 0 and 0.5, got {self.sync_jitter_px:g}"
-            )
-        if not self.line_noise_dn >= 0.0:
-            raise BadInput(f"line_noise_dn must not be negative, got {self.line_noise_dn:g}")
+        check_range(self, 0.0, 0.5, "sync_jitter_px")
+        check(self, positive="gamma", not_negative="line_noise_dn")
 
     @property
     def full_scale_dn(self) -> int:

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check, check_range
 from simulate.radiance.spectrum import require_grid, table
 
 Array = NDArray[np.floating]
@@ -195,15 +195,13 @@ class Atmosphere:
                 f"visibility_km must lie between 0.01 and that of clean air, {clearest:.0f}, got "
                 f"{self.visibility_km:g}"
             )
-        if not 0.0 <= self.relative_humidity <= 1.0:
-            raise BadInput(f"relative_humidity must lie in [0, 1], got {self.relative_humidity:g}")
-        if not -60.0 <= self.temperature_c <= 60.0:
-            raise BadInput(f"temperature_c must lie in [-60, 60], got {self.temperature_c:g}")
-        for name in ("pressure_hpa", "aerosol_scale_height_km"):
-            if not getattr(self, name) > 0.0:
-                raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
-        if not self.ozone_atm_cm >= 0.0:
-            raise BadInput(f"ozone_atm_cm must not be negative, got {self.ozone_atm_cm:g}")
+        check_range(self, -60.0, 60.0, "temperature_c")
+        check(
+            self,
+            positive="pressure_hpa aerosol_scale_height_km",
+            not_negative="ozone_atm_cm",
+            fraction="relative_humidity",
+        )
 
     @property
     def vapour_g_m3(self) -> float:

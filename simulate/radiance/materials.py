@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from labdata.serialiser import from_toml
 from simulate.radiance.brdf.microfacet import dielectric, dielectric_polarised
 from simulate.radiance.brdf.protocol import Reflectance
@@ -81,8 +81,7 @@ class Material:
             if is_given != needed:
                 rule = "must be given for" if needed else "must not be given for"
                 raise BadInput(f"{name} {rule} a {self.finish} material")
-        if self.emissivity is not None and not 0.0 <= self.emissivity <= 1.0:
-            raise BadInput(f"emissivity must lie in [0, 1], got {self.emissivity:g}")
+        check(self, fraction="emissivity")
         _ = self.brdf()
 
     def _check_tables(self) -> None:

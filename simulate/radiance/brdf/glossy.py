@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check_range
 from labdata.frames import read_only
 from simulate.radiance.brdf import microfacet
 from simulate.radiance.brdf.microfacet import (
@@ -41,9 +41,7 @@ class Facets:
     roughness: float  # GGX's a, the spread of the facets' slopes, dimensionless
 
     def __post_init__(self) -> None:
-        if not microfacet.SMOOTHEST <= self.roughness <= microfacet.ROUGHEST:
-            limits = f"[{microfacet.SMOOTHEST:g}, {microfacet.ROUGHEST:g}]"
-            raise BadInput(f"roughness must lie in {limits}, got {self.roughness:g}")
+        check_range(self, microfacet.SMOOTHEST, microfacet.ROUGHEST, "roughness")
 
     def specular_share(self, outgoing: Array) -> Array:
         """Return the fraction of mirrored samples, shape (ray,)."""
@@ -186,11 +184,7 @@ class Retroreflector:
     half_width_deg: float = 0.5
 
     def __post_init__(self) -> None:
-        if not NARROWEST_DEG <= self.half_width_deg <= WIDEST_DEG:
-            raise BadInput(
-                f"half_width_deg must lie in [{NARROWEST_DEG:g}, {WIDEST_DEG:g}], got "
-                f"{self.half_width_deg:g}"
-            )
+        check_range(self, NARROWEST_DEG, WIDEST_DEG, "half_width_deg")
 
     @property
     def concentration(self) -> float:

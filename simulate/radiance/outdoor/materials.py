@@ -72,11 +72,7 @@ class MaterialSpec:
                 "a material must have a library entry, a reflectance, a measured file or a "
                 f"pane's transmittance, got {self.label!r}"
             )
-        if not self.glow_lm_per_m2 >= 0.0:
-            raise BadInput(
-                f"glow_lm_per_m2 must not be negative, got {self.glow_lm_per_m2:g} of "
-                f"{self.label!r}"
-            )
+        check(self, of=f" of {self.label!r}", not_negative="glow_lm_per_m2")
         if any(self.material.transmittance):
             raise BadInput(
                 f"out of doors light goes through panes alone (pane_transmittance), got "

@@ -175,8 +175,7 @@ class RigSensor:
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not self.delay_s >= 0.0:
-            raise BadInput(f"delay_s of a rig's sensor must not be negative, got {self.delay_s:g}")
+        check(self, of=" of a rig's sensor", not_negative="delay_s")
         if not max(abs(angle) for angle in self.pointing_deg) < 90.0:
             raise BadInput(
                 f"pointing_deg must lie between -90 and 90, got {list(self.pointing_deg)}"

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from simulate.radiance.lamps.distribution import BEAMS
 from simulate.radiance.lamps.spectra import NARROW
 from simulate.radiance.outdoor.materials import MaterialSpec, Slab
@@ -127,19 +127,17 @@ class Weather:
                 f"dew_point_c must not exceed temperature_c {self.temperature_c:g}, got "
                 f"{self.dew_point_c:g}"
             )
-        if not 0.0 <= self.cloud <= 1.0:
-            raise BadInput(f"cloud must lie between 0 and 1, got {self.cloud:g}")
         if (self.convection == "constant") != (self.convection_w_m2_k is not None):
             raise BadInput(
                 'convection_w_m2_k must be given with convection = "constant" and only then, got '
                 f"{self.convection!r} and {self.convection_w_m2_k}"
             )
-        for name in ("wind_m_s", "daily_swing_k", "convection_w_m2_k"):
-            value = getattr(self, name)
-            if value is not None and not value >= 0.0:
-                raise BadInput(f"{name} must not be negative, got {value:g}")
-        if not self.linke_turbidity >= 1.0:
-            raise BadInput(f"linke_turbidity must be at least 1, got {self.linke_turbidity:g}")
+        check(
+            self,
+            fraction="cloud",
+            not_negative="wind_m_s daily_swing_k convection_w_m2_k",
+            one_or_more="linke_turbidity",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,8 +245,7 @@ class LampPlacement:
                 f"wavelength_nm and width_nm belong to a {NARROW} lamp, got {self.kind} for "
                 f"{self.label!r}"
             )
-        if not self.radius_m > 0.0:
-            raise BadInput(f"radius_m must be positive, got {self.radius_m:g} of {self.label!r}")
+        check(self, of=f" of {self.label!r}", positive="radius_m")
         if self.aim_m == self.position_m:
             raise BadInput(f"a lamp must aim at another place than its own, got {self.label!r}")
 

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check_range
 from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.spectrum import SourceSpectrum, require_grid, table
 
@@ -28,14 +28,9 @@ class ObserverLocation:
     altitude_m: float = 0.0  # over the sea, m
 
     def __post_init__(self) -> None:
-        if not -90.0 <= self.latitude_deg <= 90.0:
-            raise BadInput(f"latitude_deg must lie in [-90, 90], got {self.latitude_deg:g}")
-        if not -180.0 <= self.longitude_deg <= 360.0:
-            raise BadInput(
-                f"longitude_deg must lie in [-180, 360], east positive, got {self.longitude_deg:g}"
-            )
-        if not -500.0 <= self.altitude_m <= 9000.0:
-            raise BadInput(f"altitude_m must lie in [-500, 9000], got {self.altitude_m:g}")
+        check_range(self, -90.0, 90.0, "latitude_deg")
+        check_range(self, -180.0, 360.0, "longitude_deg", of=", east positive")
+        check_range(self, -500.0, 9000.0, "altitude_m")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import check
 from simulate.radiance.atmosphere import Atmosphere, airmass
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import spectrum
@@ -223,11 +223,7 @@ class TownGlow:
     lamp: str = "high-pressure-sodium"  # kind of its lamps, one of `lamps.spectra.KINDS`
 
     def __post_init__(self) -> None:
-        if not self.luminance_cd_m2 >= 0.0:
-            raise BadInput(f"luminance_cd_m2 must not be negative, got {self.luminance_cd_m2:g}")
-        for name in ("height_deg", "half_width_deg"):
-            if not getattr(self, name) > 0.0:
-                raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
+        check(self, positive="height_deg half_width_deg", not_negative="luminance_cd_m2")
         _ = self.spectrum
 
     @property
@@ -268,11 +264,7 @@ class NightSky:
     ground_albedo: float = 0.2  # albedo of the surrounding land, which lights the sky from below
 
     def __post_init__(self) -> None:
-        for name in ("airglow", "zodiacal", "starlight"):
-            if not getattr(self, name) >= 0.0:
-                raise BadInput(f"{name} must not be negative, got {getattr(self, name):g}")
-        if not 0.0 <= self.ground_albedo <= 1.0:
-            raise BadInput(f"ground_albedo must lie in [0, 1], got {self.ground_albedo:g}")
+        check(self, not_negative="airglow zodiacal starlight", fraction="ground_albedo")
 
     @classmethod
     def at(

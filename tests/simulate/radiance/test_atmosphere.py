@@ -143,9 +143,9 @@ def test_the_moonlit_air_is_as_bright_as_the_horizon_and_brightest_towards_the_m
         (lambda: Atmosphere(visibility_km=1000.0), "that of clean air, 339, got 1000"),
         (
             lambda: Atmosphere(relative_humidity=1.2),
-            r"relative_humidity must lie in \[0, 1\], got 1.2",
+            r"relative_humidity must lie between 0 and 1, got 1.2",
         ),
-        (lambda: Atmosphere(temperature_c=float("nan")), "temperature_c must lie in"),
+        (lambda: Atmosphere(temperature_c=float("nan")), "temperature_c must lie between"),
         (lambda: replace(Atmosphere(), pressure_hpa=0.0), "pressure_hpa must be positive, got 0"),
         (
             lambda: Atmosphere().transmittance(-1.0, [550.0]),

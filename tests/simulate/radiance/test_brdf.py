@@ -195,7 +195,7 @@ def bad_table(**change):
         (lambda: bad_table(at=[((0, 0, 0, 0), -1.0)]), "finite and not negative"),
         (
             lambda: Metal(reflectance=grey(0.5), roughness=0.0),
-            r"roughness must lie in \[0.002, 1\], got 0",
+            r"roughness must lie between 0.002 and 1, got 0",
         ),
         (
             lambda: Glossy(reflectance=grey(0.5), roughness=0.1, refractive_index=1.0),

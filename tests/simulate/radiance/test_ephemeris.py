@@ -113,11 +113,11 @@ def test_a_half_covered_disc_agrees_with_counting():
         (lambda: ephemeris(ROCHESTER, datetime(2350, 1, 1, tzinfo=UTC)), "between 1900 and 2100"),
         (
             lambda: ObserverLocation(latitude_deg=91.0, longitude_deg=0.0),
-            r"latitude_deg must lie in \[-90, 90\], got 91",
+            r"latitude_deg must lie between -90 and 90, got 91",
         ),
         (
             lambda: ObserverLocation(latitude_deg=0.0, longitude_deg=400.0),
-            "longitude_deg must lie in",
+            "longitude_deg must lie between",
         ),
     ],
 )

@@ -239,7 +239,7 @@ def test_sources_name_every_line_for_the_grid():
     ("make", "says"),
     [
         (lambda: NightSky(airglow=-1.0), "airglow must not be negative, got -1"),
-        (lambda: NightSky(ground_albedo=2.0), r"ground_albedo must lie in \[0, 1\], got 2"),
+        (lambda: NightSky(ground_albedo=2.0), r"ground_albedo must lie between 0 and 1, got 2"),
         (
             lambda: TownGlow(azimuth_deg=0.0, luminance_cd_m2=-1.0),
             "luminance_cd_m2 must not be negative",
