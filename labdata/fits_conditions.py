@@ -12,6 +12,7 @@ import numpy as np
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.importers import module_of, read_frames
 from labdata.target import Kind
 
 # Cards of the kind, the exposure in seconds and the temperature of the sensor in degrees Celsius,
@@ -61,8 +62,6 @@ def read_stated_frame(path: Path, plane: str | None = None) -> StatedFrame | Non
 
     A file that cannot be read is BadInput; `plane`: colour plane to read.
     """
-    from labdata.importers import module_of, read_frames
-
     if module_of(path) != "fits.read":
         return None
     frames = read_frames(path, plane, axis="frame", find_full_scale=False)
@@ -112,8 +111,6 @@ def require_one_camera(paths: Sequence[Path]) -> None:
     """Require every FITS file of a session to have the same settings of `CAMERA_CARDS`; another is
     BadInput.
     """
-    from labdata.importers import module_of
-
     headers = {path: _header_of(path) for path in paths if module_of(path) == "fits.read"}
     for card in CAMERA_CARDS:
         first: dict[str, str] = {}

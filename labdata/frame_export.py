@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
+from labdata.importers.axes import optional_module
 
 # Percentiles shown as black and white in a picture.
 BLACK, WHITE = 0.5, 99.8
@@ -67,10 +68,6 @@ def _tiff(stack: FrameStack, path: Path) -> None:
     tifffile.imwrite(path, stack.data, photometric="minisblack", metadata={"axes": "TYX"})
 
 
-def _npy(stack: FrameStack, path: Path) -> None:
-    np.save(path, stack.data)
-
-
 def _png(stack: FrameStack, path: Path) -> None:
     from PIL import Image
 
@@ -78,15 +75,11 @@ def _png(stack: FrameStack, path: Path) -> None:
 
 
 def _fits(stack: FrameStack, path: Path) -> None:
-    from labdata.importers.axes import optional_module
-
     fits = optional_module("astropy.io.fits", "fits", path)
     fits.PrimaryHDU(stack.data).writeto(path, overwrite=True)
 
 
 def _hdf5(stack: FrameStack, path: Path) -> None:
-    from labdata.importers.axes import optional_module
-
     h5py = optional_module("h5py", "hdf5", path)
     with h5py.File(path, "w") as file:
         file.create_dataset("frames", data=stack.data, compression="gzip")
@@ -95,7 +88,7 @@ def _hdf5(stack: FrameStack, path: Path) -> None:
 WRITERS: dict[str, Callable[[FrameStack, Path], None]] = {
     ".tif": _tiff,
     ".tiff": _tiff,
-    ".npy": _npy,
+    ".npy": lambda stack, path: np.save(path, stack.data),
     ".fits": _fits,
     ".h5": _hdf5,
     ".png": _png,

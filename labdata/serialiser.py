@@ -156,7 +156,8 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise BadInput(f"{path} must be a TOML file, got bytes that are no text") from None
     except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{path} must be a TOML file: {_lower_first(str(error))}") from None
+        words = str(error)
+        raise BadInput(f"{path} must be a TOML file: {words[:1].lower()}{words[1:]}") from None
     except ValueError:
         raise BadInput(
             f"{path} must have numbers of ordinary length, got one of thousands of digits"
@@ -262,7 +263,3 @@ def _valid_keys(type_: type) -> tuple[str, ...]:
             }
         )
     )
-
-
-def _lower_first(text: str) -> str:
-    return text[:1].lower() + text[1:]

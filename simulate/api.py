@@ -22,8 +22,14 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import Kind
 from labdata.target import Target
+from simulate.camera.scene_to_photoelectrons import (
+    camera_from_description,
+    photoelectrons_from_image,
+    photoelectrons_from_radiance,
+)
 from simulate.image_source import name_of, read_cube, read_image
 from simulate.motion import Look, Motion
+from simulate.radiance.scene import LabScene, load_scene
 from simulate.shot import InfraredShot, Progress, Shot, ignore_progress
 
 if TYPE_CHECKING:
@@ -89,17 +95,9 @@ def simulate(
     BadInput
         If the source cannot be read, or an option does not apply to it.
     """
-    from simulate.camera.scene_to_photoelectrons import (
-        camera_from_description,
-        photoelectrons_from_image,
-        photoelectrons_from_radiance,
-    )
-
     if description.is_thermal:
         return _infrared_shot(request, description, conditions, progress)
     if is_scene(request.source):
-        from simulate.radiance.scene import LabScene, load_scene
-
         _require_no_image_options(request)
         if isinstance(scene := load_scene(request.source), LabScene):
             return _bench_shot(request, scene, description, conditions)
@@ -144,10 +142,6 @@ def _outdoor_shot(
     progress: Progress,
 ) -> Shot:
     """Return a camera of visible light before an outdoor scene."""
-    from simulate.camera.scene_to_photoelectrons import (
-        camera_from_description,
-        photoelectrons_from_radiance,
-    )
     from simulate.outdoor_rendering import OutdoorRendering
 
     if request.kind == "dark":
@@ -312,7 +306,6 @@ def _outdoor_scene(request: SimulationRequest, needed: str) -> "OutdoorScene":
     `needed`.
     """
     from simulate.radiance.outdoor.scene import OutdoorScene
-    from simulate.radiance.scene import load_scene
 
     scene = load_scene(request.source) if is_scene(request.source) else None
     if not isinstance(scene, OutdoorScene):
@@ -326,7 +319,6 @@ def preview(
     """Return an outdoor scene in few pixels of a camera; another source raises BadInput."""
     if description.is_thermal:
         return _infrared_shot(request, description, conditions, ignore_progress, preview=True).seen
-    from simulate.camera.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
 
     scene = _outdoor_scene(request, "a preview needs")

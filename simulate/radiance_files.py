@@ -48,15 +48,16 @@ def save_view_radiance(view: "RenderedView | InfraredView", path: Path) -> None:
     Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021, with a decimal
     comma, S0.550,000000nm; of infrared bins their middle.
     """
-    writers = {".npz": _write_npz, ".fits": _write_fits, ".hdr": _write_envi, ".exr": _write_exr}
+    writers = {
+        ".npz": lambda content, path: np.savez_compressed(path, **content),
+        ".fits": _write_fits,
+        ".hdr": _write_envi,
+        ".exr": _write_exr,
+    }
     if path.suffix not in writers:
         raise BadInput(f"a file of radiance must end in {', '.join(writers)}, got {path.name}")
     path.parent.mkdir(parents=True, exist_ok=True)
     writers[path.suffix](_content(view), path)
-
-
-def _write_npz(content: dict[str, Any], path: Path) -> None:
-    np.savez_compressed(path, **content)
 
 
 def _write_fits(content: dict[str, Any], path: Path) -> None:

@@ -32,6 +32,8 @@ import numpy as np
 
 from labdata.camera.description import Camera
 from labdata.file_io import write_atomically
+from labdata.sensors import save_sensor
+from labdata.session_writer import SessionWriter
 from simulate.shot import Progress, Shot, ignore_progress
 
 if TYPE_CHECKING:
@@ -53,9 +55,6 @@ def save_session(
     """Simulate frames and store them as a session, one frame at a time, with effect selection and
     auxiliary layers.
     """
-    from labdata.sensors import save_sensor
-    from labdata.session_writer import SessionWriter
-
     video = description.video
     with SessionWriter.create(
         out,
@@ -90,9 +89,6 @@ def save_rig_session(
     Descriptions, truth, selected effects of light and camera are files `NAME` in the folders
     sensor, truth, light and economy.
     """
-    from labdata.sensors import save_sensor
-    from labdata.session_writer import SessionWriter
-
     with SessionWriter.create(out, name="simulated scene") as writer:
         for name, shot in shots.items():
             description, files = descriptions[name], {}

@@ -17,6 +17,7 @@ from simulate.camera import tube_photometry
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.camera.ccd import Ccd
 from simulate.camera.chain import Chain, Slot, Stage, stages_with_section, values_of
+from simulate.camera.fast_sampler.frame_generator import FrameGenerator
 from simulate.camera.grid import ACCURACY, CameraFrame
 from simulate.camera.lens import Optics, RadiometricLens
 from simulate.camera.microchannel import MicrochannelPlate
@@ -291,8 +292,6 @@ class CameraModel(CameraFrame):
             raise BadInput("photoelectrons at the plate must be finite, got some that are not")
         if exact and not self.is_sparse(at_mcp):
             return self.chain_frames(at_mcp, conditions, seed=seed, first_frame=first_frame)
-        from simulate.camera.fast_sampler.frame_generator import FrameGenerator
-
         sampler = FrameGenerator(
             self.chain(conditions), self.fields_per_frame, seed=seed, threads=threads
         )
@@ -380,8 +379,6 @@ class CameraModel(CameraFrame):
         channels of a camera with local depletion, and through automatic controls. The first scene
         decides whether pulses are drawn singly.
         """
-        from simulate.camera.fast_sampler.frame_generator import FrameGenerator
-
         sampler = FrameGenerator(
             self.chain(conditions), self.fields_per_frame, seed=seed, threads=1
         )

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammainccinv, gammaincinv, ndtri
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -254,8 +255,6 @@ class NoiseBudget:
         """Largest deviation of a pixel's level without light, e-: extremes of a gamma law and of
         the offsets.
         """
-        from scipy.special import gammainccinv, gammaincinv
-
         missed = ACCURACY.extreme_probability / self.mean_pe.size
         if self.ccd.dsnu_e == 0.0 or self.ccd.dark_e == 0.0:
             return 0.0
@@ -286,8 +285,6 @@ class NoiseBudget:
         """Return the level, in sd, that the largest of so many normals exceeds with
         `extreme_probability`.
         """
-        from scipy.special import ndtri
-
         return float(-ndtri(ACCURACY.extreme_probability / max(number, 1.0)))
 
     def of_mean(self, change: Map | float) -> float:

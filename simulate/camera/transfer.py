@@ -5,6 +5,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import j1, sici
 
 from simulate.camera.grid import ACCURACY, Grid
 
@@ -61,8 +62,6 @@ class Defocus:
     f_number: float  # dimensionless; the disc's diameter is D = shift / f_number
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        from scipy.special import j1
-
         argument = (
             np.pi * np.hypot(fx_per_mm, fy_per_mm) * abs(self.shift_um) * 1e-3 / self.f_number
         )
@@ -120,8 +119,6 @@ class HaloBlur:
     elastic_share: float
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        from scipy.special import sici
-
         argument = 4.0 * np.pi * self.gap_mm * np.hypot(fx_per_mm, fy_per_mm)
         rim = np.sinc(argument / np.pi)
         peaked = np.divide(
@@ -140,8 +137,6 @@ class FibreTaper:
     demagnification: float
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        from scipy.special import j1
-
         at_detector = np.hypot(fx_per_mm, fy_per_mm) * self.demagnification
         argument = np.pi * self.fibre_pitch_um * 1e-3 * at_detector
         fibre = np.divide(

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.errors import BadInput, check
 from labdata.serialiser import from_toml
 from simulate.radiance.brdf.microfacet import dielectric, dielectric_polarised
-from simulate.radiance.brdf.protocol import Reflectance
+from simulate.radiance.brdf.protocol import Lambert, Reflectance
 
 if TYPE_CHECKING:
     from simulate.radiance.brdf.protocol import Brdf
@@ -126,7 +126,6 @@ class Material:
     def brdf(self) -> "Brdf":
         """Return the BRDF."""
         from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
-        from simulate.radiance.brdf.protocol import Lambert
 
         table = Reflectance(wavelength_nm=self.wavelength_nm, fraction=self._each(self.reflectance))
         if (

@@ -235,7 +235,10 @@ class SourceSpectrum:
         grid = require_grid(wavelength_nm)
         power = hat_integrals(grid, (self.wavelength_nm, self.density))
         for line, strength in zip(self.line_nm, self.line_power, strict=True):
-            power += strength * _hats_at(grid, line)
+            # Each band's hat at the line; zero for one outside the grid.
+            power += strength * np.array(
+                [np.interp(line, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)]
+            )
         return power / band_widths(grid)
 
     def scale(self, factor: float) -> "SourceSpectrum":
@@ -354,13 +357,6 @@ def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
         np.add.at(total, lower_band, (1.0 - rise) * part)
         np.add.at(total, lower_band + 1, rise * part)
     return total
-
-
-def _hats_at(grid: Array, wavelength_nm: float) -> Array:
-    """Return each band's hat at one wavelength; zero for one outside the grid."""
-    return np.array(
-        [np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)]
-    )
 
 
 def spectral_grid(

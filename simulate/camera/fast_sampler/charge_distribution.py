@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammainc, gammaincc, gammaln, ndtri
 
 # Rows of the standardised law: its skewness changes by one per cent from row to row.
 LOWEST_ROW, ROW_STEP, ROWS, EXACT_EVERY = 1e-3, 0.02, 1100, 5
@@ -129,8 +130,6 @@ def _invert_distribution(
 
 
 def _distribution_by_sum(shape: float, mean: float) -> tuple[NDArray, NDArray, NDArray]:
-    from scipy.special import gammainc, gammaincc, gammaln
-
     last = int(mean + 10.0 * np.sqrt(mean) + 14)
     number = np.arange(1, last + 1)
     weight = np.exp(number * np.log(mean) - mean - gammaln(number + 1.0)) / -np.expm1(-mean)
@@ -182,7 +181,5 @@ def _standard(quantiles: NDArray[np.float64]) -> NDArray[np.float64]:
 @lru_cache(maxsize=1)
 def normal_quantiles() -> NDArray[np.float32]:
     """Return the quantiles of the normal law at the same nodes, shape (NODES,)."""
-    from scipy.special import ndtri
-
     upper = -ndtri(node_probabilities())
     return _standard(np.concatenate([upper, -upper])).astype(np.float32)

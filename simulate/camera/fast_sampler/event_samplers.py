@@ -23,6 +23,13 @@ from simulate.camera.fast_sampler.kernel import (
     noise_kernel,
     pulse_kernel,
 )
+from simulate.camera.fast_sampler.phosphor_rows import (
+    ADDED_AT_ONCE,
+    cells_beyond,
+    coarse_sums,
+    glow_rows,
+    pulse_rows,
+)
 from simulate.camera.grid import ACCURACY, Grid, irfft_image, rfft_image
 from simulate.camera.phosphor import PhosphorDecay
 from simulate.camera.random_numbers import key_of
@@ -161,8 +168,6 @@ class DenseScreen:
         Returns what each exposure shows beyond the mean, summed over coarse cells, (exposure,
         coarse row, coarse col).
         """
-        from simulate.camera.fast_sampler.phosphor_rows import glow_rows
-
         planes, height, width = lights[0].gain.shape
         rows, cols = height // COARSE, width // COARSE
         coarse = np.empty((self._fields, planes, rows, cols), np.float32)
@@ -360,8 +365,6 @@ class SparseScreen:
         seed: int,
         shape: tuple[int, ...],
     ) -> None:
-        from simulate.camera.fast_sampler.phosphor_rows import ADDED_AT_ONCE
-
         self._decay, self._fields, self._seed = decay, fields, seed
         self._stays, _, self._kept = decay.recursion
         self._stored = np.zeros((len(self._stays), *shape), np.float32)
@@ -385,8 +388,6 @@ class SparseScreen:
         """Draw the pulses of a frame's exposures and apply phosphor decay; see
         `DenseScreen.expose`.
         """
-        from simulate.camera.fast_sampler.phosphor_rows import pulse_rows
-
         coarse, factor, size = [], np.float32(brightness), self.shown.shape[2:]
         for number, light in enumerate(lights):
             if light is not self._near_e[0]:
@@ -409,8 +410,6 @@ class SparseScreen:
         return np.stack(coarse)
 
     def _draw_pulses(self, light: SparseLight, exposure: int, factor: np.float32) -> _Pulses:
-        from simulate.camera.fast_sampler.phosphor_rows import cells_beyond
-
         rng = np.random.default_rng([self._seed, PULSES, exposure + 2**32])
         number, ions = rng.poisson(light.running[-1]), rng.poisson(light.ions_per_field)
         # Even numbers in order, so that memory is walked through once: running sums of exponential
@@ -437,8 +436,6 @@ class SparseScreen:
 
     def _on_coarse_cells(self, light: SparseLight, pulses: _Pulses, factor: np.float32) -> Array:
         """Light of an exposure beyond the mean, summed over coarse cells."""
-        from simulate.camera.fast_sampler.phosphor_rows import coarse_sums
-
         side = FINEST * COARSE
         sums = coarse_sums(
             pulses.rows, pulses.columns, pulses.charge, pulses.later, side, *light.coarse_e.shape

@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from labdata.errors import BadInput
 from simulate.camera import pattern
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticState
 from simulate.camera.chain import Chain, Slot
 from simulate.camera.fast_sampler.charge_distribution import normal_quantiles
+from simulate.camera.fast_sampler.charge_rows import charge_rows, interpolate_columns, read_rows
 from simulate.camera.fast_sampler.event_samplers import Array, Exposure, prepare_exposure
 from simulate.camera.fast_sampler.kernel import COARSE, REACH, Kernel, PulseKernel
 from simulate.camera.grid import ACCURACY
@@ -231,8 +233,6 @@ class FrameGenerator:
 
     def _read(self, frame: int, coarse: Array, mean: Array, wells: _Wells, gain: float) -> Frame:
         """Spread a frame's exposures over the pixels that are read from them, and read these."""
-        from simulate.camera.fast_sampler.charge_rows import charge_rows, read_rows
-
         ccd, video, screen, normal = self._ccd, self._video, self._screen, normal_quantiles()
         codes: Frame = np.empty(mean.shape, video.code_type)
         charge = self._charge
@@ -286,10 +286,6 @@ def far_wing(
 
     `coarse` is the noise summed over coarse cells, shape (..., coarse row, coarse col).
     """
-    from scipy import fft
-
-    from simulate.camera.fast_sampler.charge_rows import interpolate_columns
-
     rows, cols = coarse.shape[-2:]
     size = tuple(
         fft.next_fast_len(n + m, real=True)
@@ -310,8 +306,6 @@ def far_wing(
 
 @lru_cache(maxsize=4)
 def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, ...]) -> NDArray[np.complex64]:
-    from scipy import fft
-
     transform: Any = fft.rfft2(np.frombuffer(wing, np.float32).reshape(shape), size)
     return transform
 

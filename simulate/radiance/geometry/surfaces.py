@@ -50,18 +50,16 @@ class Mesh:
         edges = np.concatenate(
             [self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]
         )
-        same = _merge_vertices(self.vertices_m)[edges]
+        # Vertices at one position count as the first of them.
+        _, first, which = np.unique(
+            self.vertices_m.round(9), axis=0, return_index=True, return_inverse=True
+        )
+        same = first[which.reshape(-1)][edges]
         key, back = (
             same[:, 0] * len(self.vertices_m) + same[:, 1],
             same[:, 1] * len(self.vertices_m) + same[:, 0],
         )
         return len(np.unique(key)) == len(key) and np.array_equal(np.sort(key), np.sort(back))
-
-
-def _merge_vertices(vertices: Array) -> NDArray[np.int64]:
-    """Return the index of the first vertex at the position of each one."""
-    _, first, which = np.unique(vertices.round(9), axis=0, return_index=True, return_inverse=True)
-    return first[which.reshape(-1)]
 
 
 def join_meshes(meshes: list[Mesh]) -> Mesh:

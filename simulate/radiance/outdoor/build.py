@@ -314,9 +314,8 @@ def _load(path: Path) -> list[Any]:
         triangles = sum(len(part.faces) for part in parts)
     except Exception as error:
         # The readers of the four formats raise many kinds of errors.
-        raise BadInput(
-            f"{path.name} must be a whole {path.suffix} mesh: {_first_line(error)}"
-        ) from None
+        line = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(f"{path.name} must be a whole {path.suffix} mesh: {line}") from None
     if not triangles:
         raise BadInput(f"a mesh must have triangles, got none in {path.name}")
     return parts
@@ -345,7 +344,3 @@ def _material_of(part: Any) -> str:
         if visual.defined and hasattr(visual, "material")
         else ""
     )
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -124,7 +124,9 @@ def ephemeris(location: ObserverLocation, time: datetime) -> Ephemeris:
     return Ephemeris(
         sun=_body(sun, SUN_RADIUS_KM),
         moon=_body(moon, 1737.4),
-        sun_selenographic_longitude_deg=_wrap_angle(90.0 - np.rad2deg(float(moon.colong))),
+        sun_selenographic_longitude_deg=float(
+            (90.0 - np.rad2deg(float(moon.colong)) + 180.0) % 360.0 - 180.0
+        ),
         observer_selenographic_latitude_deg=float(np.rad2deg(float(moon.libration_lat))),
         observer_selenographic_longitude_deg=float(np.rad2deg(float(moon.libration_long))),
     )
@@ -151,10 +153,6 @@ def _body(ephemeris_body: object, radius_km: float) -> Body:
         float(np.sin(elevation)),
     )
     return Body(direction=direction, distance_km=distance_km, radius_km=radius_km)
-
-
-def _wrap_angle(angle: float) -> float:
-    return float((angle + 180.0) % 360.0 - 180.0)
 
 
 def angle_deg(first: Array, second: Array) -> float:
