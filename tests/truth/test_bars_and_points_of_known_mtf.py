@@ -51,21 +51,13 @@ def test_bars_from_their_spectrum_are_the_blurred_bars_in_the_pixels(bars, angle
     assert np.abs(light - _supersampled(scene)).max() < 2e-3
 
 
-def test_mtf_of_bars_is_their_fundamental_over_their_light():
-    """Physics reference 11: |I(f)| / |O(f)| over all light, the whole target in the window."""
-    tube = TrueBlur(form="exponential", frequency_cy_per_px=0.4, exponent=1.6)
-    scene = BarScene(
-        blur=tube, angle_deg=3.0, frequency_cy_per_px=0.12, rows=300, cols=300, pedestal_dn=10.0
-    )
-    light = scene.light()
-    row, col = np.arange(300)[:, None] - 149.5, np.arange(300)[None, :] - 149.5
-    across = col * np.cos(np.deg2rad(3)) + row * np.sin(np.deg2rad(3))
-    fundamental = abs(np.sum(light * np.exp(-2j * np.pi * 0.12 * across)))
-    assert np.pi / 2 * fundamental / light.sum() == pytest.approx(scene.truth_mtf, rel=5e-3)
-
-
 @pytest.mark.parametrize(
-    "blur", [TrueBlur(sigma_px=0.9), TrueBlur(form="exponential", frequency_cy_per_px=0.25)]
+    "blur",
+    [
+        TrueBlur(sigma_px=0.9),
+        TrueBlur(form="exponential", frequency_cy_per_px=0.25),
+        TrueBlur(sigma_px=0.5, halo_share=1 / 3, halo_px=40.0),
+    ],
 )
 def test_places_of_photoelectrons_have_the_mtf_as_their_characteristic_function(blur, seed):
     count = 200_000

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput
 from tests.truth.bloom import apply_column_blooming, bloom_session, noiseless_frame, stack
 from tests.truth.bloom_extents import truth
 from tests.truth.bloom_light import (
@@ -65,36 +64,6 @@ def test_electrons_land_as_the_cosine_law_says(elastic, density):
     assert found == pytest.approx(density, rel=0.06, abs=0.006)
 
 
-def test_rim_stands_at_half_the_diameter():
-    radius = np.arange(15.0, 30.0, 0.01)
-    for blur in (1.0, 0.5):
-        steepest = radius[
-            np.argmin(np.gradient(rings_blurred(radius, halo_rings(46.0, 1.0), blur)))
-        ]
-        assert steepest == pytest.approx(23.0, abs=0.6 * blur)
-    beyond = rings_blurred(np.array([23.0 + 6.0 * 0.5]), halo_rings(46.0, 1.0), 0.5)
-    assert beyond[0] < 1e-9
-
-
-def test_bloom_has_a_step_and_a_plateau():
-    """The step comes where the halo's plateau meets the level; a core alone grows as sqrt(2 ln
-    overload).
-    """
-    source = BloomScene(core_sigma_px=1.2, halo_diameter_px=47.2, halo_fraction=0.02)
-    overloads = [1e1, 1e2, 1e3, 1e4, 1e5, 1e6]
-    bare = [
-        truth(replace(source, halo_fraction=0.0), one)["bloom_diameter_clip"] for one in overloads
-    ]
-    assert bare == pytest.approx([5.1, 7.3, 8.9, 10.3, 11.5, 12.6], abs=0.1)
-    found = [truth(source, one)["bloom_diameter"] for one in overloads]
-    assert found[:3] == pytest.approx([5.9, 7.9, 9.9], abs=0.1)
-    assert all(47.2 <= one + 0.2 <= 47.2 + 8.0 for one in found[3:])
-    level = 0.5 * source.span_dn - source.background_dn
-    step = level / (truth(source, 1.0)["halo_plateau"] * source.source_dn(1.0))
-    assert truth(source, 0.5 * step)["bloom_diameter"] < 15
-    assert truth(source, 2.0 * step)["bloom_diameter"] > 40
-
-
 def test_truth_by_pixels_agrees_with_truth_in_closed_form():
     source = BloomScene(rows=121, cols=121, row_pitch=1.18)
     for overload in (2.0, 30.0, 3e3):
@@ -124,20 +93,6 @@ def test_the_law_along_the_radius_is_that_of_the_picture(wing, after_px):
     assert picture == pytest.approx(
         source.source_dn(1.0) * law, rel=1e-3, abs=1e-6 * source.span_dn
     )
-
-
-def test_overflow_conserves_charge_and_its_place():
-    rng = np.random.default_rng(0)
-    charge = rng.uniform(0.0, 50.0, (2, 400, 5))
-    charge[:, 200, 2] += 9e3
-    charge[0, 230, 2] += 4e3
-    settled, rows = apply_column_blooming(charge, 100.0), np.arange(400)[:, None]
-    assert settled.max() <= 100.0 + 1e-6
-    assert settled.sum(axis=1) == pytest.approx(charge.sum(axis=1))
-    assert (rows * settled).sum(axis=1) == pytest.approx((rows * charge).sum(axis=1))
-    assert settled[:, :, [0, 1, 3, 4]] == pytest.approx(charge[:, :, [0, 1, 3, 4]])
-    full = np.flatnonzero(settled[0, :, 2] > 100.0 - 1e-6)
-    assert np.array_equal(full, np.arange(full[0], full[-1] + 1))
 
 
 def test_overflow_settles_as_charge_handed_on_step_by_step():
@@ -231,23 +186,3 @@ def test_the_plate_tires_where_it_is_bright():
     assert noiseless_frame(tired, 100.0)[far] == pytest.approx(
         noiseless_frame(source, 100.0)[far], rel=0.02
     )
-
-
-def test_the_same_seed_draws_the_same_frames_and_sessions_say_what_was_told():
-    source = BloomScene(light_sd=0.1, wrong_dark_dn=2.0)
-    first, again = (bloom_session(source, (1.0, 100.0), np.random.default_rng(5)) for _ in range(2))
-    for one, other in zip(first.stacks, again.stacks, strict=True):
-        assert one.read().data.tobytes() == other.read().data.tobytes()
-        assert one.conditions == other.conditions
-    (dark,), points = first.of_kind("dark"), first.of_kind("point")
-    assert dark.read().data.mean() == pytest.approx(source.dark_dn + 2.0, abs=0.02)
-    stated = [entry.conditions.illuminance_lux or 0.0 for entry in points]
-    assert 0.0 < abs(np.log(stated[1] / stated[0] / 100.0)) < 0.6
-    assert not bloom_session(source, (1.0,), np.random.default_rng(5), darks=False).of_kind("dark")
-
-
-def test_a_scene_that_cannot_be_is_refused():
-    with pytest.raises(BadInput, match="wider than the blur"):
-        BloomScene(core_sigma_px=0.6)
-    with pytest.raises(BadInput, match="8 bits"):
-        BloomScene(full_scale_dn=4095.0)

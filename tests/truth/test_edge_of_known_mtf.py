@@ -66,9 +66,3 @@ def test_clipping_loses_the_stated_share_of_the_step():
     assert (frame.max() - scene.full_scale_dn) / (frame.max() - frame.min()) == pytest.approx(
         0.2, abs=0.01
     )
-
-
-def test_the_same_seed_draws_the_same_frames():
-    scene = EdgeScene(frames=2, noise_blur_px=0.7, hot_share=0.01)
-    first, second = (scene.frames_drawn(np.random.default_rng(5)).data for _ in range(2))
-    assert np.array_equal(first, second)

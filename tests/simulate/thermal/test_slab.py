@@ -20,7 +20,6 @@ from tests.simulate.thermal.slabs import (
     slab_of,
 )
 
-NAMES = ("concrete", "asphalt", "dry soil")
 LAYERS = (CONCRETE, ASPHALT, DRY_SOIL)
 GROUND = Columns.of([slab_of(layer) for layer in LAYERS])
 STEPS = 288
@@ -54,23 +53,6 @@ def test_a_sine_of_flux_moves_the_face_as_the_half_space(h, amplitude, lag):
     found, late = harmonic(march(GROUND, forcing, start)[0])
     assert found == pytest.approx(amplitude, rel=2e-3)
     assert late == pytest.approx(lag, abs=0.03)
-
-
-def test_a_sine_of_the_face_sinks_in_by_the_penetration_depth():
-    # A convection this strong holds the face at the temperature of the air.
-    forcing = forcing_of(np.zeros((STEPS, 1)), 290.0 + np.sin(2.0 * np.pi * TIME / DAY), h=1e7)
-    concrete = Columns.of([slab_of(CONCRETE)])
-    _, cells = periodic_start(concrete, forcing)
-    inside = []
-    for step in range(STEPS):
-        _, cells = march(concrete, forcing.part(slice(step, step + 1)), cells)
-        inside.append(cells[:, 0])
-    amplitude, late = harmonic(np.array(inside))
-    depth, penetration = centres(), np.sqrt(2.0 * 1.4 / (2300.0 * 880.0) / (2.0 * np.pi / DAY))
-    near = depth < 0.15
-    assert penetration == pytest.approx(0.13792, abs=1e-5)
-    assert amplitude[near] == pytest.approx(np.exp(-depth / penetration)[near], abs=4e-3)
-    assert late[near] == pytest.approx((depth / penetration)[near] * 12.0 / np.pi, abs=0.03)
 
 
 @pytest.mark.parametrize("hours", [1.0, 6.0])
@@ -166,49 +148,6 @@ def test_the_converged_reference_day():
         above = face[:, other] > face[:, 0]
         crossings = hour[1:][np.diff(above.astype(int)) != 0]
         assert crossings == pytest.approx(times, abs=0.1)
-
-
-def test_a_day_of_history_is_enough_from_the_periodic_start_and_not_from_a_uniform_one():
-    _, forcing = reference_day([0.6, 0.9, 0.7], [0.92, 0.95, 0.94], end_h=2.0)
-    _, start = periodic_start(GROUND, forcing)
-    converged = np.full_like(start, 291.15)
-    for _ in range(40):
-        _, converged = march(GROUND, forcing.part(slice(5, None, 6)), converged, 1800.0)
-    for _ in range(4):
-        faces, converged = march(GROUND, forcing, converged)
-    found, _ = march(GROUND, forcing, start)
-    uniform, _ = march(GROUND, forcing, np.full_like(start, forcing.air_k[-1, 0]))
-    assert found[-1] == pytest.approx(faces[-1], abs=0.05)
-    assert (np.abs(uniform[-1] - faces[-1]) > 0.5).all()
-
-
-def test_the_periodic_start_is_where_days_lead_with_wind_dew_and_a_melting_face():
-    slabs = [
-        slab_of(CONCRETE),
-        slab_of(STEEL, back_w_m2_k=5.0),
-        slab_of((0.25, 300.0, 2090.0, 300.0), max_c=0.0),
-    ]
-    columns = Columns.of(
-        [*slabs, slab_of((0.8, 1700.0, 800.0, 200.0), (0.04, 30.0, 1400.0, 50.0), back_w_m2_k=8.0)]
-    )
-    _, calm = reference_day([0.6, 0.7, 0.2, 0.6], [0.92, 0.9, 0.98, 0.93])
-    more = {
-        "vapour_pa": vapour_pressure_pa(283.15),
-        "wind_m_s": 2.0 + 2.0 * np.sin(2.0 * np.pi * TIME / DAY),
-    }
-    forcing = forcing_of(
-        calm.flux_w_m2,
-        calm.air_k[:, 0],
-        emissivity=calm.emissivity,
-        law="buoyant",
-        upward=[1.0, 1.0, 1.0, 0.0],
-        **more,
-    )
-    face, start = periodic_start(columns, forcing)
-    again, end = march(columns, forcing, start)
-    assert again == pytest.approx(face, abs=2e-3)
-    assert end == pytest.approx(start, abs=2e-3)
-    assert face[:, 2].max() == 273.15
 
 
 def test_kernels_are_the_effect_of_lost_sun():
