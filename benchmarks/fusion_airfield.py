@@ -19,18 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fitting.described_camera import describe_camera
-from charact.fusion.alignment import align_bands, common_field, crop_band
-from charact.fusion.bands import Band
-from charact.fusion.fuse import fuse_all
-from charact.fusion.pyramid import fill_holes
-from charact.fusion.sources import Source, band_of, read_source
-from charact.fusion.truth_scores import (
+from charact.fusion import (
+    Band,
     FusionTruth,
+    Source,
+    align_bands,
+    band_of,
+    common_field,
+    crop_band,
     detectability2,
-    find_zones,
+    fill_holes,
+    fuse_all,
     object_channels,
+    read_source,
     truth_scores,
 )
+from charact.fusion.truth import find_zones
 from simulate import api, conditions_of, load_described_camera, session_files
 from simulate.camera.scene_to_photoelectrons import photoelectrons_from_radiance
 

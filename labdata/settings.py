@@ -45,11 +45,14 @@ class Setting(Argument):
         Lowest value, of a number.
     metavar
         Form of the text that the option takes; None: by the type.
+    repeated
+        Whether the option may be given several times, of a list.
     """
 
     option: str = ""
     minimum: float | None = None
     metavar: str | None = None
+    repeated: bool = False
 
 
 def ignore_progress(sentence: str, share: float) -> None:
@@ -129,6 +132,18 @@ FrameAxis = Annotated[
     str | None,
     Setting("Frame axis, index from 0 or name, if the file does not state it."),
 ]
+SceneCamera = Annotated[
+    "str | Path | Camera",
+    Setting(
+        "Camera of visible light whose lens and pixels define the map: name of a shipped "
+        "description, or path of a TOML file.",
+        option="--sensor",
+    ),
+]
+WithinMk = Annotated[
+    float, Setting("Error budget for neglected terms at the scene's time, mK.", minimum=0.0)
+]
+Resume = Annotated[bool, Setting("Resume an interrupted run; completed steps are kept.")]
 CameraDescription = Annotated[
     "str | Path | Camera | None",
     Setting(

@@ -1,7 +1,7 @@
 """Target in front of the camera."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from labdata.errors import BadInput, check
 
@@ -9,6 +9,14 @@ Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
 
 # Fields of a single kind of target.
 BELONGS_TO = {"bars": "bars", "frequency_cy_per_px": "bars", "pinhole_px": "point"}
+
+
+def kind_of(text: str) -> Kind:
+    """Return the kind of target of a text."""
+    for kind in get_args(Kind):
+        if kind == text:
+            return kind
+    raise BadInput(f"`kind` must be one of {', '.join(get_args(Kind))}, got {text!r}")
 
 
 @dataclass(frozen=True, kw_only=True)

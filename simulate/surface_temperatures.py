@@ -4,21 +4,29 @@ import csv
 import io
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
 from labdata.measurement import Provenance, Result, measurement_from_sd
+from labdata.settings import (
+    Argument,
+    ProgressSink,
+    SceneCamera,
+    Seed,
+    WithinMk,
+    documented,
+    ignore_progress,
+)
 
 if TYPE_CHECKING:
     from simulate.radiance.outdoor.scene import OutdoorScene
@@ -81,32 +89,23 @@ class SurfaceTemperatures(Result):
         write_atomically(folder / "map.npz", packed.getbuffer())
 
 
+@documented
 def temperatures(
-    scene: "str | Path | OutdoorScene",
+    scene: Annotated[
+        "str | Path | OutdoorScene",
+        Argument("A scene, its TOML file, or the name of a shipped one."),
+    ],
     *,
-    sensor: str | Path | Camera = "pulnix-ag5745ef3",
-    within_mk: float = 20.0,
-    seed: int = 0,
-    out: str | Path | None = None,
-    progress: Callable[[str, float], None] = lambda sentence, share: None,
+    sensor: SceneCamera = "pulnix-ag5745ef3",
+    within_mk: WithinMk = 20.0,
+    seed: Seed = 0,
+    out: Annotated[
+        str | Path | None,
+        Argument("Folder for the table, the map and the numbers used (default: none)."),
+    ] = None,
+    progress: ProgressSink = ignore_progress,
 ) -> SurfaceTemperatures:
     """Compute surface temperatures of an outdoor scene over the day before its time, and their map.
-
-    Parameters
-    ----------
-    scene
-        A scene, its TOML file, or the name of a shipped one.
-    sensor
-        Camera of visible light whose lens and pixels define the map: a shipped name, a TOML file or
-        a description.
-    within_mk
-        Error budget for neglected terms at the scene's time, mK.
-    seed
-        Seed of the points and rays by which surfaces see sun, sky and each other.
-    out
-        Folder for the table, the map and the numbers used; None: none.
-    progress
-        Called with a sentence and the fraction done (0..1).
 
     Returns
     -------

@@ -6,6 +6,8 @@ import runpy
 import sys
 from dataclasses import dataclass
 
+from labdata import BadInput
+
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
@@ -160,7 +162,10 @@ def main() -> None:
         study = STUDIES[words[1]]
         module = study.module if "." in study.module else f"benchmarks.studies.{study.module}"
         sys.argv = [module, *(words[2:] or study.arguments)]
-        runpy.run_module(module, run_name="__main__", alter_sys=True)
+        try:
+            runpy.run_module(module, run_name="__main__", alter_sys=True)
+        except BadInput as error:
+            sys.exit(str(error))
     else:
         sys.exit(
             f"a study must be one of {', '.join(STUDIES)}, as `run NAME`, or `list`; got "

@@ -74,7 +74,10 @@ def studies_of(quantity: str) -> tuple[Study, ...]:
     BadInput.
     """
     if quantity not in STUDIES:
-        raise BadInput(f"a study must be of one of {', '.join(STUDIES)}, got {quantity!r}")
+        raise BadInput(
+            f"QUANTITY of a study must be one of {', '.join(STUDIES)}, got "
+            f"{quantity or 'none'}: give one, as QUANTITY=mtf50 to make study"
+        )
     return STUDIES[quantity]
 
 
@@ -96,7 +99,7 @@ def argument_parser(name: str, description: str) -> ArgumentParser:
     parser = ArgumentParser(
         prog=f"python -m benchmarks.studies run {name}", description=description
     )
-    parser.add_argument("quantity", choices=list(STUDIES))
+    parser.add_argument("quantity", nargs="?", default="", help=", ".join(STUDIES))
     parser.add_argument(
         "--out", type=Path, default=Path("study"), help="folder of table and figure"
     )

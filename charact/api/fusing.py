@@ -3,31 +3,39 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from charact.api.inputs import Frames, frames_of, sensor_of
-from charact.fusion import files, scores
-from charact.fusion.alignment import align_bands, common_field, crop_bands
-from charact.fusion.bands import Band, Span, display_planes
-from charact.fusion.colour_table import ColourTable, fuse_by_table, make_colour_table
-from charact.fusion.fuse import fuse_all
-from charact.fusion.fused import Fused, codes_of
-from charact.fusion.scores import Score
-from charact.fusion.sequence import fuse_sequence, pair_frames
-from charact.fusion.sources import Source, band_of, read_source
+from charact.api.inputs import camera_of, frames_of, sensor_of
+from charact.api.settings import Frames, WithinPercent
 from charact.fusion.thresholds import FUSION
-from charact.fusion.truth_scores import FusionTruth, truth_scores, with_restoration_errors
-from charact.method.registry import Progress, ignore_progress, methods_of_kind
-from labdata.camera.description import Camera, has_tube, is_thermal
 from labdata.errors import BadInput
-from labdata.measurement import Result
-from labdata.sensors import load_camera
-from labdata.session import StackEntry
+from labdata.settings import (
+    Argument,
+    CameraDescription,
+    Progress,
+    ProgressSink,
+    Region,
+    Seed,
+    Setting,
+    documented,
+    ignore_progress,
+)
 
-Scores = Mapping[str, Sequence[Score]]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from charact.fusion import Band, ColourTable, Fused, FusionTruth, Score, Source
+    from labdata import Camera, Result
+
+Span = tuple[float, float]
+Scores = Mapping[str, "Sequence[Score]"]
+Truth = Annotated[
+    "str | Path | FusionTruth | None",
+    Setting(
+        "Truth of the scene (.npz with bands, objects, halos, zones): adds restoration errors."
+    ),
+]
 # Wavelengths whose reflectance is red, green and blue, nm, and the exponent of the display (IEC
 # 61966-2-1, nearly).
 COLOURS_NM, GAMMA = (610.0, 550.0, 465.0), 1.0 / 2.2
@@ -39,23 +47,23 @@ SKY, SKY_COLOUR = -1, (0.35, 0.45, 0.62)
 class Fusion:
     """Fused pictures of one or several methods, or of a sequence."""
 
-    pictures: Mapping[str, Fused]  #: Pictures by method; of a sequence its first one
+    pictures: Mapping[str, "Fused"]  #: Pictures by method; of a sequence its first one
     sources: tuple[str, ...]  #: Files or sessions that were fused
-    bands: tuple[
-        NDArray[np.uint8], ...
-    ] = ()  #: Bands as fused, codes of 8 bits; none of a sequence
-    region: files.Region | None = None  #: ROW, COL, HEIGHT, WIDTH of the visible frame; None: all
-    frames: tuple[Fused, ...] = ()  #: All pictures of a sequence
+    bands: "tuple[NDArray[np.uint8], ...]" = ()  #: Bands as fused, 8-bit codes; none of a sequence
+    region: Region | None = None  #: ROW, COL, HEIGHT, WIDTH of the visible frame; None: all
+    frames: "tuple[Fused, ...]" = ()  #: All pictures of a sequence
     time_s: tuple[float, ...] | None = None  #: Times of these, s
     scores: Scores = field(default_factory=dict)  #: Scores by method, where there are several
     truth_scores: Scores = field(default_factory=dict)  #: Scores against a truth, likewise
     aspect: float = 1.0  #: Row pitch over column pitch of the visible camera
 
     @property
-    def result(self) -> Result:
+    def result(self) -> "Result":
         """Measurements of all pictures: `fused_noise`, `fused_filled_area`, `fused_share`, and
         `fusion_error` against a truth.
         """
+        from labdata import Result
+
         return Result(
             measurements=tuple(m for fused in self.pictures.values() for m in fused.measurements)
         )
@@ -64,6 +72,7 @@ class Fusion:
         """Write the pictures to a folder, those of several methods with a page of their scores, or
         one picture to a .png or .tif.
         """
+        from charact.fusion import files
         from charact.reporting.fusion_page import fusion_page
         from labdata.file_io import write_atomically
 
@@ -79,72 +88,85 @@ class Fusion:
             write_atomically(target / files.PAGE, page.encode())
 
 
+@documented
 def fuse(
-    visible: Frames,
-    thermal: Frames,
-    *more: Frames,
-    method: str | Sequence[str] = "auto",
-    colour: bool = False,
-    sensor: str | Path | Camera | None = None,
-    imager: str | Path | Camera | None = None,
-    mcp_v: float | None = None,
-    black_dn: float | None = None,
-    spans: Mapping[str, Span] | None = None,
-    bloom: bool = True,
-    registered: bool = False,
-    range_m: float | None = None,
-    whole: bool = False,
-    sequence: bool = False,
-    recursive: float | None = None,
-    within_percent: float = FUSION.tolerance_percent,
-    table: str | Path | ColourTable | None = None,
-    truth: str | Path | FusionTruth | None = None,
-    seed: int = 0,
-    out: str | Path | None = None,
-    progress: Progress = ignore_progress,
+    visible: Annotated[
+        Frames,
+        Argument(
+            'Array (row, col) or (frame, row, col), DN; a file; "SESSION#LABEL"; or a stack. '
+            "Frames of several sizes need descriptions of both cameras, or a simulated session."
+        ),
+    ],
+    thermal: Annotated[Frames, Argument("Frames of the thermal camera, likewise.")],
+    *more: Annotated[Frames, Argument("Frames of further bands, likewise.")],
+    method: Annotated[
+        "str | Sequence[str]",
+        Setting(
+            "Method name, auto, or all; several for one page of pictures and scores.", repeated=True
+        ),
+    ] = "auto",
+    colour: Annotated[bool, Setting("Colour: keeps contrasts of opposite sign.")] = False,
+    sensor: CameraDescription = None,
+    imager: Annotated[
+        "str | Path | Camera | None",
+        Setting(
+            "Description of the thermal camera: shipped name or TOML file (default: that of the "
+            "session)."
+        ),
+    ] = None,
+    mcp_v: Annotated[
+        float | None, Setting("MCP voltage of the visible frame, V (default: from the session).")
+    ] = None,
+    black_dn: Annotated[
+        float | None, Setting("Black level of the visible frame, DN (default: from the file).")
+    ] = None,
+    spans: Annotated[
+        Mapping[str, Span] | Sequence[str] | None,
+        Setting(
+            "Fixed display span by band (visible, thermal, band-3), DN above black or K, such as "
+            "visible=12,38.",
+            option="--span",
+            metavar="BAND=LOW,HIGH",
+            repeated=True,
+        ),
+    ] = None,
+    bloom: Annotated[
+        bool, Setting("Estimate and subtract blooming, if not switched off.", option="--no-bloom")
+    ] = True,
+    registered: Annotated[
+        bool, Setting("Do not measure and correct the shift that geometry leaves.")
+    ] = False,
+    range_m: Annotated[
+        float | None,
+        Setting("Distance of the whole scene for parallax, m (default: range of each pixel)."),
+    ] = None,
+    whole: Annotated[
+        bool, Setting("Keep pixels outside a field of view (default: the field in common).")
+    ] = False,
+    sequence: Annotated[
+        bool, Setting("Fuse stacks frame by frame with one span, not their means.")
+    ] = False,
+    recursive: Annotated[
+        float | None,
+        Setting(
+            "Filter a sequence in time: share of the newest frame in the running mean, above 0 to "
+            "1."
+        ),
+    ] = None,
+    within_percent: WithinPercent = FUSION.tolerance_percent,
+    table: Annotated[
+        "str | Path | ColourTable | None",
+        Setting("Add a picture in the colours of a table: `fusion_colours`, charact fuse table."),
+    ] = None,
+    truth: Truth = None,
+    seed: Seed = 0,
+    out: Annotated[
+        "str | Path | None",
+        Argument("Folder, .png or .tif that the pictures are written to (default: none)."),
+    ] = None,
+    progress: ProgressSink = ignore_progress,
 ) -> Fusion:
     """Fuse frames of a visible and a thermal camera into one picture with uncertainty.
-
-    Parameters
-    ----------
-    visible, thermal, more
-        Arrays (row, col) or (frame, row, col), DN; files; "SESSION#LABEL"; or stacks. Frames of
-        several sizes need descriptions of both cameras, or a simulated session.
-    method
-        Name of a method, "auto" or "all"; several for one page of pictures and scores.
-    colour
-        Whether contrasts of opposite sign are kept, in colour.
-    sensor, imager
-        Description of the visible and of the thermal camera: a shipped name, a TOML file or an
-        object; None: that of the session.
-    mcp_v, black_dn
-        MCP voltage, V, and black level, DN, of the visible frame; None: from session or file.
-    spans
-        Values shown as 0 and 1, DN above black or K, by band: "visible", "thermal", "band-3".
-    bloom
-        Whether blooming is estimated and subtracted.
-    registered
-        Whether the shift that geometry leaves is neither measured nor corrected.
-    range_m
-        Distance of the whole scene for parallax, m; None: range of each pixel.
-    whole
-        Whether pixels outside a field of view are kept; otherwise the field in common.
-    sequence
-        Whether stacks are fused frame by frame with one span, not their means.
-    recursive
-        Share of the newest frame in a running mean of a sequence, above 0 to 1; None: no filter.
-    within_percent
-        Restoration error that "auto" must meet, percent.
-    table
-        Colour table of `fusion_colours`, or its file: adds a picture "colour-table".
-    truth
-        Truth of the scene, or its file: adds restoration errors.
-    seed
-        Seed of every random step.
-    out
-        Folder, .png or .tif that the pictures are written to; None: none.
-    progress
-        Called with a sentence and the fraction done (0..1).
 
     Returns
     -------
@@ -165,6 +187,13 @@ def fuse(
     >>> fused.picture.shape, fused.sd.shape, fused.share.shape
     ((64, 64), (64, 64), (2, 64, 64))
     """
+    from charact.fusion import files
+    from charact.fusion.alignment import align_bands, common_field, crop_bands
+    from charact.fusion.noise_aware import ColourTable, fuse_by_table
+    from charact.fusion.pictures import fuse_all
+    from charact.fusion.sources import band_of
+    from charact.method.registry import methods_of_kind
+
     names = list(dict.fromkeys([method] if isinstance(method, str) else method))
     names = list(methods_of_kind("fusion")) if "all" in names else names
     if sequence and (len(names) > 1 or truth is not None or table is not None):
@@ -182,7 +211,7 @@ def fuse(
     region = None if whole else common_field(places)
     settings: dict[str, Any] = {
         "colour": colour,
-        "spans": dict(spans or {}),
+        "spans": spans_of(spans or {}),
         "within_percent": within_percent,
     }
     given = tuple(
@@ -200,29 +229,51 @@ def fuse(
             pictures["colour-table"] = fuse_by_table(bands, loaded)
         fusion = _scored(pictures, bands, _truth(truth, region), settings["spans"], seed, progress)
         camera = read[0].camera
-        aspect = camera.pitch_ratio if has_tube(camera) else 1.0
+        aspect = camera.pitch_ratio if camera is not None and camera.has_tube else 1.0
         fusion = replace(fusion, sources=given, region=region, aspect=aspect)
     if out is not None:
         fusion.save(out)
     return fusion
 
 
+def spans_of(spans: Mapping[str, Span] | Sequence[str]) -> dict[str, Span]:
+    """Return display spans by band, also of texts BAND=LOW,HIGH.
+
+    Examples
+    --------
+    >>> spans_of(["visible=12,38.5"])
+    {'visible': (12.0, 38.5)}
+    """
+    if isinstance(spans, Mapping):
+        return dict(spans)
+    by_band = {}
+    for text in spans:
+        name, _, ends = text.partition("=")
+        try:
+            low, high = (float(end) for end in ends.split(","))
+        except ValueError:
+            raise BadInput(f"`spans` must be BAND=LOW,HIGH, got {text!r}") from None
+        by_band[name] = (low, high)
+    return by_band
+
+
 def _read(
     given: Sequence[Frames],
-    sensor: str | Path | Camera | None,
-    imager: str | Path | Camera | None,
+    sensor: CameraDescription = None,
+    imager: CameraDescription = None,
     *,
-    mcp_v: float | None,
-    black_dn: float | None,
-) -> list[Source]:
+    mcp_v: float | None = None,
+    black_dn: float | None = None,
+) -> "list[Source]":
     """Read all sources; descriptions are of the first and of the second one, voltage and black
     level of the first.
     """
     from charact.fitting.described_camera import describe_camera
+    from charact.fusion.sources import read_source
+    from labdata import StackEntry
 
-    described = sensor_of(sensor)
-    thermal = load_camera(str(imager)) if isinstance(imager, str | Path) else imager
-    if thermal is not None and not is_thermal(thermal):
+    described, thermal = sensor_of(sensor), camera_of(imager)
+    if thermal is not None and not thermal.is_thermal:
         raise BadInput(f"imager must be a thermal camera, got {thermal.name!r}")
     names = ["visible", "thermal", *(f"band-{number}" for number in range(3, len(given) + 1))]
     cameras = [described, thermal, *(None for _ in given[2:])]
@@ -240,15 +291,17 @@ def _read(
 
 
 def _fuse_frames(
-    read: list[Source],
+    read: "list[Source]",
     method: str,
     given: tuple[str, ...],
     places: Sequence[Any],
-    region: files.Region | None,
+    region: Region | None,
     progress: Progress,
     **settings: Any,
 ) -> Fusion:
     """Fuse a sequence frame by frame; its notes stand with the first picture."""
+    from charact.fusion.pictures import fuse_sequence, pair_frames
+
     pairs, notes = pair_frames(read)
     frames = []
     for fused in fuse_sequence(
@@ -268,9 +321,9 @@ def _fuse_frames(
 
 
 def _scored(
-    pictures: dict[str, Fused],
-    bands: Sequence[Band],
-    truth: FusionTruth | None,
+    pictures: "dict[str, Fused]",
+    bands: "Sequence[Band]",
+    truth: "FusionTruth | None",
     spans: dict[str, Span],
     seed: int,
     progress: Progress,
@@ -278,6 +331,13 @@ def _scored(
     """Return pictures with their errors against a truth, and where they are several their
     scores.
     """
+    import numpy as np
+
+    from charact.fusion.bands import display_planes
+    from charact.fusion.fused import codes_of
+    from charact.fusion.scores import score
+    from charact.fusion.truth import truth_scores, with_restoration_errors
+
     frames = None if truth is None else np.stack([band.image for band in bands])
     planes = display_planes(bands, bloom=False, spans=spans)
     shown = tuple(codes_of(plane.value) for plane in planes)
@@ -291,39 +351,39 @@ def _scored(
         if len(pictures) > 1:
             progress(f"scores of {name}", 0.8 + 0.2 * number / len(pictures))
             rng = np.random.default_rng(seed)
-            by_method[name] = scores.score(shown[0], shown[1], fused.codes, rng=rng)
+            by_method[name] = score(shown[0], shown[1], fused.codes, rng=rng)
     return Fusion(
         pictures=pictures, sources=(), bands=shown, scores=by_method, truth_scores=against_truth
     )
 
 
-def _truth(
-    truth: str | Path | FusionTruth | None, region: files.Region | None
-) -> FusionTruth | None:
+def _truth(truth: Truth, region: Region | None) -> "FusionTruth | None":
     """Return the truth of a scene, cut to the region of a fused picture if it is larger."""
+    from charact.fusion.truth import FusionTruth
+
     if isinstance(truth, str | Path):
         truth = FusionTruth.load(Path(truth))
     return None if truth is None else truth.cropped(region)
 
 
+Picture = Annotated[
+    "str | Path | NDArray[np.uint8]",
+    Argument("Picture of 8 bits, DN: an array (row, col) or (row, col, 3), or a file."),
+]
+
+
+@documented
 def fusion_scores(
-    visible: str | Path | NDArray[np.uint8],
-    thermal: str | Path | NDArray[np.uint8],
-    fused: str | Path | NDArray[np.uint8],
+    visible: Picture,
+    thermal: Picture,
+    fused: Picture,
     *,
-    truth: str | Path | FusionTruth | None = None,
-    seed: int = 0,
-) -> tuple[Score, ...]:
+    truth: Truth = None,
+    seed: Seed = 0,
+) -> "tuple[Score, ...]":
     """Score a fused picture by eleven measures of the literature, with a noise and a copy control.
 
-    Parameters
-    ----------
-    visible, thermal, fused
-        Pictures of one size in codes of 8 bits, DN: arrays (row, col) or (row, col, 3), or files.
-    truth
-        Truth of the scene, or its file: adds scores against it.
-    seed
-        Seed of the noise control.
+    The pictures are of one size; a truth adds scores against it.
 
     Returns
     -------
@@ -343,8 +403,14 @@ def fusion_scores(
     >>> rows["entropy"].value == rows["entropy"].copy_control
     True
     """
+    import numpy as np
+
+    from charact.fusion import files
+    from charact.fusion.scores import score
+    from charact.fusion.truth import truth_scores
+
     codes = [files.read_codes(picture) for picture in (visible, thermal, fused)]
-    rows = scores.score(codes[0], codes[1], codes[2], rng=np.random.default_rng(seed))
+    rows = score(codes[0], codes[1], codes[2], rng=np.random.default_rng(seed))
     region = files.region_of(Path(fused)) if isinstance(fused, str | Path) else None
     known = _truth(truth, region)
     if known is None:
@@ -353,17 +419,17 @@ def fusion_scores(
     return rows + truth_scores(codes[2], known, grey, rng=np.random.default_rng(seed))
 
 
+@documented
 def fusion_colours(
-    visible: str | Path, thermal: str | Path, scene: str | Path
-) -> tuple[ColourTable, tuple[str, ...]]:
+    visible: Annotated[
+        "str | Path", Argument('"SESSION#LABEL" of the visible camera of a simulated session.')
+    ],
+    thermal: Annotated["str | Path", Argument('"SESSION#LABEL" of the thermal camera.')],
+    scene: Annotated[
+        "str | Path", Argument("The simulated scene: its TOML file, or the name of a shipped one.")
+    ],
+) -> "tuple[ColourTable, tuple[str, ...]]":
     """Make a table of daylight colours for `fuse` from the truth of a simulated session.
-
-    Parameters
-    ----------
-    visible, thermal
-        "SESSION#LABEL" of the visible and of the thermal camera.
-    scene
-        The simulated scene: its TOML file, or the name of a shipped one.
 
     Returns
     -------
@@ -375,7 +441,11 @@ def fusion_colours(
     BadInput
         If the session has no truth, or the scene is not an outdoor one.
     """
-    read = _read((visible, thermal), None, None, mcp_v=None, black_dn=None)
+    from charact.fusion.alignment import align_bands, common_field, crop_bands
+    from charact.fusion.noise_aware import make_colour_table
+    from charact.fusion.sources import band_of
+
+    read = _read((visible, thermal))
     bands, places = align_bands([band_of(source) for source in read], read)
     rows, cols = bands[0].image.shape
     region = row, col, height, width = common_field(places) or (0, 0, rows, cols)
@@ -390,6 +460,8 @@ def _daylight_colours(
     """Return the daylight colour of each material of a scene, and of the sky, by the numbers of the
     truth.
     """
+    import numpy as np
+
     from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
 

@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
-from charact.cli import options
+from charact.cli.options import Events
 from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 from charact.cli.outputs import Force, require_free_session
+from labdata.settings import Resume, Setting
 
 
 def acquire(
@@ -15,17 +16,13 @@ def acquire(
         Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")
     ],
     out: Annotated[Path, typer.Argument(help="Output session folder.")],
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Resume an interrupted run; completed steps are kept.")
-    ] = False,
+    resume: Resume = False,
     inject_faults: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FAULTS.toml", help="Inject the faults of FAULTS.toml into the virtual bench."
-        ),
+        Setting("Inject the faults of FAULTS.toml into the virtual bench.", metavar="FAULTS.toml"),
     ] = None,
     force: Force = False,
-    events: options.Events = False,
+    events: Events = False,
 ) -> None:
     """Run an acquisition plan on real or virtual instruments and store a session.
 
@@ -87,18 +84,16 @@ def demo(
     out: Annotated[
         Path, typer.Argument(help="Folder for the session, the fitted sensor and the report.")
     ] = Path("demo"),
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Reduced run: fewer frames, no Markov chains.")
-    ] = False,
+    quick: Annotated[bool, Setting("Reduced run: fewer frames, no Markov chains.")] = False,
     seed: Annotated[
         int | None,
-        typer.Option(
-            help="Random seed of the device under test and of all noise (default: from the clock).",
-            min=0,
+        Setting(
+            "Random seed of the device under test and of all noise (default: from the clock).",
+            minimum=0,
         ),
     ] = None,
     force: Force = False,
-    events: options.Events = False,
+    events: Events = False,
 ) -> None:
     """Run the complete loop on the virtual bench: acquire, characterize, fit, simulate, validate,
     report.
@@ -117,7 +112,7 @@ def safe(
         Path | None,
         typer.Argument(help="Plan of the bench (default: the last real bench of this machine)."),
     ] = None,
-    events: options.Events = False,
+    events: Events = False,
 ) -> None:
     """Close the gate and switch the high voltage and the lamp off, without camera or session.
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from charact.cli.options import parse_kind
 from charact.cli.output import exit_on_bad_input
 from charact.cli.outputs import (
     Force,
@@ -115,12 +114,13 @@ def frames(
         if not add:
             require_free_session(out, "import", force=force)
         from labdata.session_import import import_frames
+        from labdata.target import kind_of
 
         with nullcontext() if add else manifest_to_replace(out):
             session = import_frames(
                 sources,
                 out,
-                kind=None if kind is None else parse_kind(kind),
+                kind=None if kind is None else kind_of(kind),
                 name_pattern=name_pattern,
                 label=label,
                 axis=axis,

@@ -10,13 +10,16 @@ import typer
 from typer.core import TyperGroup
 
 from charact import __version__
-from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
+from charact.api import fusing
+from charact.cli.options import Events, Json, of, verb
+from charact.cli.output import (
+    exit_on_bad_input,
+    print_message,
+    print_result,
+    progress_bar,
+)
 from charact.cli.outputs import Force, require_free
 from labdata.errors import BadInput
-
-# The option of a parameter that switches off.
-options.OPTIONS["bloom"] = "--no-bloom"
 
 
 class _PicturesByDefault(TyperGroup):
@@ -46,99 +49,11 @@ Sources = Annotated[
         "session."
     ),
 ]
-Truth = Annotated[
-    Path | None,
-    typer.Option(
-        help="Truth of the scene (.npz with bands, objects, halos, zones): adds restoration errors."
-    ),
-]
 
 
 @app.command()
-def pictures(
-    sources: Sources,
-    method: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--method",
-            help="Method name, auto, or all; several for one page of pictures and scores.",
-        ),
-    ] = None,
-    colour: Annotated[
-        bool, typer.Option("--colour", help="Colour: keeps contrasts of opposite sign.")
-    ] = False,
-    sensor: options.SensorName = None,
-    imager: Annotated[
-        str | None,
-        typer.Option(help="Description of the thermal camera: shipped name or TOML file."),
-    ] = None,
-    mcp_v: Annotated[
-        float | None,
-        typer.Option(
-            "--mcp-v", help="MCP voltage of the visible frame, V (default: from the session)."
-        ),
-    ] = None,
-    black_dn: Annotated[
-        float | None,
-        typer.Option(
-            "--black-dn", help="Black level of the visible frame, DN (default: from the file)."
-        ),
-    ] = None,
-    span: Annotated[
-        list[str] | None,
-        typer.Option(help="Fixed display span BAND=LOW,HIGH in DN above black or K."),
-    ] = None,
-    no_bloom: Annotated[
-        bool, typer.Option("--no-bloom", help="Do not estimate and subtract blooming.")
-    ] = False,
-    registered: Annotated[
-        bool,
-        typer.Option(
-            "--registered", help="Do not measure and correct the shift that geometry leaves."
-        ),
-    ] = False,
-    range_m: Annotated[
-        float | None,
-        typer.Option(
-            "--range-m",
-            help="Distance of the whole scene for parallax, m (default: range of each pixel).",
-        ),
-    ] = None,
-    whole: Annotated[
-        bool,
-        typer.Option(
-            "--whole", help="Keep pixels outside a field of view (default: the field in common)."
-        ),
-    ] = False,
-    sequence: Annotated[
-        bool,
-        typer.Option(
-            "--sequence", help="Fuse stacks frame by frame with one span, not their means."
-        ),
-    ] = False,
-    recursive: Annotated[
-        float | None,
-        typer.Option(
-            help=(
-                "Filter a sequence in time: share of the newest frame in the running mean, above "
-                "0 to 1."
-            )
-        ),
-    ] = None,
-    within: options.Within = 60.0,
-    colours: Annotated[
-        Path | None,
-        typer.Option(
-            "--table", help="Add a picture in the colours of a table: charact fuse table."
-        ),
-    ] = None,
-    truth: Truth = None,
-    seed: options.Seed = 0,
-    force: Force = False,
-    everything: options.Everything = False,
-    as_json: options.Json = False,
-    events: options.Events = False,
-) -> None:
+@verb(fusing.fuse, print_result)
+def pictures(sources: Sources, force: Force = False, **settings: Any) -> None:
     """Fuse pictures (default command).
 
     Writes fused.tif, fused.png, sd.tif, share.tif, mask.png, fused.json and each band as it was
@@ -148,42 +63,18 @@ def pictures(
 
     Example: charact fuse night#pulnix-ag5745ef3 night#vox-lwir-640 fused --method all
     """
-    *given, out = sources
+    (*given, out), as_json, events = sources, settings["as_json"], settings["events"]
     with (
         exit_on_bad_input(" ".join(given), as_json=as_json, events=events),
         progress_bar(events=events) as progress,
     ):
         if len(given) < 2:
             raise BadInput(f"fuse needs VISIBLE THERMAL [MORE...] OUT, got {' '.join(sources)}")
-        target, names = Path(out), method or ["auto"]
-        _require_output(
-            target,
-            is_folder=len(set(names)) > 1 or "all" in names or sequence or colours is not None,
-            force=force,
-        )
-        import charact
-
-        fusion = charact.fuse(
-            *given,
-            method=names,
-            colour=colour,
-            sensor=sensor,
-            imager=imager,
-            mcp_v=mcp_v,
-            black_dn=black_dn,
-            spans=_spans(span or []),
-            bloom=not no_bloom,
-            registered=registered,
-            range_m=range_m,
-            whole=whole,
-            sequence=sequence,
-            recursive=recursive,
-            within_percent=within,
-            table=colours,
-            truth=truth,
-            seed=seed,
-            progress=progress,
-        )
+        target, names = Path(out), settings["method"]
+        several = len(set(names)) > 1 or "all" in names
+        is_folder = several or settings["sequence"] or settings["table"] is not None
+        _require_output(target, is_folder=is_folder, force=force)
+        fusion = fusing.fuse(*given, progress=progress, **of(fusing.fuse, settings))
         fusion.save(target)
         progress("", 1.0)
         pictures = fusion.pictures
@@ -193,12 +84,10 @@ def pictures(
             fusion.result,
             given=" ".join(given),
             verb="fuse",
-            as_json=as_json,
-            events=events,
-            everything=everything,
             next_verb=None
             if target.suffix
             else f"charact fuse score {inputs[0]} {inputs[1]} {first / 'fused.png'}",
+            **of(print_result, settings),
         )
         if not as_json:
             print_message(f"{target}: {', '.join(pictures)} of {', '.join(given)}", events=events)
@@ -218,28 +107,15 @@ def _require_output(out: Path, *, is_folder: bool, force: bool) -> None:
     require_free(out, force=force, taken=taken, kept=lambda: other)
 
 
-def _spans(texts: list[str]) -> dict[str, tuple[float, float]]:
-    """Return spans by band of texts BAND=LOW,HIGH."""
-    spans = {}
-    for text in texts:
-        name, _, ends = text.partition("=")
-        try:
-            low, high = (float(end) for end in ends.split(","))
-        except ValueError:
-            raise BadInput(f"--span must be BAND=LOW,HIGH, got {text!r}") from None
-        spans[name] = (low, high)
-    return spans
-
-
 @app.command()
+@verb(fusing.fusion_scores)
 def score(
     visible: Annotated[Path, typer.Argument(help="Visible picture of 8 bits.")],
     thermal: Annotated[Path, typer.Argument(help="Thermal picture of 8 bits.")],
     fused: Annotated[Path, typer.Argument(help="Fused picture of 8 bits, grey or colour.")],
-    truth: Truth = None,
-    seed: options.Seed = 0,
-    as_json: options.Json = False,
-    events: options.Events = False,
+    as_json: Json = False,
+    events: Events = False,
+    **settings: Any,
 ) -> None:
     """Score a fused picture by eleven measures of the literature, each with a noise and a copy
     control.
@@ -247,9 +123,7 @@ def score(
     Example: charact fuse score visible.png thermal.png fused/fused.png
     """
     with exit_on_bad_input(str(fused), as_json=as_json, events=events):
-        import charact
-
-        rows = charact.fusion_scores(visible, thermal, fused, truth=truth, seed=seed)
+        rows = fusing.fusion_scores(visible, thermal, fused, **settings)
         if as_json:
             document = {
                 "charact": __version__,
@@ -285,8 +159,6 @@ def table(
         if out.suffix != ".npz":
             raise BadInput(f"OUT must be an .npz, got {out.name!r}")
         require_free(out, force=force, kept=lambda: None if out.is_file() else "a folder")
-        import charact
-
-        made, names = charact.fusion_colours(visible, thermal, scene)
-        made.save(out)
+        colours, names = fusing.fusion_colours(visible, thermal, scene)
+        colours.save(out)
         print_message(f"{out}: colours of {len(names)} materials")

@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from typer.models import OptionInfo
 
-from charact.api.settings import WithinPercent
-from labdata.errors import BadInput
-from labdata.settings import CameraDescription, Seed, Setting, declaration_of, default_option
+from labdata.settings import Setting, declaration_of, default_option
 
 if TYPE_CHECKING:
     from charact.reporting.frequency_unit import FrequencyUnit
-    from labdata.sensors import Camera
-    from labdata.session import Kind
+    from labdata.camera.description import Camera
 
 # Types of parameters that an option has as well; any other parameter takes a text.
 PLAIN = {bool, int, float, str, Path, type(None)}
@@ -33,9 +30,6 @@ Everything = Annotated[
         option="--all",
     ),
 ]
-SensorName = Annotated[str | None, declaration_of(CameraDescription)]
-Within = WithinPercent
-__all__ = ["Events", "Everything", "Json", "Seed", "SensorName", "Within"]
 
 
 def in_options(text: str) -> str:
@@ -116,9 +110,19 @@ def _as_option(parameter: inspect.Parameter) -> inspect.Parameter:
     setting = declaration_of(parameter.annotation)
     if not isinstance(setting, Setting):
         return parameter
-    name = setting.option or default_option(parameter.name)
-    option = typer.Option(name, help=setting.help, min=setting.minimum, metavar=setting.metavar)
-    return parameter.replace(annotation=Annotated[_type_of_option(parameter.annotation), option])
+    name, default = setting.option or default_option(parameter.name), parameter.default
+    can_only_switch_off = name.startswith("--no-")
+    option = typer.Option(
+        f" /{name}" if can_only_switch_off else name,
+        help=setting.help,
+        min=setting.minimum,
+        metavar=setting.metavar,
+        show_default=not can_only_switch_off,
+    )
+    kind = _type_of_option(parameter.annotation)
+    if setting.repeated:
+        kind, default = list[str] | None, [default] if isinstance(default, str) else default
+    return parameter.replace(annotation=Annotated[kind, option], default=default)
 
 
 def _name_of_option(parameter: inspect.Parameter) -> str | None:
@@ -127,7 +131,7 @@ def _name_of_option(parameter: inspect.Parameter) -> str | None:
         if isinstance(option, OptionInfo):
             # In an annotation the first name is where the default stands elsewhere.
             names = (option.default, *(option.param_decls or ()), default_option(parameter.name))
-            return next(name for name in names if str(name).startswith("--"))
+            return next(name.strip(" /") for name in map(str, names) if "--" in name)
     return None
 
 
@@ -178,13 +182,3 @@ def frequency_unit(
         demagnification=demagnification,
         focal_length_mm=focal_length_mm,
     )
-
-
-def parse_kind(text: str) -> "Kind":
-    """Return the stack kind of a --kind, or raise BadInput."""
-    from labdata.session import Kind
-
-    for kind in get_args(Kind):
-        if kind == text:
-            return kind
-    raise BadInput(f"`kind` must be one of {', '.join(get_args(Kind))}, got {text!r}")

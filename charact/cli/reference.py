@@ -114,16 +114,14 @@ def stability(quantity: Name) -> None:
 
 def _shipped_rows(quantity: str) -> list[dict[str, Any]]:
     """Return the rows of the shipped table of a quantity."""
-    from charact.method.registry import CHARTED, chart_table
+    from charact.method.registry import chart_table, charted_quantities
 
-    rows = chart_table(quantity)
-    if not rows:
-        quantities = dict.fromkeys(name for name, _ in CHARTED.values() if chart_table(name))
+    if quantity not in (charted := charted_quantities()):
         raise BadInput(
-            f"a chart is shipped of {', '.join(quantities)}, got {quantity!r}; in a checkout, "
-            f"make study NAME=chart QUANTITY={quantity} measures one"
+            f"QUANTITY must be one with a shipped table, {', '.join(charted)}, got {quantity!r}: "
+            "charact methods lists what each method measures"
         )
-    return rows
+    return chart_table(quantity)
 
 
 def doctor(

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from charact.cli import options
+from charact.cli.options import Events
 from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 from charact.cli.outputs import Force, remove_session, require_free_session
+from labdata.settings import Seed
 
 if TYPE_CHECKING:
     from labdata.camera.description import Camera
@@ -62,7 +63,7 @@ def simulate(
         ),
     ] = None,
     frames: Annotated[int, typer.Option(help="Number of frames of each sensor.", min=1)] = 8,
-    seed: options.Seed = 0,
+    seed: Seed = 0,
     photoelectrons_per_dn: PerDn = None,
     black_dn: Annotated[
         float | None, typer.Option(help="Black level of the input image, DN (default: 0).")
@@ -134,7 +135,7 @@ def simulate(
         ),
     ] = None,
     force: Force = False,
-    events: options.Events = False,
+    events: Events = False,
 ) -> None:
     """Simulate frames of a scene, image or radiance cube and store them as a session.
 
@@ -153,7 +154,7 @@ def simulate(
         progress_bar(events=events) as progress,
     ):
         require_free_session(out, "simulation", force=force, sources=(source, *map(Path, sensor)))
-        from labdata.target import Target
+        from labdata.target import Target, kind_of
         from simulate import api
 
         _require_radiance_format(radiance)
@@ -170,7 +171,7 @@ def simulate(
         rig = _set_cameras(_load_cameras(sensor, phosphor), given, events)
         request = api.SimulationRequest(
             source=source,
-            kind=None if kind is None else options.parse_kind(kind),
+            kind=None if kind is None else kind_of(kind),
             target=Target(frequency_cy_per_px=frequency, pinhole_px=pinhole_px),
             photoelectrons_per_dn=photoelectrons_per_dn,
             black_dn=black_dn,

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from charact.cli import options
+from charact.cli.options import Events, Json
 from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
 from charact.cli.outputs import Force, require_free
+from labdata.settings import SceneCamera, Seed, Setting, WithinMk
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,26 +22,15 @@ def temperatures(
         Path, typer.Argument(help="Outdoor scene (.toml, or name of a shipped scene).")
     ],
     out: Annotated[Path, typer.Argument(help="New folder for tables and figures.")],
-    sensor: Annotated[
-        str,
-        typer.Option(
-            help="Sensor description whose lens and pixels define the map: name or TOML file."
-        ),
-    ] = "pulnix-ag5745ef3",
-    within_mk: Annotated[
-        float,
-        typer.Option(help="Error budget for neglected terms at the scene's time, mK.", min=0.0),
-    ] = 20.0,
-    seed: options.Seed = 0,
+    sensor: SceneCamera = "pulnix-ag5745ef3",
+    within_mk: WithinMk = 20.0,
+    seed: Seed = 0,
     force: Force = False,
     explain: Annotated[
-        bool,
-        typer.Option(
-            "--explain", help="Print the bound on each term and which terms are neglected."
-        ),
+        bool, Setting("Print the bound on each term and which terms are neglected.")
     ] = False,
-    as_json: options.Json = False,
-    events: options.Events = False,
+    as_json: Json = False,
+    events: Events = False,
 ) -> None:
     """Compute surface temperatures of a scene over the day before its time, and their map at its
     time.

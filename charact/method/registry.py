@@ -277,11 +277,19 @@ def methods_of_kind(kind: str) -> dict[str, Method]:
     return {name: METHODS[kind, name] for name in names}
 
 
+TABLES = resources.files("charact.method") / "tables"
+
+
+def charted_quantities() -> list[str]:
+    """Return the quantities whose methods have a measured speed and accuracy table."""
+    return sorted(file.name.removesuffix(".json") for file in TABLES.iterdir())
+
+
 def chart_table(quantity: str) -> list[dict[str, Any]]:
     """Return the rows of the measured speed and accuracy table of a quantity; empty if there is
     none.
     """
-    path = resources.files("charact.method") / "tables" / f"{quantity}.json"
+    path = TABLES / f"{quantity}.json"
     return json.loads(path.read_text())["methods"] if path.is_file() else []
 
 

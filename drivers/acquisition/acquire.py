@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 from drivers.acquisition.plan_check import (
     check_plan,
@@ -33,6 +33,7 @@ from labdata.plan_file import plan_toml, read_plan
 from labdata.sensors import load_sensor, save_sensor, sensor_names
 from labdata.session import MANIFEST, Session, open_session
 from labdata.session_writer import SessionWriter
+from labdata.settings import Argument, ProgressSink, Resume, documented, ignore_progress
 from labdata.storage_thread import Storage
 from labdata.tube_dose import DoseLedger, ledger_of
 
@@ -41,50 +42,55 @@ LOG = "log.jsonl"
 SAFETY_LOG, DOSE = "safety.jsonl", "dose.jsonl"
 
 
+@documented
 def acquire(
-    plan: str | Path | Plan,
-    out: str | Path,
+    plan: Annotated[
+        str | Path | Plan, Argument("A plan, its TOML file, or the name of a shipped one.")
+    ],
+    out: Annotated[str | Path, Argument("Folder of the session.")],
     *,
-    operator: Operator,
-    camera: AbstractContextManager[Camera] | None = None,
-    bench: AbstractContextManager[Bench] | None = None,
-    judge: Judge | None = None,
-    predict: Predict | None = None,
-    resume: bool = False,
-    progress: Callable[[str, float], None] = lambda sentence, fraction: None,
-    requests: RunControl | None = None,
+    operator: Annotated[Operator, Argument("Places targets and sets light.")],
+    camera: Annotated[
+        AbstractContextManager[Camera] | None,
+        Argument("Not yet opened (default: that which the plan names)."),
+    ] = None,
+    bench: Annotated[
+        AbstractContextManager[Bench] | None,
+        Argument(
+            "Not yet opened; it is opened before the camera and closed after it, and both make the "
+            "tube safe (default: the real one that the plan names)."
+        ),
+    ] = None,
+    judge: Annotated[
+        Judge | None,
+        Argument(
+            "Assesses each stack during acquisition, such as `charact.live.SaturationJudge`; its "
+            "complaint becomes a note of the stack."
+        ),
+    ] = None,
+    predict: Annotated[
+        Predict | None,
+        Argument(
+            "Predicts the level of the brightest part of a step above black, DN, from its conditions "
+            "with the voltage of the plate; a frame far above it ends the run (default: not compared)."
+        ),
+    ] = None,
+    resume: Resume = False,
+    progress: ProgressSink = ignore_progress,
+    requests: Annotated[
+        RunControl | None,
+        Argument(
+            "Requests of the user, and where they are confirmed (default: Ctrl-C and SIGUSR1)."
+        ),
+    ] = None,
 ) -> Session:
     """Acquire a plan's stacks into a session, and return it.
 
     The tube is made safe first, and the plan is checked completely before anything is switched on.
     Frames are stored by a separate thread; progress counts those on the disk. Whatever ends the
     run, including errors of an instrument or the disk, the gate is shut and the gain lowered first;
-    acquired frames are kept, and the session's log records the cause.
-
-    Parameters
-    ----------
-    plan
-        A plan, its TOML file, or the name of a shipped one.
-    out
-        Folder of the session.
-    operator
-        Places targets and sets light.
-    camera, bench
-        Not yet opened; the bench is opened first and closed last. Both make the tube safe. None:
-        those that the plan names, on a real bench.
-    judge
-        Assesses each stack during acquisition, such as `charact.live.judge.SaturationJudge`; its
-        complaint becomes a note of the stack.
-    predict
-        Predicts the level of the brightest part of a step above black, DN, from its conditions with
-        the voltage of the plate; a frame far above it ends the run. None: not compared.
-    resume
-        Continue an interrupted run: finished stacks are not repeated, a partial one is completed,
-        or acquired again where the bench failed during it.
-    progress
-        Called with the step and the completed fraction (0..1).
-    requests
-        Requests of the user, and where they are confirmed; by default Ctrl-C and SIGUSR1.
+    acquired frames are kept, and the session's log records the cause. A resumed run does not repeat
+    finished stacks; it completes a partial one, or acquires it again where the bench failed.
 
     Returns
     -------

@@ -3,6 +3,7 @@
 import shutil
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Annotated
 
 from drivers.acquisition.plans import load_plan
 from drivers.acquisition.run import DISCARDED_FRAMES
@@ -18,6 +19,7 @@ from labdata.gating import Gating, out_of_step
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step, by_calibration, gain_table_of, in_volts
 from labdata.sensors import load_sensor
+from labdata.settings import Argument, documented
 from labdata.tube_dose import Dose, dose_of, ledger_of, total_dose, warnings
 
 _NEEDED = {
@@ -269,17 +271,18 @@ class PlanReport:
         return max(self.steps, key=lambda forecast: forecast.share_of_limit)
 
 
-def plan_report(plan: str | Path | Plan, out: str | Path = ".") -> PlanReport:
+@documented
+def plan_report(
+    plan: Annotated[
+        str | Path | Plan, Argument("A plan, its TOML file, or the name of a shipped one.")
+    ],
+    out: Annotated[
+        str | Path, Argument("Folder of the session, whose disk must have space for the frames.")
+    ] = ".",
+) -> PlanReport:
     """Check an acquisition plan and forecast its time, disk space and tube dose.
 
     Nothing is switched on.
-
-    Parameters
-    ----------
-    plan
-        A plan, its TOML file, or the name of a shipped one.
-    out
-        Folder of the session, whose disk must have space for the frames.
 
     Returns
     -------

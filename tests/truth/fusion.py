@@ -17,8 +17,7 @@ from scipy.ndimage import gaussian_filter
 from charact.estimators.bloom.bloom_map import bloom_map
 from charact.estimators.bloom.posterior_psf import PosteriorPsf
 from charact.frames.noise_law import NoiseLaw
-from charact.fusion.bands import Band
-from charact.fusion.truth_scores import FusionTruth
+from charact.fusion import Band, FusionTruth
 
 SHAPE = (240, 320)
 ZONES = ("dark", "halo", "core")

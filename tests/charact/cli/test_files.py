@@ -142,4 +142,4 @@ def test_shipped_charts_are_shown_and_the_study_that_measures_them_is_named(tmp_
     assert "silent" in failures.stdout
     for shown, study in ((done, "chart"), (failures, "stability")):
         assert f"make study NAME={study} QUANTITY=mtf50" in shown.stdout
-    assert_one_sentence(charact("chart", "snr"), "a chart is shipped of mtf50")
+    assert_one_sentence(charact("chart", "snr"), "QUANTITY must be one with a shipped table, cov")

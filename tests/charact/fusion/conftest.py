@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.fusion.bands import Band
+from charact.fusion import Band
 from tests.truth.fusion import Pair, bands_of
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from charact.frames.noise_law import NoiseLaw
-from charact.fusion.bands import Band
-from charact.fusion.colour_table import ColourTable, fuse_by_table, make_colour_table
+from charact.fusion import Band, ColourTable, fuse_by_table, make_colour_table
 from labdata import BadInput
 
 SHAPE = (96, 128)

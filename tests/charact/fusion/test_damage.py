@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.frames.noise_law import NoiseLaw
-from charact.fusion.fuse import fuse
+from charact.fusion import fuse
 from labdata import BadInput
 from tests.truth.fusion import Pair, bands_of
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import charact
 from charact.cli.application import app
-from charact.fusion.truth_scores import FusionTruth
+from charact.fusion import FusionTruth
 from tests.truth.fusion import Pair
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorial" / "fusion.md"

@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 
 from charact.frames.noise_law import NoiseLaw
-from charact.fusion.alignment import align_bands, common_field, crop_band
-from charact.fusion.bands import Band
-from charact.fusion.geometry import CameraGeometry, place_pixels
-from charact.fusion.noise_law import blur_px_of, measure_noise
-from charact.fusion.sources import Source
+from charact.fusion import (
+    Band,
+    CameraGeometry,
+    Source,
+    align_bands,
+    blur_px_of,
+    common_field,
+    crop_band,
+    measure_noise,
+    place_pixels,
+)
 from labdata import BadInput, FrameStack
 
 FIXED = CameraGeometry(

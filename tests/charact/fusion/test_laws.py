@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from charact.frames.noise_law import NoiseLaw
-from charact.fusion.bands import Band, display_planes
-from charact.fusion.fuse import COLOURED, fuse
-from charact.fusion.noise_aware import fuse_levels
+from charact.fusion import COLOURED, Band, display_planes, fuse, fuse_levels
 from charact.method.registry import chart_table
 from tests.truth.fusion import Pair, gaussian
 

@@ -6,9 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from charact.fusion.bands import Band
-from charact.fusion.noise_aware import fuse_noise_aware
-from charact.fusion.noise_law import estimate_noise
+from charact.fusion import Band, estimate_noise, fuse_noise_aware
 
 
 def draw_street(rng, shape=(480, 640)):

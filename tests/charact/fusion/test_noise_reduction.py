@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from charact.frames.noise_law import NoiseLaw
-from charact.fusion.sequence import filtered_law, reduce_noise, variance_ratio
-from charact.fusion.truth_scores import detectability2, object_channels
+from charact.fusion import (
+    detectability2,
+    filtered_law,
+    object_channels,
+    reduce_noise,
+    variance_ratio,
+)
 from labdata import BadInput
 from tests.truth.fusion import gaussian
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import fourier_shift, gaussian_filter
 
-from charact.fusion.registration import residual_shift
+from charact.fusion import residual_shift
 
 
 def bands(rng: np.random.Generator, shift: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

@@ -9,9 +9,7 @@ import pytest
 from skimage import data
 
 from charact.frames.noise_law import NoiseLaw
-from charact.fusion import rules
-from charact.fusion.bands import Band
-from charact.fusion.fuse import fuse
+from charact.fusion import Band, fuse, rules
 from tests.truth.fusion import Pair, bands_of, gaussian
 
 

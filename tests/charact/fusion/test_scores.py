@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import convolve2d
 from skimage.metrics import structural_similarity
 
-from charact.fusion import scores
-from charact.fusion.scores import score
+from charact.fusion import score, scores
 from labdata import BadInput
 
 SHAPE = (37, 45)  # odd, and no multiple of the blocks of 16 px

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.fusion.sequence import fuse_sequence, pair_frames
-from charact.fusion.sources import Source
+from charact.fusion import Source, fuse_sequence, pair_frames
 from labdata import BadInput, FrameStack
 
 

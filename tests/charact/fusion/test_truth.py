@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.fusion.bands import Band
-from charact.fusion.fuse import fuse
-from charact.fusion.truth_scores import (
+from charact.fusion import (
+    Band,
     FusionTruth,
     artefact_share,
     detectability2,
     fit_to_truth,
+    fuse,
     restoration_errors,
     truth_scores,
 )

@@ -7,11 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.fusion.bands import display_planes
-from charact.fusion.fuse import fuse
-from charact.fusion.fused import MARKS, level_uncertainty
-from charact.fusion.noise_aware import fuse_levels
-from charact.fusion.pyramid import collapse, decompose, level_count, noise_gains, resized
+from charact.fusion import (
+    MARKS,
+    collapse,
+    decompose,
+    display_planes,
+    fuse,
+    fuse_levels,
+    level_count,
+    level_uncertainty,
+    noise_gains,
+    resized,
+)
 from tests.truth.fusion import Pair, bands_of, gaussian
 
 FRAMES = 30

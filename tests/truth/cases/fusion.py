@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 
 from charact.frames.noise_law import NoiseLaw
-from charact.fusion.bands import Band
-from charact.fusion.fuse import fuse
-from charact.fusion.fused import Fused
-from charact.fusion.truth_scores import fit_to_truth, restoration_errors
+from charact.fusion import Band, Fused, fit_to_truth, fuse, restoration_errors
 from charact.method import Context, Method
 from labdata import Result, make_measurement
 from tests.truth.cases.case import (
