@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.synthetic_rig import COLUMNS, ROWS, NoOperator, PacedCamera, SlowBench
-from charact.live.judge import SaturationJudge
+from charact.live import SaturationJudge
 from drivers import acquire
 from drivers.acquisition.acquire import LOG
 from labdata import Conditions, Session

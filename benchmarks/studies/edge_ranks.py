@@ -30,8 +30,7 @@ from charact.inference import importance_sample, sample
 from charact.inference.sampling import WANTED
 from charact.method import Context
 from charact.method.registry import single_blas_thread
-from charact.transfer import cores, form
-from charact.transfer.blur_model import BlurModel
+from charact.transfer import BlurModel, cores, form
 from labdata import BadInput, FrameStack, Posterior
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.reporting.frequency_unit import FrequencyUnit
+from charact.reporting import FrequencyUnit
 from charact.session_measurement import measure, measure_noise, method_context
 from labdata import (
     BadInput,

@@ -181,7 +181,7 @@ def test_bad_limits_are_one_sentence_and_exit_1(days: tuple[Path, Path]) -> None
 
 
 def test_the_page_has_a_chapter_of_limits_that_knows_a_new_result(days: tuple[Path, Path]) -> None:
-    from charact.reporting.session_page import page
+    from charact.reporting import page
 
     def shown() -> str:
         session = open_session(days[0])

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from scipy.special import erf
 
-from charact.live.quick_look import watch_files
+from charact.live import watch_files
 from labdata import Result, make_refusal, measurement_from_sd, read_frames, result_io
 from tests.charact.cli.runner import assert_one_sentence, charact
 

@@ -6,7 +6,7 @@ import pytest
 
 from charact.cli.demo_loop import lines
 from charact.cli.output import print_result
-from charact.reporting.truth import compare_with_truth
+from charact.reporting import compare_with_truth
 from labdata import Measurement, Result, measurement_from_sd
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import drivers
-from charact.reporting.session_page import page
+from charact.reporting import page
 from drivers.acquisition.plans import builtin_plan_names, load_plan
 from drivers.instruments.models import lines_on
 from labdata import BadInput, load_sensor, open_session

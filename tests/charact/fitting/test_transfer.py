@@ -5,7 +5,7 @@ looks once.
 import numpy as np
 import pytest
 
-from charact.transfer.stages import image_tube
+from charact.transfer import image_tube
 
 
 def test_a_tube_of_any_exponent_passes_all_below_its_cut_off_and_nothing_above():

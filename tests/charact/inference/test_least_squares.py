@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from charact.inference.least_squares import (
+from charact.inference import (
     covariance_at,
     least_squares,
     linearise_residual,

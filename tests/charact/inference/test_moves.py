@@ -5,8 +5,13 @@ each other.
 import numpy as np
 import pytest
 
-from charact.inference.ensembles import DifferentialEvolution, Ensembles, IndependentDraws
-from charact.inference.probit_transform import NormalScores, ProbitTransform
+from charact.inference import (
+    DifferentialEvolution,
+    Ensembles,
+    IndependentDraws,
+    NormalScores,
+    ProbitTransform,
+)
 
 SCALES = np.array([0.1, 1.0, 10.0])
 MEAN = np.array([1.0, -2.0, 30.0])

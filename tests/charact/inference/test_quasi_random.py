@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from charact.inference.laplace import BASES, LONGEST, draw_truncated_gaussian, quasi_random_normals
+from charact.inference import draw_truncated_gaussian, quasi_random_normals
+from charact.inference.laplace import BASES, LONGEST
 
 WIDE = np.tile([-np.inf, np.inf], (4, 1))
 

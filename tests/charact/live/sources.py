@@ -9,7 +9,7 @@ from threading import Event
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.live.frame_source import SourceFrame
+from charact.live import SourceFrame
 from charact.method import Context
 from labdata.capture import Frame
 from tests.truth.blur import TrueBlur

@@ -7,8 +7,7 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from charact.cli.application import app
-from charact.live import doctor
-from charact.live.doctor import Finding, video_devices
+from charact.live import Finding, doctor, video_devices
 
 
 def can_work(found: tuple[Finding, ...]) -> bool:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.live.focus import AVERAGED_FRAMES, BestFocus, Focus, FocusReader, read_focus
+from charact.live import AVERAGED_FRAMES, BestFocus, Focus, FocusReader, read_focus
 from charact.method import Context
 from tests.charact.live.sources import AtOnce, edge
 from tests.truth.blur import TrueBlur

@@ -5,7 +5,7 @@ errors.
 import numpy as np
 import pytest
 
-from charact.live.live_view import SATURATED_BGR, measure_frame, render_preview
+from charact.live import SATURATED_BGR, measure_frame, render_preview
 from labdata import BadInput
 
 

@@ -5,9 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from charact.live.focus import FocusReader
-from charact.live.frame_source import SessionSource
-from charact.live.live_loop import LiveLoop
+from charact.live import FocusReader, LiveLoop, SessionSource
 from labdata import BadInput, Conditions
 from labdata.session_writer import SessionWriter
 from labdata.store import ArrayFollower

@@ -4,7 +4,7 @@ counted, all.
 
 import numpy as np
 
-from charact.live.judge import SaturationJudge, half_interval_dn
+from charact.live import SaturationJudge, half_interval_dn
 from labdata import Conditions
 from labdata.plan import Step, StopCriterion
 

@@ -11,9 +11,7 @@ from threading import Event
 import numpy as np
 import pytest
 
-from charact.live.frame_source import CameraSource
-from charact.live.live_loop import FrameRate, LiveLoop
-from charact.live.terminal import lines, watch_on_terminal
+from charact.live import CameraSource, FrameRate, LiveLoop, lines, watch_on_terminal
 from charact.method import Context
 from labdata import BadInput
 from labdata.capture import CameraSettings, Frame

@@ -8,7 +8,7 @@ import httpx
 import numpy as np
 import pytest
 
-from charact.live.live_loop import LiveLoop
+from charact.live import LiveLoop
 from charact.live.page import page
 from charact.live.server import PageAccess, is_loopback, new_token
 from labdata import BadInput

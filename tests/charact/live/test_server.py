@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from charact.live.live_loop import LiveLoop
+from charact.live import LiveLoop
 from charact.live.server import _address, _names, serve
 from labdata import BadInput
 from tests.charact.live.sources import Told, seen

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from charact.cli.application import app
-from charact.live.quick_look import look_at, run_outcome, watch_stacks
+from charact.live import look_at, run_outcome, watch_stacks
 from labdata import BadInput, Conditions
 from labdata.event_log import EventLog
 from labdata.session_writer import SessionWriter

@@ -5,10 +5,8 @@ missing.
 import numpy as np
 import pytest
 
-from charact.reporting import blooms
-from charact.reporting.bloom_images import add_extent_data, plot_bloom_frames, plot_bloom_map
-from charact.reporting.figure_registry import figure_of
-from charact.reporting.style import white_style
+from charact.reporting import blooms, figure_of, plot_bloom_frames, plot_bloom_map, white_style
+from charact.reporting.bloom_images import add_extent_data
 from labdata import Posterior, Result, measurement_from_draws, measurement_from_sd
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_extents import truth

@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from charact.reporting.emva_sheet import SHEET, emva_summary, emva_xml, in_standard_unit
-from charact.reporting.session_page import fragment
+from charact.reporting import emva_summary, emva_xml, fragment
+from charact.reporting.emva_sheet import SHEET, in_standard_unit
 from labdata import Result, make_refusal, measurement_from_sd
 
 PLAIN = {"method": "variance"}

@@ -9,13 +9,18 @@ from html import unescape
 import numpy as np
 import pytest
 
-from charact.reporting.corner import corner_svg, varying
-from charact.reporting.figure_registry import FIGURES, figure_of
-from charact.reporting.number_format import round_to_spread
+from charact.reporting import (
+    FIGURES,
+    compare_with_truth,
+    corner_svg,
+    figure_of,
+    page,
+    quantity_groups,
+    round_to_spread,
+    write,
+)
+from charact.reporting.corner import varying
 from charact.reporting.report_images import bright_region, representative
-from charact.reporting.session_page import page, write
-from charact.reporting.tables import quantity_groups
-from charact.reporting.truth import compare_with_truth
 from labdata import (
     BadInput,
     Conditions,

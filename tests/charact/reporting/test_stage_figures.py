@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.reporting import curves
-from charact.reporting.figure_registry import figure_of
-from charact.reporting.style import report_style
+from charact.reporting import curves, figure_of, report_style
 
 FREQUENCY = np.linspace(0.0, 0.5, 51)
 

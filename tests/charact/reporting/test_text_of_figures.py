@@ -7,8 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from charact.reporting import blooms, corner, curves, noise, style
-from charact.reporting.figure_svg import as_svg
+from charact.reporting import as_svg, blooms, corner, curves, noise, style
 from labdata import Posterior
 
 SPREAD = [0.1, 0.1]

@@ -10,8 +10,8 @@ from html import unescape
 import numpy as np
 import pytest
 
-from charact.reporting.session_page import page
-from charact.reporting.validation import blind_pair, headline_of, sentence_of, validation_section
+from charact.reporting import page, validation_section
+from charact.reporting.validation import blind_pair, headline_of, sentence_of
 from charact.reporting.validation_figures import (
     chance_limit,
     deviations,

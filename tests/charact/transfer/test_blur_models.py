@@ -8,9 +8,9 @@ from scipy.optimize import brentq
 from scipy.special import gamma, j1, kv, sici
 
 from charact.estimators.mtf.edge.fit.model_fit import _flat, _linearise, _shift_derivatives
-from charact.transfer.blur_model import BlurModel
-from charact.transfer.cores import MOFFAT
-from charact.transfer.extended import (
+from charact.transfer import (
+    MOFFAT,
+    BlurModel,
     DiscComponent,
     HaloComponent,
     ScatterComponent,

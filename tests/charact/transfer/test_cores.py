@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.transfer.cores import (
+from charact.transfer import (
     AIRY,
     CORES,
     EXPONENTIAL,
@@ -11,9 +11,9 @@ from charact.transfer.cores import (
     MOFFAT,
     ON_BARS,
     ON_POINTS,
+    Core,
     TwoGaussians,
 )
-from charact.transfer.form import Core
 
 FREQUENCY = np.geomspace(0.01, 1.0, 40)
 THETA = {"exponential": [1.4], "moffat": [2.6], "two gaussians": [0.2, 1.2]}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import j0, j1
 
-from charact.transfer.pupil import pupil
+from charact.transfer import pupil
 
 RATIO = np.linspace(0.0, 1.2, 61)
 

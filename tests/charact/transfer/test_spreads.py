@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators.mtf.edge.fit import esf_from_mtf
-from charact.transfer.extended import halo
-from charact.transfer.stages import aperture
+from charact.transfer import aperture, halo
 
 ERF = np.vectorize(math.erf)
 DISTANCE = np.concatenate(

@@ -5,7 +5,7 @@ is left to find.
 import numpy as np
 import pytest
 
-from charact.transfer.video_filter import VideoFilter, powers
+from charact.transfer import VideoFilter, powers
 from labdata import load_sensor
 
 CLOCK_MHZ, ORDER = 14.318, 3

@@ -7,7 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from charact.reporting.truth import TruthComparison, compare_with_truth
+from charact.reporting import compare_with_truth
+from charact.reporting.truth import TruthComparison
 from labdata import Camera, Conditions, Result, Session
 from simulate.camera import true_quantities
 from tests.faults.rehearsal.night import GATE_NS

@@ -20,8 +20,7 @@ from charact.estimators.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_P
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.known_transfer import known_transfer
 from charact.method import Context
-from charact.transfer.blur_model import BlurModel
-from charact.transfer.extended import DiscComponent, ScatterComponent, UnresolvedGlareComponent
+from charact.transfer import BlurModel, DiscComponent, ScatterComponent, UnresolvedGlareComponent
 from labdata import measurement_from_draws
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene

@@ -11,7 +11,7 @@ from charact.estimators.mtf.edge.fit.model_fit import BLOCK, EdgeFitter, form_of
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.estimators.mtf.known_transfer import known_transfer
 from charact.method import Context
-from charact.transfer.blur_model import BlurModel
+from charact.transfer import BlurModel
 from tests.truth.edge import EdgeScene
 
 GRID = np.concatenate([[1e-5, 1e-3], np.linspace(0.01, 4.3, 40)])

@@ -24,7 +24,7 @@ from charact.estimators.mtf.noise_spectrum.result import (
     transfer_of,
 )
 from charact.method import Context
-from charact.transfer.blur_model import BlurModel
+from charact.transfer import BlurModel
 from labdata import BadInput
 from tests.truth.scintillating_flats import ScintillatingFlats
 

@@ -16,7 +16,7 @@ from charact.estimators.mtf.point.spot_image_matrix import Aperture, pixel_matri
 from charact.estimators.mtf.point.spot_transform import point_spread
 from charact.frames.stack import Stack
 from charact.method import Context
-from charact.transfer.video_filter import VideoFilter
+from charact.transfer import VideoFilter
 from labdata import FrameStack, load_sensor
 from tests.truth.blur import TrueBlur
 from tests.truth.point import PointScene
