@@ -406,7 +406,7 @@ def _tasks(session: Session, within_percent: float) -> list[Analysis]:
 
 def _target(session: Session, entry: StackEntry, within_percent: float, context: Context) -> Result:
     from charact.estimators import mtf
-    from charact.estimators.infrared.scan_directions import scan_directions
+    from charact.estimators.infrared import scan_directions
 
     target, stack = entry.target, entry.read()
     if entry.kind == "edge" and stack.black_level_dn is None:

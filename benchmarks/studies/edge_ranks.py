@@ -27,7 +27,7 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare
 from charact.estimators.mtf.edge.pixels.profile import EVEN_PER_PX
 from charact.estimators.mtf.known_transfer import known_transfer
 from charact.inference import importance_sample, sample
-from charact.inference.sampling import WANTED
+from charact.inference.importance import WANTED
 from charact.method import Context
 from charact.method.registry import single_blas_thread
 from charact.transfer import BlurModel, cores, form

@@ -5,10 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 from charact.reporting.number_format import plus_minus
 from charact.reporting.summary import summary
-from labdata.errors import BadInput
-from labdata.measurement import Measurement, Result
+from labdata import BadInput, Measurement, Result, Session
 from labdata.quantity import QUANTITIES
-from labdata.session import Session
 
 if TYPE_CHECKING:
     import pandas

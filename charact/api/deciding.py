@@ -127,8 +127,7 @@ def _result(
     source: MeasuredSource, session: "Session | None", seed: int, progress: Progress
 ) -> "Result":
     """Return a result, that saved in a session's folder, or that of a measurement."""
-    from labdata import result_io
-    from labdata.measurement import Result
+    from labdata import Result, result_io
 
     if isinstance(source, Result):
         return source

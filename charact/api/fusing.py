@@ -72,20 +72,20 @@ class Fusion:
         """Write the pictures to a folder, those of several methods with a page of their scores, or
         one picture to a .png or .tif.
         """
-        from charact.fusion import files
+        from charact.fusion.files import PAGE, write, write_sequence
         from charact.reporting.fusion_page import fusion_page
         from labdata.file_io import write_atomically
 
         target = Path(out)
         if self.frames:
-            files.write_sequence(self.frames, target, self.sources, self.region, self.time_s)
+            write_sequence(self.frames, target, self.sources, self.region, self.time_s)
             return
-        files.write(self.pictures, self.bands, target, self.sources, self.region)
+        write(self.pictures, self.bands, target, self.sources, self.region)
         if len(self.pictures) > 1:
             page = fusion_page(
                 self.bands, self.pictures, self.scores, self.truth_scores, aspect=self.aspect
             )
-            write_atomically(target / files.PAGE, page.encode())
+            write_atomically(target / PAGE, page.encode())
 
 
 @documented
@@ -187,8 +187,8 @@ def fuse(
     >>> fused.picture.shape, fused.sd.shape, fused.share.shape
     ((64, 64), (64, 64), (2, 64, 64))
     """
-    from charact.fusion import files
     from charact.fusion.alignment import align_bands, common_field, crop_bands
+    from charact.fusion.files import require_place
     from charact.fusion.noise_aware import ColourTable, fuse_by_table
     from charact.fusion.pictures import fuse_all
     from charact.fusion.sources import band_of
@@ -201,7 +201,7 @@ def fuse(
     if recursive is not None and not sequence:
         raise BadInput("recursive filters a sequence, got it without sequence")
     if out is not None:
-        files.require_place(Path(out), is_folder=len(names) > 1 or sequence or table is not None)
+        require_place(Path(out), is_folder=len(names) > 1 or sequence or table is not None)
     inputs = (visible, thermal, *more)
     read = _read(inputs, sensor, imager, mcp_v=mcp_v, black_dn=black_dn)
     progress("bands", 0.1)
@@ -405,13 +405,13 @@ def fusion_scores(
     """
     import numpy as np
 
-    from charact.fusion import files
+    from charact.fusion.files import read_codes, region_of
     from charact.fusion.scores import score
     from charact.fusion.truth import truth_scores
 
-    codes = [files.read_codes(picture) for picture in (visible, thermal, fused)]
+    codes = [read_codes(picture) for picture in (visible, thermal, fused)]
     rows = score(codes[0], codes[1], codes[2], rng=np.random.default_rng(seed))
-    region = files.region_of(Path(fused)) if isinstance(fused, str | Path) else None
+    region = region_of(Path(fused)) if isinstance(fused, str | Path) else None
     known = _truth(truth, region)
     if known is None:
         return rows

@@ -1,14 +1,24 @@
-"""The verbs `acquire`, `demo` and `safe`, which run a real or virtual bench."""
+"""The verbs of a real or virtual bench: `plan`, `acquire`, `demo` and `safe`."""
 
+import json
+import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from charact.cli.options import Events
+from charact import __version__
+from charact.cli.options import Events, Json
 from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 from charact.cli.outputs import Force, require_free_session
 from labdata.settings import Resume, Setting
+
+if TYPE_CHECKING:
+    from drivers.acquisition.plan_check import PlanReport, StepForecast
+    from labdata.tube_dose import Dose
+
+MAX_LINES = 40  # of a forecast
 
 
 def acquire(
@@ -141,3 +151,152 @@ def safe(
             print_message(f"charact: {failure}", events=events)
         if not report.whole:
             raise typer.Exit(1)
+
+
+def plan(
+    plan: Annotated[
+        Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")
+    ],
+    as_json: Json = False,
+    every: Annotated[
+        bool, typer.Option("--all", help=f"Print every step instead of the first {MAX_LINES}.")
+    ] = False,
+) -> None:
+    """Forecast an acquisition plan: steps, time, disk space, tube dose, hottest step. Nothing is
+    switched on.
+
+    Example: charact plan gain-by-light
+
+    \b
+    A plan with a sweep:
+      name = "gain by light"
+      sensor = "pulnix-ag5745ef3"
+      [[sweep]]
+      kind = "flat"
+      frames = 16
+      mcp_v = [600.0, 700.0, 800.0]
+      gate_ns = 1.6e7
+      illuminance_lux = [2e-5, 6e-5, 2e-4]
+      order = "boustrophedon"
+      dark_every = 3
+    """
+    with exit_on_bad_input(str(plan), as_json=as_json):
+        from drivers import plan_report
+
+        report = plan_report(plan)
+        if as_json:
+            print(json.dumps(_document(str(plan), report), allow_nan=False))
+        else:
+            print("\n".join(_lines(report, every=every)))
+            if sys.stdout.isatty():
+                print(f"\nNext: charact acquire {plan} OUT")
+
+
+def _document(given: str, report: "PlanReport") -> dict[str, Any]:
+    from labdata.limits import LIMITS
+
+    lamp, before = report.plan.lamp, report.dose_before
+    return {
+        "charact": __version__,
+        "input": given,
+        "name": report.plan.name,
+        "steps": [_step_document(forecast) for forecast in report.steps],
+        "gain_table": None if report.gain_table is None else report.gain_table.provenance,
+        "seconds": round(report.seconds, 1),
+        "bytes": report.bytes,
+        "dose": _dose_document(report.dose),
+        "dose_before": None if before is None else _dose_document(before),
+        "lamp": None if lamp is None else lamp.provenance,
+        "hottest": _step_document(report.hottest),
+        "limits": {name: getattr(report.limits, name) for name in LIMITS},
+        "overridden": list(report.limits.overridden),
+        "tube_known": report.limits.known,
+        "warnings": list(report.warnings),
+    }
+
+
+def _step_document(forecast: "StepForecast") -> dict[str, Any]:
+    conditions, lamp = forecast.step.conditions, forecast.lamp
+    return {
+        "label": forecast.step.label,
+        "kind": forecast.step.kind,
+        "frames": forecast.step.most_frames,
+        **{name: getattr(conditions, name) for name in ("mcp_v", "gate_ns", "exposure_s")},
+        "luminous_gain": forecast.gain.luminous_gain,
+        "luminous_gain_relative_sd": forecast.gain.luminous_gain_relative_sd,
+        "illuminance_lux": forecast.step.brightest.conditions.illuminance_lux,
+        "filter_density": conditions.filter_density if lamp is None else lamp.filter_density,
+        "lamp_a": None if lamp is None else lamp.lamp_a,
+        "seconds": round(forecast.seconds, 3),
+        "anode_na_per_cm2": forecast.anode_na_per_cm2,
+        "share_of_limit": forecast.share_of_limit,
+    }
+
+
+def _dose_document(dose: "Dose") -> dict[str, float]:
+    names = ("screen_c_per_cm2", "point_c_per_cm2", "hours_at_gain", "factor95")
+    return {name: getattr(dose, name) for name in names}
+
+
+def _lines(report: "PlanReport", *, every: bool) -> list[str]:
+    from drivers.acquisition.run_progress import duration
+
+    count = len(report.steps) if every else MAX_LINES
+    hidden = len(report.steps) - count
+    plan, hottest, before, dose = report.plan, report.hottest, report.dose_before, report.dose
+    limit = report.limits.largest_anode_na_per_cm2(point=hottest.step.kind == "point")
+    points = f", and {dose.point_c_per_cm2:.2g} inside pinholes" if dose.point_c_per_cm2 else ""
+    earlier = (
+        "unknown, the plan names no tube"
+        if before is None
+        else (
+            f"{before.charge_c_per_cm2:.2g} C/cm2, {before.hours_at_gain:.3g} h at gain of tube "
+            f"{plan.tube}"
+        )
+    )
+    known = "No sensor description: default tube limits apply, and the tube load is an estimate."
+    disk = "unknown without a sensor" if report.sensor is None else f"{report.bytes / 1e6:.0f} MB"
+    return [
+        f"{plan.name}: {len(report.steps)} steps, nothing is switched on",
+        *_table(report, count),
+        *([f"... and {hidden} more; --all prints them"] if hidden > 0 else []),
+        f"time: {duration(report.seconds)}",
+        f"disk: {disk}",
+        f"dose: {dose.screen_c_per_cm2:.2g} C/cm2 at the phosphor{points}, within a factor of "
+        f"{dose.factor95:.2g} (95 %); {60 * dose.hours_at_gain:.3g} min at gain",
+        f"dose before: {earlier}",
+        f"hottest: {hottest.step.label}, {hottest.anode_na_per_cm2:.3g} nA/cm2 MCP output current, "
+        f"{hottest.share_of_limit:.0%} of the limit {limit:g}",
+        *([] if report.limits.known else [known]),
+        *([report.gain_table.provenance] if report.gain_table else []),
+        *([plan.lamp.provenance] if plan.lamp else []),
+        *report.limits.overridden,
+        *report.warnings,
+    ]
+
+
+def _table(report: "PlanReport", count: int) -> Iterator[str]:
+    """Yield the header and one line per step, with columns for a gain table and a lamp if there
+    are.
+    """
+    has_gain, has_lamp = report.gain_table is not None, report.plan.lamp is not None
+    gain = f" {'lm/lm':>9}" if has_gain else ""
+    lamp = f" {'lamp mA':>8} {'filter':>6}" if has_lamp else ""
+    load = f"{'lux':>9}{lamp} {'nA/cm2':>9} {'limit':>6}"
+    yield f"{'label':<32} {'kind':<6} {'frames':>6} {'V':>6}{gain} {'gate ms':>8} {load}"
+    for forecast in report.steps[:count]:
+        conditions, lit = forecast.step.brightest.conditions, forecast.lamp
+        if has_gain:
+            gain = f" {forecast.gain.luminous_gain or 0.0:>9.4g}"
+        if has_lamp:
+            lamp = (
+                f" {'out':>8} {'':>6}"
+                if lit is None
+                else f" {1e3 * (lit.lamp_a or 0.0):>8g} {lit.filter_density:>6g}"
+            )
+        yield (
+            f"{forecast.step.label:<32} {forecast.step.kind:<6} {forecast.step.most_frames:>6} "
+            f"{conditions.mcp_v or 0.0:>6g}{gain} {(conditions.gate_ns or 0.0) * 1e-6:>8.4g} "
+            f"{conditions.illuminance_lux or 0.0:>9.3g}{lamp} {forecast.anode_na_per_cm2:>9.3g} "
+            f"{forecast.share_of_limit:>6.1%}"
+        )

@@ -16,11 +16,9 @@ from charact.cli import (
     live,
     mtf,
     options,
-    plan,
     reference,
     sessions,
     simulate,
-    temperatures,
 )
 
 app = typer.Typer(
@@ -58,8 +56,8 @@ app.add_typer(fuse.app, name="fuse")
 for verb in (
     acquire.demo,
     simulate.simulate,
-    temperatures.temperatures,
-    plan.plan,
+    simulate.temperatures,
+    acquire.plan,
     acquire.acquire,
     acquire.safe,
     live.live,

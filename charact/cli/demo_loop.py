@@ -15,9 +15,7 @@ from charact.cli.outputs import FITTED, is_taken, remove_session, require_free, 
 from charact.cli.sessions import fit_and_save, measure_folder, validate_and_save
 from drivers.acquisition.acquire import bench_folder
 from drivers.acquisition.plans import load_plan
-from labdata.errors import BadInput
-from labdata.plan import Plan
-from labdata.session import Session, open_session
+from labdata import BadInput, Plan, Session, open_session
 
 if TYPE_CHECKING:
     from charact.reporting.truth import Truth, TruthComparison

@@ -23,8 +23,7 @@ from labdata.settings import FrameAxis, Plane
 from labdata.target import Kind
 
 if TYPE_CHECKING:
-    from labdata.frames import FrameStack
-    from labdata.session import Session
+    from labdata import FrameStack, Session
 
 import_app = typer.Typer(no_args_is_help=True, help="Create a session from existing frames.")
 Out = Annotated[Path, typer.Argument(help="Output session folder.")]
@@ -236,9 +235,8 @@ def convert(
 
 def _write_results(folder: Path, out: Path, to: str) -> None:
     from charact.reporting import emva_sheet, exports
-    from labdata import result_io
+    from labdata import open_session, result_io
     from labdata.file_io import write_atomically
-    from labdata.session import open_session
 
     session = open_session(folder)
     result = result_io.load(session.folder)

@@ -92,7 +92,7 @@ def chart(
     Example: charact chart mtf50 --out study
     """
     with exit_on_bad_input(quantity):
-        from charact.reporting.method_chart import chart_lines, write_chart
+        from charact.cli.figures import chart_lines, write_chart
 
         rows = _shipped_rows(quantity)
         print("\n".join(chart_lines(quantity, rows)))
@@ -106,7 +106,7 @@ def stability(quantity: Name) -> None:
     Example: charact stability mtf50
     """
     with exit_on_bad_input(quantity):
-        from charact.reporting.method_chart import failure_lines
+        from charact.cli.figures import failure_lines
 
         print("\n".join(failure_lines(quantity, _shipped_rows(quantity))))
         print(f"Breaking points, in a checkout: make study NAME=stability QUANTITY={quantity}")

@@ -26,9 +26,7 @@ from labdata.settings import Setting
 
 if TYPE_CHECKING:
     from charact.validation import Validation
-    from labdata.camera.description import Camera
-    from labdata.measurement import Result
-    from labdata.session import Session
+    from labdata import Camera, Result, Session
 
 
 def session_in(folder: Path) -> Path:

@@ -1,5 +1,8 @@
-"""The verb `simulate`: frames of a scene, image or radiance cube."""
+"""The verbs `simulate`, frames of a scene, image or radiance cube, and `temperatures`, of its
+surfaces.
+"""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -7,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from charact.cli.options import Events
-from charact.cli.output import exit_on_bad_input, print_message, progress_bar
-from charact.cli.outputs import Force, remove_session, require_free_session
-from labdata.settings import Seed
+from charact.cli.options import Events, Json
+from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
+from charact.cli.outputs import Force, remove_session, require_free, require_free_session
+from labdata.settings import SceneCamera, Seed, Setting, WithinMk
 
 if TYPE_CHECKING:
-    from labdata.camera.description import Camera
-    from labdata.conditions import Conditions
+    from labdata import Camera, Conditions
     from simulate.api import SimulationRequest
     from simulate.shot import Shot
+    from simulate.surface_temperatures import SurfaceTemperatures
 
 Source = Annotated[
     Path,
@@ -31,21 +34,17 @@ Sensors = Annotated[
         help="Name of a shipped sensor description, or path to a TOML file; several for a rig.",
     ),
 ]
-Gain = Annotated[
-    float | None, typer.Option(help="Luminous gain of the tube, lm/lm, or EM gain of an EMCCD.")
-]
+Gain = Annotated[float | None, Setting("Luminous gain of the tube, lm/lm, or EM gain of an EMCCD.")]
 Gate = Annotated[
     float | None,
-    typer.Option(help="Gate time per exposure, ns (default: whole exposure).", min=0.0),
+    Setting("Gate time per exposure, ns (default: whole exposure).", minimum=0.0),
 ]
 Lux = Annotated[
-    float | None, typer.Option(help="Bench: photocathode illuminance, lx (default: 1e-4).", min=0.0)
+    float | None, Setting("Bench: photocathode illuminance, lx (default: 1e-4).", minimum=0.0)
 ]
 PerDn = Annotated[
     float | None,
-    typer.Option(
-        help="Image input: mean photoelectrons per pixel and exposure for each DN above black."
-    ),
+    Setting("Image input: mean photoelectrons per pixel and exposure for each DN above black."),
 ]
 
 
@@ -55,83 +54,67 @@ def simulate(
     sensor: Sensors,
     kind: Annotated[
         str | None,
-        typer.Option(
-            help=(
-                "Target kind: dark, flat, edge, bars, point or scene (default: edge on a bench, "
-                "otherwise scene)."
-            )
+        Setting(
+            "Target kind: dark, flat, edge, bars, point or scene (default: edge on a bench, "
+            "otherwise scene)."
         ),
     ] = None,
-    frames: Annotated[int, typer.Option(help="Number of frames of each sensor.", min=1)] = 8,
+    frames: Annotated[int, Setting("Number of frames of each sensor.", minimum=1)] = 8,
     seed: Seed = 0,
     photoelectrons_per_dn: PerDn = None,
     black_dn: Annotated[
-        float | None, typer.Option(help="Black level of the input image, DN (default: 0).")
+        float | None, Setting("Black level of the input image, DN (default: 0).")
     ] = None,
     phosphor: Annotated[
         str | None,
-        typer.Option(
-            help=(
-                "Phosphor: p20, p43, p46, p47 or a TOML file; total light per photoelectron is "
-                "unchanged."
-            )
+        Setting(
+            "Phosphor: p20, p43, p46, p47 or a TOML file; total light per photoelectron is "
+            "unchanged."
         ),
     ] = None,
     gain: Gain = None,
-    mcp_v: Annotated[float | None, typer.Option(help="MCP voltage, V (default: nominal).")] = None,
+    mcp_v: Annotated[float | None, Setting("MCP voltage, V (default: nominal).")] = None,
     gain_control: Annotated[
-        float | None, typer.Option(help="Tube gain control word, counts.", min=0.0)
+        float | None, Setting("Tube gain control word, counts.", minimum=0.0)
     ] = None,
     automatic_gain: Annotated[
         bool | None,
-        typer.Option("--automatic-gain", help="Enable the camera's automatic gain control (AGC)."),
+        Setting("Enable the camera's automatic gain control (AGC)."),
     ] = None,
     brightness_control: Annotated[
         bool | None,
-        typer.Option(
-            "--brightness-control", help="Enable the tube's automatic brightness control (ABC)."
-        ),
+        Setting("Enable the tube's automatic brightness control (ABC)."),
     ] = None,
     gate_ns: Gate = None,
-    temperature_c: Annotated[
-        float | None, typer.Option(help="Camera temperature, °C (default: 25).")
-    ] = None,
+    temperature_c: Annotated[float | None, Setting("Camera temperature, °C (default: 25).")] = None,
     illuminance_lux: Lux = None,
-    frequency: Annotated[float | None, typer.Option(help="Bench, bars: frequency, cy/px.")] = None,
+    frequency: Annotated[float | None, Setting("Bench, bars: frequency, cy/px.")] = None,
     pinhole_px: Annotated[
-        float | None, typer.Option(help="Bench, point: pinhole image diameter, px.")
+        float | None, Setting("Bench, point: pinhole image diameter, px.")
     ] = None,
     error_budget: Annotated[
         float,
-        typer.Option(
-            help="Error budget for neglected effects, percent of the temporal noise.", min=0.0
-        ),
+        Setting("Error budget for neglected effects, percent of the temporal noise.", minimum=0.0),
     ] = 10.0,
     exact: Annotated[
         bool,
-        typer.Option(
-            "--exact", help="Neglect no effect and sample every photoelectron pulse (slow)."
-        ),
+        Setting("Neglect no effect and sample every photoelectron pulse (slow)."),
     ] = False,
     explain: Annotated[
         bool,
-        typer.Option(
-            "--explain", help="Print the bound on each effect and which effects are neglected."
-        ),
+        Setting("Print the bound on each effect and which effects are neglected."),
     ] = False,
     preview: Annotated[
-        bool, typer.Option("--preview", help="Outdoor scene: render the radiance only, no frames.")
+        bool, Setting("Outdoor scene: render the radiance only, no frames.")
     ] = False,
     stage_images: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for the image after each stage: float TIFF files and a contact sheet."
-        ),
+        Setting("Folder for the image after each stage: float TIFF files and a contact sheet."),
     ] = None,
     radiance: Annotated[
         str | None,
-        typer.Option(
-            help="Outdoor scene: write radiance/NAME with bands and geometry: npz, fits, envi, exr."
+        Setting(
+            "Outdoor scene: write radiance/NAME with bands and geometry: npz, fits, envi, exr."
         ),
     ] = None,
     force: Force = False,
@@ -361,7 +344,7 @@ def _save_light(shots: "dict[str, Shot]", out: Path, form: str | None) -> None:
 
 def _save_pictures(view: Any, path: Path) -> None:
     """Draw the light of a view: radiance, or of an infrared one apparent temperature."""
-    from charact.cli.image_figures import save_apparent_temperature, save_radiance
+    from charact.cli.figures import save_apparent_temperature, save_radiance
 
     if hasattr(view.picture, "apparent_k"):
         across, down = view.viewpoint.focal_px
@@ -374,9 +357,91 @@ def _save_stages(
     shots: "dict[str, Shot]", rig: dict[str, _Sensor], folder: Path, seed: int
 ) -> None:
     """Write the images after each stage of each sensor."""
-    from charact.cli.image_figures import save_stages
+    from charact.cli.figures import save_stages
 
     for name, shot in shots.items():
         own = folder if len(shots) == 1 else folder / name
         title = f"{rig[name].description.name}, one frame through the chain, seed {seed}"
         print(f"{own}: {save_stages(shot.stages(seed=seed), own, title)} stages")
+
+
+def temperatures(
+    scene: Annotated[
+        Path, typer.Argument(help="Outdoor scene (.toml, or name of a shipped scene).")
+    ],
+    out: Annotated[Path, typer.Argument(help="New folder for tables and figures.")],
+    sensor: SceneCamera = "pulnix-ag5745ef3",
+    within_mk: WithinMk = 20.0,
+    seed: Seed = 0,
+    force: Force = False,
+    explain: Annotated[
+        bool, Setting("Print the bound on each term and which terms are neglected.")
+    ] = False,
+    as_json: Json = False,
+    events: Events = False,
+) -> None:
+    """Compute surface temperatures of a scene over the day before its time, and their map at its
+    time.
+
+    Example: charact temperatures hangar warm --explain
+    """
+    with (
+        exit_on_bad_input(str(scene), as_json=as_json, events=events),
+        progress_bar(events=events) as progress,
+    ):
+        taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
+        other = (
+            None
+            if (out / "temperatures.json").is_file()
+            else "something without a temperatures.json"
+        )
+        require_free(out, force=force, taken=taken, kept=lambda: other)
+        import simulate
+        from charact.cli.figures import save_png, temperature_curves, temperature_map
+
+        warm = simulate.temperatures(
+            scene, sensor=sensor, within_mk=within_mk, seed=seed, progress=progress
+        )
+        for note in warm.notes:
+            print_message(note, events=events)
+        if explain:
+            print("\n".join(_terms(warm, within_mk)), file=sys.stderr if as_json else sys.stdout)
+        title = f"{warm.scene}, {warm.moment.isoformat(sep=' ', timespec='minutes')}"
+        warm.save(out)
+        save_png(temperature_curves(warm, title), out / "temperatures.png")
+        save_png(temperature_map(warm.map_k, title), out / "map.png")
+        if as_json:
+            print_result(warm, given=str(scene), verb="temperatures", as_json=True, events=events)
+            return
+        print("\n".join(_last_row(warm)))
+        print(
+            f"{out}: temperatures.csv, temperatures.png, map.png, map.npz (kelvin), "
+            f"temperatures.json (numbers used)"
+        )
+
+
+def _last_row(warm: "SurfaceTemperatures") -> list[str]:
+    """Return lines on surfaces at the scene's time, the warmest first, with 95 % intervals."""
+    from charact.reporting.summary import LINES
+
+    count = LINES - 10
+    ordered = sorted(warm.measurements, key=lambda m: -(m.value or 0.0))
+    lines = [f"{'surface at the scene time':44}  {'mean, C':>8}  {'95 %':>6}"]
+    for m in ordered[:count]:
+        low, high = m.interval95 or (0.0, 0.0)
+        lines.append(f"{m.stack or '':44}  {m.value:8.1f}  ±{0.5 * (high - low):5.1f}")
+    more = len(ordered) - count
+    return [*lines, *([f"and {more} more in temperatures.csv"] if more > 0 else [])]
+
+
+def _terms(warm: "SurfaceTemperatures", within_mk: float) -> list[str]:
+    """Return lines on retained and neglected terms."""
+    lines = [f"{'term':58}  {'changes at most, mK':>20}"]
+    for term in sorted(warm.terms, key=lambda term: (not term.kept, -term.changes_mk)):
+        verdict = "kept" if term.kept else "left out"
+        lines.append(f"{term.name:58}  {term.changes_mk:20.3g}  {verdict}")
+    together = sum(term.changes_mk for term in warm.terms if not term.kept)
+    lines.append(f"left out together: at most {together:.3g} mK; each may have {within_mk:g} mK")
+    lines.append(f"{'uncertain input':58}  {'1 sd, at most, mK':>20}")
+    largest = sorted(warm.input_errors_mk.items(), key=lambda error: -error[1])
+    return [*lines, *(f"{name:58}  {size:20.3g}" for name, size in largest)]

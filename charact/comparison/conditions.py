@@ -11,10 +11,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from charact.comparison.thresholds import LIMITS
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, Session, StackEntry
 from labdata.serialiser import to_mapping
-from labdata.session import Session, StackEntry
 
 GAIN_AND_TIME = (
     "mcp_v",

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fusion.fused import MARKS, Fused
-from labdata.errors import BadInput
+from labdata import BadInput, read_frames
 from labdata.file_io import write_atomically
-from labdata.importers import read_frames
 
 Region = tuple[int, int, int, int]
 SETTINGS, PAGE = "fused.json", "index.html"

@@ -18,13 +18,8 @@ from charact.fusion.bands import Band
 from charact.fusion.geometry import CameraGeometry
 from charact.fusion.noise_law import measure_noise
 from charact.fusion.thresholds import FUSION
-from labdata import result_io
+from labdata import BadInput, FrameStack, Result, load_camera, read_frames, result_io
 from labdata.camera.description import Camera, has_tube, is_thermal
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.importers import read_frames
-from labdata.measurement import Result
-from labdata.sensors import load_camera
 from labdata.session import MANIFEST, Session, StackEntry, open_session
 
 Described = tuple[NoiseLaw, PosteriorPsf]

@@ -16,9 +16,8 @@ from charact.fusion.bands import Mask, lamp_pixels
 from charact.fusion.fused import Fused
 from charact.fusion.scores import CONTROL_NOISE_DN, SOBEL_X, Score, sigmoid
 from charact.fusion.thresholds import FUSION, TRUTH
-from labdata.errors import BadInput
+from labdata import BadInput, make_measurement
 from labdata.file_io import require_regular
-from labdata.measurement import make_measurement
 
 Array = NDArray[np.float64]
 

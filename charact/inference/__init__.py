@@ -1,9 +1,13 @@
 """Posterior sampling: Laplace approximation, importance sampling, MCMC and predictive checks."""
 
 from charact.inference.chain import sample
-from charact.inference.diagnostics import has_several_peaks
+from charact.inference.diagnostics import (
+    PredictiveCheck,
+    has_several_peaks,
+    predictive_check,
+)
 from charact.inference.ensembles import DifferentialEvolution, Ensembles, IndependentDraws
-from charact.inference.importance import importance_sample
+from charact.inference.importance import importance_sample, sample_posterior
 from charact.inference.laplace import (
     draw_truncated_gaussian,
     find_maximum,
@@ -17,9 +21,7 @@ from charact.inference.least_squares import (
     ln_evidence,
     weigh_by_evidence,
 )
-from charact.inference.predictive import PredictiveCheck, predictive_check
 from charact.inference.probit_transform import NormalScores, ProbitTransform
-from charact.inference.sampling import sample_posterior
 
 __all__ = [
     "DifferentialEvolution",

@@ -29,8 +29,7 @@ from charact.inference.laplace import (
     laplace,
 )
 from charact.inference.probit_transform import NormalScores, ProbitTransform
-from labdata.errors import BadInput
-from labdata.measurement import Posterior
+from labdata import BadInput, Posterior
 
 STEPS_PER_TAU = 50
 TAU_CHANGE = 0.1

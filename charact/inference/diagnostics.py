@@ -1,13 +1,20 @@
-"""The signs by which draws are distrusted: slow mixing, ensembles that disagree, walls and several
-peaks.
+"""Checks of a posterior: of its draws (slow mixing, ensembles that disagree, crowding at a bound,
+several peaks), and of its model by replicated data.
 
 Sources: autocorrelation time averaged over walkers, Goodman & Weare 2010 and Foreman-Mackey et al.
 2013 (doi 10.1086/670067); split R-hat, Gelman et al., Bayesian Data Analysis, 3rd edition, section
 11.4.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
+
+Array = NDArray[np.float64]
 
 # Shares of proposals taken by chains that move as they should, and of the median walker by one that
 # is stuck.
@@ -21,9 +28,11 @@ WALL_CROWD = 1.6
 # it.
 PEAK_SHARE = 0.02
 VALLEY_DEPTH = 0.5
+# Probability of rejecting a correct model, divided between the three discrepancies.
+MISFIT_LEVEL = 0.01
 
 
-def split_r_hat(chain: NDArray[np.float64]) -> NDArray[np.float64]:
+def split_r_hat(chain: Array) -> Array:
     """Return split R-hat of chains (step, chain, parameter): halves of each must agree, shape
     (parameter,).
 
@@ -41,7 +50,7 @@ def split_r_hat(chain: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(within_variance > 0, ratio, np.where(between_variance > 0, np.inf, 1.0))
 
 
-def ensemble_r_hat(chains: NDArray[np.float64]) -> NDArray[np.float64]:
+def ensemble_r_hat(chains: Array) -> Array:
     """Return split R-hat between ensembles (ensemble, step, walker, parameter), each pooled over
     its walkers.
     """
@@ -51,7 +60,7 @@ def ensemble_r_hat(chains: NDArray[np.float64]) -> NDArray[np.float64]:
     return split_r_hat_of_pooled(pooled)
 
 
-def split_r_hat_of_pooled(pooled: NDArray[np.float64]) -> NDArray[np.float64]:
+def split_r_hat_of_pooled(pooled: Array) -> Array:
     """Return R-hat of pooled half chains (half, draw, parameter)."""
     within_variance = pooled.var(axis=1, ddof=1).mean(axis=0)
     between_variance = pooled.mean(axis=1).var(axis=0, ddof=1)
@@ -60,7 +69,7 @@ def split_r_hat_of_pooled(pooled: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(within_variance > 0, ratio, np.where(between_variance > 0, np.inf, 1.0))
 
 
-def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDArray[np.float64]:
+def autocorrelation_time(chain: Array, window: float = 5.0) -> Array:
     """Return the integrated autocorrelation time of each parameter, steps, from chains (step,
     walker, parameter).
 
@@ -85,7 +94,7 @@ def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDA
     return np.where(moving, np.maximum(times[np.arange(len(times)), last], 1.0), np.inf)
 
 
-def mixes_well(acceptance: NDArray[np.float64], local_acceptance: float) -> bool:
+def mixes_well(acceptance: Array, local_acceptance: float) -> bool:
     """Tell whether walkers move as they should.
 
     Parameters
@@ -109,7 +118,7 @@ def mixes_well(acceptance: NDArray[np.float64], local_acceptance: float) -> bool
     )
 
 
-def crowds_at_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.bool_]:
+def crowds_at_bound(draws: Array, walls: Array) -> NDArray[np.bool_]:
     """Tell which parameters crowd at a wall: many more draws than a uniform density would put
     there.
 
@@ -133,7 +142,7 @@ def crowds_at_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> N
 CELLS = 256
 
 
-def has_several_peaks(draws: NDArray[np.float64]) -> bool:
+def has_several_peaks(draws: Array) -> bool:
     """Tell whether any parameter, or any principal direction of the draws, has a second peak."""
     spread = draws.std(axis=0)
     scaled = (draws - draws.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
@@ -143,7 +152,7 @@ def has_several_peaks(draws: NDArray[np.float64]) -> bool:
     return any(_two_peaked(line) for line in scaled.T)
 
 
-def _two_peaked(line: NDArray[np.float64]) -> bool:
+def _two_peaked(line: Array) -> bool:
     """Tell whether the smoothed histogram of draws has a valley between two peaks worth the
     name.
     """
@@ -172,3 +181,155 @@ def _separate(density: NDArray, hist: NDArray, first: int, second: int) -> bool:
     mass = hist[:valley].sum() / hist.sum()
     deep = density[valley] < VALLEY_DEPTH * min(density[first], density[second])
     return bool(deep and min(mass, 1.0 - mass) > PEAK_SHARE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictiveCheck:
+    """Posterior predictive p-values of three discrepancies, uniform between 0 and 1 under the
+    model.
+
+    Parameters
+    ----------
+    chi_squared
+        p-value of the sum of squares: excess noise, or any misfit.
+    runs
+        p-value of the number of runs of one sign: a wrong mean.
+    neighbours
+        p-value of the correlation of neighbouring residuals, over lags up to the root of their
+        number: a wrong mean.
+    level
+        Probability of rejecting a correct model.
+    """
+
+    chi_squared: float
+    runs: float
+    neighbours: float
+    level: float = MISFIT_LEVEL
+
+    @property
+    def probability(self) -> float:
+        """Smallest p-value, corrected for three tests (Bonferroni)."""
+        return min(1.0, 3.0 * min(self.chi_squared, self.runs, self.neighbours))
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """`model-misfit` where the model is rejected."""
+        return ("model-misfit",) if self.probability < self.level else ()
+
+
+def predictive_check(
+    data: ArrayLike,
+    predictions: ArrayLike,
+    noise: ArrayLike,
+    *,
+    rng: np.random.Generator,
+    replicates: int = 2000,
+    level: float = MISFIT_LEVEL,
+) -> PredictiveCheck:
+    """Compare the residuals of data with those of data replicated from the posterior.
+
+    Parameters
+    ----------
+    data
+        Measured data in their natural order, shape (datum,).
+    predictions
+        Predicted mean of the data at each posterior draw, shape (draw, datum).
+    noise
+        Standard deviation of the noise, shape (datum,), or its covariance, shape (datum, datum).
+    rng
+        Generator of the replicates.
+    replicates
+        Number of replicated data sets, which limits the resolution of the p-values.
+    level
+        Probability of rejecting a correct model.
+
+    Raises
+    ------
+    BadInput
+        If the shapes do not fit, a number is not finite, or the noise is no covariance.
+
+    Notes
+    -----
+    Whitened residuals at the posterior's mean prediction, z = L^-1 (y - m), have covariance 1 - H
+    under the model, with H the posterior covariance of L^-1 times the prediction: exact for
+    Gaussian noise and a mean linear in the parameters with a Gaussian prior, where H is the hat
+    matrix. Replicates are drawn from that distribution, so that the data are not used twice, which
+    would bias the p-values towards 1/2 (Meng 1994, doi 10.1214/aos/1176325622).
+    """
+    measured, mean = np.asarray(data, float), np.asarray(predictions, float)
+    if (
+        measured.ndim != 1
+        or mean.ndim != 2
+        or mean.shape[1] != measured.size
+        or len(mean) < 2
+        or measured.size < 4
+    ):
+        raise BadInput(
+            f"predictions must be (draw, datum) for 4 data or more, got {mean.shape} and "
+            f"{measured.shape}"
+        )
+    if not (np.isfinite(measured).all() and np.isfinite(mean).all()):
+        raise BadInput("data and predictions must be finite")
+    whiten = _whitener(np.asarray(noise, float), measured.size)
+    spread = whiten((mean - mean.mean(axis=0)).T).T / np.sqrt(len(mean) - 1)
+    residual = whiten((measured - mean.mean(axis=0))[:, None])[:, 0]
+    ours = _discrepancies(residual[None])
+    blocks = np.array_split(np.arange(replicates), -(-replicates * measured.size // (1 << 20)))
+    theirs = [
+        _discrepancies(_shrink_by_fit(rng.standard_normal((len(block), measured.size)), spread))
+        for block in blocks
+    ]
+    odd = [
+        _tail(observed[0], replicated, rng)
+        for observed, replicated in zip(ours, np.concatenate(theirs, axis=1), strict=True)
+    ]
+    return PredictiveCheck(chi_squared=odd[0], runs=odd[1], neighbours=odd[2], level=level)
+
+
+def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
+    """Return the map that makes noise white and of unit variance, along the first axis."""
+    if noise.shape == (size,):
+        if not (np.isfinite(noise).all() and (noise > 0).all()):
+            raise BadInput("the noise's standard deviations must be positive")
+        return lambda columns: columns / noise[:, None]
+    if noise.shape != (size, size):
+        raise BadInput(f"the noise must be ({size},) or ({size}, {size}), got {noise.shape}")
+    try:
+        root = np.linalg.cholesky(noise)
+    except np.linalg.LinAlgError as error:
+        raise BadInput("the noise's covariance must be positive definite") from error
+    return lambda columns: np.asarray(np.linalg.solve(root, columns), np.float64)
+
+
+def _shrink_by_fit(white: Array, spread: Array) -> Array:
+    """Return white noise (replicate, datum) after a fit: each direction has variance 1 - H.
+
+    A direction that the noise alone determines has H = 1 at most; excess scatter of the draws is
+    clipped.
+    """
+    _, values, directions = np.linalg.svd(spread, full_matrices=False)
+    remaining = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))
+    return white - ((white @ directions.T) * (1.0 - remaining)) @ directions
+
+
+def _discrepancies(residual: Array) -> Array:
+    """Return the three discrepancies of white residuals (data set, datum), shape (discrepancy, data
+    set).
+    """
+    squares = np.sum(residual**2, axis=1)
+    runs = np.sum(np.diff(residual > 0, axis=1), axis=1).astype(float)
+    # Autocorrelations up to the root of the number of data, weighted by 1 - lag/(last + 1).
+    last = max(1, round(np.sqrt(residual.shape[1])))
+    products = [
+        np.einsum("rn,rn->r", residual[:, lag:], residual[:, :-lag]) for lag in range(1, last + 1)
+    ]
+    weights = 1.0 - np.arange(1, last + 1) / (last + 1)
+    return np.array([squares, -runs, weights @ np.array(products) / squares])
+
+
+def _tail(ours: float, theirs: Array, rng: np.random.Generator) -> float:
+    """Return the probability of a sign as large, ties broken at random, so that it is uniform under
+    the model.
+    """
+    larger, level = np.sum(theirs > ours), np.sum(theirs == ours)
+    return float((larger + rng.uniform() * (level + 1)) / (len(theirs) + 1))

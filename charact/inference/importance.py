@@ -1,13 +1,17 @@
-"""Draws of a posterior picked by their weight from a mixture that grows where it is too thin.
+"""Draws of a posterior picked by their weight from a mixture that grows where it is too thin, or by
+MCMC where that is too few.
 
 For posteriors of few parameters and curved ridges, along which a chain is slow and of which one
 covariance knows the middle only.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from charact.inference.diagnostics import crowds_at_bound
+from charact.inference.chain import sample
+from charact.inference.diagnostics import crowds_at_bound, has_several_peaks
 from charact.inference.laplace import (
     Vectorised,
     bounds_of,
@@ -28,6 +32,9 @@ ENOUGH = 3000.0
 # t.
 NEAREST = 500
 FREEDOM = 6.0
+# Requested effective sample size: 95 % intervals of a hundred edges are within 0.5 % of those at
+# nine thousand. Below the second number the posterior is not determined.
+WANTED, LEAST_EFFECTIVE = 2000.0, 1000.0
 # The first density is wider than the curvature says, in variance.
 WIDER = 2.0
 
@@ -188,3 +195,60 @@ def _pick_draws(rng: np.random.Generator, weight: Array, count: int) -> NDArray[
 def _weights(log_weight: Array) -> Array:
     weight = np.exp(log_weight - log_weight.max())
     return weight / weight.sum()
+
+
+def sample_posterior(
+    log_probability: Vectorised,
+    *,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    start: ArrayLike,
+    covariance: ArrayLike,
+    seed: int,
+    bounds: ArrayLike,
+    draws: int = 1000,
+    max_steps: int = 20000,
+    effort: float = 1.0,
+) -> Posterior:
+    """Draw from a posterior of one mode, or of several close ones, by importance sampling where
+    sufficient.
+
+    Parameters
+    ----------
+    log_probability, names, units, start, covariance, seed, bounds, draws
+        As of `importance_sample`.
+    max_steps
+        Maximum number of steps of each ensemble of the Markov chain.
+    effort
+        Fraction of the first draws and of the requested effective sample size: low for models of
+        small weight.
+
+    Returns
+    -------
+    Posterior
+        Its sampler is recorded; `several-modes` if its draws have several modes.
+
+    Notes
+    -----
+    Importance sampling finds the modes near the first one. Distant modes are found only by the
+    optimisations of a Markov chain.
+    """
+    asked = {
+        "names": names,
+        "units": units,
+        "start": start,
+        "covariance": covariance,
+        "seed": seed,
+        "bounds": bounds,
+        "draws": draws,
+    }
+    posterior = importance_sample(
+        log_probability, **asked, enough=WANTED * effort, first_draws=round(FIRST_DRAWS * effort)
+    )
+    if posterior.effective_sample_size.min() < LEAST_EFFECTIVE * effort:
+        return sample(log_probability, **asked, max_steps=max_steps)
+    return (
+        replace(posterior, flags=(*posterior.flags, "several-modes"))
+        if has_several_peaks(posterior.draws)
+        else posterior
+    )

@@ -18,9 +18,8 @@ from types import MappingProxyType
 import numpy as np
 
 from drivers.cameras.aravis.capture import SOCKET_BUFFER_BYTES
+from labdata import BadInput, Conditions
 from labdata.capture import Frame
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
 from labdata.session_writer import SessionWriter
 
 

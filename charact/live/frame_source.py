@@ -12,10 +12,9 @@ import numpy as np
 
 from charact.method import Context
 from drivers.interface import Camera
+from labdata import BadInput, load_camera
 from labdata.capture import CameraSettings, Frame
 from labdata.conditions import Conditions, conditions_of
-from labdata.errors import BadInput
-from labdata.sensors import load_camera
 from labdata.serialiser import from_toml
 from labdata.session import MANIFEST, SessionFile, StackRecord
 from labdata.store import Acknowledged, ArrayFollower, is_ours

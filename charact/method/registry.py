@@ -18,8 +18,7 @@ from labdata.settings import Progress, ignore_progress
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-    from labdata.camera.description import Camera
-    from labdata.measurement import Measurement, Result
+    from labdata import Camera, Measurement, Result
 
 Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
 

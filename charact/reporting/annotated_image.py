@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from charact.reporting.lines import in_unit
 from charact.reporting.summary import Frequency, in_cycles_per_pixel
-from labdata.errors import BadInput
+from labdata import BadInput, FrameStack, Measurement, Result
 from labdata.file_io import write_atomically
 from labdata.flags import FLAGS
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Result
 
 Box = tuple[int, int, int, int]
 """Top, left, bottom, right, px."""

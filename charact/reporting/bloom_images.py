@@ -12,10 +12,8 @@ from charact.estimators.bloom.posterior_psf import spread_of
 from charact.method import Context
 from charact.reporting.blooms import EXTENTS, pick_levels
 from charact.reporting.style import DATA, MODEL, THIRD, WARN, panels
-from labdata.errors import BadInput
+from labdata import BadInput, Result, Session, StackEntry
 from labdata.file_io import write_atomically
-from labdata.measurement import Result
-from labdata.session import Session, StackEntry
 
 Data = Mapping[str, Any]
 

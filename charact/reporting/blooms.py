@@ -15,6 +15,7 @@ from charact.reporting.style import (
     WARN,
     first_array,
     has_all,
+    panel,
     panels,
     plot_line,
     plot_points,
@@ -230,8 +231,7 @@ def plot_bloom_series(data: Data) -> Any:
     fitted spread: `overload`, and by quantity [low, median, high] lists, shown as lines; `truth`,
     by quantity a list for the stacks.
     """
-    figure, grid = panels(size=(5.8, 4.2))
-    axes = grid[0, 0]
+    figure, axes = panel((5.8, 4.2))
     x, label = exposure(data)
     predicted = data.get("foretold") if data.get("overload_known") else None
     shown = [_extent(axes, data, x, quantity, predicted) for quantity in EXTENTS]
@@ -326,8 +326,7 @@ def plot_spread_models(data: Data) -> Any:
     cross-validated, `foretold_chi2_per_ring`.
     """
     table = data["table"]
-    figure, grid = panels(size=(5.8, 0.9 + 0.34 * len(table)))
-    axes = grid[0, 0]
+    figure, axes = panel((5.8, 0.9 + 0.34 * len(table)))
     positions = np.arange(len(table))[::-1]
     over = np.array([row["bic_over_best"] for row in table], float)
     axes.barh(positions, over + 1.0, left=0.0, color=DATA, height=0.6, alpha=0.7)
@@ -355,8 +354,7 @@ def plot_smear(data: Data) -> Any:
 
     Reads `light_per_row_dn`, `level_dn`, `level_sd_dn` and `label`, a list per stack.
     """
-    figure, grid = panels(size=(5.6, 3.2))
-    axes = grid[0, 0]
+    figure, axes = panel((5.6, 3.2))
     light, level, sd = (
         first_array(data, key) for key in ("light_per_row_dn", "level_dn", "level_sd_dn")
     )
@@ -387,8 +385,7 @@ def plot_halo_uniformity(data: Data) -> Any:
     """Plot the halo diameter of every source level with 95 % intervals; geometry requires it to be
     constant.
     """
-    figure, grid = panels(size=(5.6, 3.2))
-    axes = grid[0, 0]
+    figure, axes = panel((5.6, 3.2))
     measured = [n for n, diameter in enumerate(data["halo_diameter_px"]) if diameter is not None]
     diameter = np.array([data["halo_diameter_px"][n] for n in measured], float)
     ends = np.array([data["interval95_px"][n] for n in measured], float).reshape(-1, 2)

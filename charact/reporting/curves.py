@@ -26,8 +26,7 @@ from charact.reporting.style import (
     zero_line,
 )
 from charact.reporting.truth import Truth
-from labdata.measurement import Curve, Measurement, Result
-from labdata.session import Session
+from labdata import Curve, Measurement, Result, Session
 
 Data = Mapping[str, Any]
 Array = NDArray[np.float64]

@@ -1,14 +1,77 @@
-"""Figure registry: the plot function and report section of each kind of figure data."""
+"""Figure registry: the plot function and report section of each kind of figure data; the figure of
+a tube's resolution.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.reporting import bloom_images, blooms, curves, noise, resolution
+from charact.reporting import bloom_images, blooms, curves, noise
 from charact.reporting.figure_svg import as_svg
-from charact.reporting.style import report_style
+from charact.reporting.style import COLOURS, arms, first_array, panels, plot_line, report_style
 
 Data = Mapping[str, Any]
+DIRECTIONS = {0.0: "along rows", 90.0: "along columns"}
+# Lights whose contrast is drawn, from the dimmest on.
+MOST_LIGHTS = 4
+
+
+def plot_resolution(data: Data) -> Any:
+    """Plot limiting resolution against light in each direction, and the least contrast along the
+    first one.
+    """
+    from matplotlib.ticker import NullFormatter
+
+    figure, grid = panels(1, 2, size=(6.4, 3.4))
+    limit_axes, contrast_axes = grid[0]
+    light = first_array(data, "illuminance_lux")
+    for colour, direction in zip(COLOURS, data["directions"], strict=False):
+        known = [
+            (lux, limit, *interval)
+            for lux, limit, interval in zip(
+                light, direction["limit_lp_per_mm"], direction["limit_interval95"], strict=True
+            )
+            if limit is not None
+        ]
+        lux, limit, low, high = zip(*known, strict=True)
+        limit_axes.errorbar(
+            lux,
+            limit,
+            yerr=arms(limit, low, high),
+            color=colour,
+            marker="o",
+            markersize=3.5,
+            label=DIRECTIONS[direction["orientation_deg"]],
+        )
+    limit_axes.set(
+        xscale="log",
+        xlabel="illuminance on the photocathode (lux)",
+        ylabel="limiting resolution (lp/mm)",
+    )
+    limit_axes.xaxis.set_minor_formatter(NullFormatter())
+    limit_axes.legend(fontsize=7)
+    first = data["directions"][0]
+    step = -(-len(light) // MOST_LIGHTS)
+    for colour, lux, contrast in zip(
+        COLOURS, light[::step], first["contrast"][::step], strict=False
+    ):
+        plot_line(
+            contrast_axes,
+            first["frequency_lp_per_mm"],
+            contrast,
+            color=colour,
+            label=f"{lux:.2g} lux",
+        )
+    contrast_axes.set(
+        yscale="log",
+        ylim=(None, 1.0),
+        xlabel=f"frequency {DIRECTIONS[first['orientation_deg']]} (lp/mm)",
+        ylabel="least resolvable contrast (1)",
+    )
+    contrast_axes.legend(fontsize=7)
+    return figure
+
+
 # Kind of figure data: section of the report, plot function (data -> matplotlib figure) and caption.
 FIGURES: dict[str, tuple[str, Callable[[Data], Any], str]] = {
     "edge-spread": (
@@ -57,7 +120,7 @@ FIGURES: dict[str, tuple[str, Callable[[Data], Any], str]] = {
     ),
     "limiting-resolution": (
         "mtf",
-        resolution.plot_resolution,
+        plot_resolution,
         "Limiting resolution against light with 95 % intervals, and the least contrast of bars "
         "that an observer resolves at several lights.",
     ),

@@ -3,10 +3,8 @@
 import math
 from dataclasses import dataclass
 
-from charact.estimators.infrared.scan_directions import DIRECTIONS
-from labdata.camera.description import Camera
-from labdata.errors import BadInput
-from labdata.measurement import Measurement
+from charact.estimators.infrared import DIRECTIONS
+from labdata import BadInput, Camera, Measurement
 from labdata.quantity import ARCMIN_MRAD, FREQUENCY_UNITS, convert_frequency
 
 # Lengths that a unit needs.

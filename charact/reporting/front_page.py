@@ -17,10 +17,9 @@ from charact.reporting.number_format import (
     quantity_title,
     round_to_spread,
 )
+from labdata import Measurement, Result, Session
 from labdata.camera.description import has_tube
 from labdata.flags import FLAGS
-from labdata.measurement import Measurement, Result
-from labdata.session import Session
 
 if TYPE_CHECKING:
     from charact.validation import Validation

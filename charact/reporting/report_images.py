@@ -8,10 +8,8 @@ from io import BytesIO
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata import Conditions, Measurement, Session, StackEntry
 from labdata.camera.description import has_tube
-from labdata.conditions import Conditions
-from labdata.measurement import Measurement
-from labdata.session import Session, StackEntry
 
 COLOURS = {"ok": "#35c46a", "suspect": "#f0a020", "refused": "#ff4d4d"}
 

@@ -19,13 +19,9 @@ from charact.reporting.number_format import (
     short_text,
     value_text,
 )
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
+from labdata import Camera, Conditions, Measurement, Result, Session, Target
 from labdata.flags import FLAGS
-from labdata.measurement import Measurement, Result
 from labdata.quantity import QUANTITIES
-from labdata.session import Session
-from labdata.target import Target
 
 LIBRARIES = ("numpy", "scipy", "emcee", "matplotlib", "zarr", "trimesh", "embreex")
 # A method with more stacks than this has one table for all of them.

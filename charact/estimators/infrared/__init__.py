@@ -3,6 +3,26 @@ MRTD.
 """
 
 from charact.estimators.infrared.blackbody_flats import blackbody_flats, is_linear, measure
-from charact.estimators.infrared.mrtd import add_mrtd
+from charact.estimators.infrared.mrtd import (
+    DIRECTIONS,
+    FOUR_BARS,
+    add_mrtd,
+    mrtd,
+    scan_directions,
+)
+from charact.estimators.infrared.signal_transfer import Response, fit_signal_transfer
+from charact.estimators.infrared.thresholds import INFRARED
 
-__all__ = ["add_mrtd", "blackbody_flats", "is_linear", "measure"]
+__all__ = [
+    "DIRECTIONS",
+    "FOUR_BARS",
+    "INFRARED",
+    "Response",
+    "add_mrtd",
+    "blackbody_flats",
+    "fit_signal_transfer",
+    "is_linear",
+    "measure",
+    "mrtd",
+    "scan_directions",
+]

@@ -13,7 +13,7 @@ from contextlib import closing
 
 import pytest
 
-from charact.cli.prompting import PromptingOperator, TargetPlacer
+from charact.cli.benches import PromptingOperator, TargetPlacer
 from labdata import BadInput, Target
 
 

@@ -16,8 +16,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from charact.cli.prompting import PromptingOperator
-from charact.live.judge import SaturationJudge
+from charact.cli.benches import PromptingOperator
+from charact.live import SaturationJudge
 from drivers import acquire
 from drivers.acquisition.acquire import PLAN
 from drivers.acquisition.run_control import RunControl

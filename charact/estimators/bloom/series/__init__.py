@@ -1,3 +1,58 @@
 """Forward model of a point series: ring means, blur models, their selection and their
 measurements.
 """
+
+from typing import TYPE_CHECKING
+
+from labdata.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from charact.estimators.bloom.series.halo_models import HaloModel
+    from charact.estimators.bloom.series.likelihood import SeriesLikelihood, series_of
+    from charact.estimators.bloom.series.model_selection import candidates
+    from charact.estimators.bloom.series.ring_loops import (
+        best_step,
+        lost_at_top,
+        residuals_and_slopes,
+        ring_means,
+        whiten_rings,
+    )
+    from charact.estimators.bloom.series.ring_series import build_ring_series
+    from charact.estimators.bloom.series.rings import geometry_of, level_of, noise_of
+    from charact.estimators.bloom.series.series_measurements import levels_apart
+
+__all__ = [
+    "HaloModel",
+    "SeriesLikelihood",
+    "best_step",
+    "build_ring_series",
+    "candidates",
+    "geometry_of",
+    "level_of",
+    "levels_apart",
+    "lost_at_top",
+    "noise_of",
+    "residuals_and_slopes",
+    "ring_means",
+    "series_of",
+    "whiten_rings",
+]
+
+_ROOM = "charact.estimators.bloom.series"
+_HOMES = {
+    f"{_ROOM}.halo_models": ("HaloModel",),
+    f"{_ROOM}.likelihood": ("SeriesLikelihood", "series_of"),
+    f"{_ROOM}.model_selection": ("candidates",),
+    f"{_ROOM}.ring_loops": (
+        "best_step",
+        "lost_at_top",
+        "residuals_and_slopes",
+        "ring_means",
+        "whiten_rings",
+    ),
+    f"{_ROOM}.ring_series": ("build_ring_series",),
+    f"{_ROOM}.rings": ("geometry_of", "level_of", "noise_of"),
+    f"{_ROOM}.series_measurements": ("levels_apart",),
+}
+
+__getattr__ = lazy_names(__name__, _HOMES)

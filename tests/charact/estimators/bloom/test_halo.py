@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import bloom
-from charact.estimators.bloom.series.series_measurements import levels_apart
+from charact.estimators.bloom.series import levels_apart
 from charact.method import Context
 from labdata import BadInput, FrameStack
 from tests.truth.counted_pulses import errors

@@ -5,7 +5,7 @@ squares.
 import numpy as np
 import pytest
 
-from charact.estimators.bloom.series.ring_loops import (
+from charact.estimators.bloom.series import (
     best_step,
     lost_at_top,
     residuals_and_slopes,

@@ -10,11 +10,16 @@ import pytest
 
 from charact.estimators import bloom
 from charact.estimators.bloom.point_stack import read_point_stacks
-from charact.estimators.bloom.series.halo_models import HaloModel
-from charact.estimators.bloom.series.likelihood import SeriesLikelihood, series_of
-from charact.estimators.bloom.series.model_selection import candidates
-from charact.estimators.bloom.series.ring_series import build_ring_series
-from charact.estimators.bloom.series.rings import geometry_of, level_of, noise_of
+from charact.estimators.bloom.series import (
+    HaloModel,
+    SeriesLikelihood,
+    build_ring_series,
+    candidates,
+    geometry_of,
+    level_of,
+    noise_of,
+    series_of,
+)
 from charact.estimators.bloom.transfer import frequencies, onto_nodes
 from charact.method import Context
 from charact.method.registry import methods_of_kind

@@ -30,6 +30,15 @@ def of(camera, rng, levels=LEVELS, **more):
     return measured(blackbody_session(camera, rng, levels, **more))
 
 
+def mapped(camera, rng, function):
+    """Return a change of the frames by a function of them and of the number of the level."""
+    return lambda number, level, pattern: camera.stack(
+        np.rint(function(camera.frames(rng, level, pattern).data.astype(float), number)).astype(
+            np.uint16
+        )
+    )
+
+
 @pytest.fixture
 def rng(seed):
     return np.random.default_rng([seed, 47])
@@ -90,15 +99,7 @@ def test_arrays_without_a_session_are_measured_too(rng):
 def test_a_picture_stored_in_coarse_steps_and_white_cold(rng):
     """Values in steps of 16 DN, falling with temperature: the same SiTF and NETD."""
     camera = Camera(shape=SMALL, noise_k=WHITE, bits=16)
-
-    def change(number, level, pattern):
-        return camera.stack(
-            (16 * (4000 - np.asarray(camera.frames(rng, level, pattern).data, int))).astype(
-                np.uint16
-            )
-        )
-
-    result = of(camera, rng, change=change)
+    result = of(camera, rng, change=mapped(camera, rng, lambda frames, _: 16 * (4000 - frames)))
     assert one(result, "sitf").value == pytest.approx(320.0, rel=0.01)
     assert one(result, "netd").value == pytest.approx(np.hypot(100.0, 14.4), rel=0.02)
     assert any("White is cold" in note for note in one(result, "sitf").notes)
@@ -137,11 +138,7 @@ def test_levels_at_full_scale_are_left_out_and_named(rng):
 def test_a_well_that_fills_below_full_scale_is_seen(rng):
     """The signal stops at 2100 of 16383 DN, where its noise stops too."""
     camera = Camera(shape=SMALL)
-
-    def change(number, level, pattern):
-        frames = np.minimum(np.asarray(camera.frames(rng, level, pattern).data), 2100)
-        return camera.stack(frames.astype(np.uint16))
-
+    change = mapped(camera, rng, lambda frames, _: np.minimum(frames, 2100))
     found = one(of(camera, rng, (17.0, 20.0, 22.0, 25.0, 32.0), change=change), "sitf")
     assert found.status == "suspect"
     assert "saturated" in found.flags
@@ -161,13 +158,7 @@ def test_noise_below_the_digitiser_is_never_a_silent_netd(rng, sitf, flagged):
 
 
 def with_gain(camera, rng, gains, steps=(0,) * 5):
-    def change(number, level, pattern):
-        frames = camera.frames(rng, level, pattern).data.astype(float)
-        return camera.stack(
-            np.rint(2000.0 + gains[number] * (frames - 2000.0) + steps[number]).astype(np.uint16)
-        )
-
-    return change
+    return mapped(camera, rng, lambda f, n: 2000.0 + gains[n] * (f - 2000.0) + steps[n])
 
 
 def test_a_gain_that_follows_the_scene_is_refused_or_flagged(rng):
@@ -203,15 +194,8 @@ def test_an_offset_that_changes_between_levels_is_drift(rng):
     )
     assert again.flags == ("drift",)
     assert not any("taken again show it" in note for note in again.notes)
-
-    def warming(number, level, pattern):
-        frames = (
-            camera.frames(rng, level, pattern).data
-            + np.linspace(0, 12, SMALL[0])[:, None, None]
-            + 15 * number
-        )
-        return camera.stack(np.rint(frames).astype(np.uint16))
-
+    within = np.linspace(0, 12, SMALL[0])[:, None, None]
+    warming = mapped(camera, rng, lambda frames, number: frames + within + 15 * number)
     assert "drift" in one(of(camera, rng, change=warming), "sitf").flags
 
 
@@ -219,8 +203,7 @@ def test_a_bent_response_is_nonlinear(rng):
     camera = Camera(shape=SMALL, noise_k=WHITE, band_um=None)
 
     def change(number, level, pattern):
-        bent = 2000.0 + (level - 2000.0) - 2e-3 * (level - 2000.0) ** 2
-        return camera.frames(rng, bent, pattern)
+        return camera.frames(rng, level - 2e-3 * (level - 2000.0) ** 2, pattern)
 
     assert one(of(camera, rng, change=change), "sitf").flags == ("nonlinear",)
 

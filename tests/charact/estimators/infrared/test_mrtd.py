@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.infrared.mrtd import FOUR_BARS, mrtd
-from charact.estimators.infrared.scan_directions import scan_directions
+from charact.estimators.infrared import FOUR_BARS, mrtd, scan_directions
 from charact.method import Context
 from charact.session_measurement import measure
 from labdata import FrameStack, Target, load_camera

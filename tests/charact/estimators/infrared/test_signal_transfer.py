@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 
-from charact.estimators.infrared.signal_transfer import Response, fit_signal_transfer
-from charact.estimators.infrared.thresholds import INFRARED
+from charact.estimators.infrared import INFRARED, Response, fit_signal_transfer
 from labdata import BadInput
 from tests.truth.infrared import Camera, band_radiance
 

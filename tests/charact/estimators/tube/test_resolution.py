@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.tube import add_resolution
-from charact.estimators.tube.resolution import contrast_threshold, highest_resolved
+from charact.estimators.tube import add_resolution, contrast_threshold, highest_resolved
 from charact.method import Context
 from labdata import Conditions, Curve, Result, load_sensor, measurement_from_sd
 

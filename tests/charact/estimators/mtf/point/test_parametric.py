@@ -20,7 +20,7 @@ from charact.estimators.mtf.point.parametric_noise import (
 )
 from charact.estimators.mtf.point.source_pixels import covariance
 from charact.estimators.mtf.point.spot_image_matrix import FREQUENCIES, Aperture, pixel_matrix
-from charact.inference import importance_sample, sampling
+from charact.inference import importance, importance_sample
 from charact.method import Context
 from labdata import BadInput, FrameStack
 from tests.truth.blur import TrueBlur
@@ -193,7 +193,7 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
     picked, quick = drawn(), drawn(quick=True)
     assert picked.sampler == quick.sampler == "importance"
     assert picked.effective_sample_size.min() >= 2000
-    monkeypatch.setattr(sampling, "ENOUGH", np.inf)
+    monkeypatch.setattr(importance, "LEAST_EFFECTIVE", np.inf)
     chained = drawn()
     assert chained.sampler == "emcee"
     spread = chained.draws.std(axis=0)

@@ -9,7 +9,7 @@ contrast C is
     SNR = 2 C M(f) (8/pi^2) sqrt(n a t / 2),    a = 7/(4 f^2)
 
 (Rosell and Willson 1973; de Vries 1943, Rose 1948). Bars are resolved where SNR and modulation C M
-exceed their thresholds, see `charact.estimators.tube.thresholds`.
+exceed their thresholds, `DETECTION`.
 """
 
 from collections.abc import Mapping
@@ -26,17 +26,9 @@ from charact.estimators.noise.illumination import (
     pixel_area_m2,
     relative_sd_of,
 )
-from charact.estimators.tube.thresholds import DETECTION
 from charact.method import Context
+from labdata import Conditions, Curve, Measurement, Result, make_refusal, measurement_from_draws
 from labdata.camera.description import Camera, has_tube
-from labdata.conditions import Conditions
-from labdata.measurement import (
-    Curve,
-    Measurement,
-    Result,
-    make_refusal,
-    measurement_from_draws,
-)
 
 Array = NDArray[np.float64]
 METHOD = "bar-detection"
@@ -47,6 +39,25 @@ CURVES = {
     90.0: ("mtf_joint_vertical", "mtf_vertical", "mtf_bars_vertical"),
 }
 NEAR_AXIS_DEG = 25.0
+
+
+@dataclass(frozen=True)
+class DetectionThresholds:
+    """Define when a bar target is resolved, and where its contrast is reported."""
+
+    # Least signal-to-noise ratio of a bar (Rosell and Willson, in Perception of Displayed
+    # Information, 1973).
+    snr: float = 2.8
+    # Least modulation of the image: where makers state the limiting resolution of a tube.
+    modulation: float = 0.03
+    seconds: float = 0.1  # Integration time of the eye, s (same source)
+    bar_aspect: float = 7.0  # Length of a bar over its width (STANAG 4349)
+    # Frequencies of the minimum resolvable contrast, over the Nyquist frequency.
+    shares_of_nyquist: tuple[float, ...] = (0.25, 0.5, 0.75)
+    draws: int = 2000  # Draws of a quantity without a posterior
+
+
+DETECTION = DetectionThresholds()
 
 
 def contrast_threshold(
