@@ -55,7 +55,6 @@ def test_the_deviation_is_no_less_than_that_of_repeated_frames(materials) -> Non
     found = [fuse_by_table(bands_of(materials, rng, 1.0, ALIKE), table) for _ in range(12)]
     spread = np.stack([one.picture for one in found]).std(axis=0, ddof=1)
     ratio = spread.mean() / np.mean([one.sd for one in found])
-    print(ratio, spread.mean())
     # Colours are taken around noisy values instead of true ones: the stated deviation is up to
     # twice too large.
     assert 0.4 < ratio < 1.1 and spread.mean() > 0.01

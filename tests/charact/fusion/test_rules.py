@@ -67,7 +67,6 @@ def test_guided_filter_fusion_is_that_of_the_exact_filter(bands, monkeypatch) ->
     monkeypatch.setattr(rules, "guided_filter", exact_guided_filter)
     left = found - rules.fuse_guided(bands, uncertainty=False).picture
     rms, largest = np.sqrt(np.mean(left**2)), np.abs(left).max()
-    print(f"rms {rms:.5f}, largest {largest:.4f} of the span")
     assert rms <= 0.01 and largest <= 0.04
 
 

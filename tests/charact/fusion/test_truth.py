@@ -77,8 +77,6 @@ def results(request) -> dict[str, dict[str, float]]:
         found[name] = scores_of(
             pictures(name, with_objects[:COMPARED]), pair.truth, frames[:COMPARED]
         )
-    for name, values in found.items():
-        print(name, {quantity: round(value, 3) for quantity, value in values.items()})
     return found
 
 
@@ -108,7 +106,6 @@ def errors(request) -> tuple[str, dict[str, dict[str, float]]]:
         name: {zone: float(np.mean([row[zone] for row in rows])) for zone in ZONES}
         for name, rows in found.items()
     }
-    print(request.param, means)
     return request.param, means
 
 
@@ -130,13 +127,11 @@ def test_lamps_cost_other_rules_a_multiple_of_the_error(errors) -> None:
 
 def test_a_grey_picture_keeps_most_of_the_evidence(results) -> None:
     kept = {zone: efficiency(results["noise-aware"], zone) for zone in ZONES}
-    print(kept)
     assert kept["dark"] >= 0.55 and kept["halo"] >= 0.58 and kept["core"] >= 0.85
 
 
 def test_a_colour_picture_keeps_nearly_all_of_the_evidence(results) -> None:
     kept = {zone: efficiency(results["noise-aware-colour"], zone) for zone in ZONES}
-    print(kept)
     assert kept["dark"] >= 0.90 and kept["halo"] >= 0.85 and kept["core"] >= 0.85
     # No fusion holds more than both bands: the mean over zones is 1 within the error of 24 frames.
     assert np.mean(list(kept.values())) < 1.2

@@ -68,7 +68,6 @@ def cases():
 def test_intervals_hold_the_noise_free_picture(cases, zone: str) -> None:
     z = cases[zone]
     inside68, inside95 = (np.abs(z) < 0.994458).mean(), (np.abs(z) < 1.959964).mean()
-    print(zone, np.sqrt(np.mean(z**2)), inside68, inside95)
     assert 0.9 <= np.sqrt(np.mean(z**2)) <= 1.1
     assert 0.64 <= inside68 <= 0.72
     assert 0.92 <= inside95 <= 0.98
@@ -77,7 +76,6 @@ def test_intervals_hold_the_noise_free_picture(cases, zone: str) -> None:
 def test_filled_pixels_state_their_error(cases) -> None:
     z = cases["core"]
     found, inside95 = np.sqrt(np.mean(z**2)), (np.abs(z) < 1.959964).mean()
-    print("core", found, (np.abs(z) < 0.994458).mean(), inside95)
     # A filled hole is one error: 10 of them know its deviation within 0.22.
     assert 0.7 <= found <= 1.3
     assert inside95 >= 0.85
@@ -105,7 +103,6 @@ def test_the_deviation_is_that_of_repeated_frames_without_lamps(redraw) -> None:
     ]
     pictures, sd = (np.stack([getattr(one, name) for one in found]) for name in ("picture", "sd"))
     ratio = pictures.std(axis=0, ddof=1).mean() / sd.mean()
-    print(ratio)
     # Weights are slightly correlated with the noise that they weigh.
     assert ratio == pytest.approx(1.0, abs=0.06)
 
@@ -129,7 +126,6 @@ def test_shares_are_the_responses_to_injected_signals(pair, bands) -> None:
                 )[place]
             )
         shares = np.array(answers) / np.sum(answers)
-        print(place, shares, plain.share[:, place[0], place[1]])
         assert shares == pytest.approx(plain.share[:, place[0], place[1]], abs=0.02)
 
 
