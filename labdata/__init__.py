@@ -7,7 +7,7 @@ from labdata.lazy_names import import_on_first_use
 if TYPE_CHECKING:
     from labdata.background import BackgroundWriter
     from labdata.calibration import GainTable, LampCalibration
-    from labdata.camera.description import Camera
+    from labdata.camera.description import Camera, has_tube
     from labdata.capture import (
         CameraSettings,
         Frame,
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from labdata.sensors import load_camera, load_sensor, save_sensor, sensor_names
     from labdata.serialiser import from_mapping, from_toml, read_toml, to_mapping, to_toml
     from labdata.session import (
+        MANIFEST,
         LoadedStackEntry,
         Session,
         SessionFile,
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FLAGS",
+    "MANIFEST",
     "QUANTITIES",
     "BackgroundWriter",
     "BadInput",
@@ -121,6 +123,7 @@ __all__ = [
     "file_schema",
     "from_mapping",
     "from_toml",
+    "has_tube",
     "import_emva1288",
     "import_frames",
     "in_volts",
@@ -163,7 +166,7 @@ __getattr__ = import_on_first_use(
     {
         "labdata.background": "BackgroundWriter",
         "labdata.calibration": "GainTable LampCalibration",
-        "labdata.camera.description": "Camera",
+        "labdata.camera.description": "Camera has_tube",
         "labdata.capture": "CameraSettings Frame LostFrames losses_before lost_frames_with_reason",
         "labdata.conditions": "Conditions",
         "labdata.errors": "BadInput",
@@ -191,7 +194,8 @@ __getattr__ = import_on_first_use(
         "labdata.sensors": "load_camera load_sensor save_sensor sensor_names",
         "labdata.serialiser": "from_mapping from_toml read_toml to_mapping to_toml",
         "labdata.session": (
-            "LoadedStackEntry Session SessionFile StackEntry open_session sha256_of stack_record"
+            "LoadedStackEntry MANIFEST Session SessionFile StackEntry open_session "
+            "sha256_of stack_record"
         ),
         "labdata.session_import": "import_emva1288 import_frames",
         "labdata.session_writer": "SessionWriter StackWriter",

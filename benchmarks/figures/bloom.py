@@ -11,8 +11,7 @@ from charact.estimators import bloom
 from charact.estimators.bloom.bloom_map import NEAR_PX, bloom_map, evidence_of, spread_from
 from charact.estimators.bloom.lit_edge_halo import measure_lit_edge
 from charact.method import Context
-from charact.reporting import FIGURES, white_style
-from charact.reporting.bloom_images import add_extent_data
+from charact.reporting import FIGURES, add_extent_data, white_style
 from labdata import Conditions, FrameStack, Result, Session
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_extents import truth

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from charact.reporting.number_format import plus_minus
 from charact.reporting.summary import summary
-from labdata import BadInput, Measurement, Result, Session
-from labdata.quantity import QUANTITIES
+from labdata import QUANTITIES, BadInput, Measurement, Result, Session
 
 if TYPE_CHECKING:
     import pandas

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from charact.api.inputs import camera_of, frames_of, sensor_of
-from charact.api.settings import Frames, WithinPercent
+from charact.api.settings import Frames, Span, WithinPercent, spans_of
 from charact.fusion.thresholds import FUSION
 from labdata.errors import BadInput
 from labdata.settings import (
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from charact.fusion import Band, ColourTable, Fused, FusionTruth, Score, Source
     from labdata import Camera, Result
 
-Span = tuple[float, float]
 Scores = Mapping[str, "Sequence[Score]"]
 Truth = Annotated[
     "str | Path | FusionTruth | None",
@@ -234,27 +233,6 @@ def fuse(
     if out is not None:
         fusion.save(out)
     return fusion
-
-
-def spans_of(spans: Mapping[str, Span] | Sequence[str]) -> dict[str, Span]:
-    """Return display spans by band, also of texts BAND=LOW,HIGH.
-
-    Examples
-    --------
-    >>> spans_of(["visible=12,38.5"])
-    {'visible': (12.0, 38.5)}
-    """
-    if isinstance(spans, Mapping):
-        return dict(spans)
-    by_band = {}
-    for text in spans:
-        name, _, ends = text.partition("=")
-        try:
-            low, high = (float(end) for end in ends.split(","))
-        except ValueError:
-            raise BadInput(f"`spans` must be BAND=LOW,HIGH, got {text!r}") from None
-        by_band[name] = (low, high)
-    return by_band
 
 
 def _read(

@@ -16,8 +16,7 @@ from labdata.settings import (
 )
 
 if TYPE_CHECKING:
-    from labdata import Camera, FrameStack, Session, StackEntry, Target
-    from labdata.session import Kind
+    from labdata import Camera, FrameStack, Kind, Session, StackEntry, Target
 
 
 @documented
@@ -209,8 +208,7 @@ def flats_of(
     axis: FrameAxis = None,
 ) -> "Session":
     """Return a session, or the session of one stack of flats."""
-    from labdata import Conditions, Session, StackEntry
-    from labdata.session import MANIFEST
+    from labdata import MANIFEST, Conditions, Session, StackEntry
 
     if is_session(source):
         return session_of(source, sensor)

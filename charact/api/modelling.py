@@ -23,8 +23,7 @@ from labdata.settings import (
 
 if TYPE_CHECKING:
     from charact.validation import Validation
-    from labdata import Camera, FrameStack, Session, Target
-    from labdata.session import Kind
+    from labdata import Camera, FrameStack, Kind, Session, Target
 
 FITTED = "fitted.toml"  # fitted camera in the folder of a session
 

@@ -1,15 +1,17 @@
 """Settings of the analyses, each declared once."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from labdata import BadInput
 from labdata.settings import Argument, Setting
 
 if TYPE_CHECKING:
     from labdata import Camera, Result, Session
 
 Frames = Any
+Span = tuple[float, float]
 SourceFrames = Annotated[
     Frames,
     Argument(
@@ -79,3 +81,24 @@ FittedSensor = Annotated[
     "str | Path | Camera | None",
     Setting("The fitted camera or its TOML file (default: fitted.toml in the session's folder)."),
 ]
+
+
+def spans_of(spans: Mapping[str, Span] | Sequence[str]) -> dict[str, Span]:
+    """Return display spans by band, also of texts BAND=LOW,HIGH.
+
+    Examples
+    --------
+    >>> spans_of(["visible=12,38.5"])
+    {'visible': (12.0, 38.5)}
+    """
+    if isinstance(spans, Mapping):
+        return dict(spans)
+    by_band = {}
+    for text in spans:
+        name, _, ends = text.partition("=")
+        try:
+            low, high = (float(end) for end in ends.split(","))
+        except ValueError:
+            raise BadInput(f"`spans` must be BAND=LOW,HIGH, got {text!r}") from None
+        by_band[name] = (low, high)
+    return by_band

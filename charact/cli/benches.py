@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from charact.cli.output import Progress, print_message
 from charact.cli.outputs import remove_session
-from labdata import BadInput, Conditions, Plan, Target
+from labdata import BadInput, Conditions, Kind, Plan, Session, Target, has_tube
 from labdata.camera.description import has_tube
 from labdata.conditions import Conditions
 from labdata.errors import BadInput

@@ -18,9 +18,8 @@ from charact.cli.outputs import (
     require_free_session,
     why_other_kind,
 )
-from labdata.errors import BadInput
+from labdata import BadInput, Kind
 from labdata.settings import FrameAxis, Plane
-from labdata.target import Kind
 
 if TYPE_CHECKING:
     from labdata import FrameStack, Session
@@ -235,8 +234,7 @@ def convert(
 
 def _write_results(folder: Path, out: Path, to: str) -> None:
     from charact.reporting import emva_sheet, exports
-    from labdata import open_session, result_io
-    from labdata.file_io import write_atomically
+    from labdata import open_session, result_io, write_atomically
 
     session = open_session(folder)
     result = result_io.load(session.folder)
@@ -257,8 +255,7 @@ def _write_results(folder: Path, out: Path, to: str) -> None:
 
 def _stacks(source: str) -> "list[tuple[str, Callable[[], FrameStack], tuple[Path, ...]]]":
     """Return label, reader and files of a file, of one stack of a session, or of all its stacks."""
-    from labdata.importers import read_frames
-    from labdata.session import MANIFEST, open_session
+    from labdata import MANIFEST, open_session, read_frames
 
     path, _, label = source.partition("#")
     if not (Path(path) / MANIFEST).is_file():

@@ -190,8 +190,7 @@ def measure(session: SessionFolder, **settings: Any) -> None:
     """
     events = settings["events"]
     with exit_on_bad_input(str(session), as_json=settings["as_json"], events=events):
-        from labdata import result_io
-        from labdata.lazy_stack import open_lazy_stack
+        from labdata import open_lazy_stack, result_io
 
         opened = open_session_only(session)
         first = opened.stacks[0] if opened.stacks else None

@@ -14,11 +14,9 @@ from typing import Any, Literal
 from charact import __version__
 from charact.comparison.compare import same_frequency, turn_deg
 from charact.comparison.thresholds import LIMITS
-from labdata.errors import BadInput
+from labdata import QUANTITIES, BadInput, write_atomically
 from labdata.errors import check as check_numbers
-from labdata.file_io import write_atomically
 from labdata.measurement import Interval, Measurement, Result, Status
-from labdata.quantity import QUANTITIES
 from labdata.result_io import RESULTS
 from labdata.session import sha256_of
 

@@ -27,8 +27,16 @@ from charact.estimators.noise.illumination import (
     relative_sd_of,
 )
 from charact.method import Context
-from labdata import Conditions, Curve, Measurement, Result, make_refusal, measurement_from_draws
-from labdata.camera.description import Camera, has_tube
+from labdata import (
+    Camera,
+    Conditions,
+    Curve,
+    Measurement,
+    Result,
+    has_tube,
+    make_refusal,
+    measurement_from_draws,
+)
 
 Array = NDArray[np.float64]
 METHOD = "bar-detection"

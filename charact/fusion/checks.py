@@ -10,7 +10,7 @@ from charact.fusion.pyramid import decompose, map_samples
 from charact.fusion.registration import Residual, residual_shift
 from charact.fusion.thresholds import FUSION
 from charact.verdict import Finding
-from labdata.errors import BadInput
+from labdata import BadInput
 
 
 def find_problems(

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fusion.fused import MARKS, Fused
-from labdata import BadInput, read_frames
-from labdata.file_io import write_atomically
+from labdata import BadInput, read_frames, write_atomically
 
 Region = tuple[int, int, int, int]
 SETTINGS, PAGE = "fused.json", "index.html"

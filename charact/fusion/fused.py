@@ -20,7 +20,7 @@ from charact.fusion.pyramid import (
 )
 from charact.fusion.thresholds import FUSION
 from charact.verdict import Finding
-from labdata.measurement import Measurement, Provenance, Result, make_measurement
+from labdata import Measurement, Provenance, Result, make_measurement
 
 # Bits of a pixel's mark.
 MARKS = {"filled": 1, "clipped": 2, "occluded": 4, "unregistered": 8, "no-band": 16}

@@ -18,9 +18,19 @@ from charact.fusion.bands import Band
 from charact.fusion.geometry import CameraGeometry
 from charact.fusion.noise_law import measure_noise
 from charact.fusion.thresholds import FUSION
-from labdata import BadInput, FrameStack, Result, load_camera, read_frames, result_io
+from labdata import (
+    MANIFEST,
+    BadInput,
+    FrameStack,
+    Result,
+    Session,
+    StackEntry,
+    load_camera,
+    open_session,
+    read_frames,
+    result_io,
+)
 from labdata.camera.description import Camera, has_tube, is_thermal
-from labdata.session import MANIFEST, Session, StackEntry, open_session
 
 Described = tuple[NoiseLaw, PosteriorPsf]
 Describe = Callable[[Camera, float], Described]

@@ -11,12 +11,10 @@ import numpy as np
 
 from charact.live.frame_source import full_scale_of
 from charact.session_measurement import measure, method_context
-from labdata import BadInput, Measurement, Result
+from labdata import BadInput, Kind, Measurement, Result, open_lazy_stack
 from labdata.event_log import read_events
-from labdata.lazy_stack import open_lazy_stack
 from labdata.serialiser import from_toml
 from labdata.session import MANIFEST, Session, SessionFile, StackEntry, session_of
-from labdata.target import Kind
 
 LEADING: dict[Kind, tuple[str, ...]] = {
     "dark": ("dark_signal", "read_noise", "noise_tvh"),

@@ -8,65 +8,101 @@ from labdata.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from charact.reporting.annotated_image import (
+        place_captions,
         render_annotations,
         unusable_edges,
         write_annotated_image,
     )
-    from charact.reporting.bloom_images import plot_bloom_frames, plot_bloom_map
-    from charact.reporting.corner import corner_svg
-    from charact.reporting.emva_sheet import emva_summary, emva_xml
+    from charact.reporting.bloom_images import add_extent_data, plot_bloom_frames, plot_bloom_map
+    from charact.reporting.corner import corner_svg, varying
+    from charact.reporting.emva_sheet import SHEET, emva_summary, emva_xml, in_standard_unit
     from charact.reporting.figure_registry import FIGURES, figure_of
     from charact.reporting.figure_svg import as_svg
     from charact.reporting.frequency_unit import FrequencyUnit
-    from charact.reporting.front_page import leading, sheet, verdict
+    from charact.reporting.front_page import is_tube, leading, sheet, verdict
     from charact.reporting.number_format import round_to_spread
+    from charact.reporting.report_images import bright_region, representative
     from charact.reporting.session_page import fragment, page, write
     from charact.reporting.style import report_style, white_style
     from charact.reporting.tables import quantity_groups
-    from charact.reporting.truth import compare_with_truth
-    from charact.reporting.validation import validation_section
+    from charact.reporting.truth import TruthComparison, compare_with_truth
+    from charact.reporting.validation import (
+        blind_pair,
+        headline_of,
+        sentence_of,
+        validation_section,
+    )
+    from charact.reporting.validation_figures import (
+        chance_limit,
+        deviations,
+        missing_figures,
+        worst_numbers,
+    )
 
 __all__ = [
     "FIGURES",
+    "SHEET",
     "FrequencyUnit",
+    "TruthComparison",
+    "add_extent_data",
     "as_svg",
+    "blind_pair",
+    "bright_region",
+    "chance_limit",
     "compare_with_truth",
     "corner_svg",
+    "deviations",
     "emva_summary",
     "emva_xml",
     "figure_of",
     "fragment",
+    "headline_of",
+    "in_standard_unit",
+    "is_tube",
     "leading",
+    "missing_figures",
     "page",
+    "place_captions",
     "plot_bloom_frames",
     "plot_bloom_map",
     "quantity_groups",
     "render_annotations",
     "report_style",
+    "representative",
     "round_to_spread",
+    "sentence_of",
     "sheet",
     "unusable_edges",
     "validation_section",
+    "varying",
     "verdict",
     "white_style",
+    "worst_numbers",
     "write",
     "write_annotated_image",
 ]
 
 _HOMES = {
     "charact.reporting.annotated_image": (
+        "place_captions",
         "render_annotations",
         "unusable_edges",
         "write_annotated_image",
     ),
     "charact.reporting.bloom_images": (
+        "add_extent_data",
         "plot_bloom_frames",
         "plot_bloom_map",
     ),
-    "charact.reporting.corner": ("corner_svg",),
+    "charact.reporting.corner": (
+        "corner_svg",
+        "varying",
+    ),
     "charact.reporting.emva_sheet": (
+        "SHEET",
         "emva_summary",
         "emva_xml",
+        "in_standard_unit",
     ),
     "charact.reporting.figure_registry": (
         "FIGURES",
@@ -75,11 +111,16 @@ _HOMES = {
     "charact.reporting.figure_svg": ("as_svg",),
     "charact.reporting.frequency_unit": ("FrequencyUnit",),
     "charact.reporting.front_page": (
+        "is_tube",
         "leading",
         "sheet",
         "verdict",
     ),
     "charact.reporting.number_format": ("round_to_spread",),
+    "charact.reporting.report_images": (
+        "bright_region",
+        "representative",
+    ),
     "charact.reporting.session_page": (
         "fragment",
         "page",
@@ -90,8 +131,22 @@ _HOMES = {
         "white_style",
     ),
     "charact.reporting.tables": ("quantity_groups",),
-    "charact.reporting.truth": ("compare_with_truth",),
-    "charact.reporting.validation": ("validation_section",),
+    "charact.reporting.truth": (
+        "TruthComparison",
+        "compare_with_truth",
+    ),
+    "charact.reporting.validation": (
+        "blind_pair",
+        "headline_of",
+        "sentence_of",
+        "validation_section",
+    ),
+    "charact.reporting.validation_figures": (
+        "chance_limit",
+        "deviations",
+        "missing_figures",
+        "worst_numbers",
+    ),
 }
 
 __getattr__ = lazy_names(__name__, _HOMES)

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from charact.reporting.lines import in_unit
 from charact.reporting.summary import Frequency, in_cycles_per_pixel
-from labdata import BadInput, FrameStack, Measurement, Result
-from labdata.file_io import write_atomically
-from labdata.flags import FLAGS
+from labdata import FLAGS, BadInput, FrameStack, Measurement, Result, write_atomically
 
 Box = tuple[int, int, int, int]
 """Top, left, bottom, right, px."""

@@ -12,8 +12,7 @@ from charact.estimators.bloom.posterior_psf import spread_of
 from charact.method import Context
 from charact.reporting.blooms import EXTENTS, pick_levels
 from charact.reporting.style import DATA, MODEL, THIRD, WARN, panels
-from labdata import BadInput, Result, Session, StackEntry
-from labdata.file_io import write_atomically
+from labdata import BadInput, Result, Session, StackEntry, write_atomically
 
 Data = Mapping[str, Any]
 

@@ -17,9 +17,7 @@ from charact.reporting.number_format import (
     quantity_title,
     round_to_spread,
 )
-from labdata import Measurement, Result, Session
-from labdata.camera.description import has_tube
-from labdata.flags import FLAGS
+from labdata import FLAGS, Measurement, Result, Session, has_tube
 
 if TYPE_CHECKING:
     from charact.validation import Validation

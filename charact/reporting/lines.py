@@ -7,8 +7,7 @@ from itertools import groupby
 
 from charact.method.stopwatch import time_text
 from charact.reporting.summary import LINES, Frequency, in_cycles_per_pixel, summary
-from labdata.flags import FLAGS
-from labdata.measurement import Measurement, Result
+from labdata import FLAGS, Measurement, Result
 
 
 def text_of(

@@ -8,8 +8,7 @@ from io import BytesIO
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata import Conditions, Measurement, Session, StackEntry
-from labdata.camera.description import has_tube
+from labdata import Conditions, Measurement, Session, StackEntry, has_tube
 
 COLOURS = {"ok": "#35c46a", "suspect": "#f0a020", "refused": "#ff4d4d"}
 

@@ -13,10 +13,7 @@ from charact.reporting.emva_sheet import emva_summary
 from charact.reporting.report_images import aspect_of, representative
 from charact.reporting.style import PAPER_INK, report_style
 from charact.reporting.truth import Truth, compare_with_truth
-from labdata import BadInput, Posterior, Result, Session
-from labdata.camera.description import has_tube
-from labdata.file_io import write_atomically
-from labdata.flags import FLAGS
+from labdata import FLAGS, BadInput, Posterior, Result, Session, has_tube, write_atomically
 from labdata.limits import OVERRIDDEN
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 
 from charact.reporting.number_format import plus_minus, plus_minus_of, round_to_spread, spread_of
-from labdata.flags import FLAGS
-from labdata.measurement import Measurement, Result
+from labdata import FLAGS, Measurement, Result
 
 Frequency = Callable[[float, Measurement | None], tuple[float, str]]
 

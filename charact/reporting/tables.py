@@ -19,9 +19,7 @@ from charact.reporting.number_format import (
     short_text,
     value_text,
 )
-from labdata import Camera, Conditions, Measurement, Result, Session, Target
-from labdata.flags import FLAGS
-from labdata.quantity import QUANTITIES
+from labdata import FLAGS, QUANTITIES, Camera, Conditions, Measurement, Result, Session, Target
 
 LIBRARIES = ("numpy", "scipy", "emcee", "matplotlib", "zarr", "trimesh", "embreex")
 # A method with more stacks than this has one table for all of them.

@@ -20,9 +20,9 @@ from labdata import (
     StackEntry,
     make_refusal,
     measurement_from_draws,
+    open_lazy_stack,
 )
 from labdata.camera.description import is_thermal
-from labdata.lazy_stack import open_lazy_stack
 
 Array = NDArray[np.float64]
 Region = tuple[int, int, int, int]

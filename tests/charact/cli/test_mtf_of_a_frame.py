@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from charact.reporting import FrequencyUnit, render_annotations, unusable_edges
-from charact.reporting.annotated_image import COLOURS, place_captions
+from charact.reporting import FrequencyUnit, place_captions, render_annotations, unusable_edges
+from charact.reporting.annotated_image import COLOURS
 from labdata import BadInput, FrameStack, load_camera, make_measurement, make_refusal
 from labdata import Result as Measured
 from tests.charact.cli.runner import charact

@@ -5,8 +5,14 @@ missing.
 import numpy as np
 import pytest
 
-from charact.reporting import blooms, figure_of, plot_bloom_frames, plot_bloom_map, white_style
-from charact.reporting.bloom_images import add_extent_data
+from charact.reporting import (
+    add_extent_data,
+    blooms,
+    figure_of,
+    plot_bloom_frames,
+    plot_bloom_map,
+    white_style,
+)
 from labdata import Posterior, Result, measurement_from_draws, measurement_from_sd
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_extents import truth

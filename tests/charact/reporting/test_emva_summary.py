@@ -6,8 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from charact.reporting import emva_summary, emva_xml, fragment
-from charact.reporting.emva_sheet import SHEET, in_standard_unit
+from charact.reporting import SHEET, emva_summary, emva_xml, fragment, in_standard_unit
 from labdata import Result, make_refusal, measurement_from_sd
 
 PLAIN = {"method": "variance"}

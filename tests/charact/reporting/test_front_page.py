@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from charact.reporting import leading, sheet, verdict
-from charact.reporting.front_page import is_tube
+from charact.reporting import is_tube, leading, sheet, verdict
 from labdata import Measurement, Result, load_sensor, make_refusal, measurement_from_sd, result_io
 from tests.truth.sessions import session_in_memory
 

@@ -11,17 +11,20 @@ import pytest
 
 from charact.reporting import (
     FIGURES,
+    bright_region,
     compare_with_truth,
     corner_svg,
     figure_of,
     page,
     quantity_groups,
+    representative,
     round_to_spread,
+    varying,
     write,
 )
-from charact.reporting.corner import varying
-from charact.reporting.report_images import bright_region, representative
 from labdata import (
+    FLAGS,
+    QUANTITIES,
     BadInput,
     Conditions,
     FrameStack,
@@ -30,8 +33,6 @@ from labdata import (
     make_measurement,
     measurement_from_sd,
 )
-from labdata.flags import FLAGS
-from labdata.quantity import QUANTITIES
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 

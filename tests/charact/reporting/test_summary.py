@@ -3,8 +3,7 @@
 import pytest
 
 from charact.reporting.summary import rows_of_file, sparkline, summary
-from labdata import Result, make_refusal, measurement_from_sd
-from labdata.quantity import QUANTITIES
+from labdata import QUANTITIES, Result, make_refusal, measurement_from_sd
 
 LONG = (
     "the light on the flats is unknown: illuminance_lux or photons_per_px of every flat is "

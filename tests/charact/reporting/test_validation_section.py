@@ -10,12 +10,15 @@ from html import unescape
 import numpy as np
 import pytest
 
-from charact.reporting import page, validation_section
-from charact.reporting.validation import blind_pair, headline_of, sentence_of
-from charact.reporting.validation_figures import (
+from charact.reporting import (
+    blind_pair,
     chance_limit,
     deviations,
+    headline_of,
     missing_figures,
+    page,
+    sentence_of,
+    validation_section,
     worst_numbers,
 )
 from charact.validation import (

@@ -19,7 +19,7 @@ from charact.observables import Stacks
 from charact.observables.frame_view import FrameView
 from charact.observables.photon_transfer import Linearity
 from charact.observables.temporal_noise import NoiseOverField
-from charact.reporting.validation import sentence_of
+from charact.reporting import sentence_of
 from charact.session_measurement import measure
 from charact.validation import Statistic, Validation, as_json
 from charact.validation import side_by_side as command

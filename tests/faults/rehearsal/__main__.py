@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from charact.reporting.truth import TruthComparison
+from charact.reporting import TruthComparison
 from charact.session_measurement import measure
 from drivers.acquisition.acquire import LOG
 from labdata import Plan, Result, Session, open_session

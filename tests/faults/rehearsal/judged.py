@@ -7,8 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from charact.reporting import compare_with_truth
-from charact.reporting.truth import TruthComparison
+from charact.reporting import TruthComparison, compare_with_truth
 from labdata import Camera, Conditions, Result, Session
 from simulate.camera import true_quantities
 from tests.faults.rehearsal.night import GATE_NS

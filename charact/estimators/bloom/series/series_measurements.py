@@ -16,7 +16,7 @@ from charact.frames.robust import robust_sd
 from charact.inference.diagnostics import crowds_at_bound
 from charact.transfer import spreads
 from charact.verdict import Finding
-from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
+from labdata import Measurement, Posterior, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
