@@ -16,11 +16,6 @@ from typing import TYPE_CHECKING, Any
 from charact.cli.output import Progress, print_message
 from charact.cli.outputs import remove_session
 from labdata import BadInput, Conditions, Kind, Plan, Session, Target, has_tube
-from labdata.camera.description import has_tube
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.plan import Plan
-from labdata.session import Kind, Session
 from labdata.tube_dose import warnings
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from labdata.lazy_names import lazy_names
+from labdata.lazy_names import import_on_first_use
 
 if TYPE_CHECKING:
     from charact.fusion.alignment import align_bands, common_field, crop_band, crop_bands
@@ -97,75 +97,28 @@ __all__ = [
     "variance_ratio",
 ]
 
-_HOMES = {
-    "charact.fusion.alignment": (
-        "align_bands",
-        "common_field",
-        "crop_band",
-        "crop_bands",
-    ),
-    "charact.fusion.bands": (
-        "Band",
-        "display_planes",
-    ),
-    "charact.fusion.fused": (
-        "Fused",
-        "MARKS",
-        "level_uncertainty",
-    ),
-    "charact.fusion.geometry": (
-        "CameraGeometry",
-        "place_pixels",
-    ),
-    "charact.fusion.noise_aware": (
-        "ColourTable",
-        "fuse_by_table",
-        "fuse_levels",
-        "fuse_noise_aware",
-        "make_colour_table",
-    ),
-    "charact.fusion.noise_law": (
-        "blur_px_of",
-        "estimate_noise",
-        "measure_noise",
-    ),
-    "charact.fusion.pictures": (
-        "COLOURED",
-        "filtered_law",
-        "fuse",
-        "fuse_all",
-        "fuse_sequence",
-        "pair_frames",
-        "reduce_noise",
-        "variance_ratio",
-    ),
-    "charact.fusion.pyramid": (
-        "collapse",
-        "decompose",
-        "fill_holes",
-        "level_count",
-        "noise_gains",
-        "resized",
-    ),
-    "charact.fusion.registration": ("residual_shift",),
-    "charact.fusion.scores": (
-        "Score",
-        "score",
-    ),
-    "charact.fusion.sources": (
-        "Source",
-        "band_of",
-        "read_source",
-    ),
-    "charact.fusion.truth": (
-        "FusionTruth",
-        "artefact_share",
-        "detectability2",
-        "fit_to_truth",
-        "object_channels",
-        "restoration_errors",
-        "truth_scores",
-    ),
-}
-
-__getattr__ = lazy_names(__name__, _HOMES)
+__getattr__ = import_on_first_use(
+    __name__,
+    {
+        "charact.fusion.alignment": "align_bands common_field crop_band crop_bands",
+        "charact.fusion.bands": "Band display_planes",
+        "charact.fusion.fused": "Fused MARKS level_uncertainty",
+        "charact.fusion.geometry": "CameraGeometry place_pixels",
+        "charact.fusion.noise_aware": (
+            "ColourTable fuse_by_table fuse_levels fuse_noise_aware make_colour_table"
+        ),
+        "charact.fusion.noise_law": "blur_px_of estimate_noise measure_noise",
+        "charact.fusion.pictures": (
+            "COLOURED filtered_law fuse fuse_all fuse_sequence pair_frames reduce_noise "
+            "variance_ratio"
+        ),
+        "charact.fusion.pyramid": "collapse decompose fill_holes level_count noise_gains resized",
+        "charact.fusion.registration": "residual_shift",
+        "charact.fusion.scores": "Score score",
+        "charact.fusion.sources": "Source band_of read_source",
+        "charact.fusion.truth": (
+            "FusionTruth artefact_share detectability2 fit_to_truth object_channels "
+            "restoration_errors truth_scores"
+        ),
+    },
+)

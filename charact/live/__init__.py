@@ -4,7 +4,7 @@ changed.
 
 from typing import TYPE_CHECKING
 
-from labdata.lazy_names import lazy_names
+from labdata.lazy_names import import_on_first_use
 
 if TYPE_CHECKING:
     from charact.live.doctor import Finding, examine, video_devices
@@ -43,47 +43,16 @@ __all__ = [
     "watch_stacks",
 ]
 
-_HOMES = {
-    "charact.live.doctor": (
-        "Finding",
-        "examine",
-        "video_devices",
-    ),
-    "charact.live.focus": (
-        "AVERAGED_FRAMES",
-        "BestFocus",
-        "Focus",
-        "FocusReader",
-        "read_focus",
-    ),
-    "charact.live.frame_source": (
-        "CameraSource",
-        "SessionSource",
-        "SourceFrame",
-    ),
-    "charact.live.judge": (
-        "SaturationJudge",
-        "half_interval_dn",
-    ),
-    "charact.live.live_loop": (
-        "FrameRate",
-        "LiveLoop",
-    ),
-    "charact.live.live_view": (
-        "SATURATED_BGR",
-        "measure_frame",
-        "render_preview",
-    ),
-    "charact.live.quick_look": (
-        "look_at",
-        "run_outcome",
-        "watch_files",
-        "watch_stacks",
-    ),
-    "charact.live.terminal": (
-        "lines",
-        "watch_on_terminal",
-    ),
-}
-
-__getattr__ = lazy_names(__name__, _HOMES)
+__getattr__ = import_on_first_use(
+    __name__,
+    {
+        "charact.live.doctor": "Finding examine video_devices",
+        "charact.live.focus": "AVERAGED_FRAMES BestFocus Focus FocusReader read_focus",
+        "charact.live.frame_source": "CameraSource SessionSource SourceFrame",
+        "charact.live.judge": "SaturationJudge half_interval_dn",
+        "charact.live.live_loop": "FrameRate LiveLoop",
+        "charact.live.live_view": "SATURATED_BGR measure_frame render_preview",
+        "charact.live.quick_look": "look_at run_outcome watch_files watch_stacks",
+        "charact.live.terminal": "lines watch_on_terminal",
+    },
+)

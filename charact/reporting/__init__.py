@@ -4,7 +4,7 @@ known.
 
 from typing import TYPE_CHECKING
 
-from labdata.lazy_names import lazy_names
+from labdata.lazy_names import import_on_first_use
 
 if TYPE_CHECKING:
     from charact.reporting.annotated_image import (
@@ -82,71 +82,28 @@ __all__ = [
     "write_annotated_image",
 ]
 
-_HOMES = {
-    "charact.reporting.annotated_image": (
-        "place_captions",
-        "render_annotations",
-        "unusable_edges",
-        "write_annotated_image",
-    ),
-    "charact.reporting.bloom_images": (
-        "add_extent_data",
-        "plot_bloom_frames",
-        "plot_bloom_map",
-    ),
-    "charact.reporting.corner": (
-        "corner_svg",
-        "varying",
-    ),
-    "charact.reporting.emva_sheet": (
-        "SHEET",
-        "emva_summary",
-        "emva_xml",
-        "in_standard_unit",
-    ),
-    "charact.reporting.figure_registry": (
-        "FIGURES",
-        "figure_of",
-    ),
-    "charact.reporting.figure_svg": ("as_svg",),
-    "charact.reporting.frequency_unit": ("FrequencyUnit",),
-    "charact.reporting.front_page": (
-        "is_tube",
-        "leading",
-        "sheet",
-        "verdict",
-    ),
-    "charact.reporting.number_format": ("round_to_spread",),
-    "charact.reporting.report_images": (
-        "bright_region",
-        "representative",
-    ),
-    "charact.reporting.session_page": (
-        "fragment",
-        "page",
-        "write",
-    ),
-    "charact.reporting.style": (
-        "report_style",
-        "white_style",
-    ),
-    "charact.reporting.tables": ("quantity_groups",),
-    "charact.reporting.truth": (
-        "TruthComparison",
-        "compare_with_truth",
-    ),
-    "charact.reporting.validation": (
-        "blind_pair",
-        "headline_of",
-        "sentence_of",
-        "validation_section",
-    ),
-    "charact.reporting.validation_figures": (
-        "chance_limit",
-        "deviations",
-        "missing_figures",
-        "worst_numbers",
-    ),
-}
-
-__getattr__ = lazy_names(__name__, _HOMES)
+__getattr__ = import_on_first_use(
+    __name__,
+    {
+        "charact.reporting.annotated_image": (
+            "place_captions render_annotations unusable_edges write_annotated_image"
+        ),
+        "charact.reporting.bloom_images": "add_extent_data plot_bloom_frames plot_bloom_map",
+        "charact.reporting.corner": "corner_svg varying",
+        "charact.reporting.emva_sheet": "SHEET emva_summary emva_xml in_standard_unit",
+        "charact.reporting.figure_registry": "FIGURES figure_of",
+        "charact.reporting.figure_svg": "as_svg",
+        "charact.reporting.frequency_unit": "FrequencyUnit",
+        "charact.reporting.front_page": "is_tube leading sheet verdict",
+        "charact.reporting.number_format": "round_to_spread",
+        "charact.reporting.report_images": "bright_region representative",
+        "charact.reporting.session_page": "fragment page write",
+        "charact.reporting.style": "report_style white_style",
+        "charact.reporting.tables": "quantity_groups",
+        "charact.reporting.truth": "TruthComparison compare_with_truth",
+        "charact.reporting.validation": "blind_pair headline_of sentence_of validation_section",
+        "charact.reporting.validation_figures": (
+            "chance_limit deviations missing_figures worst_numbers"
+        ),
+    },
+)

@@ -71,8 +71,9 @@ def acquire(
     predict: Annotated[
         Predict | None,
         Argument(
-            "Predicts the level of the brightest part of a step above black, DN, from its conditions "
-            "with the voltage of the plate; a frame far above it ends the run (default: not compared)."
+            "Predicts the level of the brightest part of a step above black, DN, from its "
+            "conditions with the voltage of the plate; a frame far above it ends the run "
+            "(default: not compared)."
         ),
     ] = None,
     resume: Resume = False,

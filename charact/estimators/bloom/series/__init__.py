@@ -4,7 +4,7 @@ measurements.
 
 from typing import TYPE_CHECKING
 
-from labdata.lazy_names import lazy_names
+from labdata.lazy_names import import_on_first_use
 
 if TYPE_CHECKING:
     from charact.estimators.bloom.series.halo_models import HaloModel
@@ -38,21 +38,17 @@ __all__ = [
     "whiten_rings",
 ]
 
-_ROOM = "charact.estimators.bloom.series"
-_HOMES = {
-    f"{_ROOM}.halo_models": ("HaloModel",),
-    f"{_ROOM}.likelihood": ("SeriesLikelihood", "series_of"),
-    f"{_ROOM}.model_selection": ("candidates",),
-    f"{_ROOM}.ring_loops": (
-        "best_step",
-        "lost_at_top",
-        "residuals_and_slopes",
-        "ring_means",
-        "whiten_rings",
-    ),
-    f"{_ROOM}.ring_series": ("build_ring_series",),
-    f"{_ROOM}.rings": ("geometry_of", "level_of", "noise_of"),
-    f"{_ROOM}.series_measurements": ("levels_apart",),
-}
-
-__getattr__ = lazy_names(__name__, _HOMES)
+__getattr__ = import_on_first_use(
+    __name__,
+    {
+        "charact.estimators.bloom.series.halo_models": "HaloModel",
+        "charact.estimators.bloom.series.likelihood": "SeriesLikelihood series_of",
+        "charact.estimators.bloom.series.model_selection": "candidates",
+        "charact.estimators.bloom.series.ring_loops": (
+            "best_step lost_at_top residuals_and_slopes ring_means whiten_rings"
+        ),
+        "charact.estimators.bloom.series.ring_series": "build_ring_series",
+        "charact.estimators.bloom.series.rings": "geometry_of level_of noise_of",
+        "charact.estimators.bloom.series.series_measurements": "levels_apart",
+    },
+)
