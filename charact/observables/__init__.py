@@ -1,13 +1,9 @@
 """Statistics of darks and flats: one class each, for noise, fit and validation."""
 
-from charact.observables import (
-    fixed_pattern,
-    level,
-    photon_transfer,
-    readout,
-    temporal_noise,
-    values_in_time,
-)
+from charact.observables.dark_spectrum import readout_spectrum
+from charact.observables.fixed_pattern import Dsnu, Prnu
+from charact.observables.frame_view import FrameView
+from charact.observables.level import Level
 from charact.observables.observable import (
     Estimates,
     MeasuredStack,
@@ -18,20 +14,32 @@ from charact.observables.observable import (
     observable,
     observables,
 )
+from charact.observables.photon_transfer import DarkNoise, PhotonTransfer
+from charact.observables.readout import Interference
+from charact.observables.stack_level import StackLevel
+from charact.observables.temporal_noise import NoiseSpectrum
+from charact.observables.thresholds import FRAMES
+from charact.observables.values_in_time import Histogram
 
 __all__ = [
+    "FRAMES",
+    "DarkNoise",
+    "Dsnu",
     "Estimates",
+    "FrameView",
+    "Histogram",
+    "Interference",
+    "Level",
     "MeasuredStack",
+    "NoiseSpectrum",
     "Numbers",
     "Observable",
+    "PhotonTransfer",
+    "Prnu",
+    "StackLevel",
     "Stacks",
     "Values",
-    "fixed_pattern",
-    "level",
     "observable",
     "observables",
-    "photon_transfer",
-    "readout",
-    "temporal_noise",
-    "values_in_time",
+    "readout_spectrum",
 ]

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.observables.dark_spectrum import ReadoutSpectrum
 from charact.observables.observable import Estimates, Observable, Stacks, Values, observable
-from charact.observables.readout_spectrum import ReadoutSpectrum
 from charact.observables.silicon import (
     ACROSS,
     CONVERSION_GAIN,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.frames.components import shading
-from charact.observables.readout_spectrum import ReadoutSpectrum, readout_spectrum
+from charact.observables.dark_spectrum import ReadoutSpectrum, readout_spectrum
 from labdata.conditions import Conditions
 from labdata.session import StackEntry
 

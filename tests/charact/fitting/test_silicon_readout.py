@@ -12,7 +12,7 @@ from charact.fitting.observation import observations_of
 from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import levels_of
 from charact.observables import Stacks
-from charact.observables.readout_spectrum import readout_spectrum
+from charact.observables.dark_spectrum import readout_spectrum
 from charact.session_measurement import measure
 from charact.validation import validate
 from labdata import Camera, Conditions, FrameStack, Session, Target, load_camera

@@ -9,11 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.validation.controls import PARAMETERS, ParameterControl, change_parameter
-from charact.validation.frame_features import Numbers, features_of
-from charact.validation.frames import MatchedFrames, MatchedStacks, simulate_frames
-from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_test import ParameterChange
+from charact.validation import (
+    PARAMETERS,
+    VALIDATION,
+    MatchedFrames,
+    MatchedStacks,
+    Numbers,
+    ParameterChange,
+    ParameterControl,
+    change_parameter,
+    features_of,
+    simulate_frames,
+)
 from labdata import Camera, Conditions, Target, load_camera
 from labdata.camera.parameters import Draws
 from labdata.session import Kind

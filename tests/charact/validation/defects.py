@@ -100,10 +100,6 @@ def _vignetting(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Fra
     return _scale(frames, 1.0 - 0.025 * (x**2 + y**2), adc)
 
 
-def _tilt(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return _scale(frames, 1.0 + 0.015 * _coordinates(frames)[0], adc)
-
-
 def _field_gain(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     frames[:, 1::2] = _scale(frames[:, 1::2], 1.01, adc)
     return frames
@@ -125,10 +121,6 @@ def _dropped_field(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> 
     return frames
 
 
-def _dark_shading(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return frames + max(0.5 * adc.noise, 1.0) * _coordinates(frames)[1]
-
-
 def _amplifier_glow(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     y, x = np.indices(frames.shape[1:])
     return frames + 5.0 * adc.noise * np.exp(-np.hypot(x, y) / 15.0)
@@ -143,10 +135,6 @@ def _clipping(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frame
     return np.minimum(frames, 0.9 * adc.top)
 
 
-def _black_clipping(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return np.maximum(frames, np.rint(adc.black))
-
-
 def _gamma(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     span = adc.top - adc.black
     return adc.black + span * np.maximum((frames - adc.black) / span, 0.0) ** 0.95
@@ -157,28 +145,12 @@ def sharpen(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     return np.stack([one + 0.3 * (one - cv2.GaussianBlur(one, (0, 0), 1.0)) for one in frames])
 
 
-def _interpolation(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return 0.75 * frames + 0.25 * np.roll(frames, 1, axis=2)
-
-
-def _salt(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return np.where(rng.random(frames.shape) < 5e-5, adc.top, frames)
-
-
 def _cosmic_rays(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     for one in frames:
         for _ in range(3):
             row, col = rng.integers(one.shape[0] - 6), rng.integers(one.shape[1] - 6)
             one[row + np.arange(6), col + np.arange(6)] += 40.0 * adc.noise
     return frames
-
-
-def _drift(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return _scale(frames, 1.0 + 0.02 * np.linspace(-0.5, 0.5, len(frames))[:, None, None], adc)
-
-
-def _flicker(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return _scale(frames, 1.0 + 0.01 * rng.standard_normal((len(frames), 1, 1)), adc)
 
 
 def _veiling_glare(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
@@ -190,22 +162,6 @@ def _lag(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     before = frames.copy()
     frames[1:] = 0.97 * before[1:] + 0.03 * before[:-1]
     return frames
-
-
-def _row_noise(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return frames + 0.2 * adc.noise * rng.standard_normal((*frames.shape[:2], 1))
-
-
-def _fixed_rows(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return _scale(frames, 1.0 + 0.005 * rng.standard_normal((frames.shape[1], 1)), adc)
-
-
-def _fixed_columns(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return _scale(frames, 1.0 + 0.005 * rng.standard_normal(frames.shape[2]), adc)
-
-
-def _prnu(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return _scale(frames, 1.0 + 0.01 * rng.standard_normal(frames.shape[1:]), adc)
 
 
 def _dust(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
@@ -232,10 +188,6 @@ def _jitter(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
         for one in frames
     ]
     return np.stack(moved).astype(float)
-
-
-def _truncation(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return 2.0 * (frames // 2.0)
 
 
 def bend(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
@@ -285,10 +237,6 @@ def step_gain(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frame
     return frames
 
 
-def _hot_pixels(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
-    return _deviating_pixels(frames, adc, rng, 12.0)
-
-
 def _dead_pixels(frames: Frames, adc: Digitiser, rng: np.random.Generator) -> Frames:
     rows, cols = (rng.integers(size, size=6) for size in frames.shape[1:])
     frames[:, rows, cols] = _scale(frames[:, rows, cols], 0.5, adc)
@@ -309,7 +257,12 @@ OF_FRAMES = (
     ),
     Defect(name="ghost of the edge, 2 %", stacks=("edge",), groups=("edge", "mtf"), put=_ghost),
     Defect(name="ghost of the point, 2 %", stacks=("point",), groups=("point",), put=_ghost),
-    Defect(name="6 hot pixels, 12 sd", stacks=DARK, groups=PATTERN, put=_hot_pixels),
+    Defect(
+        name="6 hot pixels, 12 sd",
+        stacks=DARK,
+        groups=PATTERN,
+        put=lambda frames, adc, rng: _deviating_pixels(frames, adc, rng, 12.0),
+    ),
     Defect(name="6 dead pixels, half the signal", stacks=FLAT, groups=PATTERN, put=_dead_pixels),
     Defect(name="dead column, 0.8 of the signal", stacks=FLAT, groups=PATTERN, put=_dead_column),
     Defect(name="hot column, 3 sd", stacks=DARK, groups=PATTERN, put=_hot_column),
@@ -317,11 +270,35 @@ OF_FRAMES = (
         name="vignetting, 5 % in the corner", stacks=FLATS, groups=("shading",), put=_vignetting
     ),
     Defect(
-        name="tilt of the light, 3 % over the width", stacks=FLATS, groups=("shading",), put=_tilt
+        name="tilt of the light, 3 % over the width",
+        stacks=FLATS,
+        groups=("shading",),
+        put=lambda frames, adc, rng: _scale(frames, 1.0 + 0.015 * _coordinates(frames)[0], adc),
     ),
-    Defect(name="fixed rows, 0.5 %", stacks=FLATS, groups=PATTERN, put=_fixed_rows),
-    Defect(name="fixed columns, 0.5 %", stacks=FLATS, groups=PATTERN, put=_fixed_columns),
-    Defect(name="row noise, 0.2 of the noise", stacks=FLAT, groups=(*SPACE, *TIME), put=_row_noise),
+    Defect(
+        name="fixed rows, 0.5 %",
+        stacks=FLATS,
+        groups=PATTERN,
+        put=lambda frames, adc, rng: _scale(
+            frames, 1.0 + 0.005 * rng.standard_normal((frames.shape[1], 1)), adc
+        ),
+    ),
+    Defect(
+        name="fixed columns, 0.5 %",
+        stacks=FLATS,
+        groups=PATTERN,
+        put=lambda frames, adc, rng: _scale(
+            frames, 1.0 + 0.005 * rng.standard_normal(frames.shape[2]), adc
+        ),
+    ),
+    Defect(
+        name="row noise, 0.2 of the noise",
+        stacks=FLAT,
+        groups=(*SPACE, *TIME),
+        put=lambda frames, adc, rng: (
+            frames + 0.2 * adc.noise * rng.standard_normal((*frames.shape[:2], 1))
+        ),
+    ),
     Defect(name="gain of odd rows, 1 %", stacks=FLATS, groups=PATTERN, put=_field_gain),
     Defect(name="a repeated frame", stacks=FLAT, groups=("time",), put=_repeated_frame),
     Defect(
@@ -337,7 +314,10 @@ OF_FRAMES = (
         put=_dropped_field,
     ),
     Defect(
-        name="dark shading, 0.5 sd or 1 DN", stacks=DARK, groups=("shading",), put=_dark_shading
+        name="dark shading, 0.5 sd or 1 DN",
+        stacks=DARK,
+        groups=("shading",),
+        put=lambda frames, adc, rng: frames + max(0.5 * adc.noise, 1.0) * _coordinates(frames)[1],
     ),
     Defect(
         name="amplifier glow, 5 sd", stacks=DARK, groups=("shading", *PATTERN), put=_amplifier_glow
@@ -358,7 +338,7 @@ OF_FRAMES = (
         name="clipping at the black level",
         stacks=DARK,
         groups=("histogram", "photon-transfer", "dark-events"),
-        put=_black_clipping,
+        put=lambda frames, adc, rng: np.maximum(frames, np.rint(adc.black)),
     ),
     Defect(
         name="gamma of 0.95",
@@ -375,22 +355,58 @@ OF_FRAMES = (
     Defect(
         name="sharpening, 30 % of 1 px", stacks=LIT, groups=("mtf", "edge", *SPACE), put=sharpen
     ),
-    Defect(name="interpolation of 0.25 px", stacks=FLAT, groups=SPACE, put=_interpolation),
-    Defect(name="salt noise, 5e-5", stacks=DARK, groups=("histogram", "dark-events"), put=_salt),
+    Defect(
+        name="interpolation of 0.25 px",
+        stacks=FLAT,
+        groups=SPACE,
+        put=lambda frames, adc, rng: 0.75 * frames + 0.25 * np.roll(frames, 1, axis=2),
+    ),
+    Defect(
+        name="salt noise, 5e-5",
+        stacks=DARK,
+        groups=("histogram", "dark-events"),
+        put=lambda frames, adc, rng: np.where(rng.random(frames.shape) < 5e-05, adc.top, frames),
+    ),
     Defect(
         name="3 cosmic rays a frame, 40 sd",
         stacks=DARK,
         groups=("histogram", "dark-events"),
         put=_cosmic_rays,
     ),
-    Defect(name="drift of 2 % over the stack", stacks=FLAT, groups=TIME, put=_drift),
-    Defect(name="flicker of 1 %", stacks=FLAT, groups=TIME, put=_flicker),
+    Defect(
+        name="drift of 2 % over the stack",
+        stacks=FLAT,
+        groups=TIME,
+        put=lambda frames, adc, rng: _scale(
+            frames, 1.0 + 0.02 * np.linspace(-0.5, 0.5, len(frames))[:, None, None], adc
+        ),
+    ),
+    Defect(
+        name="flicker of 1 %",
+        stacks=FLAT,
+        groups=TIME,
+        put=lambda frames, adc, rng: _scale(
+            frames, 1.0 + 0.01 * rng.standard_normal((len(frames), 1, 1)), adc
+        ),
+    ),
     Defect(name="veiling glare, 2 %", stacks=("edge",), groups=("edge", "mtf"), put=_veiling_glare),
     Defect(name="lag of 3 % a frame", stacks=LIT, groups=("time",), put=_lag),
-    Defect(name="PRNU, 1 %", stacks=FLATS, groups=PATTERN, put=_prnu),
+    Defect(
+        name="PRNU, 1 %",
+        stacks=FLATS,
+        groups=PATTERN,
+        put=lambda frames, adc, rng: _scale(
+            frames, 1.0 + 0.01 * rng.standard_normal(frames.shape[1:]), adc
+        ),
+    ),
     Defect(name="5 dust spots, 10 %", stacks=FLATS, groups=PATTERN, put=_dust),
     Defect(name="jitter of rows, 0.3 px", stacks=("edge",), groups=("edge", "mtf"), put=_jitter),
-    Defect(name="lowest bit left out", stacks=ALL, groups=("histogram", "level"), put=_truncation),
+    Defect(
+        name="lowest bit left out",
+        stacks=ALL,
+        groups=("histogram", "level"),
+        put=lambda frames, adc, rng: 2.0 * (frames // 2.0),
+    ),
 )
 
 # Defects that are parameters of the camera; a camera has those whose paths it knows.

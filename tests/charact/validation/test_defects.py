@@ -8,10 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from charact.validation import Statistic
-from charact.validation.frame_features import GROUPS, Numbers
-from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_test import SCORES, ValidationTest
+from charact.validation import GROUPS, SCORES, VALIDATION, Numbers, Statistic, ValidationTest
 from tests.charact.validation.bench_sets import BenchSets
 from tests.charact.validation.defects import DEFECTS, Defect
 

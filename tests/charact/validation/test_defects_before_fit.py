@@ -8,27 +8,20 @@ only numbers that no parameter moves tell.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from charact.cli.sessions import _findings_in as findings_in
-from charact.cli.sessions import _lines as lines_of
 from charact.fitting import fit_sensor
-from charact.observables import Stacks
-from charact.observables.frame_view import FrameView
-from charact.observables.photon_transfer import Linearity
-from charact.observables.temporal_noise import NoiseOverField
-from charact.reporting import sentence_of
+from charact.reporting.validation import sentence_of
 from charact.session_measurement import measure
-from charact.validation import Statistic, Validation, as_json
+from charact.validation import FAULTS, PARAMETERS, VALIDATION, Statistic, Validation, as_json
 from charact.validation import side_by_side as command
-from charact.validation.controls import FAULTS, PARAMETERS
-from charact.validation.likely_causes import SIGNATURES, likely_causes
-from charact.validation.thresholds import VALIDATION
 from labdata import BadInput, FrameStack, Result, Session
 from labdata.flags import FLAGS
 from labdata.session import LoadedStackEntry
+from tests.charact.cli.runner import charact
 from tests.charact.validation import defects
 from tests.charact.validation.defects import Digitiser, Frames
 from tests.truth.specimens import draw_specimen, session_of
@@ -188,7 +181,7 @@ def test_stacks_of_automatic_gain_take_no_part_in_a_fit_and_are_named(seed: int)
     )
     expected = fit_sensor(alone, measure(changed, quick=True), seed=seed)
     assert fitted.draws == expected.draws
-    assert any(note.startswith("agc: ") and "flat 4" in note for note in findings_in(fitted))
+    assert any(note.startswith("agc: ") and "flat 4" in note for note in fitted.notes)
     assert not any(note.startswith("agc: ") and "flat 4" in note for note in expected.notes)
     with pytest.raises(BadInput, match="needs a flat of fixed gain"):
         fit_sensor(
@@ -196,56 +189,6 @@ def test_stacks_of_automatic_gain_take_no_part_in_a_fit_and_are_named(seed: int)
         )
     with pytest.raises(BadInput, match="automatic controls must be off"):
         command.validate(with_automatic_gain(session, ("flat 4",)), expected, seed=seed)
-
-
-def test_a_bend_moves_signal_and_variance_of_a_dim_flat_over_a_bright_one_by_its_closed_form(
-    seed: int,
-) -> None:
-    """The slope of s (1 - a s) is 1 - 2 a s: the variance of photons follows its square."""
-    rng, bend = np.random.default_rng(seed), 1e-4
-    photons = [rng.poisson(mean, (8, 96, 128)).astype(float) for mean in (200.0, 1000.0)]
-    dark = FrameView("dark", 10.0 + rng.standard_normal((8, 96, 128)))
-    flats = tuple(
-        FrameView(name, 10.0 + s * (1.0 - bend * s))
-        for name, s in zip(("low", "high"), photons, strict=True)
-    )
-    found = Linearity().numbers(Stacks(darks=(dark,), flats=flats))
-    # Of s^2 its mean is s^2 + s.
-    low, high = (s - bend * (s**2 + s) for s in (200.0, 1000.0))
-    assert found["signal of low over high"] == pytest.approx(low / high, rel=2e-3)
-    noise_low, noise_high = (
-        s * (1.0 - 2.0 * bend * s) ** 2 / signal for s, signal in ((200.0, low), (1000.0, high))
-    )
-    # Variances of 86,016 values above their mean have a relative standard error of 0.5 %, the
-    # dark's is 0.5 % of them.
-    assert found["variance/signal of low over high"] == pytest.approx(
-        noise_low / noise_high, rel=4.5 * 0.008
-    )
-
-
-def test_columns_averaged_near_the_corners_are_correlated_there_by_half(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    dark, flat = (
-        10.0 + rng.standard_normal((8, 128, 160)),
-        100.0 + 8.0 * rng.standard_normal((8, 128, 160)),
-    )
-    y, x = (np.linspace(-1.0, 1.0, size) for size in flat.shape[1:])
-    outside = y[:, None] ** 2 + x[None, :] ** 2 > 1.0
-    mixed = np.where(outside, (flat + np.roll(flat, 1, axis=2)) / 2.0, flat)
-    plain, found = (
-        NoiseOverField().numbers(
-            Stacks(darks=(FrameView("dark", dark),), flats=(FrameView("flat", one),))
-        )
-        for one in (flat, mixed)
-    )
-    of = "px near the corners less the centre of flat"
-    # A seventh of the picture is near its corners, and its correlation is that of 20,000 pairs.
-    error = 4.5 / np.sqrt(0.1 * flat.size)
-    assert found[f"correlation at 0,1 {of}"] == pytest.approx(0.5, abs=2.0 * error)
-    assert found[f"correlation at 1,0 {of}"] == pytest.approx(0.0, abs=2.0 * error)
-    name = "ln variance/signal near the corners over the centre of flat"
-    assert found[name] == pytest.approx(-np.log(2.0), abs=2.0 * np.sqrt(2.0) * error)
-    assert all(abs(value) < 2.0 * np.sqrt(2.0) * error for value in plain.values())
 
 
 def statistic_of(name: str, label: str, measured: float, *, p_value: float = 1e-4) -> Statistic:
@@ -264,39 +207,39 @@ def statistic_of(name: str, label: str, measured: float, *, p_value: float = 1e-
     )
 
 
+def validation_of(*statistics: Statistic) -> Validation:
+    return Validation(
+        session="s", sensor="c", seed=0, draws=20, seconds=0.0, controls=(), statistics=statistics
+    )
+
+
 def test_causes_are_named_by_the_way_that_their_numbers_go_and_only_where_a_statistic_fails() -> (
     None
 ):
     sharpened = statistic_of("autocorrelation", "correlation at 0,1 px of flat", -6.0)
     blurred = statistic_of("autocorrelation", "correlation at 0,1 px of flat", 6.0)
     averaged = statistic_of("time", "correlation of dark frames of dark, 1 apart", 6.0)
-    assert [one.flag for one in likely_causes([sharpened])] == ["processed"]
-    assert likely_causes([blurred]) == ()
-    assert likely_causes([replace(sharpened, p_value=0.5)]) == ()
+    assert [one.flag for one in validation_of(sharpened).likely_causes] == ["processed"]
+    assert validation_of(blurred).likely_causes == ()
+    assert validation_of(replace(sharpened, p_value=0.5)).likely_causes == ()
     # Frames averaged are named before what they do to the noise.
-    both = likely_causes(
-        [sharpened, averaged, statistic_of("linearity", "signal of low over high", 5.0)]
-    )
+    both = validation_of(
+        sharpened, averaged, statistic_of("linearity", "signal of low over high", 5.0)
+    ).likely_causes
     assert [one.flag for one in both] == ["processed", "processed", "nonlinear"]
     assert "averaged" in both[0].effect
     # Less anticorrelated than predicted is no average.
     less = replace(averaged, measured=(-0.1,), low95=(-0.15,), high95=(-0.14,))
-    assert likely_causes([less]) == ()
+    assert validation_of(less).likely_causes == ()
     assert "is 6, not -1.96 to 1.96" in both[0].effect
-    assert {one.flag for one in SIGNATURES} <= set(FLAGS)
 
 
-def test_likely_causes_are_part_of_the_document_of_the_page_and_of_the_printed_lines() -> None:
-    validation = Validation(
-        session="s",
-        sensor="c",
-        seed=0,
-        draws=20,
-        seconds=0.0,
-        controls=(),
-        statistics=(statistic_of("linearity", "signal of low over high", 5.0),),
-    )
+def test_likely_causes_are_part_of_the_document_of_the_page_and_of_the_printed_lines(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    validation = validation_of(statistic_of("linearity", "signal of low over high", 5.0))
     assert [one["flag"] for one in as_json(validation)["likely_causes"]] == ["nonlinear"]
     cause = validation.likely_causes[0].note
     assert sentence_of(validation).startswith(f"Likely cause: {cause}. It differs most in ")
-    assert f"likely cause: {cause}" in list(lines_of(validation))
+    monkeypatch.setattr("charact.cli.sessions.validate_and_save", lambda *_, **__: validation)
+    assert f"likely cause: {cause}" in charact("validate", tmp_path).stdout.splitlines()

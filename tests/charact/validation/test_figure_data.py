@@ -8,16 +8,7 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.validation.figure_data import (
-    BINS_SD,
-    BLOCK_PX,
-    NEIGHBOURS,
-    curves_of,
-    figures_of,
-    point_levels,
-)
-from charact.validation.frame_features import features_of
-from charact.validation.frames import MatchedFrames, MatchedStacks
+from charact.validation import MatchedFrames, MatchedStacks, features_of, figure_data
 from labdata import Conditions, FrameStack, Target
 from labdata.session import Kind
 from tests.truth.sessions import session_in_memory, stack_in_memory
@@ -74,21 +65,21 @@ def test_the_cuts_of_white_noise_are_its_variance_and_hum_stands_at_its_frequenc
     hum = 1.5 * np.sin(2.0 * np.pi * CYCLES * np.arange(SHAPE[0]) / SHAPE[0])
     sign = np.where(np.arange(FRAMES) % 2, 1.0, -1.0)  # In turns, so that the mean frame has none.
     frames["dark"] = frames["dark"] + sign[:, None, None] * hum[:, None]
-    curves = curves_of(frames, chosen, ())
+    curves = figure_data.curves_of(frames, chosen, ())
     for cut, frequencies in (
         (curves.horizontal["high"], SHAPE[1] // 2),
         (curves.vertical["high"], SHAPE[0] // 2),
     ):
-        count = frequencies // NEIGHBOURS
+        count = frequencies // figure_data.NEIGHBOURS
         assert len(cut) == count
         # Each of the count x NEIGHBOURS powers is a chi-squared of two degrees a frame less the
         # mean: relative sd 1 / root(frames - 1).
-        error = 64.0 / np.sqrt((FRAMES - 1) * count * NEIGHBOURS)
+        error = 64.0 / np.sqrt((FRAMES - 1) * count * figure_data.NEIGHBOURS)
         assert cut.mean() == pytest.approx(64.0, abs=4.0 * error)
-    assert int(np.argmax(curves.vertical["dark"])) == (CYCLES - 1) // NEIGHBOURS
+    assert int(np.argmax(curves.vertical["dark"])) == (CYCLES - 1) // figure_data.NEIGHBOURS
     # A sine of amplitude a in a cut of one frame: a^2 rows cols / 4 at its frequency, over the
     # averaged neighbours.
-    power = 1.5**2 * SHAPE[0] * SHAPE[1] / 4.0 * FRAMES / (FRAMES - 1) / NEIGHBOURS
+    power = 1.5**2 * SHAPE[0] * SHAPE[1] / 4.0 * FRAMES / (FRAMES - 1) / figure_data.NEIGHBOURS
     assert curves.vertical["dark"].max() == pytest.approx(power, rel=0.1)
 
 
@@ -97,11 +88,12 @@ def test_the_histogram_counts_every_value_and_the_ends_hold_all_beyond(
 ) -> None:
     frames = _frames(seed)
     frames["dark"][0, :3, 0] += 1000.0
-    counts = curves_of(frames, chosen, ()).counts
+    counts = figure_data.curves_of(frames, chosen, ()).counts
     assert counts["dark"].sum() == counts["high"].sum() == FRAMES * SHAPE[0] * SHAPE[1]
     assert counts["dark"][-1] == 3
     within = (
-        counts["high"][(BINS_SD[:-1] >= -1.0) & (BINS_SD[1:] <= 1.0)].sum() / counts["high"].sum()
+        counts["high"][(figure_data.BINS_SD[:-1] >= -1.0) & (figure_data.BINS_SD[1:] <= 1.0)].sum()
+        / counts["high"].sum()
     )
     # Values less their mean frame are nearly Gaussian: 68.27 %, with the binomial error of that
     # many values.
@@ -118,8 +110,11 @@ def test_a_residual_is_where_the_frames_differ_and_its_sd_is_that_of_a_mean_of_p
     measured["high"][:, 8:16, 16:24] += 20.0
     found = _figures(chosen, measured, simulated, seed)
     residual = next(one for one in found.residuals if one.role == "bright flat")
-    assert residual.difference_dn.shape == (SHAPE[0] // BLOCK_PX, SHAPE[1] // BLOCK_PX)
-    expected = 8.0 / np.sqrt(FRAMES * BLOCK_PX**2) * np.sqrt(1.0 + 1.0 / DRAWS)
+    assert residual.difference_dn.shape == (
+        SHAPE[0] // figure_data.BLOCK_PX,
+        SHAPE[1] // figure_data.BLOCK_PX,
+    )
+    expected = 8.0 / np.sqrt(FRAMES * figure_data.BLOCK_PX**2) * np.sqrt(1.0 + 1.0 / DRAWS)
     blocks = residual.difference_dn.size
     assert residual.sd_dn == pytest.approx(expected, rel=4.0 / np.sqrt(2.0 * blocks * (DRAWS - 1)))
     inside = residual.difference_dn[2:4, 4:6]
@@ -178,16 +173,16 @@ def test_levels_of_the_point_source_span_the_dim_to_the_bright(chosen: MatchedSt
         for lux in light
     )
     session = session_in_memory(stacks, bit_depth=8)
-    levels, frames = point_levels(session, chosen)
+    levels, frames = figure_data.point_levels(session, chosen)
     assert [shot.label for shot in levels] == ["at 0.5", "at 2.0", "at 8.0"]
     assert {data.shape[1:] for data in frames.values()} == {SHAPE}
-    assert point_levels(session, replace(chosen, point=None)) == ((), {})
+    assert figure_data.point_levels(session, replace(chosen, point=None)) == ((), {})
 
 
 def _figures(chosen: MatchedStacks, measured: dict, simulated: list[dict], seed: int):
     context = Context(seed=seed, quick=True, interlaced=False, full_scale_dn=4095.0)
     features = [features_of(frames, chosen, context=context) for frames in (measured, *simulated)]
-    curves = [curves_of(frames, chosen, ()) for frames in simulated]
-    return figures_of(
+    curves = [figure_data.curves_of(frames, chosen, ()) for frames in simulated]
+    return figure_data.figures_of(
         chosen, (), (measured, features[0]), (simulated[0], features[1:], curves), seed=seed
     )

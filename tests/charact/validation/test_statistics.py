@@ -8,10 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.validation import ensemble
-from charact.validation.frame_features import Numbers
-from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_test import SCORES, ParameterChange, ValidationTest
+from charact.validation import (
+    SCORES,
+    VALIDATION,
+    Numbers,
+    ParameterChange,
+    ValidationTest,
+    ensemble,
+)
 
 SETS = 20
 # Numbers of a group, and how many standard deviations a relative error of 1 of a gain moves each.

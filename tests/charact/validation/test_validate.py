@@ -8,13 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from charact.validation import FAULTS, GROUPS, PARAMETERS, SCORES, VALIDATION, validate
 from charact.validation import frames as cut
 from charact.validation import side_by_side as command
-from charact.validation import validate
-from charact.validation.controls import FAULTS, PARAMETERS
-from charact.validation.frame_features import GROUPS
-from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_test import SCORES
 from labdata import BadInput, Camera, Conditions, Session, Target, load_sensor, open_session
 from labdata.camera.parameters import Draws
 from labdata.session import Kind
