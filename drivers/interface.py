@@ -105,7 +105,7 @@ def _is_ceiling(pixels: NDArray, top: float, near: float) -> bool:
     if not lower.size:
         return True
     next_lower = np.count_nonzero(lower == lower.max())
-    return np.count_nonzero(pixels == top) > CEILING_RATIO * next_lower
+    return bool(np.count_nonzero(pixels == top) > CEILING_RATIO * next_lower)
 
 
 class Bench(Protocol):

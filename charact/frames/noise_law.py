@@ -145,7 +145,7 @@ def masked_covariance(
 
     def lagged(images: NDArray[np.floating]) -> Array:
         spectra = np.asarray(rfft2(images, size))
-        power = (spectra.real**2 + spectra.imag**2).sum(axis=0)
+        power = (np.real(spectra) ** 2 + np.imag(spectra) ** 2).sum(axis=0)
         return np.asarray(irfft2(power, size), np.float64)[lag[:, None], lag]
 
     pairs = np.rint(lagged(valid[None].astype(fields.dtype)))

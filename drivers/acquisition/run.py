@@ -429,9 +429,11 @@ class Freshness:
         return f"{self._repeats} frames equal an earlier one" if self._repeats else None
 
     def _must_vary(self, pixels: NDArray) -> bool:
-        if self._is_lit or self._noise_dn is not None:
-            return self._is_lit or self._noise_dn > VISIBLE_NOISE_DN
-        return np.count_nonzero(pixels != np.median(pixels)) > VISIBLE_PIXELS * pixels.size
+        if self._is_lit:
+            return True
+        if self._noise_dn is not None:
+            return self._noise_dn > VISIBLE_NOISE_DN
+        return bool(np.count_nonzero(pixels != np.median(pixels)) > VISIBLE_PIXELS * pixels.size)
 
 
 class _Unwatched:

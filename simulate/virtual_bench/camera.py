@@ -141,7 +141,10 @@ class VirtualCamera:
         repeated = faults.repeated_pictures
         if repeated and len(self._pictures) >= repeated:
             return self._pictures[-repeated + next(self._sent) % repeated]
-        self._pictures.append(self._tube.expose(scene).clip(max=faults.ceiling_dn))
+        picture = self._tube.expose(scene)
+        if faults.ceiling_dn is not None:
+            picture = picture.clip(max=faults.ceiling_dn)
+        self._pictures.append(picture)
         return self._pictures[-1]
 
     def _lose_packets(self, fraction: float) -> None:

@@ -261,7 +261,8 @@ def _slopes(site: SourcePixels, fit: BlurModelFit2D) -> Array:
 
 def dark_noise(site: SourcePixels) -> Array:
     """Return the covariance of the core's pixels without light, shape (pixel, pixel), DN^2."""
-    return site.dark.covariance(*np.indices(site.window.core.shape).reshape(2, -1))
+    rows, cols = np.indices(site.window.core.shape).reshape(2, -1)
+    return site.dark.covariance(rows, cols)
 
 
 def covariance(site: SourcePixels, mean: Array, light: float) -> Array:
