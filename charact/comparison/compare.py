@@ -15,41 +15,9 @@ from charact.comparison.thresholds import LIMITS
 from labdata.errors import BadInput
 from labdata.flags import order_flags
 from labdata.measurement import Interval, Measurement, Result, intervals_of
+from labdata.quantity import QUANTITIES
 from labdata.session import Session
 
-HIGHER_IS_BETTER = frozenset(
-    {
-        "mtf50",
-        "mtf10",
-        "mtf",
-        "snr",
-        "snr_area",
-        "snr_max",
-        "tube_snr",
-        "dynamic_range",
-        "quantum_efficiency",
-        "limiting_resolution",
-        "figure_of_merit",
-    }
-)
-LOWER_IS_BETTER = frozenset(
-    {
-        "read_noise",
-        "dark_current",
-        "halo_diameter",
-        "halo_fraction",
-        "halo_plateau",
-        "bloom_diameter",
-        "bloom_diameter_background",
-        "bloom_diameter_clip",
-        "ebi",
-        "dsnu",
-        "prnu",
-        "excess_noise_factor",
-        "linearity_error",
-        "mrc",
-    }
-)
 # Standard scores of the upper limits of the 68 % and 95 % intervals, and one beyond all draws.
 SCORES, FARTHEST = (0.994458, 1.959964), 10.0
 
@@ -79,9 +47,10 @@ class Difference:
         """Return the probability that B is better; None for a quantity without a better
         direction.
         """
-        if self.probability_greater is None or self.a.quantity in HIGHER_IS_BETTER:
+        better = QUANTITIES[self.a.quantity].better
+        if self.probability_greater is None or better == "higher":
             return self.probability_greater
-        return 1.0 - self.probability_greater if self.a.quantity in LOWER_IS_BETTER else None
+        return 1.0 - self.probability_greater if better == "lower" else None
 
     @property
     def excludes_zero(self) -> bool:

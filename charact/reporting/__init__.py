@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     )
     from charact.reporting.bloom_images import add_extent_data, plot_bloom_frames, plot_bloom_map
     from charact.reporting.corner import corner_svg, varying
-    from charact.reporting.emva_sheet import SHEET, emva_summary, emva_xml, in_standard_unit
+    from charact.reporting.emva_sheet import emva_summary, emva_xml, in_standard_unit, sheet_rows
     from charact.reporting.figure_registry import FIGURES, figure_of
     from charact.reporting.figure_svg import as_svg
     from charact.reporting.frequency_unit import FrequencyUnit
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FIGURES",
-    "SHEET",
     "FrequencyUnit",
     "TruthComparison",
     "add_extent_data",
@@ -72,6 +71,7 @@ __all__ = [
     "round_to_spread",
     "sentence_of",
     "sheet",
+    "sheet_rows",
     "unusable_edges",
     "validation_section",
     "varying",
@@ -90,7 +90,7 @@ __getattr__ = import_on_first_use(
         ),
         "charact.reporting.bloom_images": "add_extent_data plot_bloom_frames plot_bloom_map",
         "charact.reporting.corner": "corner_svg varying",
-        "charact.reporting.emva_sheet": "SHEET emva_summary emva_xml in_standard_unit",
+        "charact.reporting.emva_sheet": "emva_summary emva_xml in_standard_unit sheet_rows",
         "charact.reporting.figure_registry": "FIGURES figure_of",
         "charact.reporting.figure_svg": "as_svg",
         "charact.reporting.frequency_unit": "FrequencyUnit",

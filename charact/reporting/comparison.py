@@ -14,7 +14,7 @@ from charact.reporting.number_format import (
     short_text,
     value_text,
 )
-from charact.reporting.summary import LEADING, SERIES
+from charact.reporting.summary import SERIES, sections_of_leading
 from labdata.measurement import Measurement, make_measurement
 from labdata.session import LoadedStackEntry, Session
 
@@ -142,7 +142,7 @@ def _rows(differences: Sequence[Difference], everything: bool) -> Iterator[tuple
                 for difference in group
             )
         return
-    order = [quantity for quantities in LEADING.values() for quantity in quantities]
+    order = list(sections_of_leading())
     keys = [key for key in groups if key[0] in order] or list(groups)
     keys.sort(key=lambda key: order.index(key[0]) if key[0] in order else len(order))
     shown = 0

@@ -7,54 +7,10 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 
 from charact.reporting.number_format import plus_minus, plus_minus_of, round_to_spread, spread_of
-from labdata import FLAGS, Measurement, Result
+from labdata import FLAGS, QUANTITIES, Measurement, Result
 
 Frequency = Callable[[float, Measurement | None], tuple[float, str]]
 
-# Sections and their quantities in the order in which a user looks for them; the others are in
-# the text of every line.
-LEADING: dict[str, tuple[str, ...]] = {
-    "Resolution": (
-        "mtf50",
-        "mtf10",
-        "mtf",
-        "limiting_resolution",
-        "figure_of_merit",
-        "mrc",
-        "post_gain_mtf50",
-        "edge_angle",
-    ),
-    "Gain and noise": (
-        "system_gain",
-        "covariance_gain",
-        "conversion_gain",
-        "photoelectron_gain",
-        "detected_photoelectron_gain",
-        "excess_noise_factor",
-        "blur_factor",
-        "read_noise",
-        "ebi",
-        "tube_snr",
-        "quantum_efficiency",
-        "saturation_capacity",
-        "snr_max",
-        "dynamic_range",
-        "minimum_illumination",
-        "linearity_error",
-        "dsnu",
-        "prnu",
-        "dark_current",
-        "snr",
-    ),
-    "Infrared": ("sitf", "netd", "mrtd"),
-    "Halo and blooming": (
-        "halo_diameter",
-        "halo_fraction",
-        "bloom_diameter",
-        "streak_length",
-        "smear_fraction",
-    ),
-}
 # Results with at most this many values are shown whole.
 SHORT = 12
 # Measurements of a quantity beyond this number are one line.
@@ -170,13 +126,16 @@ class Row:
         return _wrap(text, f"{indent}    ", width, max_lines=3)
 
 
+def sections_of_leading() -> dict[str, str]:
+    """Return the section of each quantity that leads in one, in the order of a summary."""
+    return {name: known.section for name, known in QUANTITIES.items() if known.section}
+
+
 def _rows(
     valued: list[Measurement], frequency: Frequency, width: int
 ) -> tuple[list[Row], list[Measurement]]:
     """Return the rows shown, and the measurements that are not."""
-    leading = {
-        quantity: section for section, quantities in LEADING.items() for quantity in quantities
-    }
+    leading = sections_of_leading()
     short = len(valued) <= SHORT
     order = list(leading)
     groups: dict[tuple[str, str], list[Measurement]] = {}

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from charact.reporting import SHEET, emva_summary, emva_xml, fragment, in_standard_unit
+from charact.reporting import emva_summary, emva_xml, fragment, in_standard_unit, sheet_rows
 from labdata import Result, make_refusal, measurement_from_sd
 
 PLAIN = {"method": "variance"}
@@ -35,7 +35,7 @@ def test_figures_stand_under_the_standards_names_and_what_is_missing_is_named():
 
 
 def test_a_ratio_in_decibels_and_the_inverse_gain_carry_their_intervals():
-    entries = {entry.symbol: entry for entry in SHEET}
+    entries = {entry.symbol: entry for entry in sheet_rows()}
     ratio = measurement_from_sd("snr_max", "1", 100.0, 5.0, **PLAIN)
     shown = in_standard_unit(entries["SNR_max.dB"], ratio)
     assert shown.value == 40.0 and shown.unit == "dB"
