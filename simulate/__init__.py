@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from simulate.outdoor_rendering import OutdoorRendering, RenderedView, render_sensor_of
     from simulate.radiance_files import save_view_radiance
     from simulate.session_files import save_session
-    from simulate.shot import Shot
+    from simulate.shot import Shot, stage_images
     from simulate.surface_temperatures import SurfaceTemperatures, temperatures
 
 keep_loops()
@@ -47,6 +47,7 @@ __all__ = [
     "save_view_radiance",
     "select_effects",
     "simulate",
+    "stage_images",
     "temperatures",
     "voltage_limit_warnings",
 ]
@@ -66,7 +67,7 @@ __getattr__ = import_on_first_use(
         "simulate.outdoor_rendering": "OutdoorRendering RenderedView render_sensor_of",
         "simulate.radiance_files": "save_view_radiance",
         "simulate.session_files": "save_session",
-        "simulate.shot": "Shot",
+        "simulate.shot": "Shot stage_images",
         "simulate.surface_temperatures": "SurfaceTemperatures temperatures",
     },
 )

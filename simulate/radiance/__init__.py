@@ -36,7 +36,6 @@ if TYPE_CHECKING:
         band_photon_radiance,
         band_radiance,
         band_radiance_slope,
-        brightness_temperature,
         luminous_efficiency,
         planck,
         spectral_grid,
@@ -57,7 +56,6 @@ __all__ = [
     "band_radiance",
     "band_radiance_slope",
     "band_widths",
-    "brightness_temperature",
     "clearest",
     "internal_transmittance",
     "kruse_per_km",
@@ -93,7 +91,7 @@ __getattr__ = import_on_first_use(
         "simulate.radiance.scene": "LabScene load_bench load_scene",
         "simulate.radiance.spectrum": (
             "LUMENS_PER_WATT STEFAN_BOLTZMANN SourceSpectrum band_photon_radiance band_radiance "
-            "band_radiance_slope brightness_temperature luminous_efficiency planck spectral_grid "
+            "band_radiance_slope luminous_efficiency planck spectral_grid "
             "sum_spectra"
         ),
     },

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput, check, check_range
-from simulate.radiance.spectrum import require_grid, table
+from simulate.radiance.spectrum import table
 
 Array = NDArray[np.floating]
 
@@ -236,28 +236,6 @@ class Atmosphere:
         """
         return self._particle_transmittance(range_m, wavelength_nm) * self.gas_transmittance(
             range_m, wavelength_nm
-        )
-
-    def path_radiance(
-        self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: Array
-    ) -> Array:
-        """Return the path radiance of lengths (path,) in directions (path, 3), W m-2 sr-1 nm-1,
-        shape (band, path).
-
-        Notes
-        -----
-        J (1 - T_scattering) T_gas(half the path), J the radiance of an endless path
-        (`NightSky.air_radiance`).
-        """
-        grid = require_grid(wavelength_nm)
-        metres = np.atleast_1d(np.asarray(range_m, float))
-        if self.light is None:
-            return np.zeros((grid.size, metres.size))
-        endless = self.light.air_radiance(direction, grid)
-        return (
-            endless
-            * (1.0 - self._particle_transmittance(metres, grid))
-            * self.gas_transmittance(0.5 * metres, grid)
         )
 
     def slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> Array:

@@ -81,26 +81,6 @@ def band_radiance_slope(
     return (4.0 * band_radiance(low_um, high_um, kelvin) + scale * (high - low)) / kelvin
 
 
-def brightness_temperature(
-    low_um: float, high_um: float, radiance: ArrayLike
-) -> NDArray[np.float64]:
-    """Return the temperature of the black body of a band radiance (W m-2 sr-1, above 0), K.
-
-    Notes
-    -----
-    Newton's method on ln L against 1/T, which is nearly straight; relative error below 1e-12.
-    """
-    wanted = np.log(np.asarray(radiance, float))
-    inverse = np.full(wanted.shape, 1.0 / 300.0)
-    for _ in range(30):
-        kelvin = 1.0 / inverse
-        black_body_radiance = band_radiance(low_um, high_um, kelvin)
-        slope = -band_radiance_slope(low_um, high_um, kelvin) * kelvin**2 / black_body_radiance
-        # At most by a half at a time: the first guess may be far away.
-        inverse *= np.clip(1.0 + (wanted - np.log(black_body_radiance)) / slope / inverse, 0.5, 2.0)
-    return 1.0 / inverse
-
-
 def _exponent(wavelength_um: ArrayLike, kelvin: Array) -> Array:
     """h c / (wavelength k T)."""
     return PLANCK * LIGHT / (np.asarray(wavelength_um, float) * 1e-6 * BOLTZMANN * kelvin)

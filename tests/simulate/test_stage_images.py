@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from labdata import Conditions, load_camera
+from simulate import stage_images
 from simulate.camera import (
     CameraModel,
     camera_from_description,
     mcp_input_from_photoelectrons,
     mcp_input_from_radiance,
-    stage_images,
     true_quantities,
 )
 from simulate.radiance import RadianceCube, planck
@@ -34,7 +34,7 @@ def _small(name: str):
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512"])
 def test_every_stage_of_the_chain_is_shown_once_in_its_order(name):
     camera, conditions = _small(name), Conditions(temperature_c=-20.0)
-    images = list(stage_images.stage_images(camera, CUBE, conditions, seed=1))
+    images = list(stage_images(camera, CUBE, conditions, seed=1))
     assert [stage for stage, _, _ in images] == [
         stage.name for stage in camera.chain(conditions).stages
     ]
@@ -47,10 +47,7 @@ def test_every_stage_of_the_chain_is_shown_once_in_its_order(name):
 
 def test_light_at_the_plate_is_that_of_the_exposure():
     camera = _small("pulnix-ag5745ef3")
-    shown = {
-        stage: image
-        for stage, _, image in stage_images.stage_images(camera, CUBE, Conditions(), seed=1)
-    }
+    shown = {stage: image for stage, _, image in stage_images(camera, CUBE, Conditions(), seed=1)}
     at_mcp = mcp_input_from_radiance(camera, CUBE, Conditions())
     grid = at_mcp.grid
     assert grid is not None
@@ -65,7 +62,7 @@ def test_levels_grow_by_the_gains_of_the_stages(plain):
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 200.0), Conditions())
     shown = {
         stage: image.mean(dtype=float)
-        for stage, _, image in stage_images.stage_images(camera, light, Conditions(), seed=1)
+        for stage, _, image in stage_images(camera, light, Conditions(), seed=1)
     }
     chain = {stage.name: stage for stage in camera.chain(Conditions()).stages}
     assert shown["phosphor"] / shown["microchannel plate"] == pytest.approx(
@@ -87,7 +84,7 @@ def test_pixels_of_a_camera_without_a_tube_hold_the_photoelectrons_of_the_pictur
     light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 7.0), conditions)
     found = {
         stage: (what, image)
-        for stage, what, image in stage_images.stage_images(camera, light, conditions, seed=1)
+        for stage, what, image in stage_images(camera, light, conditions, seed=1)
     }
     what, image = found["pixels"]
     assert what == "photoelectrons per exposure and pixel, expected"
@@ -97,8 +94,7 @@ def test_pixels_of_a_camera_without_a_tube_hold_the_photoelectrons_of_the_pictur
 def test_same_seed_shows_the_same_frame_and_another_another():
     camera = _small("pulnix-ag5745ef3")
     first, again, other = (
-        list(stage_images.stage_images(camera, CUBE, Conditions(), seed=n))[-1][2]
-        for n in (1, 1, 2)
+        list(stage_images(camera, CUBE, Conditions(), seed=n))[-1][2] for n in (1, 1, 2)
     )
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)

@@ -12,7 +12,6 @@ from simulate.radiance import (
     STEFAN_BOLTZMANN,
     Atmosphere,
     band_radiance,
-    brightness_temperature,
     vapour_density_g_m3,
 )
 from simulate.radiance.outdoor import Weather as State
@@ -21,6 +20,7 @@ from simulate.thermal import (
     InfraredAir,
     InfraredSky,
     Weather,
+    apparent_temperature,
     bins_of,
     notes_on_sky,
     ring_radiance,
@@ -142,9 +142,7 @@ def test_a_warm_target_looks_as_much_warmer_through_air_as_in_lowtran():
     for band, rises in (((8.0, 12.0), (9.62, 8.17)), ((8.0, 14.0), (9.38, 7.45))):
         air = humid_air(band, 293.15, 0.6)
         seen = air.after_path(np.tile(air.black_body(303.15), (2, 1)), [100.0, 1000.0]).sum(axis=1)
-        assert brightness_temperature(band[0], band[1], seen) - 293.15 == pytest.approx(
-            rises, abs=0.16
-        )
+        assert apparent_temperature(seen, band) - 293.15 == pytest.approx(rises, abs=0.16)
 
 
 def sky(kelvin: float, water_cm: float, band: tuple[float, float], **more) -> InfraredSky:
@@ -162,7 +160,7 @@ def ways(zenith_deg) -> np.ndarray:
 @pytest.mark.parametrize(("kelvin", "water_cm", "band", "expected"), SKIES)
 def test_the_clear_sky_by_direction_is_lowtrans(kelvin, water_cm, band, expected):
     light = sky(kelvin, water_cm, band).radiance(ways(ZENITH_DEG)).sum(axis=1)
-    found = brightness_temperature(band[0], band[1], light)
+    found = apparent_temperature(light, band)
     assert found == pytest.approx(expected, abs=3.0)
     assert (np.diff(found) > 0.0).all()
 
@@ -203,9 +201,9 @@ def test_sky_and_air_stay_within_black_bodies_in_any_weather():
 def test_below_the_horizon_is_ground_at_the_airs_temperature_and_clouds_are_warm():
     clear = sky(288.2, 1.42, (8.0, 12.0))
     ground = clear.radiance(ways([100.0, 180.0])).sum(axis=1)
-    assert brightness_temperature(8.0, 12.0, ground) == pytest.approx(288.2)
+    assert apparent_temperature(ground, (8.0, 12.0)) == pytest.approx(288.2)
     overcast = sky(288.2, 1.42, (8.0, 12.0), cloud=1.0).radiance(ways([0.0, 80.0])).sum(axis=1)
-    seen = brightness_temperature(8.0, 12.0, overcast)
+    seen = apparent_temperature(overcast, (8.0, 12.0))
     assert (seen > 288.2 - 6.5).all() and (seen < 288.2).all() and seen[1] > seen[0]
     rings = ring_radiance(clear).sum(axis=1)
     assert (np.diff(rings) < 0.0).all()

@@ -10,7 +10,6 @@ from simulate.radiance import (
     band_photon_radiance,
     band_radiance,
     band_radiance_slope,
-    brightness_temperature,
 )
 
 # Temperature, band, radiance, derivative, photon radiance: by quadrature and by series, CODATA
@@ -56,11 +55,3 @@ def test_the_slope_is_that_of_the_radiance():
         band_radiance(8.0, 12.0, kelvin + step) - band_radiance(8.0, 12.0, kelvin - step)
     ) / (2.0 * step)
     assert band_radiance_slope(8.0, 12.0, kelvin) == pytest.approx(difference, rel=1e-7)
-
-
-@pytest.mark.parametrize("band", [(3.0, 5.0), (8.0, 14.0)])
-def test_the_brightness_temperature_of_a_black_body_is_its_own(band):
-    kelvin = np.array([90.0, 182.5, 300.0, 1000.0])
-    assert brightness_temperature(*band, band_radiance(*band, kelvin)) == pytest.approx(
-        kelvin, rel=1e-10
-    )

@@ -10,7 +10,6 @@ import pytest
 from labdata import from_mapping
 from labdata.camera import Parameter
 from simulate.radiance import (
-    brightness_temperature,
     internal_transmittance,
     material,
     material_names,
@@ -178,7 +177,7 @@ def test_a_plate_under_an_even_sky_looks_as_cold_as_the_closed_form_says(emissiv
     )
     for sky_k, expected in zip((220.0, 250.0), looks_c, strict=True):
         seen = look_of(scene, down(), band, sky_k=sky_k, without=(infrared_tracer.AIR,)).rows(0)
-        found = brightness_temperature(band[0], band[1], seen.radiance.sum(axis=1))
+        found = apparent_temperature(seen.radiance.sum(axis=1), band)
         assert found - ZERO_C == pytest.approx(expected, abs=0.005)
 
 
