@@ -156,7 +156,7 @@ def test_stuck_pixels_are_told_and_left_out(seed):
     data = edge(rng, snr=60.0).data.copy()
     data[0, rng.integers(0, 90, 12), rng.integers(0, 90, 12)] = 4000
     found = measured(FrameStack(data=data)).find("mtf50")[0]
-    assert any(note.startswith("defects: 1") for note in found.notes)
+    assert any(note.startswith("defects: ") for note in found.notes)
     assert found.value == pytest.approx(edges.frequency_at(0.5, 0.9, 5.0), rel=0.05)
 
 
@@ -185,8 +185,13 @@ def test_a_curved_response_is_told_where_the_profile_shows_it():
     rng = np.random.default_rng(5)
     straight = edges.noisy(4000 * light, rng, snr=60.0, step=3600.0)
     curved = edges.noisy(4000 * light**0.5, rng, snr=60.0, step=3000.0)
-    assert "gamma" in flags_of(curved)
-    assert "gamma" not in flags_of(straight)
+    told = [
+        any(
+            note.startswith("gamma: the profile") for note in measured(stack).find("mtf50")[0].notes
+        )
+        for stack in (straight, curved)
+    ]
+    assert told == [False, True]
 
 
 def test_one_edge_is_found_among_several_and_its_place_recorded(seed):

@@ -176,15 +176,13 @@ def test_noise_of_photons_takes_away_the_doubt_about_the_response(shot_share, sa
     assert noted >= 4 if said else noted <= 1
 
 
-@pytest.mark.parametrize(
-    ("curved", "silent"), [(CURVED, False), (1e-12, True)], ids=["allowed for", "ignored"]
-)
-def test_a_gamma_that_is_not_seen_is_allowed_for(monkeypatch, curved, silent):
+@pytest.mark.parametrize("curved", [CURVED, 1e-12], ids=["likely", "unlikely"])
+def test_a_gamma_that_is_not_seen_is_allowed_for(monkeypatch, curved):
     """Power laws of 1.5 to 2.2 at 23 to 95 standard deviations: MTF50 is .5 to 2 % high, which was
     twice its error.
 
-    Of four scenes of the map those drawings that show no gamma: without doubt about the response
-    some are off by more than twice the 95 % half interval, with it none is.
+    Of four scenes of the map those drawings that show no gamma: the interval holds it, whatever its
+    prior probability, by the bound of what the profile does not show.
     """
     monkeypatch.setattr(edge_response, "curvatures", partial(of_response.curvatures, curved=curved))
     pulls = []
@@ -206,4 +204,4 @@ def test_a_gamma_that_is_not_seen_is_allowed_for(monkeypatch, curved, silent):
                     (truth - found.value) / ((high if truth > found.value else low) - found.value)
                 )
     assert len(pulls) >= 12
-    assert (max(pulls) > 2.0) == silent
+    assert max(pulls) < 1.5
