@@ -43,6 +43,16 @@ class TargetMotion:
         """
         return 2.0 * (np.pi * frequency_cy_per_px * self.rms_px) ** 2
 
+    def max_lift(self, mtf: float, frequency_cy_per_px: float) -> float | None:
+        """Return the most by which an MTF without the motion is higher, M L/(1 - L), L = 2 (pi f
+        s)^2 for the largest s; None: unbounded.
+
+        Displacements t of any distribution lower it by |E exp(2 pi i f t)| >= 1 - L, as cos x >= 1
+        - x^2 / 2.
+        """
+        loss = LIMITS.max_rms_ratio**2 * self.mtf_loss(frequency_cy_per_px)
+        return mtf * loss / (1.0 - loss) if loss < 1.0 else None
+
 
 def measure_line_motion(
     frames: Sequence[Array] | Array,

@@ -23,6 +23,9 @@ class MtfLimits:
     # Noise on slopes over that of plateaus: factor, and standard uncertainties.
     slope_noise: tuple[float, float] = (1.25, 5.0)
     motion_p_value: float = 1e-4  # p-value of motion
+    # Displacements over their rms as measured, at most: it is known to a fifth (test_roughness,
+    # test_target_motion)
+    max_rms_ratio: float = 1.2
     # Effect of motion that needs no flag, standard uncertainties of the measurement
     max_motion_sd: float = 0.5
     min_line_power: float = 0.5  # Precision of a line's position over the median

@@ -220,7 +220,7 @@ def _sample_measurement(
         findings=(
             *target_findings,
             *findings_of_fit(fit, problem),
-            *response_findings(response),
+            *response_findings(response, float(np.mean(mtf))),
             # White clips where there is light, black mostly where there is none.
             *clipping_findings(stack, (lit, problem.window), fit),
         ),

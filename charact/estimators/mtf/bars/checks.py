@@ -17,7 +17,6 @@ from charact.estimators.mtf.bars.fit import BarFit, fit_bars, rounding_sd
 from charact.estimators.mtf.bars.target import BarTarget, core_margin_px
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.target_motion import TargetMotion
-from charact.estimators.mtf.thresholds import LIMITS as MTF_LIMITS
 from charact.frames.stack import Stack
 from charact.verdict import Finding
 
@@ -37,6 +36,7 @@ REMEDIES = {
     "gamma": "frames without gamma; unequal bars and gaps have the same effect",
     "processed": "raw frames without sharpening",
 }
+CLIPPED = "pixels are clipped: MTF error up to the clipped fraction of the bars' height"
 POSTERIOR_FINDINGS = {
     "not-converged": (
         "interval from the curvature at the optimum; it may be a third too narrow",
@@ -123,12 +123,7 @@ def clipping_findings(
         return []
     if not any(stack.is_clipped(window) for window in windows):
         return []
-    return [
-        finding(
-            "clipped",
-            "pixels are clipped: MTF error up to the clipped fraction of the bars' height",
-        )
-    ]
+    return [finding("clipped", CLIPPED)]
 
 
 def _is_noise_hidden(stack: Stack, fit: BarFit) -> bool:
@@ -143,16 +138,19 @@ def _is_noise_hidden(stack: Stack, fit: BarFit) -> bool:
     )
 
 
+def findings_of_posterior(flags: Iterable[str]) -> list[Finding]:
+    """Return the findings of a posterior's flags; an exponent at its bound is none."""
+    return [
+        finding(flag, *POSTERIOR_FINDINGS[flag]) for flag in flags if flag in POSTERIOR_FINDINGS
+    ]
+
+
 def findings_of_draws(
     mtf: Array, motion: TargetMotion, frequency: float, flags: Iterable[str]
 ) -> list[Finding]:
-    """Return the findings of the draws of the MTF, their sampling and motion; an exponent at its
-    bound is none.
-    """
+    """Return the findings of the draws of the MTF, their sampling and motion."""
     mean, sd = float(mtf.mean()), float(mtf.std())
-    findings = [
-        finding(flag, *POSTERIOR_FINDINGS[flag]) for flag in flags if flag in POSTERIOR_FINDINGS
-    ]
+    findings = findings_of_posterior(flags)
     if np.quantile(mtf, 0.025) > 1.0:
         findings.append(
             finding("model-misfit", f"the MTF must be at most 1, got {100 * mean - 100:.1f} % more")
@@ -164,12 +162,16 @@ def findings_of_draws(
                 f"the MTF is {mean / max(sd, 1e-30):.1f} standard errors: an upper limit",
             )
         )
-    loss = motion.mtf_loss(frequency)
-    if motion.moves and loss * mean > MTF_LIMITS.max_motion_sd * sd:
-        effect = (
-            f"the bars move by {motion.rms_px:.2g} px rms: the MTF is {100 * loss:.2g} % too low"
+    if motion.moves:
+        findings.append(
+            Finding(
+                flag="drift",
+                effect=f"the bars move by {motion.rms_px:.2g} px rms",
+                remedy=REMEDIES["drift"],
+                bound=motion.max_lift(mean, frequency),
+                sign=-1,
+            )
         )
-        findings.append(finding("drift", effect))
     return findings
 
 

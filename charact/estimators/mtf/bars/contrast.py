@@ -8,18 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 import charact
+from charact.estimators.mtf.bars.checks import CLIPPED, finding
 from charact.estimators.mtf.bars.detection import LocatedBars, target_in
 from charact.estimators.mtf.bars.target import fitting_margin
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.mean_frame import Region
 from charact.frames.stack import Stack
 from charact.method import Context, register
+from charact.verdict import judge
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 
 CONTRAST, COLTMAN = "bars-contrast", "bars-coltman"
+BIASED_BY = "harmonics, the outer bars, noise and the phase of the pixels bias maxima and minima"
 
 
 def measure_contrast(
@@ -67,17 +70,18 @@ def measure_contrast(
         return Result(measurements=(measurement,))
     target = located.target
     clipped = cut_stack.is_clipped(target.box(mean.shape, 1.0))
-    measurement = measurement_from_sd(
+    findings = [finding("model-misfit", BIASED_BY, "`method` bars-forward")]
+    findings += [finding("clipped", CLIPPED)] if clipped else []
+    number = measurement_from_sd(
         "mtf",
         "1",
         *contrast,
-        flags=("model-misfit", *("clipped",) * clipped),
         notes=(note,),
         frequency_cy_per_px=target.frequency,
         orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0,
         **common,
     )
-    return Result(measurements=(measurement,))
+    return Result(measurements=(judge(number, findings),))
 
 
 def _bars_and_gaps(

@@ -14,6 +14,7 @@ from charact.frames.stack import Stack
 from charact.method import Context, register
 from charact.transfer.cores import ON_BARS
 from charact.transfer.stages import aperture
+from charact.verdict import judge
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, make_refusal, measurement_from_draws
 
@@ -148,7 +149,7 @@ def bars_forward(
     doubts = findings_of_draws(
         measured.mtf, motion, measured.target.frequency, measured.posterior.flags
     )
-    measurement = measurement_from_draws(
+    number = measurement_from_draws(
         "mtf",
         "1",
         measured.mtf,
@@ -167,7 +168,8 @@ def bars_forward(
                 "margin_px": measured.margin_px,
             },
         ),
-    ).with_(findings=dict.fromkeys([*measured.findings, *doubts]))
+    )
+    measurement = judge(number, [*measured.findings, *doubts])
     return Result(
         measurements=(measurement,),
         evidence={"bars": bar_profile(cut_stack, measured.target, measurement.value or 0.0)},

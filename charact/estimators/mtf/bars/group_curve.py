@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 import charact
+from charact.estimators.mtf.bars.checks import finding, findings_of_posterior
 from charact.estimators.mtf.bars.thresholds import LIMITS
 from charact.estimators.mtf.curve import REPORTED, crossing_frequency, curve_of
 from charact.estimators.mtf.known_transfer import halo_diameters_px
@@ -17,6 +18,7 @@ from charact.inference import find_maximum, importance_sample, sample_posterior
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.transfer.extended import HaloComponent
+from charact.verdict import judge
 from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.measurement import (
@@ -202,17 +204,17 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
         return model.transfer(posterior.draws, along[0] * frequency, along[1] * frequency)
 
     freedom = len(groups) - 2
-    misfit = (
-        ["model-misfit"] if freedom > 0 and chdtrc(freedom, chi2) < LIMITS.min_group_p_value else []
-    )
+    findings = findings_of_posterior(posterior.flags)
+    if freedom > 0 and chdtrc(freedom, chi2) < LIMITS.min_group_p_value:
+        effect = f"no curve fits all groups: chi-squared {chi2:.3g}, {freedom} degrees of freedom"
+        findings.append(finding("model-misfit", effect))
     curves = mtf_of(REPORTED)
     curves[:, 0] = 1.0
     common |= {
-        "flags": (*(flag for flag in posterior.flags if flag != "prior-bound"), *misfit),
         "orientation_deg": float(np.rad2deg(angle_rad)) % 180.0,
         "posterior": posterior,
     }
-    mtf50 = _mtf50(mtf_of(FINE), groups, common)
+    mtf50 = judge(_mtf50(mtf_of(FINE), groups, common), findings)
     curve = curve_of(REPORTED, curves)
     return Result(
         measurements=(mtf50,),

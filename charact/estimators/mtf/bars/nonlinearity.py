@@ -66,43 +66,54 @@ def response_of(stack: Stack, fit: BarFit) -> BarNonlinearity:
     return BarNonlinearity(curvature, sd, contrast_of(dark, bright, black_dn), lifts, *powers)
 
 
-def response_findings(response: BarNonlinearity) -> list[Finding]:
+def response_findings(response: BarNonlinearity, mtf: float) -> list[Finding]:
     """Return `gamma` where the image or the noise of bars contradicts a linear response.
 
     Notes
     -----
+    A curvature c of the image, of standard uncertainty s, is taken off the MTF. It may be that of
+    unequal bars and gaps: the bound is M exp(lifts (|c| + 2 s)) - M, where that is small enough for
+    a series of first order. What the noise contradicts has none.
+
     Light pulses correlate neighbours, read-out and quantisation do not. Under a response of
     exponent g the covariance of neighbours grows as the level above black to the power 2 - 1/g,
     which is 1 for a linear response. The variance of pixels, which includes read-out noise, then
     grows at most in proportion, and does not fall.
     """
     shared, pixel_power = response.shared, response.per_pixel
-    mtf_percent = 100.0 * abs(response.lifts) * np.hypot(response.curvature, response.sd)
-    effect = f"MTF error up to {mtf_percent:.2g} %: "
-    causes = []
+    causes: dict[str, float | None] = {}
     if abs(response.curvature) > LIMITS.max_curvature_sd * response.sd:
-        causes.append(
+        cause = (
             f"the image indicates a response of curvature {response.curvature:.2g} +- "
             f"{response.sd:.1g} (linear: 0); unequal bars and gaps have the same effect"
+        )
+        largest = abs(response.lifts) * (abs(response.curvature) + 2.0 * response.sd)
+        causes[cause] = (
+            mtf * float(np.expm1(largest)) if largest < LIMITS.max_curvature_lift else None
         )
     if shared and abs(shared.exponent - 1.0) > LIMITS.neighbour_power[0] * float(
         np.hypot(shared.sd, LIMITS.neighbour_power[1])
     ):
-        causes.append(
+        cause = (
             f"correlated noise grows as signal^({shared.exponent:.2f} +- {shared.sd:.2f}); a "
             "linear response gives exponent 1. Target motion also adds noise"
         )
+        causes[cause] = None
     if (
         pixel_power
         and max(pixel_power.exponent - 1.0, -pixel_power.exponent)
         > LIMITS.pixel_power[0] * pixel_power.sd + LIMITS.pixel_power[1]
     ):
-        causes.append(
+        cause = (
             f"pixel noise grows as signal^({pixel_power.exponent:.2f} +- {pixel_power.sd:.2f}); "
             "photon and read-out noise give an exponent between 0 and 1"
         )
+        causes[cause] = None
     remedy = "frames with a linear response (raw, gamma 1), or the correct `black_dn`"
-    return [Finding(flag="gamma", effect=effect + cause, remedy=remedy) for cause in causes]
+    return [
+        Finding(flag="gamma", effect=cause, remedy=remedy, bound=bound)
+        for cause, bound in causes.items()
+    ]
 
 
 def linearise_mtf_draws(mtf: Array, response: BarNonlinearity, seed: int) -> Array:

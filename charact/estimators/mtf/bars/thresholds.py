@@ -99,6 +99,9 @@ class BarLimits:
     max_single_frame_snr: float = 30.0  # Light over noise of single frames beyond which PRNU shows
     min_noise_dn: float = 0.5  # Noise that quantisation leaves unchanged, DN
     max_curvature_sd: float = 3.5  # Significance of a curvature, standard uncertainties
+    # Change of ln MTF by a curvature up to which its series of first order holds: within a seventh
+    # at 0.2 (test_nonlinearity); one wide bar taken for four has more
+    max_curvature_lift: float = 0.25
     # Response of the matched filter, robust standard deviations; noise over a frame stays below it.
     min_filter_response: float = 8.0
     max_frequency_error: float = 0.06  # Relative search range of the frequency

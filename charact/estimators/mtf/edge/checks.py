@@ -91,14 +91,12 @@ def stretched(fraction: float) -> Callable[[Array, Array], Array]:
 
 
 def unblurred(rms_px: float) -> Callable[[Array, Array], Array]:
-    """Return what takes a blur by displacements off an MTF; infinite where none is left.
-
-    Displacements t of any distribution lower the MTF by at most |E exp(2 pi i f t)| >= 1 - 2 (pi f
-    s)^2, s their rms, as cos x >= 1 - x^2 / 2.
+    """Return what takes a blur by displacements off an MTF, see `TargetMotion.max_lift`; infinite
+    where none is left.
     """
 
     def undo(frequency: Array, modulus: Array) -> Array:
-        loss = 2.0 * (np.pi * frequency * THRESHOLDS.max_rms_ratio * rms_px) ** 2
+        loss = 2.0 * (np.pi * frequency * LIMITS.max_rms_ratio * rms_px) ** 2
         return np.where(loss < 1.0, modulus / np.maximum(1.0 - loss, 1e-12), np.inf)
 
     return undo

@@ -43,9 +43,6 @@ class EdgeThresholds:
     coarse_step_dn: float = 40.0
     # Relative loss of MTF50 by motion from which on the noise on slopes is no test
     conventional_motion: float = 0.01
-    # Displacements over their rms as measured, at most: it is known to a fifth (test_roughness,
-    # test_target_motion)
-    max_rms_ratio: float = 1.2
     # Model departures from which on a defocused or obscured pupil is fitted, standard deviations.
     pupil_departure_sd: float = 1.0
     # Weight of a blur model below which it is left out of the average
