@@ -9,6 +9,7 @@ import numpy as np
 
 from charact.method import Context
 from charact.method.registry import Progress, Spread, ignore_progress
+from charact.verdict import judge
 from labdata.camera.description import has_tube
 from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput
@@ -199,9 +200,7 @@ def _with_step(result: Result, session: Session) -> Result:
     return replace(
         result,
         measurements=tuple(
-            m.with_(findings=(coarse_step,))
-            if m.quantity in OF_DARK and m.status != "refused"
-            else m
+            judge(m, (coarse_step,)) if m.quantity in OF_DARK and m.status != "refused" else m
             for m in result.measurements
         ),
     )

@@ -1,6 +1,5 @@
 """Measurements with interval, status and provenance, their curves and posterior."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -122,19 +121,9 @@ class Measurement:
         if self.status != "refused" and (self.status == "ok") == bool(self.flags):
             raise ValueError(f"{self.quantity} is {self.status} with flags {self.flags}")
 
-    def with_(self, *, findings: Iterable[Any] = (), **changes: Any) -> "Measurement":
-        """Return a copy with fields changed; flags and findings are added and change the status to
-        suspect.
-        """
-        added = tuple(findings)
-        flags = vocabulary.order_flags(
-            (*self.flags, *(finding.flag for finding in added), *changes.pop("flags", ()))
-        )
-        if added:
-            changes["notes"] = (
-                *changes.get("notes", self.notes),
-                *(finding.note for finding in added),
-            )
+    def with_(self, **changes: Any) -> "Measurement":
+        """Return a copy with fields changed; flags are added and change the status to suspect."""
+        flags = vocabulary.order_flags((*self.flags, *changes.pop("flags", ())))
         status = self.status if self.status == "refused" else ("suspect" if flags else "ok")
         return replace(self, flags=flags, status=status, **changes)
 

@@ -19,7 +19,7 @@ from charact.fusion.pyramid import (
     variance_of,
 )
 from charact.fusion.thresholds import FUSION
-from charact.verdict import Finding
+from charact.verdict import Finding, judge
 from labdata import Measurement, Provenance, Result, make_measurement
 
 # Bits of a pixel's mark.
@@ -204,7 +204,7 @@ def finish(
     )
 
     def measured(quantity: str, value: float, **fields: str) -> Measurement:
-        return make_measurement(
+        number = make_measurement(
             quantity,
             "1",
             value,
@@ -215,7 +215,8 @@ def finish(
             notes=remarks,
             provenance=provenance,
             **fields,
-        ).with_(findings=findings)
+        )
+        return judge(number, findings)
 
     marks = marks_of(planes)
     filled = float(np.count_nonzero(marks & MARKS["filled"])) / marks.size

@@ -23,6 +23,7 @@ from charact.fusion.sources import Source, band_of
 from charact.fusion.thresholds import FILTER, FUSION
 from charact.method import choose
 from charact.method.descriptions import DESCRIPTIONS
+from charact.verdict import judge
 from labdata.errors import BadInput
 
 # Methods with a colour picture, and those that check noise law and blooming themselves.
@@ -110,7 +111,7 @@ def fuse_all(
             finding for finding in (shift, *(() if one.name in AWARE else noise)) if finding
         ]
         rows = tuple(
-            row.with_(notes=(*row.notes, *notes), findings=findings) for row in found.measurements
+            judge(row.with_(notes=(*row.notes, *notes)), findings) for row in found.measurements
         )
         marks = found.marks | np.uint8(MARKS["unregistered"]) if shift else found.marks
         pictures[one.name] = replace(found, measurements=rows, marks=marks)

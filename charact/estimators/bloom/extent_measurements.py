@@ -15,7 +15,7 @@ from charact.estimators.bloom.series_consistency import check_consistency
 from charact.estimators.bloom.smear import smear_measurement
 from charact.estimators.bloom.source_view import SECTORS
 from charact.method import Context
-from charact.verdict import Finding
+from charact.verdict import Finding, judge
 from labdata.camera.description import Camera, has_tube
 from labdata.measurement import (
     Interval,
@@ -377,4 +377,4 @@ def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = N
         Finding(flag=flag, effect=(effects or {}).get(flag, half), remedy=REMEDIES[flag])
         for flag in measurement.flags
     ]
-    return measurement.with_(findings=findings)
+    return judge(measurement, findings)

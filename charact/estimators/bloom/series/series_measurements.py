@@ -15,7 +15,7 @@ from charact.estimators.bloom.transfer import onto_nodes
 from charact.frames.robust import robust_sd
 from charact.inference.diagnostics import crowds_at_bound
 from charact.transfer import spreads
-from charact.verdict import Finding
+from charact.verdict import Finding, judge
 from labdata import Measurement, Posterior, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
@@ -395,7 +395,7 @@ def glare_measurements(fit: FittedSeries) -> list[Measurement]:
     number = measurement_from_draws(
         "veiling_glare", "%", draws, flags=fit.light_flags, notes=(*fit.notes, LEAKS), **fit.fields
     )
-    return [number.with_(findings=find_leak(group, light, reach_px, area, near_ratio))]
+    return [judge(number, find_leak(group, light, reach_px, area, near_ratio))]
 
 
 def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:

@@ -35,11 +35,12 @@ from charact.estimators.mtf.noise_spectrum.result import (
     SpectrumDraws,
     curves,
     figure_data,
+    finding,
     quantities,
 )
 from charact.estimators.mtf.noise_spectrum.result import note as unseen_note
 from charact.estimators.mtf.noise_spectrum.thresholds import THRESHOLDS
-from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
+from charact.estimators.noise.findings import fields_of
 from charact.frames.rounding import QUANTISED_DN2
 from charact.inference import laplace, predictive_check, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
@@ -47,6 +48,7 @@ from charact.inference.least_squares import weigh_by_evidence
 from charact.method import Context, register
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.extended import ScatterComponent
+from charact.verdict import Finding
 from labdata.camera.description import has_tube
 from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
@@ -57,7 +59,7 @@ Array = NDArray[np.float64]
 def findings_of(
     spectrum: PooledSpectrum, chosen: SelectedFlats, peak: SpectrumOptimum, context: Context
 ) -> list[Finding]:
-    """Return the findings of a measurement; those without a note are flags alone."""
+    """Return the findings of the flats and their spectrum, none of which has a bound."""
     lit = any(level.signal_dn for level in spectrum.levels)
     lowest_power_dn2 = min(float(np.mean(level.power_dn2)) for level in spectrum.levels)
     linear = (
@@ -65,15 +67,7 @@ def findings_of(
     )
     gamma = has_tube(context.camera) and float(context.camera.video.gamma) != 1.0
     checks = (
-        (
-            bool(chosen.left_out),
-            None,
-            (
-                "left out, at another gain, saturated or of a single frame: "
-                f"{', '.join(chosen.left_out)}"
-            ),
-        ),
-        (chosen.clipped, "clipped", ""),
+        (chosen.clipped, "clipped", "pixels of the flats or darks are at an end of the scale"),
         (
             chosen.flicker > THRESHOLDS.flicker,
             "flicker",
@@ -93,14 +87,6 @@ def findings_of(
             "earlier exposures still glow at the last lag that the frames allow",
         ),
         (
-            len(spectrum.lag) > 0 and not spectrum.lag_open,
-            None,
-            (
-                f"successive exposures share light (correlation {[*spectrum.lag, 0.0][0]:.2g}), "
-                "which was allowed for"
-            ),
-        ),
-        (
             not lit,
             "no-darks",
             "no darks: noise of the electronics was taken for white, and the response for straight",
@@ -110,8 +96,16 @@ def findings_of(
             "too-few-frames",
             "one level of light only: whether the response is straight cannot be seen",
         ),
-        (lowest_power_dn2 < QUANTISED_DN2, "quantised", ""),
-        (_is_nonlinear(spectrum, peak, linear), "gamma", ""),
+        (
+            lowest_power_dn2 < QUANTISED_DN2,
+            "quantised",
+            f"a noise power of {lowest_power_dn2:.2g} DN2 is below that of rounding",
+        ),
+        (
+            _is_nonlinear(spectrum, peak, linear),
+            "gamma",
+            "the noise power over the signal changes along the levels of light",
+        ),
         (
             _has_scatter(spectrum, peak),
             "model-misfit",
@@ -128,9 +122,23 @@ def findings_of(
                 "as blurs do not"
             ),
         ),
-        (gamma, "gamma", ""),
+        (gamma, "gamma", "the description states a gamma, under which pulses add unequally"),
     )
-    return [Finding(flag, note) for is_raised, flag, note in checks if is_raised]
+    return [finding(flag, effect) for is_raised, flag, effect in checks if is_raised]
+
+
+def _notes_of(spectrum: PooledSpectrum, chosen: SelectedFlats) -> list[str]:
+    """Return the notes on the flats used."""
+    notes = []
+    if chosen.left_out:
+        names = ", ".join(chosen.left_out)
+        notes.append(f"left out, at another gain, saturated or of a single frame: {names}")
+    if len(spectrum.lag) and not spectrum.lag_open:
+        notes.append(
+            f"successive exposures share light (correlation {spectrum.lag[0]:.2g}), which was "
+            "allowed for"
+        )
+    return notes
 
 
 def _is_nonlinear(spectrum: PooledSpectrum, peak: SpectrumOptimum, expected_slope: float) -> bool:
@@ -230,6 +238,13 @@ def misfit(
 
 
 KIND = "post-gain"
+# Effects of the flags of the predictive check and of the chains.
+EFFECTS = {
+    "model-misfit": "the spectrum, in the order of radius, departs from its model beyond noise",
+    "not-converged": "interval from the curvature at the optimum",
+    "prior-bound": "the half frequency or its ratio between directions lies at its bound",
+    "several-modes": "two transfers fit about equally well",
+}
 NOTE = (
     "MTF of what comes after the gain (screen, taper, chip, video): lens and cathode gap are "
     "not in it"
@@ -297,10 +312,9 @@ def _measure(
         )
     drawn = _draw_models(peaks, context)
     findings = findings_of(spectrum, chosen, drawn.peaks[0], context)
-    notes = [note for note in notes_of(findings) if note]
-    misfit_flags = misfit(
-        drawn.peaks[0], drawn.posteriors[0], np.random.default_rng([context.seed, 21])
-    )
+    rng = np.random.default_rng([context.seed, 21])
+    flags = {*misfit(drawn.peaks[0], drawn.posteriors[0], rng), *_chain_flags(drawn)}
+    findings += [finding(flag, EFFECTS[flag]) for flag in sorted(flags)]
     # The form that absorbs most of what scattered light would change.
     flexible = max(drawn.peaks, key=lambda peak: peak.point.size)
     forms = ", ".join(
@@ -308,12 +322,16 @@ def _measure(
         for peak, weight in zip(drawn.peaks, drawn.shares, strict=True)
     )
     common = {
-        "flags": tuple({*flags_of(findings), *misfit_flags, *_chain_flags(drawn)}),
-        "notes": (NOTE, *notes, unseen_note(flexible), f"form of the transfer: {forms}"),
+        "notes": (
+            NOTE,
+            *_notes_of(spectrum, chosen),
+            unseen_note(flexible),
+            f"form of the transfer: {forms}",
+        ),
         "posterior": drawn.posteriors[0],
         **fields,
     }
-    result = quantities(spectrum, drawn, common)
+    result = quantities(spectrum, drawn, common, findings)
     drawn_curves = result.curves
     if with_free_curves:
         free = _draw_models(

@@ -2,7 +2,7 @@
 what a report draws.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from charact.estimators.mtf.noise_spectrum.model import (
 from charact.estimators.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.estimators.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.transfer.extended import ScatterComponent
+from charact.verdict import Finding, judge
 from labdata.measurement import (
     Curve,
     Measurement,
@@ -32,6 +33,20 @@ from labdata.measurement import (
 Array = NDArray[np.float64]
 DRAWS = 1000
 DIRECTIONS = (("mtf_post_gain", False), ("mtf_post_gain_vertical", True))
+REMEDIES = {
+    "clipped": "light and black level at which no pixel reaches an end of the scale",
+    "lag": "a longer frame interval, or more frames",
+    "flicker": "a steady lamp",
+    "gamma": "frames with a linear response (gamma 1)",
+    "quantised": "more gain or a higher bit depth",
+    "no-darks": "darks at the same settings",
+    "too-few-frames": "more frames and levels of light",
+    "aliased": "`method` of edges or bars, which see beyond the Nyquist frequency",
+    "model-misfit": "the non-parametric curves of the result",
+    "not-converged": "another `seed`",
+    "prior-bound": "more frames",
+    "several-modes": "more frames",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,31 +94,43 @@ def transfer_of(
     return core * described * problem.passed(draws, problem.known.bend(frequency))
 
 
-def quantities(spectrum: PooledSpectrum, drawn: SpectrumDraws, common: dict[str, Any]) -> Result:
-    """Return everything measured of the transfer after the gain, with its curves."""
+def finding(flag: str, effect: str) -> Finding:
+    """Return the finding of a flag with its effect and remedy."""
+    return Finding(flag=flag, effect=effect, remedy=REMEDIES[flag])
+
+
+def quantities(
+    spectrum: PooledSpectrum,
+    drawn: SpectrumDraws,
+    common: dict[str, Any],
+    findings: Sequence[Finding],
+) -> Result:
+    """Return everything measured of the transfer after the gain, judged, with its curves."""
     measurements: list[Measurement] = []
     for _, vertical in DIRECTIONS:
         along = {**common, "orientation_deg": 90.0 if vertical else 0.0}
         half = crossing_frequency(FINE, drawn.transfer(spectrum, FINE, vertical=vertical), 0.5)
-        known, flags = half[np.isfinite(half)], set(common["flags"])
+        known, of_half = half[np.isfinite(half)], list(findings)
         if len(known) < 0.975 * len(half):
             reason = "the transfer after the gain may not fall to one half at any frequency seen"
-            fields = {
-                key: value for key, value in along.items() if key not in ("flags", "posterior")
-            }
+            fields = {key: value for key, value in along.items() if key != "posterior"}
             measurements.append(make_refusal("post_gain_mtf50", "cy/px", reason, **fields))
         else:
             low, middle, high = np.quantile(known, [0.16, 0.5, 0.84])
             if 0.5 * (high - low) > THRESHOLDS.max_relative_sd * middle:
-                flags.add("too-few-frames")
+                percent = 50.0 * (high - low) / middle
+                of_half.append(finding("too-few-frames", f"an interval of ±{percent:.0f} % (68 %)"))
             if middle > THRESHOLDS.nyquist_cy_per_px:
-                flags.add("aliased")
-            fields = {**along, "flags": tuple(flags)}
-            measurements.append(measurement_from_draws("post_gain_mtf50", "cy/px", known, **fields))
+                of_half.append(finding("aliased", "MTF50 lies above the Nyquist frequency"))
+            number = measurement_from_draws("post_gain_mtf50", "cy/px", known, **along)
+            measurements.append(judge(number, of_half))
         pinned = drawn.transfer(spectrum, np.array(PINNED), vertical=vertical)
         measurements += [
-            measurement_from_draws(
-                "post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along
+            judge(
+                measurement_from_draws(
+                    "post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along
+                ),
+                findings,
             )
             for frequency, values in zip(PINNED, pinned.T, strict=True)
         ]
@@ -112,7 +139,8 @@ def quantities(spectrum: PooledSpectrum, drawn: SpectrumDraws, common: dict[str,
     white = drawn.mixture_of(
         lambda peak, draws: draws[:, 1] * mean / (draws[:, 1] * mean + np.exp(draws[:, 0]))
     )
-    measurements.append(measurement_from_draws("white_noise_fraction", "1", white, **common))
+    fraction = measurement_from_draws("white_noise_fraction", "1", white, **common)
+    measurements.append(judge(fraction, findings))
     return Result(measurements=tuple(measurements), curves=curves(spectrum, drawn))
 
 

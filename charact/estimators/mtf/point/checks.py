@@ -25,7 +25,7 @@ from charact.estimators.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.estimators.mtf.point.source_window import Window
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, pictures
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
-from charact.verdict import Finding
+from charact.verdict import Finding, judge
 from labdata.measurement import Measurement
 
 Array = NDArray[np.float64]
@@ -93,9 +93,7 @@ def flag_undersampled(
         f"MTF50 may lie above {LIMITS.max_mtf50:g} cycles per sample, where it is measured "
         f"10 to 30 % low"
     )
-    return tuple(
-        measurement.with_(findings=[finding("aliased", effect)]) for measurement in numbers
-    )
+    return tuple(judge(measurement, [finding("aliased", effect)]) for measurement in numbers)
 
 
 def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> tuple[str, ...]:

@@ -54,6 +54,7 @@ from charact.transfer.extended import (
     ScatterComponent,
 )
 from charact.transfer.video_filter import VideoFilter, powers
+from charact.verdict import judge
 from labdata.camera.description import has_tube
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -338,7 +339,7 @@ def _result(
             flag_filter_uncertainty(number, doubt, partial(_crossing, fine)) for number in numbers
         ]
         curves[name] = curve_of(REPORTED, reported)
-    measurements = [number.with_(findings=findings) for number in measurements]
+    measurements = [judge(number, findings) for number in measurements]
     return Result(
         measurements=flag_undersampled(measurements, sites[0].window),
         curves=curves,

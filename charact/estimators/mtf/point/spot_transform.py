@@ -23,6 +23,7 @@ from charact.frames.clipping import is_clipped_at_black
 from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context, register
+from charact.verdict import judge
 from labdata.camera.description import has_tube
 from labdata.frames import FrameStack
 from labdata.measurement import (
@@ -114,7 +115,7 @@ def point_spread(
         numbers, curve = _direction(
             spots, position, pinhole_px or 0.0, missing, {**common, "orientation_deg": angle}
         )
-        measurements += [number.with_(findings=findings) for number in numbers]
+        measurements += [judge(number, findings) for number in numbers]
         curves[name] = curve
     return Result(measurements=tuple(measurements), curves=curves)
 

@@ -22,6 +22,7 @@ from charact.inference.diagnostics import crowds_at_bound
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.transfer.extended import HaloComponent
+from charact.verdict import Finding, judge
 from labdata.camera.description import has_tube
 from labdata.measurement import (
     Measurement,
@@ -48,6 +49,21 @@ NATURAL_BOUNDS = (
     "moffat_exponent",
     "halo_diameter_px",
 )
+
+
+# Effect and remedy of each flag of a joint MTF.
+FINDINGS = {
+    "model-misfit": (
+        "one MTF does not describe all targets",
+        "the targets in focus, at one gain, and each alone in its `roi`",
+    ),
+    "not-converged": ("interval from the curvature at the optimum", "another `seed`"),
+    "prior-bound": (
+        "a parameter lies at a bound that was merely chosen: the interval is cut off there",
+        "targets of more frequencies",
+    ),
+    "several-modes": ("two MTFs fit about equally well", "targets of more frequencies"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,7 +310,6 @@ def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context)
     settings = {"quick": context.quick, "forms": shares, "targets": joint.test["target"]}
     common = {
         "method": "joint",
-        "flags": _flags(joint),
         "notes": _notes(joint.test, shares),
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings=settings),
     }
@@ -317,8 +332,9 @@ def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context)
         ]
         name = "mtf_joint_vertical" if vertical else "mtf_joint"
         curves[name] = curve_of(REPORTED, joint.mtf(np.maximum(REPORTED, 1e-6), vertical))
+    findings = _findings(joint)
     return Result(
-        measurements=tuple(measurements),
+        measurements=tuple(judge(measurement, findings) for measurement in measurements),
         curves=curves,
         evidence={"joint MTF": {**joint.test, "forms": joint.forms}},
     )
@@ -384,8 +400,8 @@ def _posterior(fit: JointFit, context: Context, seed: int) -> Posterior:
     return sample_posterior(fit.problem.log_probability, **asked, max_steps=3000)
 
 
-def _flags(joint: JointMtf) -> tuple[str, ...]:
-    """Return the flags of the joint MTF."""
+def _findings(joint: JointMtf) -> list[Finding]:
+    """Return the findings of the joint MTF, none of which has a bound."""
     flags = {
         flag for posterior in joint.posteriors for flag in posterior.flags if flag != "prior-bound"
     }
@@ -396,9 +412,13 @@ def _flags(joint: JointMtf) -> tuple[str, ...]:
     target_p_values = joint.test["apart_probability"]
     # Bonferroni over the targets.
     lowest_p_value = min(joint.test["probability"], min(target_p_values) * len(target_p_values))
-    return tuple(
-        flags | ({"model-misfit"} if lowest_p_value < THRESHOLDS.misfit_p_value else set())
-    )
+    if lowest_p_value < THRESHOLDS.misfit_p_value:
+        flags.add("model-misfit")
+    return [
+        Finding(flag=flag, effect=effect, remedy=remedy)
+        for flag, (effect, remedy) in FINDINGS.items()
+        if flag in flags
+    ]
 
 
 def _notes(test: dict[str, Any], shares: str) -> tuple[str, ...]:
