@@ -70,6 +70,32 @@ class SessionFile:
     stack: tuple[StackRecord, ...] = ()  #: The stacks
 
 
+# Begins the last line of a manifest that an acquisition or a simulation wrote, a comment of TOML,
+# before the SHA-256 of all lines above it; one written by hand has none
+DIGEST = b"# sha256 of the lines above: "
+
+
+def sealed(text: str) -> bytes:
+    """Return the text of a manifest with its digest."""
+    lines = text.rstrip("\n").encode() + b"\n"
+    return lines + DIGEST + hashlib.sha256(lines).hexdigest().encode() + b"\n"
+
+
+def read_manifest(folder: Path) -> SessionFile:
+    """Read the manifest of a session; one that is not what its digest states is BadInput."""
+    path = folder / MANIFEST
+    require_regular(path, "the manifest of a session")
+    # An editor or a transfer may change the ends of lines.
+    lines, mark, digest = path.read_bytes().replace(b"\r\n", b"\n").rpartition(DIGEST)
+    if mark and hashlib.sha256(lines).hexdigest().encode() != digest.strip():
+        raise BadInput(
+            f"{path} must be what was written, got lines of another digest than its last one "
+            f"states: undo the change, or remove the line that begins with {DIGEST.decode()!r} "
+            "if it is meant"
+        )
+    return from_toml(path, SessionFile)
+
+
 def stack_record(conditions: Conditions, **keys: Any) -> StackRecord:
     """Return the record of a stack from its conditions and its other keys."""
     return StackRecord(**flat_conditions(conditions), **keys)
@@ -309,7 +335,7 @@ def open_session(path: str | Path) -> Session:
     folder = path.parent if path.name == MANIFEST else path
     if not (folder / MANIFEST).is_file():
         raise BadInput(f"a session must be a folder with a {MANIFEST}, got {path}")
-    return session_of(folder, from_toml(folder / MANIFEST, SessionFile))
+    return session_of(folder, read_manifest(folder))
 
 
 def session_of(folder: Path, form: SessionFile) -> Session:

@@ -11,8 +11,16 @@ from pathlib import Path
 from labdata.conditions import SWITCHES, Conditions
 from labdata.errors import BadInput
 from labdata.file_io import require_regular, write_atomically
-from labdata.serialiser import from_mapping, from_toml, to_mapping, to_toml
-from labdata.session import MANIFEST, Session, SessionFile, StackRecord, session_of, stack_record
+from labdata.serialiser import from_mapping, to_mapping, to_toml
+from labdata.session import (
+    MANIFEST,
+    Session,
+    SessionFile,
+    StackRecord,
+    read_manifest,
+    session_of,
+    stack_record,
+)
 from labdata.target import Kind
 
 KINDS: dict[str, Kind] = {"b": "flat", "d": "dark"}
@@ -173,7 +181,7 @@ def _session_to_add_to(out: Path) -> SessionFile:
     """
     if not (out / MANIFEST).is_file():
         raise BadInput(f"`add` needs the folder of a session, got {out} without a {MANIFEST}")
-    return from_toml(out / MANIFEST, SessionFile)
+    return read_manifest(out)
 
 
 def _group_headers(paths: list[Path], kind: Kind | None, plane: str | None) -> list[Group]:

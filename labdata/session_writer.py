@@ -15,8 +15,17 @@ from labdata.capture import Frame, LostFrames
 from labdata.conditions import Conditions, own_keys
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
-from labdata.serialiser import from_toml, to_toml
-from labdata.session import MANIFEST, Session, SessionFile, StackRecord, open_session, stack_record
+from labdata.serialiser import to_toml
+from labdata.session import (
+    MANIFEST,
+    Session,
+    SessionFile,
+    StackRecord,
+    open_session,
+    read_manifest,
+    sealed,
+    stack_record,
+)
 from labdata.store.array_writer import ArrayWriter
 from labdata.store.journal import Acknowledged, is_ours, read_journal
 from labdata.target import Kind, Target
@@ -146,7 +155,7 @@ class SessionWriter:
     def resume(cls, folder: str | Path) -> "SessionWriter":
         """Continue an interrupted session."""
         folder = Path(folder)
-        return cls(folder, from_toml(folder / MANIFEST, SessionFile))
+        return cls(folder, read_manifest(folder))
 
     def __enter__(self) -> "SessionWriter":
         return self
@@ -333,7 +342,7 @@ class ManifestWriter:
         # serialised again.
         texts = {entry: self._written.get(entry) or _stack_text(entry) for entry in form.stack}
         header = to_toml(replace(form, stack=()))
-        write_atomically(self._path, "\n".join((header, *texts.values())).encode())
+        write_atomically(self._path, sealed("\n".join((header, *texts.values()))))
         self._written = texts
 
 

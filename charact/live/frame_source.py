@@ -15,8 +15,7 @@ from drivers.interface import Camera
 from labdata import BadInput, load_camera
 from labdata.capture import CameraSettings, Frame
 from labdata.conditions import Conditions, conditions_of
-from labdata.serialiser import from_toml
-from labdata.session import MANIFEST, SessionFile, StackRecord
+from labdata.session import MANIFEST, SessionFile, StackRecord, read_manifest
 from labdata.store import Acknowledged, ArrayFollower, is_ours
 
 ENDLESS = 2**40  # frames; at a thousand a second, 35 years
@@ -145,7 +144,7 @@ class SessionSource:
 
     def _read(self) -> tuple[SessionFile, int]:
         written_ns = (self.folder / MANIFEST).stat().st_mtime_ns
-        return from_toml(self.folder / MANIFEST, SessionFile), written_ns
+        return read_manifest(self.folder), written_ns
 
 
 class _Stack:

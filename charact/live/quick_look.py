@@ -13,8 +13,7 @@ from charact.live.frame_source import full_scale_of
 from charact.session_measurement import measure, method_context
 from labdata import BadInput, Kind, Measurement, Result, open_lazy_stack
 from labdata.event_log import read_events
-from labdata.serialiser import from_toml
-from labdata.session import MANIFEST, Session, SessionFile, StackEntry, session_of
+from labdata.session import MANIFEST, Session, StackEntry, read_manifest, session_of
 
 LEADING: dict[Kind, tuple[str, ...]] = {
     "dark": ("dark_signal", "read_noise", "noise_tvh"),
@@ -167,7 +166,7 @@ def run_outcome(folder: Path) -> str | None:
 
 
 def _stacks_on_disk(folder: Path) -> Iterator[tuple[Session, StackEntry]]:
-    form = from_toml(folder / MANIFEST, SessionFile)
+    form = read_manifest(folder)
     if not form.stack:
         return
     session = session_of(folder, form)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 
 from labdata import BadInput, Conditions, Target, open_session, store
 from labdata.capture import Frame, LostFrames
+from labdata.session import read_manifest
 from labdata.session_writer import SessionWriter, StackWriter
 from labdata.store.array_writer import ArrayWriter
 
@@ -345,6 +347,23 @@ def test_frames_that_a_kill_left_before_the_manifest_knew_of_them_are_no_part_of
     assert open_session(tmp_path).stack("flat").read().frame_number.tolist() == [8, 9]
     (aside,) = (tmp_path / "frames").glob("flat.aside-*.zarr")
     assert store.read(aside).frame_number.tolist() == [1]
+
+
+def test_no_flipped_bit_of_a_manifest_is_read_as_another_record(tmp_path):
+    with writer_of(tmp_path) as writer, begun(writer) as stack:
+        stack.append(frame(1), 0.0, 1)
+        stack.finish()
+    path = tmp_path / "session.toml"
+    written, form = path.read_bytes(), read_manifest(tmp_path)
+    for place in range(8 * len(written)):
+        flipped = bytearray(written)
+        flipped[place // 8] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        with suppress(BadInput):
+            assert read_manifest(tmp_path) == form
+    *lines, _ = written.decode().splitlines()
+    path.write_text("\n".join(lines).replace("test", "by hand"))
+    assert open_session(tmp_path).name == "by hand"
 
 
 def test_a_stack_goes_on_only_as_it_was_begun(tmp_path):
