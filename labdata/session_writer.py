@@ -86,6 +86,7 @@ class StackWriter:
             raise BadInput(
                 f"a finished stack must hold at least one frame, got none in {self.label!r}"
             )
+        self._array.require_journal()
         entry = (
             self._entry
             if conditions is None

@@ -56,6 +56,8 @@ class ArrayWriter:
         self._journal = open(path / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._journal_bytes = self._journal.seek(0, os.SEEK_END)
         self._mid_line = ends_mid_line(self._journal.fileno())
+        # All lines, to write them again if somebody removes or cuts the journal
+        self._lines = bytearray((path / JOURNAL).read_bytes())
         # Daemon threads, so that a stuck disk does not keep the process from ending.
         self._disk = [BackgroundWriter(_force, name="disk") for _ in range(FORCED_AT_ONCE)]
 
@@ -90,6 +92,24 @@ class ArrayWriter:
         self._frames += len(frames)
         self._end += len(frames)
         return entries
+
+    def require_journal(self) -> None:
+        """Require the journal to be where it was with every line; one that was removed or cut is
+        written again from memory, and is BadInput.
+        """
+        path, status = self.path / JOURNAL, os.fstat(self._journal.fileno())
+        try:
+            is_there = os.stat(path).st_ino == status.st_ino
+        except FileNotFoundError:
+            is_there = False
+        if is_there and status.st_size >= self._journal_bytes:
+            return
+        write_atomically(path, self._lines)
+        raise BadInput(
+            f"the journal of frames must stay as it is during a run, got {path} "
+            f"{'cut' if is_there else 'removed'} after {self._frames} frames; its lines were "
+            "written again: find who touches the folder, then resume"
+        )
 
     def close(self) -> None:
         """Close the journal; acknowledged frames are safe without it."""
@@ -147,6 +167,7 @@ class ArrayWriter:
         write_atomically(self.path / METADATA, metadata(frames, self._shape, self._dtype))
 
     def _acknowledge(self, entries: Sequence[Acknowledged]) -> None:
+        self.require_journal()
         journal = self._journal.fileno()
         if os.fstat(journal).st_size > self._journal_bytes:
             # Incomplete lines of this writer: their frames were never acknowledged.
@@ -155,6 +176,7 @@ class ArrayWriter:
         write_whole(journal, lines)
         os.fsync(journal)
         self._journal_bytes += len(lines)
+        self._lines += lines
         self._mid_line = False
 
     def _set_aside(self, array_frames: int) -> tuple[str, ...]:

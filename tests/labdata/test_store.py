@@ -349,6 +349,22 @@ def test_frames_that_a_kill_left_before_the_manifest_knew_of_them_are_no_part_of
     assert store.read(aside).frame_number.tolist() == [1]
 
 
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: os.truncate(path, 200)])
+@pytest.mark.parametrize("at_end", [False, True])
+def test_a_journal_that_is_removed_or_cut_ends_the_run_and_costs_no_frame(tmp_path, harm, at_end):
+    with writer_of(tmp_path) as writer, begun(writer) as stack:
+        for number in range(4):
+            stack.append(frame(number), 0.1 * number, number)
+        harm(tmp_path / "frames" / "flat.zarr" / "journal.jsonl")
+        with pytest.raises(BadInput, match=r"during a run, got .* after 4 frames"):
+            stack.finish() if at_end else stack.append(frame(9), 1.0, 9)
+    assert open_session(tmp_path).stack("flat").read().frame_number.tolist() == [0, 1, 2, 3]
+    with SessionWriter.resume(tmp_path) as writer, begun(writer) as stack:
+        stack.append(frame(9), 1.0, 9)
+        stack.finish()
+    assert len(open_session(tmp_path).stack("flat").read()) == 5
+
+
 def test_no_flipped_bit_of_a_manifest_is_read_as_another_record(tmp_path):
     with writer_of(tmp_path) as writer, begun(writer) as stack:
         stack.append(frame(1), 0.0, 1)
