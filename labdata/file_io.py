@@ -2,9 +2,14 @@
 memory.
 """
 
+import ctypes
 import os
 import stat
+import threading
+import time
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from labdata.errors import BadInput
@@ -83,6 +88,53 @@ def require_regular_parts(folder: Path, what: str) -> None:
     for part in folder.rglob("*"):
         if not part.is_dir():
             require_regular(part, f"a part of {what}")
+
+
+# Processor time that the reader of a file may take, s, and for each megabyte of it: readers take a
+# hundredth of that
+READ_CPU_S, READ_CPU_S_PER_MB = 10.0, 1.0
+
+
+class _OutOfTime(BaseException):
+    """Raised in a reader that has used up its processor time."""
+
+
+@contextmanager
+def cpu_limit(path: Path) -> Iterator[None]:
+    """End the block with BadInput once its thread has used the processor time that a file may take.
+
+    Libraries of foreign formats loop for ever on some damaged files.
+    """
+    files = path.rglob("*") if path.is_dir() else [path]
+    megabytes = 1e-6 * sum(file.stat().st_size for file in files)
+    limit_s = READ_CPU_S + READ_CPU_S_PER_MB * megabytes
+    thread, turn, ended = threading.get_ident(), threading.Lock(), threading.Event()
+    clock = time.pthread_getcpuclockid(thread)
+    until_s = time.clock_gettime(clock) + limit_s
+
+    def interrupt(error: object) -> None:
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), error)
+
+    def watch() -> None:
+        while not ended.wait(0.1):
+            with turn:
+                if time.clock_gettime(clock) > until_s and not ended.is_set():
+                    interrupt(ctypes.py_object(_OutOfTime))
+
+    threading.Thread(target=watch, name="reader's limit", daemon=True).start()
+    try:
+        try:
+            yield
+        finally:
+            with turn:
+                ended.set()
+                interrupt(None)
+    except _OutOfTime:
+        ended.set()
+        raise BadInput(
+            f"a file must be read within {limit_s:.3g} s of processor time, got no end in {path}: "
+            "it is damaged"
+        ) from None
 
 
 # A file of a megabyte may unpack to gigabytes, and a header of a few bytes may state any size.

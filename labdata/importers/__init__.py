@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.file_io import require_regular
+from labdata.file_io import cpu_limit, require_regular
 from labdata.frames import FrameStack
 from labdata.importers.axes import Recorded, frames_of, names_of_shape
 from labdata.importers.colour_planes import planes_of, require_monochrome
@@ -136,7 +136,7 @@ def _read_recorded(path: Path) -> Recorded | FrameStack:
     """Read a file; whatever the library of its kind raises on a damaged one is BadInput."""
     reader = reader_of(path)
     try:
-        with warnings.catch_warnings(action="ignore"):
+        with warnings.catch_warnings(action="ignore"), cpu_limit(path):
             return reader(path)
     except (BadInput, MemoryError):
         raise

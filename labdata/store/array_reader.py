@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from labdata.capture import Frame
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.frames import FrameStack
-from labdata.store.journal import JOURNAL, Acknowledged, read_journal, records_of, sha256
+from labdata.store.journal import JOURNAL, Acknowledged, chunk, read_journal, records_of, sha256
 
 
 def read(path: str | Path, *, verify: bool = True) -> FrameStack:
@@ -46,6 +47,9 @@ def read_frames(
     """Read frames of an array opened by `open_array`, shape (frame, row, col); altered or missing
     ones are BadInput.
     """
+    for frame in frames:
+        if (file := chunk(path, frame.index)).exists():
+            require_regular(file, "a stored frame")
     runs = [
         [frame for _, frame in run]
         for _, run in groupby(enumerate(frames), lambda entry: entry[1].index - entry[0])

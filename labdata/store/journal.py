@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 
 METADATA = "zarr.json"
 
@@ -48,6 +49,8 @@ def metadata(frames: int, shape: tuple[int, int], dtype: np.dtype) -> bytes:
 
 def read_metadata(path: Path) -> tuple[int, tuple[int, ...], str]:
     """Return frames, shape of a frame and name of the pixel type from an array's metadata."""
+    if (path / METADATA).exists():
+        require_regular(path / METADATA, "the metadata of an array")
     try:
         document = json.loads((path / METADATA).read_bytes())
         frames, *shape = map(int, document["shape"])

@@ -18,6 +18,7 @@ import tifffile
 import zarr
 
 from labdata import BadInput, file_io, open_lazy_stack, open_session, read_frames
+from labdata.store.array_writer import ArrayWriter
 from tests.charact.cli.runner import charact
 from tests.fuzz.bounds import most_resident_mb
 from tests.labdata import dng
@@ -264,6 +265,26 @@ def test_frames_that_became_a_pipe_after_the_session_was_opened_are_not_waited_f
     os.mkfifo(tmp_path / "a.npy")
     with pytest.raises(BadInput, match="got a named pipe"):
         open_lazy_stack(entry)
+
+
+@pytest.mark.parametrize("name", ["zarr.json", "c.1.0.0"])
+def test_a_stored_frame_that_is_a_pipe_is_not_waited_for(tmp_path, name):
+    writer = ArrayWriter(tmp_path / "a.zarr", (4, 5), np.uint8)
+    for number in range(3):
+        writer.append(np.full((4, 5), number, np.uint8), 0.1 * number, number)
+    writer.close()
+    (tmp_path / "a.zarr" / name).unlink()
+    os.mkfifo(tmp_path / "a.zarr" / name)
+    with pytest.raises(BadInput, match="got a named pipe"):
+        read_frames(tmp_path / "a.zarr")
+
+
+def test_a_reader_that_finds_no_end_is_stopped_in_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(file_io, "READ_CPU_S", 0.2)
+    path = tmp_path / "cut.sif"
+    path.write_bytes(b"Andor Technology Multi-Channel File\n65538 1\n65559 0 0")
+    with pytest.raises(BadInput, match=r"within 0\.2 s of processor time, got no end in .*cut"):
+        read_frames(path)
 
 
 def test_a_part_of_an_array_that_is_a_pipe_is_not_waited_for(tmp_path):
