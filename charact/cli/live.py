@@ -45,7 +45,7 @@ def _show(
     ] = None,
     host: Annotated[
         str,
-        Setting("Address to listen on; addresses other than loopback require the printed token."),
+        Setting("Address to listen on; the page requires the printed token."),
     ] = "127.0.0.1",
     port: Annotated[int, Setting("Port of the page; 0 selects a free port.")] = 8600,
     terminal: Annotated[

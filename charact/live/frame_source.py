@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -48,6 +48,8 @@ class FrameSource(Protocol):
     """Display name."""
     context: Context
     """Context of the camera."""
+    while_waiting: Callable[[], None]
+    """Called while no frame comes; an exception ends the source."""
 
     def __iter__(self) -> Iterator[SourceFrame | None]:
         """Yield frames as they arrive, and None at intervals without frames."""
@@ -73,6 +75,7 @@ class CameraSource:
         self._camera, self.name, self.context = camera, name, context
         self._frames_each = frames_each
         self._period_s = 0.0 if most_hz is None else 1.0 / most_hz
+        self.while_waiting: Callable[[], None] = lambda: None
 
     def __iter__(self) -> Iterator[SourceFrame | None]:
         with self._camera as camera:
@@ -82,7 +85,9 @@ class CameraSource:
 
     def _capture(self, camera: Camera, settings: CameraSettings) -> Iterator[SourceFrame]:
         conditions = Conditions(exposure_s=settings.exposure_s, camera_gain_db=settings.gain_db)
-        with camera.capture(frames=self._frames_each) as capture:
+        with camera.capture(
+            frames=self._frames_each, while_waiting=lambda: self.while_waiting()
+        ) as capture:
             due_s = time.monotonic()
             for frame in capture:
                 own_scale_dn = full_scale_of(frame.pixels.dtype, settings.pixel_format)
@@ -110,7 +115,7 @@ class SessionSource:
         self.folder, self._look_s = Path(folder), look_s
         if not (self.folder / MANIFEST).is_file():
             raise BadInput(f"a session must be a folder with a {MANIFEST}, got {folder}")
-        self.name = f"session {self.folder.name}"
+        self.name, self.while_waiting = f"session {self.folder.name}", lambda: None
         self._form, self._written_ns = self._read()
         camera = (
             None

@@ -14,6 +14,8 @@ from drivers.errors import BenchError
 from labdata.capture import Frame
 from labdata.errors import BadInput
 
+CLOSED = "the live view was closed"
+
 
 class LatestView:
     """The newest view, written by one thread and read by any number without delaying it."""
@@ -95,12 +97,17 @@ class LiveLoop:
         """The newest view."""
 
     def __enter__(self) -> Self:
+        self._source.while_waiting = self._require_open
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join(20.0)
+
+    def _require_open(self) -> None:
+        if self._stop.is_set():
+            raise BadInput(CLOSED)
 
     @property
     def source(self) -> FrameSource:
@@ -116,7 +123,7 @@ class LiveLoop:
         try:
             for source_frame in self._source:
                 if self._stop.is_set():
-                    self.newest.end("the live view was closed")
+                    self.newest.end(CLOSED)
                     return
                 if source_frame is not None:
                     self._take_in(source_frame)

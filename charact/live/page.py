@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from importlib import resources
 
 from starlette.applications import Starlette
@@ -20,16 +20,24 @@ FILES = {
 }
 
 
-def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlette:
+def page(
+    running: LiveLoop,
+    *,
+    title: str,
+    focus_first: bool = False,
+    is_closing: Callable[[], bool] = lambda: False,
+) -> Starlette:
     """Return the application; put it behind a `charact.live.server.PageAccess`.
 
-    `focus_first`: whether the focus is the main value. No route accesses an instrument; the only
-    action is to forget the best focus.
+    `focus_first`: whether the focus is the main value; `is_closing`: whether the server ends, and
+    with it the event streams. No route accesses an instrument; the only action is to forget the
+    best focus.
     """
     page_data = {"title": title, "source": running.source.name, "focus_first": focus_first}
 
     async def events(request: Request) -> Response:
-        return StreamingResponse(_events(running, page_data), media_type="text/event-stream")
+        stream = _events(running, page_data, is_closing)
+        return StreamingResponse(stream, media_type="text/event-stream")
 
     async def view(request: Request) -> Response:
         newest = running.newest.view
@@ -70,11 +78,13 @@ def _file(name: str, media_type: str):
     return endpoint
 
 
-async def _events(running: LiveLoop, page_data: dict) -> AsyncIterator[str]:
+async def _events(
+    running: LiveLoop, page_data: dict, is_closing: Callable[[], bool]
+) -> AsyncIterator[str]:
     """Yield the title, then each newer view; a slow reader skips views."""
     yield _event("about", page_data)
     sent, silent_s = 0, 0.0
-    while True:
+    while not is_closing():
         view = running.newest.view
         if view is not None and view.number > sent:
             sent, silent_s = view.number, 0.0

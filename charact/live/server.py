@@ -171,8 +171,8 @@ def serve(
     running, title, focus_first
         As `charact.live.page.page`.
     host, port
-        Address or name to listen on, and port (0: a free one). Addresses other than loopback
-        require a token, new for every start and printed with the address.
+        Address or name to listen on, and port (0: a free one). The page requires a token, new for
+        every start and printed with the address: other users of a machine reach its loopback.
     tell
         Prints the address of the page.
 
@@ -189,17 +189,23 @@ def serve(
         raise BadInput(f"{NEEDS} (missing: {error.name})") from None
     with _listening(host, port) as listener:
         port = listener.getsockname()[1]
-        token = None if is_loopback(host) else new_token()
+        token = new_token()
         app = PageAccess(
-            page(running, title=title, focus_first=focus_first),
-            hosts=_names(host, token),
+            page(
+                running,
+                title=title,
+                focus_first=focus_first,
+                is_closing=lambda: server.should_exit,
+            ),
+            hosts=_names(host),
             port=port,
             token=token,
         )
         server = uvicorn.Server(
             uvicorn.Config(
                 app,
-                log_level="error",
+                # A viewer that is cut off is no error, and a full pipe of messages would block.
+                log_level="critical",
                 access_log=False,
                 lifespan="off",
                 ws="none",
@@ -230,6 +236,7 @@ def _listening(host: str, port: int) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
+        listener.listen()  # who gets the address may connect before the server runs
     except OSError as error:
         listener.close()
         raise BadInput(
@@ -238,17 +245,17 @@ def _listening(host: str, port: int) -> socket.socket:
     return listener
 
 
-def _names(host: str, token: str | None) -> tuple[str, ...]:
+def _names(host: str) -> tuple[str, ...]:
     """Return the host names of the page."""
-    if token is None:
+    if is_loopback(host):
         return tuple(dict.fromkeys((*LOOPBACK_NAMES, _with_brackets(host))))
     return (_with_brackets(host), socket.gethostname(), socket.getfqdn())
 
 
-def _address(host: str, port: int, token: str | None) -> str:
+def _address(host: str, port: int, token: str) -> str:
     everywhere = host.strip("[]") in ("0.0.0.0", "::")
     name = socket.gethostname() if everywhere else _with_brackets(host)
-    return f"http://{name}:{port}/" + ("" if token is None else f"?token={token}")
+    return f"http://{name}:{port}/?token={token}"
 
 
 def _with_brackets(host: str) -> str:

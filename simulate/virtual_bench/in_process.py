@@ -4,7 +4,7 @@ import copy
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Self
@@ -160,7 +160,7 @@ class InProcessCamera:
         sensor = self._tube.sensor
         field_rate_hz = float(sensor.video.field_rate_hz)
         self._number = 0
-        self._drawing = ThreadPoolExecutor(1)
+        self._turn = threading.Lock()
         self._settings = CameraSettings(
             rows=sensor.ccd.rows,
             columns=sensor.ccd.columns,
@@ -201,8 +201,17 @@ class InProcessCamera:
         return InProcessCapture(self, frames=frames, discard=discard, while_waiting=while_waiting)
 
     def begin_exposure(self) -> Future[Frame]:
-        """Start to expose a frame after the previous one."""
-        return self._drawing.submit(self._expose)
+        """Start to expose a frame after the previous one, in a thread that no end waits for."""
+        drawing: Future[Frame] = Future()
+        threading.Thread(target=self._draw, args=(drawing,), daemon=True).start()
+        return drawing
+
+    def _draw(self, drawing: Future[Frame]) -> None:
+        try:
+            with self._turn:
+                drawing.set_result(self._expose())
+        except BaseException as error:
+            drawing.set_exception(error)
 
     def _expose(self) -> Frame:
         self._number += 1
