@@ -269,8 +269,12 @@ class BenchClient:
             instrument for instrument in self._setup.wires.instruments if instrument.role == role
         )
         model = model_of(connection)
-        open_again = partial(model.open_port, str(connection.port), exclusive=False)
-        port = InheritedPort(self._ports[role], name=model.title, open_again=open_again)
+        port = InheritedPort(
+            self._ports[role],
+            name=model.title,
+            path=connection.port,
+            open_again=partial(model.open_port, exclusive=False),
+        )
         return model.driver(model.line(port, connection.address))
 
     # Closing

@@ -9,7 +9,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from drivers.errors import BenchError, InstrumentDisconnected
+from drivers.errors import (
+    BenchError,
+    InstrumentDisconnected,
+    InstrumentReplyError,
+    InstrumentTimeout,
+)
 from drivers.instruments.gate_limits import Gate
 from drivers.instruments.light_source import LightSource
 from drivers.instruments.models import model_of
@@ -182,6 +187,8 @@ def make_safe(
         for lamp in lamps
     ]
     tasks, workers = (shut, fall, *dark), crew or Crew(3 + len(dark))
+    for task in tasks:
+        task.other_paths = [other.path for other in tasks if other.path and other is not task]
 
     def report() -> SafeStateReport:
         failures = dict.fromkeys(failure for task in tasks for failure in tuple(task.failures))
@@ -240,6 +247,10 @@ class _Task:
         self._orders, self._verify, self._disconnected = orders, verify, False
         self.ordered = self.verified = False
         self.failures: list[str] = []
+        self.path: str | None = None if instrument is None else instrument.line.path
+        # Paths of the bench at which its instrument may answer when ports come back swapped
+        self.other_paths: list[str] = []
+        self._reopenings = 0
 
     def run(self, attempts: _FirstAttempts, is_patient: bool) -> None:
         """Repeat the steps until they are verified or the time is over; a lost port is reopened."""
@@ -299,13 +310,29 @@ class _Task:
         return True, result
 
     def _reopen(self) -> None:
-        try:
-            self._instrument.line.reopen()
-        except BenchError:
-            return
-        self._record(f"{self._label}: port reopened", ok=True)
-        self._disconnected = self.ordered = False
-        self.failures.clear()
+        """Reopen a lost port, and ask who answers there: names of ports may be swapped.
+
+        At each call another path of the bench is the first, since another task may hold it. The
+        orders go out before the question: an instrument may hear and its answers be lost.
+        """
+        line, paths = self._instrument.line, [None, *self.other_paths]
+        begin, self._reopenings = self._reopenings % len(paths), self._reopenings + 1
+        for path in (*paths[begin:], *paths[:begin]):
+            try:
+                line.reopen(path)
+                self._disconnected = self.ordered = False
+                if self.other_paths:
+                    self.order()
+                    self._instrument.identify()
+            except (InstrumentReplyError, InstrumentTimeout):
+                line.close()
+                self._disconnected = True
+            except BenchError:
+                continue
+            else:
+                self._record(f"{self._label}: port reopened", ok=True, path=path or self.path)
+                self.failures.clear()
+                return
 
 
 class _Falling(_Task):

@@ -137,11 +137,18 @@ class InstrumentLine(ABC):
         finally:
             self._caller.is_safing = before
 
-    def reopen(self) -> None:
-        """Reopen the port and discard pending input; InstrumentDisconnected if it is missing."""
+    @property
+    def path(self) -> str | None:
+        """Path of the port; None without one."""
+        return getattr(self._port, "path", None)
+
+    def reopen(self, path: str | None = None) -> None:
+        """Reopen the port, or another path in its place, and discard pending input;
+        InstrumentDisconnected if it is missing.
+        """
         with self._turn:
             self._in_step, self._received = False, b""
-            self._port.reopen()
+            self._port.reopen(path)
 
     def fileno(self) -> int:
         """File descriptor of the open port, passed to the client for the safe action."""
@@ -295,10 +302,10 @@ class PrologixLine(FramedLine):
             self._set_up()
             self._say(_escape(command))
 
-    def reopen(self) -> None:
+    def reopen(self, path: str | None = None) -> None:
         with self._turn:
             self._is_set_up = False
-            super().reopen()
+            super().reopen(path)
 
     def _order(self, command: str) -> None:
         # Without set-up: after a crash another process has set the adapter up, and the command must

@@ -34,8 +34,15 @@ class Port(Protocol):
         """
         ...
 
-    def reopen(self) -> None:
-        """Reopen a lost port; InstrumentDisconnected if it is missing."""
+    @property
+    def path(self) -> str | None:
+        """Path by which it can be opened; None without one."""
+        ...
+
+    def reopen(self, path: str | None = None) -> None:
+        """Reopen a lost port, or another path in its place; InstrumentDisconnected if it is
+        missing.
+        """
         ...
 
     def fileno(self) -> int:
@@ -117,7 +124,7 @@ class SerialPort(_DescriptorPort):
         exclusive: bool = True,
     ) -> None:
         super().__init__(-1, name=name, location=port)
-        self._path = port
+        self.path = port
         self._settings = {
             "baudrate": baud,
             "rtscts": hardware_handshake,
@@ -129,8 +136,9 @@ class SerialPort(_DescriptorPort):
         # Some makers give all adapters the same serial number, which then identifies none.
         self._usb = adapter if sum(other == adapter for other in adapters.values()) == 1 else None
 
-    def reopen(self) -> None:
-        """Reopen the port, at the present path of its USB serial number, if it has one.
+    def reopen(self, path: str | None = None) -> None:
+        """Reopen the port, at the present path of its USB serial number, if it has one, or at
+        another path.
 
         The lock belongs to the open file, of which another process may hold a copy: to close the
         descriptor alone would not free it.
@@ -138,14 +146,12 @@ class SerialPort(_DescriptorPort):
         with contextlib.suppress(*_OPENING_ERRORS):
             fcntl.flock(self._descriptor, fcntl.LOCK_UN)
         self.close()
-        if self._usb is None:
-            self._open(self._path)
+        if path is not None or self._usb is None:
+            self._open(path or self.path)
             return
         paths = [path for path, adapter in usb_ports().items() if adapter == self._usb]
         if not paths:
-            raise self._not_open(
-                self._path, f"no adapter with the USB serial number {self._usb[0]}"
-            )
+            raise self._not_open(self.path, f"no adapter with the USB serial number {self._usb[0]}")
         self._open(paths[0])
 
     def close(self) -> None:
@@ -174,21 +180,28 @@ class SerialPort(_DescriptorPort):
 class InheritedPort(_DescriptorPort):
     """A serial port opened and configured by another process, on an inherited descriptor.
 
-    `open_again` reopens a lost port by its path; None: the path is unknown.
+    `open_again` opens a lost port by its path, or by another; None: the path is unknown.
     """
 
     def __init__(
-        self, descriptor: int, *, name: str, open_again: "Callable[[], SerialPort] | None" = None
+        self,
+        descriptor: int,
+        *,
+        name: str,
+        path: str | None = None,
+        open_again: "Callable[[str], SerialPort] | None" = None,
     ) -> None:
         super().__init__(descriptor, name=name, location=f"the inherited descriptor {descriptor}")
-        self._open_again = open_again
+        self.path, self._open_again = path, open_again
         os.set_blocking(descriptor, False)
 
-    def reopen(self) -> None:
-        """Reopen the port; InstrumentDisconnected if it is missing, or its path is unknown."""
-        if self._open_again is None:
+    def reopen(self, path: str | None = None) -> None:
+        """Reopen the port, or another path in its place; InstrumentDisconnected if it is missing,
+        or its path is unknown.
+        """
+        if self._open_again is None or self.path is None:
             raise self._disconnection("no path to open it by")
-        self._opened = self._open_again()
+        self._opened = self._open_again(path or self.path)
         self._descriptor = self._opened.fileno()
 
 

@@ -94,7 +94,7 @@ class InProcessPort:
         self.advance()
         return _behind_adapter(self._shown)
 
-    def reopen(self) -> None:
+    def reopen(self, path: str | None = None) -> None:
         """Nothing to open: the instrument is in this process."""
 
     def fileno(self) -> int:

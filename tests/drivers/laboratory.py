@@ -102,7 +102,7 @@ class Wire(InstrumentLine):
             raise InstrumentReplyError(f"the {self.name} must answer in a known form")
         return value()
 
-    def reopen(self) -> None:
+    def reopen(self, path: str | None = None) -> None:
         if CLOCK.now_s < self.back_s:
             raise InstrumentDisconnected(f"the port of the {self.name} must be there")
         self.trouble = ""

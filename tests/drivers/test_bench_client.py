@@ -126,6 +126,17 @@ def test_the_server_stands_guard_until_silent_instruments_answer(virtual, pair, 
     assert "standing guard" in log
 
 
+def test_ports_that_come_back_swapped_are_told_apart_by_who_answers(virtual, pair):
+    gone, instruments = Faults(unplugged=True), ("delay_generator", "high_voltage")
+    swapped = [Faults(port_name=name) for name in instruments[::-1]]
+    for faults in ((gone, gone), swapped, (gone, gone), (Faults(), Faults())):
+        for instrument, fault in zip(instruments, faults, strict=True):
+            inject_faults(virtual.folder, instrument, fault)
+        time.sleep(0.2)
+        if faults is swapped:
+            assert ms_until_safe(virtual, time.monotonic()) < 2e3
+
+
 def test_the_manual_steps_are_said_within_a_second_of_the_loss_of_a_port(virtual, pair):
     inject_faults(virtual.folder, "delay_generator", Faults(unplugged=True))
     lost_s = time.monotonic()

@@ -55,7 +55,7 @@ class ScriptedPort:
                 return b"".join(here)
             time.sleep(0.002)
 
-    def reopen(self) -> None:
+    def reopen(self, path: str | None = None) -> None:
         self._due.clear()
 
     def close(self) -> None:

@@ -79,7 +79,7 @@ class NoisyPort:
             time.sleep(min(timeout_s, ANSWER_S))
         return piece
 
-    def reopen(self) -> None:
+    def reopen(self, path: str | None = None) -> None:
         """It was never gone."""
 
     def fileno(self) -> int:
