@@ -37,9 +37,11 @@ def clear_rectangle(segment: Segment, fields: list[Gradient]) -> DetectedEdge | 
     plateaus.
     """
     upright = abs(np.cos(segment.normal_rad)) >= abs(np.sin(segment.normal_rad))
-    box = _surroundings(segment, fields[0].modulus.shape)
-    foreign = _foreign(segment, fields, box)
-    row, col = segment.row - box[0], segment.col - box[1]
+    down, right = segment.cut(ACCURACY.max_plateau_px + 2.0)
+    origin, shape = (down.start, right.start), fields[0].modulus.shape
+    stop = min(down.stop, shape[0]), min(right.stop, shape[1])
+    foreign = _foreign(segment, fields, (*origin, *stop))
+    row, col = segment.row - origin[0], segment.col - origin[1]
     if not upright:
         foreign, row, col = foreign.T, col, row
     slope = -np.tan(segment.normal_rad) if upright else -1.0 / np.tan(segment.normal_rad)
@@ -51,22 +53,9 @@ def clear_rectangle(segment: Segment, fields: list[Gradient]) -> DetectedEdge | 
         (top, first_col, height, width) if upright else (first_col, top, width, height)
     )
     return DetectedEdge(
-        region=(box[0] + top, box[1] + first_col, height, width),
+        region=(origin[0] + top, origin[1] + first_col, height, width),
         worth=worth,
         orientation_deg=float(np.rad2deg(segment.normal_rad)) % 180.0,
-    )
-
-
-def _surroundings(segment: Segment, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Return first and one past the last row and col that matter: (top, left, bottom, right)."""
-    ends = segment.ends()
-    low = np.floor(ends.min(axis=0) - ACCURACY.max_plateau_px - 2.0).astype(int)
-    high = np.ceil(ends.max(axis=0) + ACCURACY.max_plateau_px + 3.0).astype(int)
-    return (
-        max(int(low[0]), 0),
-        max(int(low[1]), 0),
-        min(int(high[0]), shape[0]),
-        min(int(high[1]), shape[1]),
     )
 
 

@@ -54,8 +54,8 @@ class Segment:
 
     def cut(self, margin_px: float) -> tuple[slice, slice]:
         """Return the rows and columns within a margin of the segment."""
-        low = np.maximum(np.floor(self.ends().min(axis=0) - margin_px), 0).astype(int)
-        high = np.ceil(self.ends().max(axis=0) + margin_px).astype(int) + 1
+        low = np.maximum(np.floor(self.ends().min(axis=0) - margin_px), 0).astype(int).tolist()
+        high = (np.ceil(self.ends().max(axis=0) + margin_px).astype(int) + 1).tolist()
         return slice(low[0], high[0]), slice(low[1], high[1])
 
 
@@ -116,8 +116,13 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
     weight = modulus / modulus.sum()
     middle = np.array([weight @ row, weight @ col])
     offsets = np.stack([row - middle[0], col - middle[1]])
-    axis = np.linalg.eigh((offsets * weight) @ offsets.T)[1][:, 1]
-    normal = _bright_direction(axis, weight @ field.right[row, col], weight @ field.down[row, col])
+    # Across the long axis, to where the picture brightens.
+    across_col, across_row = np.linalg.eigh((offsets * weight) @ offsets.T)[1][:, 1] * (1.0, -1.0)
+    rise = across_col * (weight @ field.right[row, col]) + across_row * (
+        weight @ field.down[row, col]
+    )
+    sign = 1.0 if rise >= 0 else -1.0
+    normal = float(np.arctan2(sign * across_row, sign * across_col))
     segment = Segment(
         row=float(middle[0]),
         col=float(middle[1]),
@@ -174,13 +179,6 @@ def _profile(segment: Segment, field: Gradient) -> tuple[float, float]:
         return 0.0, 0.0
     variance = float((rise[on_line] * across[on_line] ** 2).sum()) / total
     return float(rise[core].mean()), float(np.sqrt(max(variance, segment.scale_px**2)))
-
-
-def _bright_direction(axis: NDArray, right: float, down: float) -> float:
-    """Return the direction across an axis (row, col) to which the picture brightens, rad."""
-    across_row, across_col = -axis[1], axis[0]
-    sign = 1.0 if across_col * right + across_row * down >= 0 else -1.0
-    return float(np.arctan2(sign * across_row, sign * across_col))
 
 
 def _bow_px(along: NDArray, across: NDArray, weight: NDArray) -> float:

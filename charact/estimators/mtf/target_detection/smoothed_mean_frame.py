@@ -90,20 +90,16 @@ def _noise(smooth: Array, right: Array, down: Array, scale_px: float) -> Array:
     """
     size = int(max(32, 12 * scale_px))
     rows, cols = (max(1, side // size) for side in smooth.shape)
-    level, sd = [], []
+    block_level, block_sd = [], []
     for part_rows in np.array_split(np.arange(smooth.shape[0]), rows):
         for part_cols in np.array_split(np.arange(smooth.shape[1]), cols):
             block = (slice(part_rows[0], part_rows[-1] + 1), slice(part_cols[0], part_cols[-1] + 1))
             differences = np.abs(np.concatenate([right[block].ravel(), down[block].ravel()]))
-            level.append(float(np.median(smooth[block])))
+            block_level.append(float(np.median(smooth[block])))
             # The lowest quarter of the moduli, which structure hardly changes, ends at 0.318639
             # standard deviations.
-            sd.append(float(np.quantile(differences, 0.25)) / 0.318639)
-    return _by_level(np.array(level), np.array(sd), smooth)
-
-
-def _by_level(level: NDArray, sd: NDArray, smooth: Array) -> Array:
-    """Interpolate the noise of quiet blocks over the level."""
+            block_sd.append(float(np.quantile(differences, 0.25)) / 0.318639)
+    level, sd = np.array(block_level), np.array(block_sd)
     level_index = np.clip(
         ((level - level.min()) / max(np.ptp(level), 1e-12) * ACCURACY.noise_levels).astype(int),
         0,
