@@ -288,8 +288,6 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
     from charact.estimators.mtf.bars.group_curve import session_curves
     from charact.estimators.mtf.session.consistency import mtf_consistency, mtf_uniformity
     from charact.estimators.mtf.session.joint import fit_joint_mtf
-    from charact.estimators.mtf.session.mtf_budget import add_mtf_budget
-    from charact.estimators.tube import add_resolution
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}
@@ -303,9 +301,12 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
             + attempt(partial(mtf_consistency, result, kinds), joint)
             + attempt(partial(mtf_uniformity, result, kinds, conditions, context=context), joint)
         )
-    combined = attempt(
-        partial(add_mtf_budget, combined, kinds, context=context), joint, before=combined
-    )
+    if has_tube(context.camera):
+        from charact.estimators.mtf.session.mtf_budget import add_mtf_budget
+
+        combined = attempt(
+            partial(add_mtf_budget, combined, kinds, context=context), joint, before=combined
+        )
     flats = blackbody_flats(session)
     if flats:
         return attempt(
@@ -313,6 +314,10 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
             (("mrtd", "K"),),
             before=combined,
         )
+    if not has_tube(context.camera):
+        return combined
+    from charact.estimators.tube import add_resolution
+
     known = {entry.label: entry.conditions for entry in session.stacks}
     resolution = (("limiting_resolution", "lp/mm"),)
     return attempt(
