@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.frames.thresholds import NOISE
 from labdata.errors import check
 
 Array = NDArray[np.float64]
@@ -69,10 +70,10 @@ class NoiseLaw:
         """Return sigma of signals."""
         return np.sqrt(self.variance(signal, pattern=pattern))
 
-    @property
-    def correlation_sum(self) -> float:
-        """Sum of rho: the correlation factor by estimated lags, which chance may make negative."""
-        return float(max(self.correlation.sum(), 0.05))
+    def correlated(self, correlation: Array) -> "NoiseLaw":
+        """Return the law with a correlation, whose sum chance may make negative."""
+        factor = float(max(correlation.sum(), 0.05))
+        return replace(self, correlation=correlation, correlation_factor=factor)
 
     def covariance(self, rows: Lags, cols: Lags, signal: Array | float = 0.0) -> Array:
         """Return the covariance of pixels, shape (pixel,) each, at signals; (pixel, pixel)."""
@@ -105,17 +106,21 @@ def fit_noise_law(signal: Array, square: Array, top: float, floor: float) -> Noi
     Parameters
     ----------
     signal, square
-        mu and the squared residual of every pixel, shape (pixel,).
+        mu and the squared residual of every pixel, shape (pixel,); single ones count as
+        `NOISE.outlier` times their mean at most.
     top
         Signal up to which the law is used.
     floor
-        Least variance, at no signal and at the top.
+        Least variance, at no signal and at the top, besides `NOISE.least_fraction` of the mean.
     """
     if not signal.size:
         return NoiseLaw(gain_dn=0.0, read_dn=floor**0.5)
-    mean, offset = float(signal.mean()), signal - signal.mean()
+    square = np.minimum(square, NOISE.outlier * float(square.mean()) + floor)
+    variance, mean = float(square.mean()), float(signal.mean())
+    offset = signal - mean
     slope = float(offset @ square) / max(float(offset @ offset), 1e-300)
-    at_none, at_top = (max(float(square.mean()) + slope * (mu - mean), floor) for mu in (0.0, top))
+    floor = max(NOISE.least_fraction * variance, floor)
+    at_none, at_top = (max(variance + slope * (mu - mean), floor) for mu in (0.0, top))
     return NoiseLaw(gain_dn=(at_top - at_none) / top if top > 0 else 0.0, read_dn=at_none**0.5)
 
 
@@ -142,11 +147,9 @@ def masked_covariance(
     part = np.s_[..., rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
     fields, valid = fields[part], valid[part]
     size = [int(next_fast_len(length + reach, True) or length) for length in valid.shape]
-
-    def lagged(images: NDArray[np.floating]) -> Array:
-        spectra = np.asarray(rfft2(images, size))
-        power = (np.real(spectra) ** 2 + np.imag(spectra) ** 2).sum(axis=0)
-        return np.asarray(irfft2(power, size), np.float64)[lag[:, None], lag]
-
-    pairs = np.rint(lagged(valid[None].astype(fields.dtype)))
-    return np.where(pairs > 0, lagged(fields) / np.maximum(pairs * len(fields), 1), 0.0), pairs
+    spectra = np.asarray(rfft2(np.concatenate([valid[None].astype(fields.dtype), fields]), size))
+    power = np.real(spectra) ** 2 + np.imag(spectra) ** 2
+    lagged = np.asarray(irfft2(np.stack([power[0], power[1:].sum(axis=0)]), size), np.float64)
+    pairs, products = lagged[:, lag[:, None], lag]
+    pairs = np.rint(pairs)
+    return np.where(pairs > 0, products / np.maximum(pairs * len(fields), 1), 0.0), pairs

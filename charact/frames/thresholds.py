@@ -41,6 +41,16 @@ class ClippingLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
+class NoiseLimits:
+    """A law of noise fitted to squared residuals (`noise_law`)."""
+
+    outlier: float = 50.0  # Largest squared residual over their mean: 7 standard deviations
+    # Least variance over the mean: of a line that is steep by chance, and of pixels without light
+    # behind a tube
+    least_fraction: float = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
 class LagSettings:
     """Image lag of a described phosphor (`image_lag`)."""
 
@@ -106,6 +116,7 @@ class StackLimits:
 
 
 CLIPPING = ClippingLimits()
+NOISE = NoiseLimits()
 LAG = LagSettings()
 CUBE = CubeLimits()
 STACK = StackLimits()

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.frames.noise_law import masked_covariance
 from charact.observables.observable import cube_root, log
 from charact.observables.thresholds import FRAMES
 from labdata.conditions import Conditions
@@ -42,7 +43,9 @@ class FrameView:
         codes = np.rint(frames[0]).astype(np.int64)
         self.bits = np.array([np.mean(codes >> bit & 1) for bit in range(FRAMES.bits)])
         self.change = (data - self.mean) * np.float32(np.sqrt(count / (count - 1.0)))
-        self.covariance = _autocovariance(self.change)
+        self.covariance, _ = masked_covariance(
+            self.change, np.ones(self.mean.shape, bool), FRAMES.reach
+        )
         self.power = self.spectrum(self.change)
         # A plane and a bowl are shading, not pattern.
         self.shading, self.pattern = _without_shading(self.mean)
@@ -174,17 +177,3 @@ def _without_shading(mean: Frames) -> tuple[Array, Frames]:
         (terms @ terms.T).astype(float), (terms @ mean.ravel()).astype(float)
     )
     return coefficients[1:], mean - (coefficients.astype(np.float32) @ terms).reshape(mean.shape)
-
-
-def _autocovariance(change: Frames) -> Array:
-    """Return the autocovariance of changes (frame, row, col), averaged over frames and pairs of
-    pixels.
-    """
-    from scipy.fft import irfft2, next_fast_len, rfft2
-
-    count, rows, cols = change.shape
-    shape = (next_fast_len(rows + FRAMES.reach), next_fast_len(cols + FRAMES.reach))
-    spectrum = np.asarray(rfft2(change, s=shape))
-    full = np.asarray(irfft2((np.abs(spectrum) ** 2).sum(axis=0), s=shape))
-    lags = np.arange(-FRAMES.reach, FRAMES.reach + 1)
-    return full[np.ix_(lags, lags)] / (np.outer(rows - np.abs(lags), cols - np.abs(lags)) * count)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.thresholds import LIMITS
-from charact.frames.stack import Stack
 
 Array = NDArray[np.float64]
 
@@ -50,11 +49,6 @@ class OrientedFrame:
     interlaced: bool = False
     sample_pitch_px: int = 1
 
-    @property
-    def field_axis(self) -> int | None:
-        """Axis along which two fields alternate; None: progressive frames."""
-        return int(self.transposed) if self.interlaced else None
-
     def turned(self, *, transpose: bool, mirror: bool) -> "OrientedFrame":
         """Return the frame transposed and then mirrored."""
         value, row_index = (
@@ -74,23 +68,6 @@ class OrientedFrame:
         """Return frames (frame, row, col) in the same orientation."""
         turned = frames.swapaxes(1, 2) if self.transposed else frames
         return np.ascontiguousarray(turned[:, :, ::-1] if self.mirrored else turned, np.float64)
-
-
-def mean_oriented_frame(stack: Stack) -> OrientedFrame:
-    """Return the mean frame of a stack, not yet reoriented."""
-    frames, rows, cols = stack.data.shape
-    return OrientedFrame(
-        value=stack.mean_dn,
-        row_index=np.broadcast_to(np.arange(rows)[:, None], (rows, cols)),
-        transposed=False,
-        mirrored=False,
-        frames=frames,
-        whole_codes=stack.holds_codes,
-        black_dn=stack.frames.black_level_dn,
-        pitch_ratio=stack.pitch_ratio,
-        interlaced=stack.interlaced,
-        sample_pitch_px=stack.frames.sample_pitch_px,
-    )
 
 
 def usable_black_level(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:

@@ -1,7 +1,7 @@
 """Target motion between frames, by analysis of variance of line positions.
 
 Edge roughness has the same effect within a frame
-(`charact.estimators.mtf.edge.pixels.prepare_edge.roughness_of`).
+(`charact.estimators.mtf.edge.pixels.prepare_edge.PreparedEdge.roughness`).
 """
 
 from collections.abc import Sequence

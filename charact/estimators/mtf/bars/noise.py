@@ -155,10 +155,9 @@ def row_offset_variance(residuals: Array, height: Array, window: Mask) -> float:
 
 
 def variance_of(level: Array, square: Array) -> Array:
-    """Return the variance of each pixel: a line in its level, at least a tenth of the mean."""
+    """Return the variance of each pixel by its level, from squared deviations."""
     signal = level - level.min()
-    least = max(0.1 * float(square.mean()), 1e-12)
-    return fit_noise_law(signal, square, float(signal.max()), least).variance(signal)
+    return fit_noise_law(signal, square, float(signal.max()), 1e-12).variance(signal)
 
 
 def correlation_of(fields: Array, window: Mask) -> Array:

@@ -139,7 +139,7 @@ def edge_findings(
     if (
         picture.frames > 1
         or profile.black is not None
-        or profile.bright_variance < profile.dark_variance
+        or profile.side_variances[1] < profile.side_variances[0]
     ) and noise_flags(edge.noise_growth):
         yield plain("gamma")
     yield from map(plain, edge.flags)
@@ -214,7 +214,7 @@ def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
     profile, gathered = edge.profile, edge.profile.gathered
     valid = gathered.valid & (np.abs(gathered.distance) < ACCURACY.field_distance_px)
     means = profile.distance, profile.value
-    max_sd = max(profile.dark_variance, profile.bright_variance) ** 0.5
+    max_sd = max(profile.side_variances) ** 0.5
     return field_displacement(edge.picture, edge.rows, valid, gathered.distance, means, max_sd)
 
 
@@ -284,7 +284,9 @@ def fit_findings(
     pixels = np.bincount(cell, weights=weight)
     means = np.abs(np.bincount(cell, weights=weight * residual)) / np.maximum(pixels, 1e-9)
     error = np.sqrt(
-        profile.correlated_noise.correlation_sum * profile.bright_variance / np.maximum(pixels, 1.0)
+        profile.correlated_noise.correlation_factor
+        * profile.side_variances[1]
+        / np.maximum(pixels, 1.0)
     )
     if np.any((means > 0.1 * step) & (means > THRESHOLDS.misfit_sd * error)):
         yield plain("several-targets")

@@ -89,7 +89,7 @@ def measure_conventionally(
     if isinstance(edge, EdgeRefusal):
         return refuse_edge(method, edge, None, settings)
     (rows, cols), profile = edge.picture.value.shape, edge.profile
-    noise, step = max(profile.dark_variance, profile.bright_variance) ** 0.5, profile.step
+    noise, step = max(profile.side_variances) ** 0.5, profile.step
     least_rows, least_cols, least_step = (
         THRESHOLDS.conventional_rows,
         THRESHOLDS.conventional_cols,

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.curve import FINE
-from charact.estimators.mtf.edge.pixels.plateau_noise import ln_bayes_factor_nonlinear
+from charact.estimators.mtf.edge.pixels.plateau_noise import NoiseGrowth
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
-from charact.estimators.mtf.nonlinearity import curvatures
+from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR, curvatures
 from charact.method import Context
 from labdata.camera.description import has_tube
 
@@ -23,6 +23,8 @@ NO_CURVATURE_ESTIMATE: CurvatureEstimate = (0.0, 1.0)
 # scatter: power laws, knees, saturation, logarithms and parabolas on simulated edges of every blur
 # model.
 STEEPENING, FLATTENING, EITHER_WAY = 0.18, 0.09, 0.1
+# Prior probability that noise is read-out noise.
+READ_OUT = 0.5
 
 
 def response_bias(
@@ -94,3 +96,39 @@ def ln_bayes_factor_of(edge: PreparedEdge, context: Context) -> float:
     """
     unknown = not has_tube(context.camera) and not context.linear
     return ln_bayes_factor_nonlinear(edge.noise_growth) if unknown else -np.inf
+
+
+def ln_bayes_factor_nonlinear(growth: NoiseGrowth) -> float:
+    """Return the ln Bayes factor of a nonlinear against a linear response for the noise ratio.
+
+    Notes
+    -----
+    The variance is read-out noise with probability `READ_OUT`; that gives no information. Otherwise
+    photons contribute any fraction: under a linear response the ln ratio is uniform from 0 to ln r,
+    r the ratio of the signals. For covariances it is ln r. A power law of exponent g changes the ln
+    ratio by 2 (1 - 1/g) ln r.
+    """
+    from scipy.special import ndtr
+
+    # A side without noise, such as a clipped one, gives no information about the response.
+    if growth.photon_ratio is None or not growth.photon_ratio > 1.0 or not growth.ratio > 0.0:
+        return 0.0
+    ln_ratio, ln_photon_ratio, error = (
+        np.log(growth.ratio),
+        np.log(growth.photon_ratio),
+        growth.scatter,
+    )
+    sds = np.array([error, np.hypot(error, 2.0 * BENDING * ln_photon_ratio)])
+
+    def normal(deviation: float, sd: Array) -> Array:
+        return np.exp(-0.5 * (deviation / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd)
+
+    if growth.of_light:
+        density = normal(ln_ratio - ln_photon_ratio, sds)
+    else:
+        uniform = (
+            ndtr(ln_ratio / sds) - ndtr((ln_ratio - ln_photon_ratio) / sds)
+        ) / ln_photon_ratio
+        density = READ_OUT * normal(ln_ratio, sds[:1]) + (1.0 - READ_OUT) * uniform
+    linear, curved = np.log(np.maximum(density, 1e-300))
+    return float(np.clip(curved - linear, -MAX_LN_BAYES_FACTOR, MAX_LN_BAYES_FACTOR))

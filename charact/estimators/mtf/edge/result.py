@@ -189,7 +189,7 @@ def edge_result(
     profile, findings = edge.profile, tuple(dict.fromkeys(findings))
     rows, spread = np.flatnonzero(np.isfinite(edge.rows.offset)), edge.rows.offset_sd
     if fitted is not None:
-        spread *= np.sqrt(max(profile.correlated_noise.correlation_sum, 1.0))
+        spread *= np.sqrt(max(profile.correlated_noise.correlation_factor, 1.0))
     error = (
         spread / np.sqrt(max(float(np.sum((rows - rows.mean()) ** 2)), 1.0))
         if rows.size > 2
@@ -300,7 +300,7 @@ def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
     """Yield notes that are no reason for distrust."""
     profile = edge.profile
     yield from edge.stack.frames.notes
-    correlation_sum = profile.correlated_noise.correlation_sum
+    correlation_sum = profile.correlated_noise.correlation_factor
     if not 0.8 <= correlation_sum <= 1.3:
         yield (
             f"Noise is correlated between pixels (sum of correlations {correlation_sum:.1f}) and "

@@ -1,7 +1,7 @@
 """Noise around a point source: surroundings, quiet pixels and correlated pulses."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +97,7 @@ def _fit_correlation(
     )
     rho = common[best] * np.outer(down, along)
     rho[2 * ACCURACY.half_rows, 2 * ACCURACY.half_cols] = 1.0
-    return replace(law, correlation=rho)
+    return law.correlated(rho)
 
 
 @dataclass(frozen=True, kw_only=True)

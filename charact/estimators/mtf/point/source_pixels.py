@@ -91,7 +91,7 @@ class SourcePixels:
         area = np.pi * (ring[:, -1] ** 2 - ring[:, 0] ** 2) / float(np.diff(self.window.y[:2])[0])
         noise_floor = (
             self.dark.variance(0.0)
-            * self.dark.correlation_sum
+            * self.dark.correlation_factor
             / self.window.frames
             / np.maximum(area, 1.0)
         )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.frames.robust import NORMAL, median, robust_sd
+from charact.frames.stack import Stack
 
 Array = NDArray[np.float64]
 
@@ -102,10 +103,23 @@ class EdgeLine:
         return float(np.arctan(self.slope / pitch_ratio))
 
 
-def find(picture: OrientedFrame) -> tuple[OrientedFrame, EdgeLine]:
-    """Find the strongest straight step, turn the picture upright and return both."""
+def find(stack: Stack) -> tuple[OrientedFrame, EdgeLine]:
+    """Find the strongest straight step of a stack's mean frame, turned upright, and return both."""
+    frames, rows, cols = stack.data.shape
+    picture = OrientedFrame(
+        value=stack.mean_dn,
+        row_index=np.broadcast_to(np.arange(rows)[:, None], (rows, cols)),
+        transposed=False,
+        mirrored=False,
+        frames=frames,
+        whole_codes=stack.holds_codes,
+        black_dn=stack.frames.black_level_dn,
+        pitch_ratio=stack.pitch_ratio,
+        interlaced=stack.interlaced,
+        sample_pitch_px=stack.frames.sample_pitch_px,
+    )
     factor = max(1, int(np.ceil(max(picture.value.shape) / 96)))
-    rows, cols = (size // factor * factor for size in picture.value.shape)
+    rows, cols = (size // factor * factor for size in (rows, cols))
     small = (
         picture.value[:rows, :cols]
         .reshape(rows // factor, factor, cols // factor, factor)

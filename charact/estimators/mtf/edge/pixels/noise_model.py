@@ -1,6 +1,6 @@
-"""Noise of a frame along an edge: its law, its correlation, and the covariance of bin means.
+"""Correlation of the noise along an edge, and the covariance of bin means.
 
-It is estimated from the residuals of the profile and so includes photons, gain, read-out, the fixed
+The noise is that of the residuals of the profile and so includes photons, gain, read-out, the fixed
 pattern that frames share, and the correlation by blur.
 """
 
@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.frames.noise_law import NoiseLaw, fit_noise_law, masked_covariance
+from charact.frames.noise_law import NoiseLaw, masked_covariance
 from charact.frames.robust import median
 from charact.inference.least_squares import Linearisation, least_squares, linearise_residual
 
@@ -22,29 +22,6 @@ NARROWEST_PX = 0.125
 LENGTH_PX, EXPONENT, EXPONENT_PRIOR = (0.35, 6.0), (0.7, 2.3), (1.8, 0.3)
 # Largest lag, px; correlations beyond are taken as none.
 MAX_LAG_PX = 14
-
-
-def estimate_edge_noise(
-    residual: Array, level: Array, valid: NDArray[np.bool_], step: float, floor: float
-) -> NoiseLaw:
-    """Return the noise against the height above the dark side, from the residuals of a profile.
-
-    Parameters
-    ----------
-    residual, level
-        Frame less its profile, DN, and the profile from 0 to 1, shape (row, col).
-    valid
-        Pixels that count.
-    step, floor
-        Height of the edge, DN, and least variance, DN^2.
-    """
-    residuals = residual[valid]
-    # Outliers count as 50 variances at most.
-    square = np.minimum(
-        residuals**2, 50.0 * (float(residuals.var()) if residuals.size else 0.0) + floor
-    )
-    least = max(0.02 * float(square.mean()) if square.size else 0.0, floor)
-    return fit_noise_law(level[valid] * step, square, step, least)
 
 
 def fit_correlation_model(
@@ -263,7 +240,7 @@ def bin_covariance(
     lag_px = np.arange(-max_cells, max_cells + 1) * NARROWEST_PX
     index = np.searchsorted(delta, lag_px)
     ramp = np.asarray(total[index] * lag_px - moment[index], np.float64)
-    sd = noise.sd(height)
+    sd = np.sqrt(noise.variance(height))
     scale = sd / np.sqrt(np.diff(borders)[keep] * count)
     ramp = ramp[max_cells + cell - cell[:, None]]
     overlap = (ramp[:-1, 1:] - ramp[1:, 1:] + ramp[1:, :-1] - ramp[:-1, :-1])[np.ix_(keep, keep)]

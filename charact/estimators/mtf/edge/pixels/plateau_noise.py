@@ -10,13 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR
 from charact.estimators.mtf.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
-# Prior probability that noise is read-out noise.
-READ_OUT = 0.5
 # Lags along a row: of neighbours, and of distant pixels, which have only row noise in common.
 LAGS_PX = (1, 8, 9, 10)
 
@@ -270,39 +267,3 @@ def noise_flags(growth: NoiseGrowth) -> tuple[str, ...]:
             < 1.0
         )
     return ("gamma",) if falling or rising else ()
-
-
-def ln_bayes_factor_nonlinear(growth: NoiseGrowth) -> float:
-    """Return the ln Bayes factor of a nonlinear against a linear response for the noise ratio.
-
-    Notes
-    -----
-    The variance is read-out noise with probability `READ_OUT`; that gives no information. Otherwise
-    photons contribute any fraction: under a linear response the ln ratio is uniform from 0 to ln r,
-    r the ratio of the signals. For covariances it is ln r. A power law of exponent g changes the ln
-    ratio by 2 (1 - 1/g) ln r.
-    """
-    from scipy.special import ndtr
-
-    # A side without noise, such as a clipped one, gives no information about the response.
-    if growth.photon_ratio is None or not growth.photon_ratio > 1.0 or not growth.ratio > 0.0:
-        return 0.0
-    ln_ratio, ln_photon_ratio, error = (
-        np.log(growth.ratio),
-        np.log(growth.photon_ratio),
-        growth.scatter,
-    )
-    sds = np.array([error, np.hypot(error, 2.0 * BENDING * ln_photon_ratio)])
-
-    def normal(deviation: float, sd: Array) -> Array:
-        return np.exp(-0.5 * (deviation / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd)
-
-    if growth.of_light:
-        density = normal(ln_ratio - ln_photon_ratio, sds)
-    else:
-        uniform = (
-            ndtr(ln_ratio / sds) - ndtr((ln_ratio - ln_photon_ratio) / sds)
-        ) / ln_photon_ratio
-        density = READ_OUT * normal(ln_ratio, sds[:1]) + (1.0 - READ_OUT) * uniform
-    linear, curved = np.log(np.maximum(density, 1e-300))
-    return float(np.clip(curved - linear, -MAX_LN_BAYES_FACTOR, MAX_LN_BAYES_FACTOR))

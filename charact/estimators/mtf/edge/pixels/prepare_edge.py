@@ -33,7 +33,7 @@ from charact.estimators.mtf.edge.pixels.profile import (
     profile_of,
 )
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.estimators.mtf.mean_frame import OrientedFrame, Region, mean_oriented_frame
+from charact.estimators.mtf.mean_frame import OrientedFrame, Region
 from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
 from charact.frames.robust import median, robust_sd
 from charact.frames.rounding import QUANTISATION_DN2
@@ -104,8 +104,83 @@ class PreparedEdge:
 
     @cached_property
     def roughness(self) -> TargetMotion:
-        """Deviation from a straight line along its length, the same in all frames."""
-        return roughness_of(self.picture, self.profile)
+        """Deviation from a straight line along its length, the same in all frames, beyond what
+        noise alone causes.
+
+        Notes
+        -----
+        d_row = -sum w (v - m), w = (X'X)^-1 X' of m': the displacement of a row is a weighted sum
+        of its pixels v, least squares on -m'(d), m the edge's profile, its own level and contrast
+        free (X = [m', m, 1]). The same weights, applied to the plateaus, give the displacements by
+        noise: temporal and fixed-pattern noise, correlated between rows or not. Noise half way up
+        is taken as the mean of both sides', as that of light and of read-out are. The mean squares
+        of displacements at the edge and on the plateaus are compared as Fisher's F.
+        """
+        from scipy.special import fdtrc
+
+        picture, profile = self.picture, self.profile
+
+        # Pixels that locate the edge: they hold most of the squared slope.
+        at = np.arange(0.0, ACCURACY.max_row_window_px, STEP_PX)
+        steep = sum(
+            steepness(profile.distance, profile.value, sign * at) ** 2 for sign in (-1.0, 1.0)
+        )
+        slope_power = np.cumsum(steep)
+        reach_px = (
+            at[int(np.searchsorted(slope_power, ACCURACY.slope_fraction * slope_power[-1]))]
+            + STEP_PX
+            if slope_power[-1] > 0
+            else 0.0
+        )
+        reach_px = max(float(reach_px), ACCURACY.min_row_window_px)
+        distance, step = profile.gathered.distance, reach_px / abs(profile.slopes[0])
+        at = np.arange(-reach_px - 1.0, reach_px + 1.0 + STEP_PX, STEP_PX)
+        residual = picture.value - np.interp(distance, profile.distance, profile.value)
+        profile_at = np.interp(at, profile.distance, profile.value)
+        steep = steepness(profile.distance, profile.value, at)
+        # As many windows on the dark as on the bright side.
+        offsets = np.rint(
+            np.arange(2.0 * step, max(picture.value.shape[1], 2.0 * step + 1.0), step)
+        ).astype(np.int64)
+        shifts = np.concatenate([[0], -offsets, offsets])
+        displacements, squares = _row_positions(
+            residual, distance, profile.gathered.valid, reach_px, profile_at, steep, shifts
+        )
+        edge = displacements[:, 0]
+        valid = np.flatnonzero(np.isfinite(edge))
+        plateaus = [_plateau_scatter(side) for side in np.split(displacements[:, 1:], 2, axis=1)]
+        if (
+            valid.size < 16
+            or min(plateau[1] for plateau in plateaus) < ACCURACY.min_plateau_positions
+        ):
+            return TargetMotion()
+        residuals = edge[valid] - np.polyval(np.polyfit(valid, edge[valid], 1), valid)
+        # Of each pixel the profile holds as much as one of its bin's pixels weighs.
+        in_profile = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach_px]))
+        square = float(residuals @ residuals) / (valid.size - 2) / max(1.0 - in_profile, 0.5)
+        noise = 0.5 * sum(plateau[0] for plateau in plateaus)
+        if picture.whole_codes:
+            # All pixels of a plateau have the same quantisation error; those near an edge differ:
+            # the mean square of the sawtooth of `charact.frames.rounding` at any level, DN^2.
+            sides = np.array(profile.side_variances)
+            variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
+            turn = np.pi * np.arange(1, 7)[:, None]
+            quantisation = np.mean(
+                np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0)
+            )
+            noise += float(quantisation * np.mean(squares[valid]))
+        if not square > noise > 0:
+            return TargetMotion()
+        variance_factor = 0.5 * sum(plateau[2] for plateau in plateaus)
+        # Of a mean of two squares (Satterthwaite); windows that overlap by half count for half.
+        freedom = (
+            0.5
+            * 4.0
+            * noise**2
+            / sum(plateau[0] ** 2 * variance_factor / plateau[1] for plateau in plateaus)
+        )
+        chance = float(fdtrc(valid.size / variance_factor, freedom, square / noise))
+        return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
 
     @cached_property
     def expected(self) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -130,7 +205,7 @@ class PreparedEdge:
         """How the noise grows with the light: from frame to frame where there are several that
         differ, or by covariances above a known black level; else by the noise of the mean frame.
         """
-        profile, correlation_sum = self.profile, self.profile.correlated_noise.correlation_sum
+        profile, correlation_sum = self.profile, self.profile.correlated_noise.correlation_factor
         if self.picture.frames > 1 or profile.black is not None:
             value, _, sides = self.expected
             plateaus = plateau_noise(
@@ -146,13 +221,13 @@ class PreparedEdge:
                 return growth
         pixels = 0.5 * np.count_nonzero(profile.gathered.valid)
         pixels /= max(correlation_sum, 1.0)
-        photons = None
+        photons, (dark_variance, bright_variance) = None, profile.side_variances
         if profile.black is not None and profile.dark > profile.black:
             bright_dn = profile.bright - profile.black
-            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(profile.bright_variance):
+            if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(bright_variance):
                 photons = bright_dn / (profile.dark - profile.black)
         return NoiseGrowth(
-            ratio=profile.bright_variance / profile.dark_variance,
+            ratio=bright_variance / dark_variance,
             # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
             scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
             photon_ratio=photons,
@@ -186,7 +261,7 @@ def prepare_edge(
         if min(height, width) < 8:
             reason = f"an edge needs a region of at least 8 x 8 px, got {height} x {width}"
             return EdgeRefusal(reason=reason, where=where, flag="window-too-small")
-        picture, coarse = find(mean_oriented_frame(stack))
+        picture, coarse = find(stack)
         part = (
             edge_extent(picture, coarse) if min(height, width) >= 2 * MIN_ROWS and not cut else None
         )
@@ -362,77 +437,6 @@ def _plateau_reach(value: Array, across: Array, sign: int, step: float, error: f
     before = 0.5 * (windows[index, (known - 1) // 2] + windows[index, known // 2])
     departs = np.abs(levels - before) > 0.3 * step + 3.0 * error
     return 2.0 * (3 + int(np.argmax(departs)) - 4) if departs.any() else np.inf
-
-
-def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
-    """Return the deviation of an edge from a straight line along its length, beyond what noise
-    alone causes.
-
-    Notes
-    -----
-    d_row = -sum w (v - m), w = (X'X)^-1 X' of m': the displacement of a row is a weighted sum of
-    its pixels v, least squares on -m'(d), m the edge's profile, its own level and contrast free (X
-    = [m', m, 1]). The same weights, applied to the plateaus, give the displacements by noise:
-    temporal and fixed-pattern noise, correlated between rows or not. Noise half way up is taken as
-    the mean of both sides', as that of light and of read-out are. The mean squares of displacements
-    at the edge and on the plateaus are compared as Fisher's F.
-    """
-    from scipy.special import fdtrc
-
-    # Pixels that locate the edge: they hold most of the squared slope.
-    at = np.arange(0.0, ACCURACY.max_row_window_px, STEP_PX)
-    steep = sum(steepness(profile.distance, profile.value, sign * at) ** 2 for sign in (-1.0, 1.0))
-    slope_power = np.cumsum(steep)
-    reach_px = (
-        at[int(np.searchsorted(slope_power, ACCURACY.slope_fraction * slope_power[-1]))] + STEP_PX
-        if slope_power[-1] > 0
-        else 0.0
-    )
-    reach_px = max(float(reach_px), ACCURACY.min_row_window_px)
-    distance, step = profile.gathered.distance, reach_px / abs(profile.slopes[0])
-    at = np.arange(-reach_px - 1.0, reach_px + 1.0 + STEP_PX, STEP_PX)
-    residual = picture.value - np.interp(distance, profile.distance, profile.value)
-    profile_at = np.interp(at, profile.distance, profile.value)
-    steep = steepness(profile.distance, profile.value, at)
-    # As many windows on the dark as on the bright side.
-    offsets = np.rint(
-        np.arange(2.0 * step, max(picture.value.shape[1], 2.0 * step + 1.0), step)
-    ).astype(np.int64)
-    shifts = np.concatenate([[0], -offsets, offsets])
-    displacements, squares = _row_positions(
-        residual, distance, profile.gathered.valid, reach_px, profile_at, steep, shifts
-    )
-    edge = displacements[:, 0]
-    valid = np.flatnonzero(np.isfinite(edge))
-    plateaus = [_plateau_scatter(side) for side in np.split(displacements[:, 1:], 2, axis=1)]
-    if valid.size < 16 or min(plateau[1] for plateau in plateaus) < ACCURACY.min_plateau_positions:
-        return TargetMotion()
-    residuals = edge[valid] - np.polyval(np.polyfit(valid, edge[valid], 1), valid)
-    # Of each pixel the profile holds as much as one of its bin's pixels weighs.
-    in_profile = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach_px]))
-    square = float(residuals @ residuals) / (valid.size - 2) / max(1.0 - in_profile, 0.5)
-    noise = 0.5 * sum(plateau[0] for plateau in plateaus)
-    if picture.whole_codes:
-        # All pixels of a plateau have the same quantisation error; those near an edge differ: the
-        # mean square of the sawtooth of `charact.frames.rounding` at any level,
-        # DN^2.
-        sides = np.array([profile.dark_variance, profile.bright_variance])
-        variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
-        turn = np.pi * np.arange(1, 7)[:, None]
-        quantisation = np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0))
-        noise += float(quantisation * np.mean(squares[valid]))
-    if not square > noise > 0:
-        return TargetMotion()
-    variance_factor = 0.5 * sum(plateau[2] for plateau in plateaus)
-    # Of a mean of two squares (Satterthwaite); windows that overlap by half count for half.
-    freedom = (
-        0.5
-        * 4.0
-        * noise**2
-        / sum(plateau[0] ** 2 * variance_factor / plateau[1] for plateau in plateaus)
-    )
-    chance = float(fdtrc(valid.size / variance_factor, freedom, square / noise))
-    return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
 
 
 @njit(cache=True)

@@ -13,12 +13,11 @@ from charact.estimators.mtf.edge.pixels.noise_model import (
     NARROWEST_PX,
     bin_covariance,
     correlation_of,
-    estimate_edge_noise,
 )
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, usable_black_level
 from charact.estimators.mtf.nonlinearity import contrast_of
-from charact.frames.noise_law import NoiseLaw
+from charact.frames.noise_law import NoiseLaw, fit_noise_law
 from charact.frames.robust import median, robust_sd
 
 Array = NDArray[np.float64]
@@ -249,25 +248,21 @@ class EdgeProfile:
         """
         return self.noise.variance(self.step * np.clip(level, 0.0, 1.0))
 
-    @property
-    def dark_variance(self) -> float:
-        """Variance of a pixel on the dark side, DN^2."""
-        return float(self.noise_variance(0.0))
-
-    @property
-    def bright_variance(self) -> float:
-        """Variance of a pixel on the bright side, DN^2."""
-        return float(self.noise_variance(1.0))
+    @cached_property
+    def side_variances(self) -> tuple[float, float]:
+        """Variance of a pixel on the dark and on the bright side, DN^2."""
+        dark, bright = self.noise_variance(np.array([0.0, 1.0])).tolist()
+        return dark, bright
 
     @cached_property
     def correlated_noise(self) -> NoiseLaw:
         """Noise with the correlation of neighbours; quantisation does not correlate them."""
-        if max(self.dark_variance, self.bright_variance) <= 1.01 * self.variance_floor:
+        if max(self.side_variances) <= 1.01 * self.variance_floor:
             return self.noise
         valid = self.gathered.valid
         standard = np.where(valid, self.residual / np.sqrt(self.noise_variance(self.level)), 0.0)
         correlation = correlation_of(standard, valid, self.slopes, self.field_axis)
-        return replace(self.noise, correlation=correlation)
+        return self.noise.correlated(correlation)
 
     @cached_property
     def covariance(self) -> Array:
@@ -391,10 +386,15 @@ def profile_of(
         dark=dark,
         bright=bright,
         black=usable_black_level(picture.black_dn, dark, bright),
-        noise=estimate_edge_noise(residual, level, gathered.valid, bright - dark, floor),
+        noise=fit_noise_law(
+            level[gathered.valid] * (bright - dark),
+            residual[gathered.valid] ** 2,
+            bright - dark,
+            floor,
+        ),
         residual=residual,
         level=level,
-        field_axis=picture.field_axis,
+        field_axis=int(picture.transposed) if picture.interlaced else None,
         defects=defects,
         angle_rad=angle,
         slopes=slopes,
@@ -430,9 +430,8 @@ def refine_noise(profile: EdgeProfile, picture: OrientedFrame, model_value: Arra
     level = (at_pixel - profile.dark) / profile.step
     value = np.where(gathered.valid, picture.value - at_pixel, 0.0)
     residual = np.where(gathered.valid, value - _slope_along(value, gathered, level), value)
-    noise = estimate_edge_noise(
-        residual, level, gathered.valid, profile.step, profile.variance_floor
-    )
+    height, square = level[gathered.valid] * profile.step, residual[gathered.valid] ** 2
+    noise = fit_noise_law(height, square, profile.step, profile.variance_floor)
     changed = replace(profile, noise=noise, residual=residual, level=level, shading_sd=0.0)
     return with_shading(changed, profile.value)
 

@@ -7,12 +7,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.signal import correlate
 
-from charact.estimators.mtf.edge.pixels.noise_model import (
-    MAX_LAG_PX,
-    correlation_of,
-    estimate_edge_noise,
-)
+from charact.estimators.mtf.edge.pixels.noise_model import MAX_LAG_PX, correlation_of
 from charact.frames.clipping import is_clipped
+from charact.frames.noise_law import fit_noise_law
 
 
 @pytest.fixture
@@ -89,7 +86,7 @@ def test_no_chance_takes_noise_away_at_any_frequency(rng):
 
 
 def variances(residual, level, used):
-    return estimate_edge_noise(residual, level, used, 1.0, 1e-6).variance(np.array([0.0, 1.0]))
+    return fit_noise_law(level[used], residual[used] ** 2, 1.0, 1e-6).variance(np.array([0.0, 1.0]))
 
 
 def test_variances_of_both_sides_are_those_of_the_noise(rng):

@@ -111,7 +111,7 @@ def test_the_sum_of_the_noise_correlation_is_unbiased(sigma_px, share, seed):
             1 - share
         ) * rng.standard_normal((110, 110))
         stack = FrameStack(data=(frame + 60.0 * noise)[None])
-        sums.append(prepare_edge(stack, None, QUICK).profile.correlated_noise.correlation_sum)
+        sums.append(prepare_edge(stack, None, QUICK).profile.correlated_noise.correlation_factor)
     f = np.fft.fftfreq(110)
     power = np.mean(np.exp(-4 * (np.pi * sigma_px) ** 2 * (f[:, None] ** 2 + f[None] ** 2)))
     truth = share / power + 1 - share

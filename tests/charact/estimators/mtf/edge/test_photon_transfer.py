@@ -5,12 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.edge.pixels.plateau_noise import (
-    READ_OUT,
-    NoiseGrowth,
-    ln_bayes_factor_nonlinear,
-    noise_flags,
-)
+from charact.estimators.mtf.edge.nonlinearity import READ_OUT, ln_bayes_factor_nonlinear
+from charact.estimators.mtf.edge.pixels.plateau_noise import NoiseGrowth, noise_flags
 from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR
 from charact.method import Context
