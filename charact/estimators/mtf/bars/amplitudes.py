@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.target import BarTarget, amplitude
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
-from charact.frames.image_lag import ImageLagModel
 from charact.frames.robust import robust_sd
+from charact.frames.stack import Stack
+from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -44,16 +45,9 @@ class Amplitudes:
 
 
 def amplitudes_of(
-    data: NDArray,
-    target: BarTarget,
-    window: NDArray[np.bool_],
-    background: NDArray[np.bool_],
-    memory: ImageLagModel | None = None,
+    stack: Stack, target: BarTarget, window: NDArray[np.bool_], background: NDArray[np.bool_]
 ) -> Amplitudes:
-    """Return the sums over frames (frame, row, col) of a target above the mean of the pixels beyond
-    the window.
-
-    `memory`: image lag of the described phosphor; None: estimated from the frames.
+    """Return the sums over frames of a target above the mean of the pixels beyond the window.
 
     Notes
     -----
@@ -61,7 +55,8 @@ def amplitudes_of(
     H(f) and the light O(0) H(0) (projection-slice theorem). The scatter between frames includes
     every correlation between pixels. With too few frames, slabs along the bars replace them.
     """
-    across, _ = target.coordinates(data.shape[1:])
+    data, mean = stack.data, stack.mean_dn
+    across, _ = target.coordinates(mean.shape)
     wave = np.exp(-2j * np.pi * target.frequency * across[window])
     odd = (np.nonzero(window)[0] % 2).astype(bool)
     sums = [
@@ -75,12 +70,11 @@ def amplitudes_of(
     fundamental = halves.sum(axis=1)
     phase = float(np.angle(fundamental.mean()))
     turned = np.real(fundamental * np.exp(-1j * phase))
-    lag = _image_lag_factor(data, window, memory)
+    lag = _image_lag_factor(stack, window)
     if len(data) >= 4:
         covariance, freedom = _frame_covariance(light, turned, lag)
     else:
-        covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, background, phase)
-    mean = data.mean(axis=0, dtype=np.float64)
+        covariance, freedom = _slab_covariance(mean, target, window, background, phase)
     zeros = [
         abs(_amplitude(mean, target, window, background, order))
         for order in (target.bars - 1, target.bars + 1)
@@ -105,18 +99,17 @@ def amplitudes_of(
     )
 
 
-def _image_lag_factor(
-    data: NDArray, window: NDArray[np.bool_], memory: ImageLagModel | None
-) -> float:
+def _image_lag_factor(stack: Stack, window: NDArray[np.bool_]) -> float:
     """Return the variance factor of the mean of sums by image lag.
 
     A pixel contains light of the frame before, a sum also light of the field before; the decay
     gives the ratio.
     """
-    data_factor = frame_correlation(data, window)
-    if memory is None:
+    data_factor = frame_correlation(stack.data, window)
+    if not has_tube(stack.camera):
         return data_factor
-    factor = data_factor if len(data) >= ACCURACY.min_lag_frames else memory.widening
+    memory = stack.image_lag
+    factor = data_factor if len(stack) >= ACCURACY.min_lag_frames else memory.widening
     return max(factor * memory.widening_of_sums / memory.widening, 1.0)
 
 

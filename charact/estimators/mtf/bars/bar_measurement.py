@@ -276,8 +276,7 @@ def _measure_complete_target(
             "measurable); enlarge `roi`"
         )
     background, crowded = target_background(mean, target, margin)
-    image_lag = stack.image_lag if has_tube(context.camera) else None
-    amplitudes = amplitudes_of(stack.data, target, window, background, image_lag)
+    amplitudes = amplitudes_of(stack, target, window, background)
     reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
@@ -288,10 +287,10 @@ def _measure_complete_target(
             and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
         )
         reported = reported if is_as_stated else target.frequency
-        amplitudes = amplitudes_of(stack.data, target, window, background, image_lag)
+        amplitudes = amplitudes_of(stack, target, window, background)
     if has_tube(context.camera):
         box = target.box(mean.shape, core_margin_px(wanted.frequency))
-        core = amplitudes_of(stack.data, target, box, background, image_lag)
+        core = amplitudes_of(stack, target, box, background)
         if core.signal_to_noise < LIMITS.min_signal_sd:
             return _refuse_faint(core.signal_to_noise)
     if (

@@ -15,6 +15,7 @@ from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS
+from charact.frames.noise_law import masked_covariance
 from charact.frames.robust import median
 from charact.method import Context
 from charact.verdict import Finding
@@ -355,15 +356,8 @@ def noise_below_quantisation(picture: OrientedFrame, profile: EdgeProfile) -> bo
     )
 
 
-# Lags over which sharpening makes neighbours anticorrelated, px: half of them, as opposite ones are
-# equal.
+# Lags over which sharpening makes neighbours anticorrelated, px.
 REACH_PX = 2
-NEIGHBOURS = [
-    (down, right)
-    for down in range(REACH_PX + 1)
-    for right in range(-REACH_PX, REACH_PX + 1)
-    if down > 0 or right > 0
-]
 
 
 def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
@@ -430,16 +424,13 @@ def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
         return 1.0
     sd = np.sqrt(np.maximum(profile.noise_variance(level), profile.variance_floor))
     noise = np.where(on_plateau, np.clip((picture.value - at_pixel) / sd, -clip_sd, clip_sd), 0.0)
+    covariance, _ = masked_covariance(noise[None], on_plateau, REACH_PX)
+    variance = float(covariance[REACH_PX, REACH_PX])
     # A variance below 1 is the residual of the bins, not noise.
-    variance, total = max(float(np.sum(noise**2)) / pixels, 1.0), 0.0
-    rows, cols = noise.shape
-    for down, right in NEIGHBOURS:
-        first = slice(0, rows - down), slice(max(-right, 0), cols - max(right, 0))
-        second = slice(down, rows), slice(max(right, 0), cols - max(-right, 0))
-        pairs = max(int(np.count_nonzero(on_plateau[first] & on_plateau[second])), 1)
-        total += 2.0 * float(np.sum(noise[first] * noise[second])) / pairs / variance
+    total = (float(covariance.sum()) - variance) / max(variance, 1.0)
     opposed = -(total + 2.0 * REACH_PX * float(np.mean(1.0 / profile.count)))
-    error = 2.0 * np.sqrt(len(NEIGHBOURS) / pixels)
+    # Opposite lags are equal: half of them count.
+    error = np.sqrt(2.0 * (covariance.size - 1) / pixels)
     if opposed > max(THRESHOLDS.min_anticorrelation, THRESHOLDS.anticorrelation_sd * error):
         return float(max(1.0 - opposed, 0.05) ** -0.5)
     return 1.0
