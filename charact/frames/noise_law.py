@@ -78,11 +78,11 @@ class NoiseLaw:
     def covariance(self, rows: Lags, cols: Lags, signal: Array | float = 0.0) -> Array:
         """Return the covariance of pixels, shape (pixel,) each, at signals; (pixel, pixel)."""
         lags = [np.subtract.outer(at, at) for at in (rows, cols)]
-        reach = [size // 2 for size in self.correlation.shape]
-        down, right = (np.clip(lag, -r, r) + r for lag, r in zip(lags, reach, strict=True))
-        in_reach = (np.abs(lags[0]) <= reach[0]) & (np.abs(lags[1]) <= reach[1])
+        limits = [size // 2 for size in self.correlation.shape]
+        down, right = (np.clip(lag, -r, r) + r for lag, r in zip(lags, limits, strict=True))
+        in_range = (np.abs(lags[0]) <= limits[0]) & (np.abs(lags[1]) <= limits[1])
         sd = np.broadcast_to(self.sd(signal), rows.shape)
-        return np.outer(sd, sd) * np.where(in_reach, self.correlation[down, right], 0.0)
+        return np.outer(sd, sd) * np.where(in_range, self.correlation[down, right], 0.0)
 
     def sum_variance(self, total: float) -> float:
         """Return the variance of the sum of many pixels by the light in them, DN^2."""
@@ -125,7 +125,7 @@ def fit_noise_law(signal: Array, square: Array, top: float, floor: float) -> Noi
 
 
 def masked_covariance(
-    fields: NDArray[np.floating], valid: NDArray[np.bool_], reach: int
+    fields: NDArray[np.floating], valid: NDArray[np.bool_], max_lag: int
 ) -> tuple[Array, Array]:
     """Return mean products of pixels a lag apart, and the number of their pairs in one field.
 
@@ -135,18 +135,18 @@ def masked_covariance(
         Deviations of pixels, shape (field, row, col); those that do not count are 0.
     valid
         Pixels that count, shape (row, col).
-    reach
-        Largest lag of rows and of columns; the results have shape (2 reach + 1, 2 reach + 1).
+    max_lag
+        Largest lag of rows and of columns; the results have shape (2 max_lag + 1, 2 max_lag + 1).
     """
     from scipy.fft import irfft2, next_fast_len, rfft2
 
-    lag = np.arange(-reach, reach + 1)
+    lag = np.arange(-max_lag, max_lag + 1)
     if not valid.any():
         return np.zeros((lag.size, lag.size)), np.zeros((lag.size, lag.size))
     rows, cols = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
     part = np.s_[..., rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
     fields, valid = fields[part], valid[part]
-    size = [int(next_fast_len(length + reach, True) or length) for length in valid.shape]
+    size = [int(next_fast_len(length + max_lag, True) or length) for length in valid.shape]
     spectra = np.asarray(rfft2(np.concatenate([valid[None].astype(fields.dtype), fields]), size))
     power = np.real(spectra) ** 2 + np.imag(spectra) ** 2
     lagged = np.asarray(irfft2(np.stack([power[0], power[1:].sum(axis=0)]), size), np.float64)

@@ -28,8 +28,8 @@ LINEAR_SHARE = 0.8
 def blur_px_of(blur_factor: float) -> float:
     """Return the width of the Gaussian that lowers the variance of white noise by a factor, px."""
     widths = np.linspace(0.05, 4.0, 200)
-    away = np.arange(-20, 21)
-    kernels = np.exp(-0.5 * (away / widths[:, None]) ** 2)
+    offsets = np.arange(-20, 21)
+    kernels = np.exp(-0.5 * (offsets / widths[:, None]) ** 2)
     factors = np.sum((kernels / kernels.sum(axis=1, keepdims=True)) ** 2, axis=1) ** 2
     return float(np.interp(-blur_factor, -factors, widths))
 
@@ -66,16 +66,18 @@ def measure_noise(stack: FrameStack, black_dn: float, *, of_light: bool = True) 
     groups = np.array_split(usable[np.argsort(mean.ravel()[usable])], 16 if of_light else 1)
     if min(len(group) for group in groups) < 16:
         return None
-    mid, found, own = (
-        np.array([np.median(one.ravel()[group]) for group in groups])
-        for one in (mean, power, pixel)
+    signal, noise_power, variance = (
+        np.array([np.median(field.ravel()[group]) for group in groups])
+        for field in (mean, power, pixel)
     )
-    if not (found > 0.0).all():
+    if not (noise_power > 0.0).all():
         return None
-    blur = blur_px_of(min(1.0, float(np.median(own / found))))
+    blur = blur_px_of(min(1.0, float(np.median(variance / noise_power))))
     if not of_light:
-        return NoiseLaw(gain_dn=0.0, read_dn=float(found[0] ** 0.5))
-    (gain, read2), _ = nnls(np.stack([mid / found, 1.0 / found], axis=1), np.ones_like(found))
+        return NoiseLaw(gain_dn=0.0, read_dn=float(noise_power[0] ** 0.5))
+    (gain, read2), _ = nnls(
+        np.stack([signal / noise_power, 1.0 / noise_power], axis=1), np.ones_like(noise_power)
+    )
     return NoiseLaw(
         gain_dn=float(gain), read_dn=float(max(read2, QUANTISATION_DN2) ** 0.5), blur_px=blur
     )
@@ -136,18 +138,18 @@ def _quiet_variances(
     squares = _block_means(np.square(detail), FUSION.noise_block_px >> level)
     # Halving rounds up, so that a level may hold one row or column of blocks more than the frame.
     squares = squares[: shape[0], : shape[1]]
-    found = []
+    quiet = []
     for group in groups:
         row, col = np.unravel_index(group, shape)
-        inside = (row < squares.shape[0]) & (col < squares.shape[1])
-        own = squares[row[inside], col[inside]]
-        own = own[own > 1e-6 * float(squares.mean())]
-        found.append(
-            np.quantile(own, FUSION.quiet_share) / _quantile_of_white_noise(level)
-            if own.size
+        in_level = (row < squares.shape[0]) & (col < squares.shape[1])
+        of_group = squares[row[in_level], col[in_level]]
+        of_group = of_group[of_group > 1e-6 * float(squares.mean())]
+        quiet.append(
+            np.quantile(of_group, FUSION.quiet_share) / _quantile_of_white_noise(level)
+            if of_group.size
             else 0.0
         )
-    return np.array(found)
+    return np.array(quiet)
 
 
 @cache
