@@ -19,7 +19,7 @@ from charact.estimators.mtf.edge.nonlinearity import (
     nonlinearity_bias,
 )
 from charact.estimators.mtf.edge.parametric import edge_parametric
-from charact.estimators.mtf.edge.pixels.plateau_noise import PlateauNoiseRatio
+from charact.estimators.mtf.edge.pixels.plateau_noise import NoiseGrowth
 from charact.estimators.mtf.nonlinearity import CURVED, CURVED_SD
 from charact.method import Context
 from tests.truth.blur import TrueBlur
@@ -137,7 +137,7 @@ def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(
 def test_a_curvature_is_told_where_it_is_sure(curvature, error, told):
     edge = SimpleNamespace(
         profile=SimpleNamespace(contrast=0.8),
-        noise_growth=PlateauNoiseRatio(ratio=1.0, scatter=0.1, photon_ratio=None),
+        noise_growth=NoiseGrowth(ratio=1.0, scatter=0.1, photon_ratio=None),
     )
     found = edge_response.response_bias(edge, (curvature, error), np.inf, Context())
     assert (found is not None) == told
