@@ -62,7 +62,7 @@ class Stack:
         return 1.0 if self.camera is None else self.camera.pitch_ratio
 
     @cached_property
-    def mean_dn(self) -> Array:
+    def mean_frame_dn(self) -> Array:
         """Mean frame, shape (row, col), DN."""
         return self.data.mean(axis=0, dtype=np.float64)
 
@@ -111,7 +111,11 @@ class Stack:
             Quantile of the mean frame that stands for it where neither is known.
         """
         known = self.frames.black_level_dn if dark_dn is None else dark_dn
-        return (float(np.quantile(self.mean_dn, unlit)), False) if known is None else (known, True)
+        return (
+            (float(np.quantile(self.mean_frame_dn, unlit)), False)
+            if known is None
+            else (known, True)
+        )
 
     def is_clipped(self, pixels: Mask | None = None) -> bool:
         """Return whether pixels, all or those of a mask (row, col), pile up at an end of the

@@ -374,7 +374,7 @@ def map_of(
     black = session.dark_like(entry.conditions)
     dark, _ = stack.black_level_dn(None if black is None else black.read().mean_dn)
     rng = np.random.default_rng(context.seed)
-    signal = stack.mean_dn - dark
+    signal = stack.mean_frame_dn - dark
     spread = spread_from(
         result, area_px=float(signal.size), pitch_ratio=context.pitch_ratio, rng=rng
     )

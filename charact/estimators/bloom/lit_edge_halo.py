@@ -383,7 +383,7 @@ def _frame(
     stack = Stack.of(entry.read(), context)
     dark = session.dark_like(entry.conditions)
     level, _ = stack.black_level_dn(None if dark is None else dark.read().mean_dn)
-    return stack.mean_dn, entry.label, level, stack.top_dn
+    return stack.mean_frame_dn, entry.label, level, stack.top_dn
 
 
 def _check_edge_of_halo(best: EdgeHaloOptimum) -> None:

@@ -289,7 +289,7 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
             if other_entry.target.region == entry.target.region
         ]
         stack = Stack.of(entry.read(), context)
-        position = common_position(position, same, stack.mean_dn)
+        position = common_position(position, same, stack.mean_frame_dn)
         spots.append(spot_of(entry, stack, dark, position, context, behind))
         behind.append((entry.conditions, spots[-1].light))
     return tuple(spots)
@@ -297,7 +297,7 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
 
 def place_of(stack: Stack, region, dark_dn: float, context: Context) -> SourcePosition:
     """Locate the source of a stack, at the centre of its contour where it has one."""
-    position = brightest(stack.mean_dn, region)
+    position = brightest(stack.mean_frame_dn, region)
     if position.significance < DETECTED:
         return position
     row, col = position.row, position.col

@@ -241,7 +241,7 @@ def view_of(stack: Stack, dark_dn: float, row: float, col: float, row_pitch: flo
     """
     from scipy import ndimage
 
-    signal = stack.mean_dn - dark_dn
+    signal = stack.mean_frame_dn - dark_dn
     polar = polar_of((signal.shape[0], signal.shape[1]), row, col, row_pitch)
     rings, top = rings_of(signal, polar), stack.top_dn - dark_dn
     smooth = np.asarray(ndimage.gaussian_filter(signal, SMOOTHING_PX))

@@ -55,7 +55,7 @@ def amplitudes_of(
     H(f) and the light O(0) H(0) (projection-slice theorem). The scatter between frames includes
     every correlation between pixels. With too few frames, slabs along the bars replace them.
     """
-    data, mean = stack.data, stack.mean_dn
+    data, mean = stack.data, stack.mean_frame_dn
     across, _ = target.coordinates(mean.shape)
     wave = np.exp(-2j * np.pi * target.frequency * across[window])
     odd = (np.nonzero(window)[0] % 2).astype(bool)

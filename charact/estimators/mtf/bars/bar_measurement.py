@@ -98,7 +98,7 @@ def measure_bars_in(
     stack: Stack, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Detect and measure the target of a region."""
-    mean = stack.mean_dn
+    mean = stack.mean_frame_dn
     if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
         size = f"{mean.shape[0]} x {mean.shape[1]} px"
         return BarRefusal(f"no target: {asked} require a larger region, got {size}")
@@ -116,7 +116,7 @@ def _measure_strip(
     stack: Stack, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Measure bars that cross the region."""
-    mean = stack.mean_dn
+    mean = stack.mean_frame_dn
     turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
     target = replace(
         target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio
@@ -267,7 +267,7 @@ def _measure_complete_target(
     stack: Stack, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
     """Measure a target that lies completely in the region."""
-    mean, wanted = stack.mean_dn, target
+    mean, wanted = stack.mean_frame_dn, target
     margin, cut = fitting_margin(target, mean.shape, margin_px(context, target.frequency))
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:

@@ -53,7 +53,7 @@ def measure_contrast(
             version=charact.__version__, seed=context.seed, settings={"bars": bars}
         ),
     }
-    mean = cut_stack.mean_dn
+    mean = cut_stack.mean_frame_dn
     located = target_in(
         mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio
     )

@@ -40,7 +40,7 @@ def bar_profile(stack: Stack, target: BarTarget, mtf: float) -> dict:
 
     The model has the tube transfer exp(-(f/fc)^1.2) with the measured value at the fundamental.
     """
-    mean = stack.mean_dn
+    mean = stack.mean_frame_dn
     across, along = target.coordinates(mean.shape)
     on_bars = (np.abs(along) < 0.3 * target.length_px) & (
         np.abs(across) < target.width_px / 2 + 1.5 / target.frequency
@@ -130,7 +130,7 @@ def bars_forward(
     with a prior from the description.
     """
     cut_stack = Stack.of(stack if region is None else stack.region(*region), context)
-    where = region or (0, 0, *cut_stack.mean_dn.shape)
+    where = region or (0, 0, *cut_stack.mean_frame_dn.shape)
     stated = StatedBars(bars=bars, frequency=frequency_cy_per_px)
     measured = measure_bars_in(cut_stack, stated, context)
     if isinstance(measured, BarRefusal):

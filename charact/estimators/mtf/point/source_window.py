@@ -104,7 +104,7 @@ def source_window(stack: Stack, source: DetectedSource, context: Context) -> Win
     frames, rows, cols = data.shape
     top, bottom = max(0, row - ACCURACY.half_rows), min(rows, row + ACCURACY.half_rows + 1)
     first_col, last_col = max(0, col - ACCURACY.half_cols), min(cols, col + ACCURACY.half_cols + 1)
-    mean = stack.mean_dn
+    mean = stack.mean_frame_dn
     core = data[:, top:bottom, first_col:last_col].astype(float)
     x = np.arange(first_col, last_col) - float(col)
     y = (np.arange(top, bottom) - float(row)) * pitch_ratio

@@ -107,7 +107,7 @@ def find(stack: Stack) -> tuple[OrientedFrame, EdgeLine]:
     """Find the strongest straight step of a stack's mean frame, turned upright, and return both."""
     frames, rows, cols = stack.data.shape
     picture = OrientedFrame(
-        value=stack.mean_dn,
+        value=stack.mean_frame_dn,
         row_index=np.broadcast_to(np.arange(rows)[:, None], (rows, cols)),
         transposed=False,
         mirrored=False,
