@@ -13,7 +13,7 @@ class FusionThresholds:
     # Border around a clipped region that holds its blurred edge, px: core of a lens and post-gain
     # blur.
     border_px: int = 2
-    # Share of full scale from which a pixel is clipped, as in `charact.estimators.bloom.bloom_map`.
+    # Share of full scale from which a pixel is clipped: noise and rounding below the top code.
     clip_share: float = 0.985
     # Least signal power of a pyramid level over its noise power, so that a rare object is kept on
     # an empty level.

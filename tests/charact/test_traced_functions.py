@@ -96,7 +96,7 @@ def test_a_session_of_one_edge_takes_few_functions(picture):
     )
     functions, modules = counts("measure", str(session))
     assert functions <= 400
-    assert modules <= 73
+    assert modules <= 72
 
 
 if __name__ == "__main__":
