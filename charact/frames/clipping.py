@@ -27,6 +27,17 @@ def shown_ceiling(data: NDArray) -> float | None:
     return float(highest) if touching else None
 
 
+def is_cut(
+    mean: NDArray[np.float64], brightest: NDArray, black_dn: float, full_dn: float
+) -> NDArray[np.bool_]:
+    """Return the groups of pixels, such as rings, whose mean full scale may lower.
+
+    `mean`, `brightest`: mean and largest value of each group, shape (group,), DN.
+    """
+    linear_dn = black_dn + CLIPPING.linear_fraction * (full_dn - black_dn)
+    return (mean > linear_dn) | (brightest > CLIPPING.near_full_fraction * full_dn)
+
+
 def is_clipped(data: NDArray, full_scale_dn: float | None) -> bool:
     """Return whether pixels pile up at an end of the scale.
 

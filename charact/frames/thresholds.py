@@ -21,6 +21,10 @@ class ClippingLimits:
     # Fraction of full scale at which frames clip or the wells of a sensor fill: their spread from
     # pixel to pixel and the noise of the digitiser
     full_fraction: float = 0.97
+    # Fraction of the range from black to full scale above which full scale cuts the peaks of the
+    # noise of pixels, and of full scale above which it may have cut a single value
+    linear_fraction: float = 0.75
+    near_full_fraction: float = 0.95
     # Fraction of frames at the top from which the mean of a pixel underestimates its signal
     max_full_frames: float = 0.02
     # Quantile of a mean frame that is taken as black where black is not known: of scenes and edges,

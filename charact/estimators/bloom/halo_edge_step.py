@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.bloom.lit_edge_profile import smooth_variance
-from charact.estimators.bloom.point_stack import LINEAR_SHARE, PointStack
+from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.rings import SECTORS, geometry_of
+from charact.frames.clipping import is_cut
 from charact.method import Context
 
 Array = NDArray[np.float64]
@@ -52,10 +53,7 @@ def profile_of(spot: PointStack, *, context: Context) -> Profile:
     raw = np.nansum((geometry.sector_means(pixels) - mean) ** 2, axis=0) / (SECTORS * (SECTORS - 1))
     # Rings outside the saturated core, and inside any saturated outer ring.
     usable = np.ones(len(mean), bool)
-    over = np.flatnonzero(
-        (mean > spot.dark_dn + LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn))
-        | (brightest > 0.95 * spot.full_scale_dn)
-    )
+    over = np.flatnonzero(is_cut(mean, brightest, spot.dark_dn, spot.full_scale_dn))
     inner, outer = over[over < reach_px // 2], over[over >= reach_px // 2]
     usable[: int(inner[-1]) + 3 if len(inner) else 0] = False
     usable[int(outer[0]) if len(outer) else len(usable) :] = False

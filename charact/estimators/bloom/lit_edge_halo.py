@@ -16,6 +16,7 @@ from charact.estimators.bloom.series.halo_models import (
 )
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.stack import Stack
+from charact.frames.thresholds import CLIPPING
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
 from charact.transfer import spreads
@@ -359,7 +360,8 @@ def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Stri
     unclipped_frames = [
         frame
         for frame in lit_frames
-        if np.percentile(frame[0], 99.0) < frame[2] + 0.75 * (frame[3] - frame[2])
+        if np.percentile(frame[0], 99.0)
+        < frame[2] + CLIPPING.linear_fraction * (frame[3] - frame[2])
     ]
     image, _, dark, full = unclipped_frames[-1] if unclipped_frames else lit_frames[0]
     level = (

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.bloom.thresholds import Unmeasurable
+from charact.frames.clipping import is_cut
 
 Array = NDArray[np.float64]
 
@@ -218,7 +219,7 @@ def strips_of(
     where = np.bincount(strip, distance[within_strips], minlength=count)[span] / total
     part_residuals = sums / cells - mean[:, None]
     variance = smooth_variance((part_residuals**2).sum(axis=1) / (PARTS - 1) / PARTS, 0.08)
-    over = (mean > dark_dn + 0.75 * (full_dn - dark_dn)) | (top[span] > 0.95 * full_dn)
+    over = is_cut(mean, top[span], dark_dn, full_dn)
     unclipped = np.ones(len(mean), bool)
     if over.any():
         unclipped[: int(np.flatnonzero(over)[-1]) + 1] = False

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom.point_stack import PointStack
 from charact.frames.robust import robust_sd
+from charact.frames.thresholds import CLIPPING
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, make_refusal, measurement_from_draws
 
@@ -19,8 +20,6 @@ Mask = NDArray[np.bool_]
 
 # Side of the tiles whose means form the background, px.
 TILE_PX = 6
-# Fraction of full scale above which a pixel may be clipped.
-CUT_SHARE = 0.95
 SECTORS = 12
 # Minimum motion of a source, px, and relative change of light or background, through a stack.
 LEAST_TRAVEL_PX, LEAST_CHANGE = 0.3, 0.05
@@ -149,7 +148,9 @@ def _light(
     noise.
     """
     over = mean - (float(background.mean()) + spot.dark_dn)
-    cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
+    cut = (
+        data >= spot.dark_dn + CLIPPING.near_full_fraction * (spot.full_scale_dn - spot.dark_dn)
+    ).any(axis=0)
     within_source = radius < max(12.0, spot.bloom_px)
     quiet = robust_sd(over[~within_source]) if (~within_source).any() else 1.0
     lit = within_source & ~cut & (over > max(5.0 * quiet, 1.0))
@@ -181,7 +182,9 @@ def _noise(
     small = _tiles(variance)[tiles]
     floor = float(_tiles(mean)[tiles].mean()) - spot.dark_dn
     levels = [(floor, float(small.mean()), float(small.std(ddof=1)) / np.sqrt(small.size))]
-    cut = data.max(axis=0) >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)
+    cut = data.max(axis=0) >= spot.dark_dn + CLIPPING.near_full_fraction * (
+        spot.full_scale_dn - spot.dark_dn
+    )
     # Where some pixels are clipped, the unclipped ones are a biased sample.
     cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
     # Blur spreads variance less far than signal, so that variance is too small near a steep edge.

@@ -181,8 +181,6 @@ def _falls_off(smooth: Array, row: int, col: int, height: float, row_pitch: floa
 
 # Standard errors by which the smoothed source must exceed its surroundings.
 DETECTED = 8.0
-# Fraction of full scale above which noise is clipped.
-LINEAR_SHARE = 0.75
 # Grey values are rounded: full scale is shown from half a step below.
 HALF_STEP_DN = 0.5
 
