@@ -1,5 +1,6 @@
 """The command run in this process, and what every refusal has in common."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,11 @@ def done_well(*arguments: object) -> Result:
     done = charact(*arguments)
     assert done.exit_code == 0, done.output
     return done
+
+
+def json_of(*arguments: object) -> dict:
+    """Return the JSON object that a command prints, whether it succeeds or not."""
+    return json.loads(charact(*arguments, "--json").stdout)
 
 
 def assert_one_sentence(done: Result, *words: str) -> None:

@@ -10,6 +10,7 @@ import pytest
 import charact
 from labdata import Measurement, make_refusal, measurement_from_sd, open_session, result_io
 from labdata import Result as Measured
+from tests.charact.cli.runner import assert_one_sentence, json_of
 from tests.charact.cli.runner import charact as run
 
 QUANTITIES = (
@@ -52,9 +53,7 @@ def days(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_the_json_has_every_difference(days: tuple[Path, Path]) -> None:
-    done = run("compare", *days, "--json")
-    assert done.exit_code == 0, done.output
-    document = json.loads(done.stdout)
+    document = json_of("compare", *days)
     assert document["input"] == [str(day) for day in days]
     found = {(one["quantity"], one.get("stack")): one for one in document["differences"]}
     assert len(found) == len(QUANTITIES) + 5
@@ -89,20 +88,17 @@ def test_unlike_sessions_are_refused_in_a_sentence_and_compared_anyway(
     days: tuple[Path, Path],
 ) -> None:
     other = make_session(days[0].parent / "day3", 1.0, mcp_v=800.0)
-    done = run("compare", days[0], other)
-    assert done.exit_code == 1
-    assert done.stderr.strip() == (
+    rule = (
         "charact: compared sessions must be alike, got mcp_v 780 and 800 of stack 'flat-1' and 4 "
         "more unlike conditions; --anyway compares them nevertheless"
     )
-    assert json.loads(run("compare", days[0], other, "--json").stdout)["error"].startswith(
-        "compared sessions must"
-    )
+    assert_one_sentence(run("compare", days[0], other), rule)
+    assert json_of("compare", days[0], other)["error"] == rule.removeprefix("charact: ")
     done = run("compare", days[0], other, "--anyway")
     assert done.exit_code == 0
     assert "  mcp_v 780 | 800 of flat-1, flat-2, flat-3, flat-4 and 1 more (unlike)" in done.stdout
     assert "! unlike-conditions: mtf50, read_noise" in done.stdout.replace("system_gain, ", "")
-    found = json.loads(run("compare", days[0], other, "--anyway", "--json").stdout)
+    found = json_of("compare", days[0], other, "--anyway")
     assert {one["status"] for one in found["differences"]} == {"suspect"}
 
 
@@ -169,12 +165,8 @@ def test_many_limits_fit_one_screen(days: tuple[Path, Path]) -> None:
 def test_bad_limits_are_one_sentence_and_exit_1(days: tuple[Path, Path]) -> None:
     file = days[0] / "limits.toml"
     file.write_text('[[limit]]\nquantity = "mtf50"\nmaximum = 0.1\n')
-    done = run("check", days[0], "--limits", file)
-    assert done.exit_code == 1
-    assert (
-        done.stderr.strip()
-        == "charact: unknown key 'maximum' in limit 1 of limits.toml; did you mean 'max'?"
-    )
+    rule = "charact: unknown key 'maximum' in limit 1 of limits.toml; did you mean 'max'?"
+    assert_one_sentence(run("check", days[0], "--limits", file), rule)
     assert run("check", days[0], "--limits", days[0] / "none.toml").exit_code == 1
     assert run("check", days[0]).exit_code == 2
     assert not (days[0] / "checked.json").exists()
@@ -203,7 +195,7 @@ def test_the_page_has_a_chapter_of_limits_that_knows_a_new_result(days: tuple[Pa
 
 def test_scripts_get_the_same_differences_and_verdicts(days: tuple[Path, Path]) -> None:
     found = charact.compare(*days)
-    shown = json.loads(run("compare", *days, "--json").stdout)["differences"]
+    shown = json_of("compare", *days)["differences"]
     assert [one.interval95 for one in found.differences] == [
         tuple(one["interval95"]) for one in shown
     ]

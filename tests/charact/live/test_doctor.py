@@ -2,12 +2,9 @@
 
 import json
 import os
-from pathlib import Path
 
-from typer.testing import CliRunner
-
-from charact.cli.application import app
 from charact.live import Finding, doctor, video_devices
+from tests.charact.cli.runner import charact, done_well, json_of
 
 
 def can_work(found: tuple[Finding, ...]) -> bool:
@@ -119,16 +116,15 @@ def test_the_verb_prints_ok_or_the_fix_and_ends_with_the_cores_verdict(
         "camera_findings",
         lambda: iter([Finding(area="aravis", says="none", fix="plug one in")]),
     )
-    plain = CliRunner().invoke(app, ["doctor", str(tmp_path)])
-    assert plain.exit_code == 0, plain.output
+    plain = done_well("doctor", tmp_path)
     assert "FIX  aravis" in plain.stdout and "-> plug one in" in plain.stdout
     assert all(
         line.startswith(("ok ", "FIX", "     ", "The core"))
         for line in plain.stdout.splitlines()
         if line
     )
-    told = json.loads(CliRunner().invoke(app, ["doctor", str(tmp_path), "--json"]).stdout)
+    told = json_of("doctor", tmp_path)
     assert told["core_can_work"] is True
     assert all(one["ok"] is (one["fix"] is None) for one in told["findings"])
-    nowhere = CliRunner().invoke(app, ["doctor", str(Path(tmp_path) / "nowhere"), "--json"])
+    nowhere = charact("doctor", tmp_path / "nowhere", "--json")
     assert nowhere.exit_code == 1 and json.loads(nowhere.stdout)["core_can_work"] is False

@@ -5,13 +5,12 @@ import threading
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from charact.cli.application import app
 from charact.live import look_at, run_outcome, watch_stacks
 from labdata import BadInput, Conditions
 from labdata.event_log import EventLog
 from labdata.session_writer import SessionWriter
+from tests.charact.cli.runner import done_well
 from tests.charact.live.sources import edge
 
 SHAPE = (96, 112)
@@ -110,17 +109,11 @@ def test_the_verb_prints_one_line_a_stack_with_interval_and_saturation(session) 
     writer, log, rng = session
     take(writer, "edge", "edge", rng)
     log("run ends", whole=True)
-    plain = CliRunner().invoke(app, ["watch", str(writer.folder)])
-    assert plain.exit_code == 0, plain.output
-    (line,) = plain.stdout.splitlines()
+    (line,) = done_well("watch", writer.folder).stdout.splitlines()
     assert (
         line.startswith("edge (edge): 6 frames, 0 lost, mean ") and "at most 5 px at 255 DN" in line
     )
     assert "mtf50" in line and "cy/px [" in line and "95 %" in line
-    lines = (
-        CliRunner()
-        .invoke(app, ["watch", str(writer.folder), "--once", "--json"])
-        .stdout.splitlines()
-    )
+    lines = done_well("watch", writer.folder, "--once", "--json").stdout.splitlines()
     told = json.loads(lines[0])
     assert len(lines) == 1 and told["stack"] == "edge" and told["most_saturated_px"] == 5
