@@ -40,8 +40,7 @@ def frames_of(
     >>> frames_of(np.zeros((4, 60, 80))).shape
     (4, 60, 80)
     """
-    from labdata.frames import FrameStack
-    from labdata.importers import read_array, read_frames
+    from labdata import FrameStack, read_array, read_frames
 
     if isinstance(source, FrameStack):
         frames = source
@@ -84,8 +83,7 @@ def stack(
     >>> stack(np.zeros((4, 60, 80), np.uint16), "dark", exposure_s=0.01).conditions.exposure_s
     0.01
     """
-    from labdata import Conditions, Target
-    from labdata.session import LoadedStackEntry
+    from labdata import Conditions, LoadedStackEntry, Target
 
     known = set(Conditions.__dataclass_fields__)
     if unknown := sorted(set(conditions) - known):

@@ -62,8 +62,7 @@ def acquire(
     ):
         from charact.cli.benches import acquire_session, remove_run
         from drivers.acquisition.plans import load_plan
-        from labdata.errors import BadInput
-        from labdata.serialiser import from_toml
+        from labdata import BadInput, from_toml
         from simulate.virtual_bench.rehearsal import FaultScript
 
         if resume and force:

@@ -16,8 +16,7 @@ from charact.cli.output import (
     print_text,
     progress_bar,
 )
-from labdata.errors import BadInput
-from labdata.settings import Setting
+from labdata import BadInput, Setting
 
 if TYPE_CHECKING:
     from charact.api.analysis import Analysis

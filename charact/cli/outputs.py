@@ -107,8 +107,7 @@ def is_taken(folder: Path, maker: Maker) -> bool:
 
 def why_kept(folder: Path, maker: Maker, sources: Iterable[Path] = ()) -> str | None:
     """Return what a folder is that `maker` must not replace, or None."""
-    from labdata.serialiser import from_toml
-    from labdata.session import MANIFEST, SessionFile
+    from labdata import MANIFEST, SessionFile, from_toml
     from labdata.session_writer import FRAMES, SessionWriter
     from labdata.store.journal import is_ours
 

@@ -21,8 +21,7 @@ from charact.cli.output import (
     progress_bar,
 )
 from charact.cli.outputs import Force, require_free, why_other_kind
-from labdata.errors import BadInput
-from labdata.settings import Setting
+from labdata import BadInput, Setting
 
 if TYPE_CHECKING:
     from charact.validation import Validation

@@ -11,8 +11,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from charact.comparison.thresholds import LIMITS
-from labdata import BadInput, Conditions, Session, StackEntry
-from labdata.serialiser import to_mapping
+from labdata import BadInput, Conditions, Session, StackEntry, to_mapping
 
 GAIN_AND_TIME = (
     "mcp_v",

@@ -14,11 +14,10 @@ from typing import Any, Literal
 from charact import __version__
 from charact.comparison.compare import same_frequency, turn_deg
 from charact.comparison.thresholds import LIMITS
-from labdata import QUANTITIES, BadInput, write_atomically
+from labdata import QUANTITIES, BadInput, sha256_of, write_atomically
 from labdata.errors import check as check_numbers
 from labdata.measurement import Interval, Measurement, Result, Status
 from labdata.result_io import RESULTS
-from labdata.session import sha256_of
 
 CHECKED = "checked.json"
 FORMAT = 1

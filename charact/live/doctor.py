@@ -18,9 +18,7 @@ from types import MappingProxyType
 import numpy as np
 
 from drivers.cameras.aravis.capture import SOCKET_BUFFER_BYTES
-from labdata import BadInput, Conditions
-from labdata.capture import Frame
-from labdata.session_writer import SessionWriter
+from labdata import BadInput, Conditions, Frame, SessionWriter
 
 
 @dataclass(frozen=True)

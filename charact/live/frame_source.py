@@ -12,8 +12,7 @@ import numpy as np
 
 from charact.method import Context
 from drivers.interface import Camera
-from labdata import BadInput, load_camera
-from labdata.capture import CameraSettings, Frame
+from labdata import BadInput, CameraSettings, Frame, load_camera
 from labdata.conditions import Conditions, conditions_of
 from labdata.session import MANIFEST, SessionFile, StackRecord, read_manifest
 from labdata.store import Acknowledged, ArrayFollower, is_ours

@@ -15,6 +15,7 @@ from charact.reporting.number_format import (
     value_text,
 )
 from charact.reporting.summary import SERIES, sections_of_leading
+from labdata import LoadedStackEntry, Measurement, Session, make_measurement
 from labdata.measurement import Measurement, make_measurement
 from labdata.session import LoadedStackEntry, Session
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from charact.cli.outputs import next_free, remove_session, why_kept
-from labdata import Conditions, open_session
-from labdata.session_writer import SessionWriter
+from labdata import Conditions, SessionWriter, open_session
 from tests.charact.cli.runner import assert_one_sentence, charact, done_well
 
 

@@ -10,8 +10,7 @@ import pytest
 import tifffile
 from typer.testing import Result
 
-from labdata import load_camera, open_session, save_sensor
-from labdata.phosphors import load_phosphor
+from labdata import load_camera, load_phosphor, open_session, save_sensor
 from tests.charact.cli.runner import assert_one_sentence, charact, done_well, small_camera
 
 ROWS, COLS = 48, 64

@@ -9,11 +9,12 @@ from labdata import (
     BadInput,
     Measurement,
     Result,
+    from_toml,
     make_measurement,
     make_refusal,
     measurement_from_sd,
+    to_toml,
 )
-from labdata.serialiser import from_toml, to_toml
 
 
 def mtf50(low: float, high: float, **fields) -> Measurement:

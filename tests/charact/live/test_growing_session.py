@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from charact.live import FocusReader, LiveLoop, SessionSource
-from labdata import BadInput, Conditions
-from labdata.session_writer import SessionWriter
+from labdata import BadInput, Conditions, SessionWriter
 from labdata.store import ArrayFollower
 from tests.charact.live.sources import AtOnce, edge
 

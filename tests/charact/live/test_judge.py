@@ -5,8 +5,7 @@ counted, all.
 import numpy as np
 
 from charact.live import SaturationJudge, half_interval_dn
-from labdata import Conditions
-from labdata.plan import Step, StopCriterion
+from labdata import Conditions, Step, StopCriterion
 
 SHAPE = (20, 30)
 

@@ -13,8 +13,7 @@ import pytest
 
 from charact.live import CameraSource, FrameRate, LiveLoop, lines, watch_on_terminal
 from charact.method import Context
-from labdata import BadInput
-from labdata.capture import CameraSettings, Frame
+from labdata import BadInput, CameraSettings, Frame
 from tests.charact.live.sources import Told, noisy, seen
 
 

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from charact.live import look_at, run_outcome, watch_stacks
-from labdata import BadInput, Conditions
-from labdata.event_log import EventLog
-from labdata.session_writer import SessionWriter
+from labdata import BadInput, Conditions, EventLog, SessionWriter
 from tests.charact.cli.runner import done_well
 from tests.charact.live.sources import edge
 
