@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from labdata.file_io import write_atomically
     from labdata.flags import FLAGS, order_flags
     from labdata.frame_export import write_frames
-    from labdata.frames import FrameStack
+    from labdata.frames import Array, FrameStack, Mask
     from labdata.gating import Gating, fields_open_ns, out_of_step
     from labdata.importers import read_array, read_frames
     from labdata.instrument_config import InstrumentConfig, Meters
@@ -74,6 +74,7 @@ __all__ = [
     "FLAGS",
     "MANIFEST",
     "QUANTITIES",
+    "Array",
     "BackgroundWriter",
     "BadInput",
     "Camera",
@@ -94,6 +95,7 @@ __all__ = [
     "Limits",
     "LoadedStackEntry",
     "LostFrames",
+    "Mask",
     "Measurement",
     "Meters",
     "Override",
@@ -174,7 +176,7 @@ __getattr__ = import_on_first_use(
         "labdata.file_io": "write_atomically",
         "labdata.flags": "FLAGS order_flags",
         "labdata.frame_export": "write_frames",
-        "labdata.frames": "FrameStack",
+        "labdata.frames": "Array FrameStack Mask",
         "labdata.gating": "Gating fields_open_ns out_of_step",
         "labdata.importers": "read_array read_frames",
         "labdata.instrument_config": "InstrumentConfig Meters",

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 BLOCK_BYTES = 2**26  # Bytes of frames processed in one block
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from charact.reporting.number_format import plus_minus
-from charact.reporting.summary import summary
+from charact.reporting.summary import summary_of
 from labdata import QUANTITIES, BadInput, Measurement, Result, Session
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Analysis(Result):
         )
 
     def __str__(self) -> str:
-        return summary(self, title=self.source).replace(" (`everything`)", "")
+        return summary_of(self, title=self.source).replace(" (`everything`)", "")
 
     def _repr_html_(self) -> str:
         """Return the table and the MTF figure of the report, for a notebook."""

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import fields_of, flags_of, notes_of, with_remedy
 from charact.estimators.noise.illumination import (
@@ -28,6 +27,7 @@ from charact.estimators.noise.illumination import (
 )
 from charact.method import Context
 from labdata import (
+    Array,
     Camera,
     Conditions,
     Curve,
@@ -38,7 +38,6 @@ from labdata import (
     measurement_from_draws,
 )
 
-Array = NDArray[np.float64]
 METHOD = "bar-detection"
 NYQUIST = 0.5
 # Directions of the frequency vector, deg, with the curves that show them, best first.

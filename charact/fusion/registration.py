@@ -15,10 +15,9 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import stdtrit
 
 from charact.fusion.thresholds import FUSION, REGISTRATION
+from labdata import Array, Mask
 
-Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 Pair = tuple[float, float]
 Reason = Literal["no-structure", "too-few-pixels", "not-found", "beyond-limit"]
 

@@ -16,10 +16,8 @@ from charact.fusion.bands import Mask, lamp_pixels
 from charact.fusion.fused import Fused
 from charact.fusion.scores import CONTROL_NOISE_DN, SOBEL_X, Score, sigmoid
 from charact.fusion.thresholds import FUSION, TRUTH
-from labdata import BadInput, make_measurement
+from labdata import Array, BadInput, make_measurement
 from labdata.file_io import require_regular
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ from labdata.lazy_names import import_on_first_use
 
 if TYPE_CHECKING:
     from charact.reporting.annotated_image import (
+        VERDICT_COLOURS,
         place_captions,
         render_annotations,
         unusable_edges,
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from charact.reporting.report_images import bright_region, representative
     from charact.reporting.session_page import fragment, page, write
     from charact.reporting.style import report_style, white_style
+    from charact.reporting.summary import rows_of_file, sparkline, summary_of
     from charact.reporting.tables import quantity_groups
     from charact.reporting.truth import TruthComparison, compare_with_truth
     from charact.reporting.validation import (
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FIGURES",
+    "SHEET",
+    "VERDICT_COLOURS",
     "FrequencyUnit",
     "TruthComparison",
     "add_extent_data",
@@ -69,9 +73,12 @@ __all__ = [
     "report_style",
     "representative",
     "round_to_spread",
+    "rows_of_file",
     "sentence_of",
     "sheet",
     "sheet_rows",
+    "sparkline",
+    "summary_of",
     "unusable_edges",
     "validation_section",
     "varying",
@@ -86,7 +93,7 @@ __getattr__ = import_on_first_use(
     __name__,
     {
         "charact.reporting.annotated_image": (
-            "place_captions render_annotations unusable_edges write_annotated_image"
+            "VERDICT_COLOURS place_captions render_annotations unusable_edges write_annotated_image"
         ),
         "charact.reporting.bloom_images": "add_extent_data plot_bloom_frames plot_bloom_map",
         "charact.reporting.corner": "corner_svg varying",
@@ -99,6 +106,7 @@ __getattr__ = import_on_first_use(
         "charact.reporting.report_images": "bright_region representative",
         "charact.reporting.session_page": "fragment page write",
         "charact.reporting.style": "report_style white_style",
+        "charact.reporting.summary": "rows_of_file sparkline summary_of",
         "charact.reporting.tables": "quantity_groups",
         "charact.reporting.truth": "TruthComparison compare_with_truth",
         "charact.reporting.validation": "blind_pair headline_of sentence_of validation_section",

@@ -85,7 +85,7 @@ Unusable = Sequence[tuple[Box, str]]
 # Blue, orange, vermilion and grey, distinct for all colour vision (Okabe and Ito); blue, green, red
 # order.
 NOT_MEASURED = "not measured"
-COLOURS = {
+VERDICT_COLOURS = {
     "ok": (230, 170, 70),
     "suspect": (0, 160, 240),
     "refused": (60, 80, 235),
@@ -243,10 +243,10 @@ def _outline(image: Image, box: Box, status: str) -> None:
     top, left, bottom, right = box
     corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
     for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
-        _line(image, start, end, COLOURS[status], dashed=status == "suspect")
+        _line(image, start, end, VERDICT_COLOURS[status], dashed=status == "suspect")
     if status == "refused":
-        cv2.line(image, corners[0], corners[2], COLOURS[status], 1, cv2.LINE_AA)
-        cv2.line(image, corners[1], corners[3], COLOURS[status], 1, cv2.LINE_AA)
+        cv2.line(image, corners[0], corners[2], VERDICT_COLOURS[status], 1, cv2.LINE_AA)
+        cv2.line(image, corners[1], corners[3], VERDICT_COLOURS[status], 1, cv2.LINE_AA)
 
 
 def _line(
@@ -296,11 +296,11 @@ def _write(
             int(np.clip(middle[1], top, top + height)),
         )
         cv2.line(image, nearest, middle, PAPER, 3, cv2.LINE_AA)
-        cv2.line(image, nearest, middle, COLOURS[status], 1, cv2.LINE_AA)
+        cv2.line(image, nearest, middle, VERDICT_COLOURS[status], 1, cv2.LINE_AA)
         cv2.circle(image, middle, 4, PAPER, -1, cv2.LINE_AA)
-        cv2.circle(image, middle, 3, COLOURS[status], -1, cv2.LINE_AA)
+        cv2.circle(image, middle, 3, VERDICT_COLOURS[status], -1, cv2.LINE_AA)
     cv2.rectangle(image, (left, top), (left + width, top + height), PAPER, -1)
-    cv2.rectangle(image, (left, top), (left + width, top + height), COLOURS[status], 1)
+    cv2.rectangle(image, (left, top), (left + width, top + height), VERDICT_COLOURS[status], 1)
     for number, line in enumerate(lines):
         _text(image, line, left + 6, top + LINE_PX * (number + 1))
 
@@ -319,7 +319,7 @@ def _legend(
     ]
     strip = np.full((LINE_PX * (len(lines) + 1) + 16, width, 3), PAPER, np.uint8)
     left = 10
-    for status in (status for status in COLOURS if status in statuses):
+    for status in (status for status in VERDICT_COLOURS if status in statuses):
         _outline(strip, (9, left, 9 + LINE_PX - 4, left + 40), status)
         text = f"{status} ({LINE_STYLES[status]}): {statuses.count(status)}"
         _text(strip, text, left + 50, 8 + LINE_PX - 4)

@@ -26,10 +26,9 @@ from charact.reporting.style import (
     zero_line,
 )
 from charact.reporting.truth import Truth
-from labdata import Curve, Measurement, Result, Session
+from labdata import Array, Curve, Measurement, Result, Session
 
 Data = Mapping[str, Any]
-Array = NDArray[np.float64]
 
 DEGREES = {"horizontal frequency": 0.0, "vertical frequency": 90.0, "slanted frequency": 45.0}
 

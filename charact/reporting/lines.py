@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 
 from charact.method.stopwatch import time_text
-from charact.reporting.summary import LINES, Frequency, in_cycles_per_pixel, summary
+from charact.reporting.summary import LINES, Frequency, in_cycles_per_pixel, summary_of
 from labdata import FLAGS, Measurement, Result
 
 
@@ -32,7 +32,7 @@ def text_of(
         return "\n".join([*wrapped[: LINES - len(more)], *more])
     if everything:
         return "\n".join(lines_of(result.measurements, frequency))
-    return summary(result, title=title, frequency=frequency, width=width)
+    return summary_of(result, title=title, frequency=frequency, width=width)
 
 
 def lines_of(

@@ -21,7 +21,7 @@ ROW_LINES, FLAG_LINES, REASON_LINES, NOTE_LINES = 22, 6, 6, 3
 BARS = "▁▂▃▄▅▆▇█"
 
 
-def summary(
+def summary_of(
     result: Result, *, title: str, frequency: Frequency | None = None, width: int = 100
 ) -> str:
     """Return the summary of a result, at most 40 lines.

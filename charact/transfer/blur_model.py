@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.transfer.cores import CORES
 from charact.transfer.extended import ExtendedComponent
 from charact.transfer.form import Core, table_of
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ from dataclasses import replace
 from math import exp, log
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.transfer.form import LN2, MIN_LN, BarForm, Core, Parameter
 from charact.transfer.pupil import (
@@ -26,8 +25,7 @@ from charact.transfer.tables import (
     moffat_grid,
     moffat_table,
 )
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Half frequency of a clear pupil in focus over its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
 AIRY_HALF = 0.40397275

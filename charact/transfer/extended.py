@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.transfer.tables import disc, sine_integral
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,9 +4,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Transfers below this count as this: numbers smaller still slow every product down a hundredfold.
 MIN_LN = -60.0

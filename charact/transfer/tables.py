@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from labdata import Array
+
 MoffatTable = tuple[Array, Array, Array]
 
 # Exponents b of the table of the Moffat spread (1 + r^2/a^2)^-b.

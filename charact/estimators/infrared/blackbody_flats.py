@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.infrared.levels import (
     WORST,
@@ -40,6 +39,7 @@ from charact.frames.thresholds import CUBE
 from charact.method import Context
 from charact.method.registry import single_blas_thread
 from charact.method.stopwatch import with_timing
+from labdata import Array
 from labdata.camera.description import is_thermal
 from labdata.measurement import (
     Measurement,
@@ -52,7 +52,6 @@ from labdata.measurement import (
 )
 from labdata.session import Session, StackEntry
 
-Array = NDArray[np.float64]
 METHOD = "signal-transfer"
 E1543 = "ASTM E1543 (scanning imagers, background 295 K, noise through a reference filter)"
 

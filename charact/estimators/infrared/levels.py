@@ -1,7 +1,6 @@
 """Levels of a black body: which of them count, and what is found about them."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from charact.estimators.infrared.signal_transfer import ZERO_C, Response, SignalTransfer
@@ -11,9 +10,8 @@ from charact.estimators.noise.gain.series import gain_of
 from charact.frames.components import shading
 from charact.frames.rounding import QUANTISED_DN2, rounding_sd
 from charact.frames.stack_statistics import StackStatistics
+from labdata import Array
 from labdata.measurement import intervals_of
-
-Array = NDArray[np.float64]
 
 ONE_WAY = (
     "Levels were taken in the order of their temperature: a steady drift of the offset between "

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from charact.estimators.infrared.thresholds import INFRARED
 from charact.estimators.noise.findings import fields_of
 from charact.method import Context
 from labdata import (
+    Array,
     Curve,
     FrameStack,
     Measurement,
@@ -24,7 +25,6 @@ from labdata import (
 )
 from labdata.camera.description import is_thermal
 
-Array = NDArray[np.float64]
 Region = tuple[int, int, int, int]
 METHOD = "objective-mrtd"
 DIRECTIONS = ("to the right", "to the left")

@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from charact.reporting import FrequencyUnit, place_captions, render_annotations, unusable_edges
-from charact.reporting.annotated_image import COLOURS
+from charact.reporting import (
+    VERDICT_COLOURS,
+    FrequencyUnit,
+    place_captions,
+    render_annotations,
+    unusable_edges,
+)
 from labdata import BadInput, FrameStack, load_camera, make_measurement, make_refusal
 from labdata import Result as Measured
 from tests.charact.cli.runner import assert_one_sentence, charact, json_of
@@ -181,9 +186,9 @@ def test_verdicts_differ_in_more_than_colour() -> None:
         picture = render_annotations(stack, Measured(measurements=(one,)))
         assert picture.shape[1] >= 1500
         top_line = picture[498:503, 505:945]
-        share[status] = np.all(top_line == COLOURS[status], axis=2).any(axis=0).mean()
+        share[status] = np.all(top_line == VERDICT_COLOURS[status], axis=2).any(axis=0).mean()
         crossed = np.all(
-            np.abs(picture[530:540, 530:540].astype(int) - COLOURS[status]) < 60, axis=2
+            np.abs(picture[530:540, 530:540].astype(int) - VERDICT_COLOURS[status]) < 60, axis=2
         ).any()
         assert crossed == (status == "refused")
     assert share["ok"] > 0.99 and share["refused"] > 0.99
@@ -237,7 +242,9 @@ def test_a_picture_is_written_and_told_when_everything_is_refused(tmp_path: Path
     told, reason = done.stderr.strip().splitlines()
     assert done.exit_code == 1 and "no target: no step" in reason
     assert told == f"{path}: every region with its value, or why it has none"
-    assert np.all(np.abs(cv2.imread(str(path)).astype(int) - COLOURS["refused"]) < 10, axis=2).any()
+    assert np.all(
+        np.abs(cv2.imread(str(path)).astype(int) - VERDICT_COLOURS["refused"]) < 10, axis=2
+    ).any()
     asked = ("mtf", "edge", tmp_path / "even.npy", "--quick", "--annotate", tmp_path / "out.jpg")
     assert_one_sentence(charact(*asked), "must name a .png file")
 
@@ -248,5 +255,5 @@ def test_a_region_of_a_cropped_stack_is_drawn_where_it_lies() -> None:
     common = {"method": "edge-forward", "region": (130, 100, 90, 90)}
     one = make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), **common)
     picture = render_annotations(stack, Measured(measurements=(one,)))
-    rows = np.flatnonzero(np.all(picture[:1500, 600] == COLOURS["ok"], axis=1))
+    rows = np.flatnonzero(np.all(picture[:1500, 600] == VERDICT_COLOURS["ok"], axis=1))
     assert abs(rows.min() - 500) <= 2 and abs(rows.max() - 949) <= 2

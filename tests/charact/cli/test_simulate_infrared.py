@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, load_camera, open_session
+from simulate import save_view_radiance
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.scene import RigSensor, SceneCamera
-from simulate.radiance_files import save_view_radiance
 from tests.charact.cli.runner import (
     LAWN,
     assert_one_sentence,

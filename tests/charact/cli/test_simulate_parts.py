@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from labdata import BadInput, load_camera, load_sensor
-from simulate import conditions_of, voltage_limit_warnings
-from simulate.image_source import centre_on_frame, read_cube, read_image
+from simulate import centre_on_frame, conditions_of, read_cube, read_image, voltage_limit_warnings
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 
 from charact.frames.noise_law import NoiseLaw
 from charact.fusion import COLOURED, Band, display_planes, fuse, fuse_levels
-from charact.method.registry import chart_table
+from charact.method import chart_table
 from tests.truth.fusion import Pair, gaussian
 
 GREY = ("weighted", "pca", "laplacian", "guided-filter", "inverse-noise")

@@ -6,8 +6,7 @@ import pytest
 
 from charact.cli.demo_loop import lines
 from charact.cli.output import print_result
-from charact.reporting import compare_with_truth
-from charact.reporting.summary import rows_of_file, sparkline, summary
+from charact.reporting import compare_with_truth, rows_of_file, sparkline, summary_of
 from labdata import QUANTITIES, Measurement, Result, make_refusal, measurement_from_sd
 
 LONG = (
@@ -41,7 +40,7 @@ def everything(stacks: int) -> Result:
 @pytest.mark.parametrize("width", [60, 80, 100])
 @pytest.mark.parametrize("stacks", [1, 2, 3, 30])
 def test_it_is_at_most_40_lines_of_the_width(stacks, width):
-    lines = summary(
+    lines = summary_of(
         everything(stacks), title="measure of " + "a-long-name/" * 9, width=width
     ).splitlines()
     assert len(lines) <= 40
@@ -56,7 +55,7 @@ def test_a_suspect_value_that_is_not_shown_is_counted():
     hidden = measurement_from_sd(
         "noise_v", "DN", 1.0, 0.1, method="m", flags=("drift",), notes=("drift: 3 DN",)
     )
-    text = summary(Result(measurements=(*shown, hidden)), title="t")
+    text = summary_of(Result(measurements=(*shown, hidden)), title="t")
     assert "1 of them suspect" in text and "drift: 3 DN" in text
 
 
@@ -66,7 +65,7 @@ def test_what_does_not_apply_is_counted_and_not_explained():
     )
     missing = make_refusal("dsnu", "DN", "needs darks", method="m", refusal="missing")
     good = measurement_from_sd("prnu", "%", 1.0, 0.1, method="m")
-    text = summary(Result(measurements=(good, refused, missing)), title="t")
+    text = summary_of(Result(measurements=(good, refused, missing)), title="t")
     assert "1 not applicable" in text and "no tube" not in text and "dsnu: needs darks" in text
 
 
@@ -75,7 +74,7 @@ def test_one_reason_of_many_stacks_is_said_once():
         make_refusal("snr", "1", f"flat-{n} is saturated", method="m", stack=f"flat-{n}")
         for n in range(6)
     ]
-    text = summary(Result(measurements=tuple(refused)), title="t")
+    text = summary_of(Result(measurements=tuple(refused)), title="t")
     assert text.count("saturated") == 1 and "6 stacks" in text
 
 

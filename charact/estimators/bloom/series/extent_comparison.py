@@ -5,14 +5,12 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.extent import Extent
 from charact.estimators.bloom.point_stack import HALF_STEP_DN, PointStack
 from charact.estimators.bloom.series.model_selection import FittedHaloModel
+from labdata import Array
 from labdata.measurement import Measurement
-
-Array = NDArray[np.float64]
 
 MISFIT = ("model-misfit",)
 # Relative uncertainty of the fitted signal.

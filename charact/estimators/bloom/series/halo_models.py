@@ -6,14 +6,13 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.transfer import frequencies
 from charact.transfer import spreads
 from charact.transfer.form import Parameter
+from labdata import Array
 from labdata.camera.description import Camera, has_tube
 
-Array = NDArray[np.float64]
 Core = Literal["gaussian", "tube", "moffat", "matern"]
 # Cores tried: of any camera, and of cameras with a tube.
 CORES: tuple[Core, ...] = ("gaussian", "matern", "moffat")

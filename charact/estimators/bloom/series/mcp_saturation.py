@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of
 from charact.estimators.bloom.series.likelihood import ModelParts, SeriesLikelihood
@@ -12,9 +11,8 @@ from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.transfer import frequencies
 from charact.transfer import spreads
 from charact.transfer.form import Parameter
+from labdata import Array
 from labdata.camera.description import Camera, has_tube
-
-Array = NDArray[np.float64]
 
 # Reciprocal signal density at half gain, px/DN: from no saturation to saturation at a few DN.
 PLATE_LOAD = Parameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.series.halo_models import (
     CORES,
@@ -18,9 +17,8 @@ from charact.estimators.bloom.series.likelihood import RingSeries, SeriesLikelih
 from charact.estimators.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
 from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.series.rings import SECTORS
+from labdata import Array
 from labdata.camera.description import Camera
-
-Array = NDArray[np.float64]
 
 # Steps of a first optimisation.
 FIRST_STEPS = 20

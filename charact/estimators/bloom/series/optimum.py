@@ -5,12 +5,10 @@ projected out.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.series.likelihood import SeriesLikelihood
 from charact.inference.least_squares import least_squares, linearise_residual
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 @dataclass(frozen=True, kw_only=True)

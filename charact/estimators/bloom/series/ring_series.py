@@ -20,10 +20,8 @@ from charact.estimators.bloom.series.rings import (
 )
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.method import Context
+from labdata import Array, Mask
 from labdata.session import Session
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Maximum correction of a position, px: a source is located to a pixel or two before.
 FARTHEST_PX = 3.0

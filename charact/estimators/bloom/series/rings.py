@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.frames.noise_law import NoiseLaw
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Mask
 
 # Outermost ring, column pitches.
 REACH_PX = 90

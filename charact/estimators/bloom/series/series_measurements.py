@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of, profile_of
@@ -16,9 +15,7 @@ from charact.frames.robust import robust_sd
 from charact.inference.diagnostics import crowds_at_bound
 from charact.transfer import spreads
 from charact.verdict import Finding, judge
-from labdata import Measurement, Posterior, make_refusal, measurement_from_draws
-
-Array = NDArray[np.float64]
+from labdata import Array, Measurement, Posterior, make_refusal, measurement_from_draws
 
 REMEDY = "a target that is opaque around its pinhole, or a series with the pinhole covered"
 
