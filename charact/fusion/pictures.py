@@ -278,7 +278,7 @@ def reduce_noise(
     >>> frames = rng.normal(5.0, 1.0, (40, 64, 64))
     >>> *_, last = reduce_noise(frames, NoiseLaw(gain_dn=0.0, read_dn=1.0), gain=0.2)
     >>> round(float(last.var()), 2)
-    0.11
+    0.12
     """
     if not 0.0 < gain <= 1.0:
         raise BadInput(

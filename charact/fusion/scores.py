@@ -214,7 +214,7 @@ def _gradient(plane: Array) -> tuple[Array, Array]:
     along x).
     """
     x, y = sobel(plane)
-    return np.sqrt(x**2 + y**2), np.where(x == 0.0, np.pi / 2.0, np.arctan(-y / (x + 1e-3)))
+    return np.sqrt(x**2 + y**2), np.where(x == 0.0, np.pi / 2.0, np.arctan(-y / x))
 
 
 def sigmoid(value: Array, ceiling: float, slope: float, middle: float) -> Array:
