@@ -12,7 +12,6 @@ import numpy as np
 from charact.live.frame_source import full_scale_of
 from charact.session_measurement import measure, method_context
 from labdata import BadInput, Kind, Measurement, Result, open_lazy_stack, read_events
-from labdata.event_log import read_events
 from labdata.session import MANIFEST, Session, StackEntry, read_manifest, session_of
 
 LEADING: dict[Kind, tuple[str, ...]] = {

@@ -16,8 +16,6 @@ from charact.reporting.number_format import (
 )
 from charact.reporting.summary import SERIES, sections_of_leading
 from labdata import LoadedStackEntry, Measurement, Session, make_measurement
-from labdata.measurement import Measurement, make_measurement
-from labdata.session import LoadedStackEntry, Session
 
 ROWS, CONDITIONS, OUTCOMES = 20, 6, 36  # Most lines of a summary
 NAME, COLUMNS = 33, 100  # Width of a name and of a row of a table
