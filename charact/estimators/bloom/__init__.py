@@ -6,10 +6,29 @@ from charact.estimators.bloom.defects import with_sound_pixels
 from charact.estimators.bloom.extent_measurements import add_findings
 from charact.method import Context, choose
 from labdata.errors import BadInput
+from labdata.lazy_names import import_on_first_use
 from labdata.measurement import Result
 from labdata.session import Session
 
 __all__ = ["measure"]
+
+__getattr__ = import_on_first_use(
+    __name__,
+    {
+        "charact.estimators.bloom.bloom_map": "map_of spread_from",
+        "charact.estimators.bloom.column_artefacts": (
+            "column_artefact_mask streak_measurements streak_of"
+        ),
+        "charact.estimators.bloom.extent": "extent_at",
+        "charact.estimators.bloom.lit_edge_halo": "measure_lit_edge",
+        "charact.estimators.bloom.point_stack": "read_point_stacks",
+        "charact.estimators.bloom.posterior_psf": "PosteriorPsf",
+        "charact.estimators.bloom.series_consistency": "check_consistency",
+        "charact.estimators.bloom.single_frame": "BEYOND_ONE_FRAME bare_session measure_frame",
+        "charact.estimators.bloom.smear": "smear_measurement",
+        "charact.estimators.bloom.source_view": "view_of",
+    },
+)
 
 # Method for edges, see `charact.estimators.bloom.lit_edge_halo`.
 EXTENDED = "lit-edge"

@@ -3,10 +3,30 @@
 from charact.method import Context, choose
 from charact.method.stopwatch import with_timing
 from labdata.errors import BadInput
+from labdata.lazy_names import import_on_first_use
 from labdata.measurement import Result
 from labdata.session import Session
 
 __all__ = ["measure"]
+
+__getattr__ = import_on_first_use(
+    __name__,
+    {
+        "charact.estimators.noise.events.event_measurements": "measure_events pulses_of_darks",
+        "charact.estimators.noise.findings": "Finding notes_of step_finding",
+        "charact.estimators.noise.gain.emva1288": "gain_line",
+        "charact.estimators.noise.gain.series": "read_levels series_of",
+        "charact.estimators.noise.gain.single_setting": "fit_single_setting",
+        "charact.estimators.noise.gain_separation": (
+            "add_event_gains posterior_of separate_gains snr_from_specification"
+        ),
+        "charact.estimators.noise.illumination": (
+            "luminous_sensitivity_ua_per_lm photoelectrons_per_photon"
+        ),
+        "charact.estimators.noise.sweep.settings": "KNOBS Sweep",
+        "charact.estimators.noise.sweep.sweep": "measure_sweep",
+    },
+)
 
 
 @with_timing
