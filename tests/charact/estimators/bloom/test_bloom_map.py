@@ -5,8 +5,7 @@ known exactly.
 import numpy as np
 import pytest
 
-from charact.estimators.bloom.bloom_map import NEAR_PX, bloom_map, pixel_noise
-from charact.estimators.bloom.posterior_psf import PosteriorPsf
+from charact.estimators.bloom import PosteriorPsf, bloom_map
 from tests.truth.bloom import noiseless_frame, stack
 from tests.truth.bloom_light import GLARE_SIDE_PX, BloomScene, radial_light
 
@@ -40,7 +39,7 @@ def spread_of_scene(
 
 def near_share(scene: BloomScene) -> float:
     """Share of a point's light that lands within `NEAR_PX`."""
-    radius = np.arange(0.005, NEAR_PX, 0.01)
+    radius = np.arange(0.005, bloom_map.NEAR_PX, 0.01)
     return float((2 * np.pi * radius * 0.01 * radial_light(scene, radius)).sum())
 
 
@@ -53,7 +52,7 @@ def parts(scene: BloomScene, overload: float) -> tuple[np.ndarray, np.ndarray, n
     down = (np.arange(scene.rows) - row)[:, None] * scene.row_pitch
     distance = np.hypot(down, (np.arange(scene.cols) - col)[None, :])
     glare = scene.row_pitch * scene.source_dn(overload) * scene.glare_fraction / GLARE_SIDE_PX**2
-    of_source = np.where(distance > NEAR_PX, light - scene.background_dn, glare)
+    of_source = np.where(distance > bloom_map.NEAR_PX, light - scene.background_dn, glare)
     # The even background comes from everywhere alike; glare is that of the source alone.
     far = of_source + scene.background_dn * (1 - near_share(scene) / (1 - scene.glare_fraction))
     return light, far / light, distance
@@ -63,7 +62,11 @@ def compared(found, truth, distance):
     """Errors in standard deviations where something is said, away from the step at `NEAR_PX` and
     from the border.
     """
-    where = np.isfinite(found.fraction) & (np.abs(distance - NEAR_PX) > 1.0) & ~found.near_border
+    where = (
+        np.isfinite(found.fraction)
+        & (np.abs(distance - bloom_map.NEAR_PX) > 1.0)
+        & ~found.near_border
+    )
     return ((found.fraction - truth) / found.sd)[where], (found.fraction - truth)[where]
 
 
@@ -90,7 +93,7 @@ def test_the_share_of_a_point_source_is_its_light_beyond_the_near(scene, overloa
     light, truth, distance = parts(scene, overload)
     clipped = np.minimum(light, CLIP_DN)
     spread = spread_of_scene(scene, rng, sd=diameter_sd, draws=draws)
-    found = bloom_map(
+    found = bloom_map.bloom_map(
         clipped, spread, clip_dn=CLIP_DN, pitch_ratio=scene.row_pitch, noise_dn=0.05, rng=rng
     )
     pull, error = compared(found, truth, distance)
@@ -113,7 +116,7 @@ def test_standard_deviations_hold_the_noise_of_the_frame(seed):
     for overload in (0.5, 200.0):
         _, truth, distance = parts(scene, overload)
         frames = stack(scene, overload, rng).data
-        found = bloom_map(
+        found = bloom_map.bloom_map(
             frames.mean(axis=0) - scene.dark_dn,
             spread_of_scene(scene, rng),
             clip_dn=CLIP_DN,
@@ -132,7 +135,7 @@ def test_a_halo_that_is_clipped_all_over_tells_nothing_and_says_so(seed):
         BloomScene(glare_fraction=0.05),
     ):
         light, truth, distance = parts(scene, 5e4)
-        found = bloom_map(
+        found = bloom_map.bloom_map(
             np.minimum(light, CLIP_DN),
             spread_of_scene(scene, rng),
             clip_dn=CLIP_DN,
@@ -153,7 +156,7 @@ def test_two_halos_that_overlap_are_each_told(seed):
         noiseless_frame(scene, level) - scene.dark_dn
         for scene, level in zip((one, other), levels, strict=True)
     )
-    found = bloom_map(
+    found = bloom_map.bloom_map(
         np.minimum(light, CLIP_DN),
         spread_of_scene(one, rng, sd=0.002),
         clip_dn=CLIP_DN,
@@ -182,8 +185,8 @@ def test_a_lit_door_is_a_patch_and_the_halo_beside_it_blooming(seed):
     scene = BloomScene(rows=170, cols=200)
     world = np.full((scene.rows, scene.cols), 4.0)
     world[50:110, 80:110] = 900.0
-    light, far = laid(world, scene), laid(world, scene, beyond_px=NEAR_PX)
-    found = bloom_map(
+    light, far = laid(world, scene), laid(world, scene, beyond_px=bloom_map.NEAR_PX)
+    found = bloom_map.bloom_map(
         np.minimum(light, CLIP_DN),
         spread_of_scene(scene, rng, sd=0.003),
         clip_dn=CLIP_DN,
@@ -200,7 +203,9 @@ def test_a_source_at_the_border_is_not_guessed(seed):
     rng = np.random.default_rng(seed)
     scene = BloomScene(row=1.0)
     light = np.minimum(noiseless_frame(scene, 300.0) - scene.dark_dn, CLIP_DN)
-    found = bloom_map(light, spread_of_scene(scene, rng), clip_dn=CLIP_DN, noise_dn=0.2, rng=rng)
+    found = bloom_map.bloom_map(
+        light, spread_of_scene(scene, rng), clip_dn=CLIP_DN, noise_dn=0.2, rng=rng
+    )
     assert "border" in found.sources[0].reason
     assert np.isnan(found.fraction[5, round(scene.centre[1])])
 
@@ -209,13 +214,4 @@ def test_noise_is_found_where_blur_ties_neighbours(seed):
     from scipy.ndimage import gaussian_filter
 
     noise = gaussian_filter(np.random.default_rng(seed).normal(0.0, 1.0, (200, 240)), 1.0)
-    assert np.median(pixel_noise(40.0 + noise)) == pytest.approx(noise.std(), rel=0.1)
-
-
-def test_the_density_of_a_spread_is_the_closed_form(seed):
-    scene = BloomScene(wing_share=0.2, halo_fraction=0.2, post_gain_sigma_px=0.0)
-    spread = spread_of_scene(scene, np.random.default_rng(seed), sd=0.0, draws=1)
-    radius = np.array([0.0, 2.0, 10.0, 20.0, 22.5, 30.0, 60.0])
-    assert spread.density(radius)[0] == pytest.approx(
-        radial_light(scene, radius), rel=0.01, abs=1e-7
-    )
+    assert np.median(bloom_map.pixel_noise(40.0 + noise)) == pytest.approx(noise.std(), rel=0.1)

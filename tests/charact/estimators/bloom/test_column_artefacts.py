@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.bloom.column_artefacts import column_artefact_mask
+from charact.estimators.bloom import column_artefact_mask
 from charact.method import Context
 from tests.charact.estimators.bloom.test_streak import spots_of
 from tests.truth.bloom_light import BloomScene

@@ -7,10 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from charact.estimators import bloom
-from charact.estimators.bloom.extent import extent_at
-from charact.estimators.bloom.point_stack import read_point_stacks
-from charact.estimators.bloom.source_view import view_of
-from charact.frames.stack import Stack
+from charact.estimators.bloom import extent_at, read_point_stacks, view_of
+from charact.frames import Stack
 from charact.method import Context
 from labdata import FrameStack, Measurement, load_sensor
 from tests.truth.bloom import bloom_session, stack

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import bloom
-from charact.estimators.bloom.lit_edge_halo import measure_lit_edge
-from charact.estimators.bloom.lit_edge_profile import edge_line
+from charact.estimators.bloom import measure_lit_edge
 from charact.method import Context
 from labdata import BadInput, Conditions, FrameStack, Session
 from tests.truth.bloom_light import BloomScene, radial_light
@@ -115,14 +114,6 @@ def test_a_border_within_the_halo_is_refused_or_flagged(seed):
 
     diameter, _, _ = found_of(session_of((150.0, 3000.0), near, np.random.default_rng(seed)))
     assert diameter.status != "ok"
-
-
-def test_the_line_is_where_the_edge_is():
-    line = edge_line(through(half_plane(100.0), SCENE), 54.0, 1.0)
-    assert (line.upright, line.side) == (True, 1)
-    assert line.at == pytest.approx(85.3, abs=0.05) and line.slope == pytest.approx(0.06, abs=1e-3)
-    distance = line.distance((150, 200), 1.0)
-    assert distance[0, 100] == pytest.approx(14.7 / np.hypot(1, 0.06), abs=0.1)
 
 
 def test_bloom_takes_the_edge_where_there_is_no_point(seed):

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from charact.estimators.bloom.point_stack import read_point_stacks
-from charact.estimators.bloom.series_consistency import check_consistency
+from charact.estimators.bloom import check_consistency, read_point_stacks
 from charact.method import Context
 from labdata import FrameStack
 from tests.truth.bloom import bloom_session, noiseless_frame

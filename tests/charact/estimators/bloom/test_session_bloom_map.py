@@ -5,7 +5,7 @@ stacks.
 import numpy as np
 import pytest
 
-from charact.estimators.bloom.bloom_map import map_of, spread_from
+from charact.estimators.bloom import map_of, spread_from
 from charact.method import Context
 from charact.reporting.bloom_images import write_bloom_map
 from labdata import (

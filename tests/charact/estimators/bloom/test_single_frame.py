@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from charact.cli.application import app
-from charact.estimators.bloom.single_frame import BEYOND_ONE_FRAME, bare_session, measure_frame
+from charact.estimators.bloom import BEYOND_ONE_FRAME, bare_session, measure_frame
 from charact.method import Context
 from labdata import Measurement
 from tests.truth.bloom import bloom_session, stack

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from charact.estimators.bloom.point_stack import read_point_stacks
-from charact.estimators.bloom.smear import smear_measurement
+from charact.estimators.bloom import read_point_stacks, smear_measurement
 from charact.method import Context
 from tests.truth.bloom import bloom_session
 from tests.truth.bloom_light import BloomScene

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from charact.estimators.bloom.column_artefacts import streak_measurements, streak_of
-from charact.estimators.bloom.point_stack import read_point_stacks
+from charact.estimators.bloom import read_point_stacks, streak_measurements, streak_of
 from charact.method import Context
 from tests.truth.bloom import bloom_session, noiseless_frame
 from tests.truth.bloom_light import BloomScene
