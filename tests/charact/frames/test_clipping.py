@@ -5,7 +5,7 @@ still.
 import numpy as np
 import pytest
 
-from charact.frames.clipping import is_clipped
+from charact.frames import is_clipped
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
 

@@ -5,7 +5,7 @@ moment at a time.
 import numpy as np
 import pytest
 
-from charact.frames.image_lag import image_lag_model
+from charact.frames import image_lag_model
 from labdata import load_sensor
 
 SHEET = load_sensor("pulnix-ag5745ef3")

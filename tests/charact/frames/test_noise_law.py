@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.frames.noise_law import NoiseLaw
+from charact.frames import NoiseLaw
 from labdata.errors import BadInput
 
 LAW = NoiseLaw(gain_dn=2.0, read_dn=3.0, bend=-1e-4, pattern=4e-4)

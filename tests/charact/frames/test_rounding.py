@@ -5,8 +5,7 @@ import pytest
 
 from charact.estimators.mtf.point.parametric_noise import dark_sd_from_histogram
 from charact.estimators.mtf.point.thresholds import ACCURACY as POINT_ACCURACY
-from charact.frames.rounding import rounding_shifts
-from charact.frames.thresholds import CLIPPING
+from charact.frames import CLIPPING, rounding_shifts
 
 
 @pytest.mark.parametrize("sd", [0.02, 0.2, 0.35])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.frames.stack import Stack
+from charact.frames import Stack
 from labdata import FrameStack
 
 TOP_DN = 4095

@@ -294,3 +294,14 @@ def test_stacks_that_take_no_part_are_named(seed):
     gain = gain_of(noise.measure(session_of([*stacks, other, lone]), context=QUICK))
     assert any("different gain): other-gain" in note for note in gain.notes)
     assert any("excluded (single frame, no noise): lone" in note for note in gain.notes)
+
+
+@pytest.mark.parametrize(("bend_per_dn", "seen"), [(-1.3e-5, True), (0.0, False), (1.3e-5, False)])
+def test_covariance_that_rises_with_the_signal_is_no_tiring_plate(seed, bend_per_dn, seen):
+    """A response that steepens by 2 % makes covariance over signal rise by 6 %, one that tires
+    makes it fall.
+    """
+    camera = Pulses(gain_dn=20.0, transfer=gaussian(0.7), bend_per_dn=bend_per_dn)
+    session = flat_series(camera, np.random.default_rng(seed), (8.0, 20.0, 40.0, 80.0), frames=8)
+    gain = gain_of(noise.measure(session, method="covariance-sum", context=QUICK))
+    assert ("nonlinear" in gain.flags) is seen

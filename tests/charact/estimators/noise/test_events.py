@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.studies.dark_events_coverage import DarkScene
-from charact.estimators.noise.events.event_distribution import (
-    PulseDecay,
-    PulsePopulation,
-    height_transform,
-)
-from charact.estimators.noise.events.event_measurements import measure_events, pulses_of_darks
-from charact.estimators.noise.events.frames import Filter, boxes
-from charact.estimators.noise.gain.series import read_levels
+from charact.estimators.noise import measure_events, pulses_of_darks, read_levels
+from charact.estimators.noise.events.event_distribution import PulseDecay
 from labdata import Conditions
 from tests.truth.counted_pulses import QUICK, one
 
@@ -26,59 +20,6 @@ BRIGHT = DarkScene(height_dn=150.0)
 def measured(scene: DarkScene, seed: int):
     session = scene.session_drawn(np.random.default_rng(seed))
     return measure_events(session.stacks[0], context=replace(QUICK, interlaced=scene.interlaced))
-
-
-def test_a_pixel_of_rare_pulses_has_the_moments_of_campbells_theorem():
-    """Variance and third cumulant are rate <h^2> sum of squares and rate <h^3> sum of cubes of a
-    spot's places.
-    """
-    pulses = PulsePopulation(
-        density=0.02,
-        height_dn=50.0,
-        relative_variance=0.5,
-        noise_dn2=0.0,
-        line_1=0.0,
-        line_2=0.0,
-        column_px=0.8,
-        row_px=0.8,
-        wings=0.0,
-        exponent=1.3,
-    )
-    pixel = Filter(high=1, broad=1, exposures=10**9)
-    t = 1e-4
-    log = pulses.log_characteristic(pixel, np.array([t]))[0]
-    fine = np.arange(-20.0, 20.0, 0.01)
-    from scipy.special import ndtr
-
-    def spot(x):
-        return ndtr((x + 0.5) / 0.8) - ndtr((x - 0.5) / 0.8)
-
-    places = np.arange(len(pixel.columns)) - len(pixel.columns) // 2
-    across = np.sum(
-        [weight * spot(fine - place) for weight, place in zip(pixel.columns, places, strict=True)],
-        axis=0,
-    )
-    squares, cubes = ((spot(fine) ** n).sum() * 0.01 * (across**n).sum() * 0.01 for n in (2, 3))
-    # Each pixel's mean over time is taken away, which leaves nothing at first order.
-    assert -2.0 * log.real / t**2 == pytest.approx(0.02 * 50.0**2 * 1.5 * squares, rel=0.005)
-    assert -6.0 * log.imag / t**3 == pytest.approx(0.02 * 50.0**3 * (1.5 * 2.0) * cubes, rel=0.01)
-
-
-@pytest.mark.parametrize("spread", [0.05, 1.0, 3.0])
-def test_heights_have_the_transform_of_their_gamma_law(seed, spread):
-    heights = np.random.default_rng(seed).gamma(1.0 / spread, spread, 400_000)
-    z = np.array([0.3, 1.0, 3.0])
-    drawn = np.exp(1j * np.multiply.outer(heights, z))
-    error = drawn.std(axis=0) / np.sqrt(len(heights))
-    assert np.all(np.abs(drawn.mean(axis=0) - 1.0 - height_transform(z, spread)) < 4.5 * error)
-
-
-def test_filters_see_neither_levels_nor_lines_nor_slopes():
-    row = np.arange(64.0)
-    for line in (np.ones(64), row):
-        image = np.broadcast_to(line.astype(np.float32), (4, 64, 64))
-        for box in boxes(1, stride=1, exposures=4, lag=True):
-            assert np.abs(box.within(image, box.reach)).max() < 2e-2
 
 
 def test_glow_hands_all_light_on_and_none_twice():

@@ -9,12 +9,8 @@ import numpy as np
 import pytest
 
 from charact.estimators.noise.gain.pooled_noise import lag_of, lag_sum_correction
-from charact.estimators.noise.gain.series import read_levels, series_of
-from charact.estimators.noise.gain.single_setting import fit_single_setting
 from charact.frames.spectrum import bins_of
 from charact.frames.temporal import autocovariance, centring, usable_lags
-from charact.method import Context
-from tests.truth.counted_pulses import Pulses, flat_series, gaussian
 
 
 def order(frames: int, fields: int):
@@ -75,15 +71,3 @@ def test_the_error_of_the_sum_over_lags_is_the_scatter_of_sums(frames, fields, s
     # Beyond the scatter each says how little it knows of the end of the sum.
     assert 0.88 * scatter < np.sqrt(np.mean(told**2)) < 1.45 * scatter
     assert abs(factor.mean() - 2.4) < 4.0 * scatter / np.sqrt(stacks) + 0.04
-
-
-@pytest.mark.parametrize(("bend_per_dn", "seen"), [(-1.3e-5, True), (0.0, False), (1.3e-5, False)])
-def test_covariance_that_rises_with_the_signal_is_no_tiring_plate(seed, bend_per_dn, seen):
-    """A response that steepens by 2 % makes covariance over signal rise by 6 %, one that tires
-    makes it fall.
-    """
-    camera = Pulses(gain_dn=20.0, transfer=gaussian(0.7), bend_per_dn=bend_per_dn)
-    session = flat_series(camera, np.random.default_rng(seed), (8.0, 20.0, 40.0, 80.0), frames=8)
-    darks, flats, _ = read_levels(session, context=Context(), spectra=True)
-    one = fit_single_setting(series_of(flats, darks), context=Context(), quick=True)
-    assert any(flag == "nonlinear" for flag, _ in one.departures()) is seen

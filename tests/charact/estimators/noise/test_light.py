@@ -10,16 +10,11 @@ from scipy.ndimage import uniform_filter
 from scipy.special import ndtr
 
 from charact.estimators import noise
-from charact.estimators.noise.gain.series import read_levels
-from charact.estimators.noise.illumination import StatedIllumination, response_draws
-from charact.estimators.noise.noise_law import SignalNoiseSeries, fit_noise_law
-from charact.estimators.noise.snr_against_light import (
-    Scope,
-    minimum_illumination,
+from charact.estimators.noise import (
+    read_levels,
     snr_against_light,
 )
-from charact.frames.rounding import rounding_sd
-from charact.frames.stack_statistics import SIDE_PX
+from charact.frames import rounding_sd, stack_statistics
 from labdata import Conditions, Measurement
 from tests.truth.counted_pulses import QUICK, Pulses, errors, gaussian, session_of
 
@@ -47,8 +42,8 @@ def area_variance(camera, level: float, sigma_px: float) -> float:
     white noise.
     """
     pulses = camera.covariance_gain_dn - camera.electron_gain_dn
-    smoothed = uniform_filter(kernel(sigma_px), SIDE_PX, mode="constant")
-    signal, white = level * camera.gain_dn, 1.0 / SIDE_PX**2
+    smoothed = uniform_filter(kernel(sigma_px), stack_statistics.SIDE_PX, mode="constant")
+    signal, white = level * camera.gain_dn, 1.0 / stack_statistics.SIDE_PX**2
     fixed = camera.read_noise_dn**2 + 1.0 / 12.0
     return white * (fixed + signal * camera.electron_gain_dn) + signal * pulses * float(
         np.sum(smoothed**2)
@@ -70,7 +65,7 @@ def light_series(
 def measured(session):
     """Ratios and minima alone, without the gains and the 3-D noise."""
     darks, flats, _ = read_levels(session, context=QUICK, spectra=True)
-    return snr_against_light(darks, flats, context=QUICK)
+    return snr_against_light.snr_against_light(darks, flats, context=QUICK)
 
 
 def of(result, quantity) -> list[Measurement]:
@@ -115,103 +110,6 @@ def test_ratios_of_pixel_and_area_are_those_of_counted_pulses_behind_a_blur(seed
             camera, lambda level, of=variance: of(camera, level, sigma_px)
         )
         assert found.unit == "lux" and abs(errors(found, truth)) < 4.5, (found, truth)
-
-
-def test_pixels_averaged_over_an_area_of_blurred_pulses_gain_less_than_the_root_of_their_number(
-    seed,
-):
-    camera = Pulses(transfer=gaussian(1.0))
-    session = light_series(camera, np.random.default_rng(seed), session_of, (2.0, 10.0, 30.0))
-    result = measured(session)
-    for pixel, area in zip(of(result, "snr"), of(result, "snr_area"), strict=True):
-        gained = area.value / pixel.value
-        # As many independent pixels as K + k F2 over the variance leaves: the blur factor, 0.080
-        # (physics, 10).
-        assert gained < 1.25 * SIDE_PX * np.sqrt(0.080)
-
-
-def exact_case(rng: np.random.Generator):
-    """Levels drawn with their exact sampling errors about a law drawn from its priors, and the
-    light at ratio 1.
-    """
-    read, shot = rng.uniform(2.0, 30.0), rng.uniform(2.0, 20.0)
-    least = 0.5 * (shot + np.sqrt(shot**2 + 4.0 * read))
-    signal = least * np.geomspace(
-        rng.uniform(0.2, 0.8), rng.uniform(20.0, 60.0), rng.integers(3, 8)
-    )
-    bend = 0.1 * rng.standard_normal() * shot / signal[-1]
-    square = 1.0 - bend
-    least = (shot + np.sqrt(shot**2 + 4.0 * square * read)) / (2.0 * square)
-    scatter, meter, sd = 10.0 ** rng.uniform(-3.0, -1.0), 0.05, 10.0 ** rng.uniform(-3.0, -1.5)
-    response = 1e6
-    amount = (
-        signal
-        / response
-        * np.exp(scatter * rng.standard_normal(len(signal)) - meter * rng.standard_normal())
-    )
-    variance = read + shot * signal + bend * signal**2
-    signal_sd = 0.003 * signal
-    levels = SignalNoiseSeries(
-        signal_dn=signal + signal_sd * rng.standard_normal(len(signal)),
-        signal_sd_dn=signal_sd,
-        variance_dn2=variance * (1.0 + sd * rng.standard_normal(len(signal))),
-        variance_sd_dn2=sd * variance,
-        dark=np.zeros(len(signal), int),
-        dark_variance_dn2=read * (1.0 + 0.005 * rng.standard_normal(1)),
-        dark_variance_sd_dn2=np.array([0.005 * read]),
-        fitted=np.ones(len(signal), bool),
-    )
-    light = StatedIllumination(
-        amount=amount, unit="lux", seconds=None, relative_sd=meter, stated=True
-    )
-    return levels, light, least / response
-
-
-def test_the_minimum_illumination_lies_in_its_interval_as_often_as_promised(seed):
-    """200 sessions drawn from exact statistics, light meter, filters and bend drawn from their
-    priors.
-    """
-    rng, inside = np.random.default_rng(seed), 0
-    for case in range(200):
-        levels, light, truth = exact_case(rng)
-        # What is known of the light is its ratio to the record, drawn once for the whole session.
-        fit = fit_noise_law(levels, np.random.default_rng([seed, case]), reference=0)
-        draws = response_draws(
-            light.amount,
-            levels.signal_dn,
-            levels.signal_sd_dn,
-            np.random.default_rng([case, seed]),
-            2000,
-        )
-        scope = Scope(suffix="", sentence="", levels=levels, fit=fit)
-        found = minimum_illumination(scope, light, draws, [], seed=case, method="")
-        low, high = found.interval95
-        inside += low < truth < high
-    # 95 % of 200 with four standard errors.
-    assert 178 <= inside <= 200
-
-
-def test_the_law_has_slopes_one_one_half_and_none():
-    flat = np.ones(3)
-    levels = SignalNoiseSeries(
-        signal_dn=np.array([1.0, 1e3, 1e6]),
-        signal_sd_dn=1e-6 * flat,
-        variance_dn2=100.0 + np.array([1.0, 1e3, 1e6]),
-        variance_sd_dn2=1e-3 * flat,
-        dark=np.zeros(3, int),
-        dark_variance_dn2=np.array([100.0]),
-        dark_variance_sd_dn2=np.array([1e-3]),
-        fitted=flat.astype(bool),
-        pattern=1e-4,
-        pattern_sd=1e-7,
-    )
-    law = fit_noise_law(levels, np.random.default_rng(1), reference=0).law
-    for signal, slope, pattern in ((1e-2, 1.0, True), (1e6, 0.5, False), (1e9, 0.0, True)):
-        around = signal * np.array([0.99, 1.01])
-        ratio = np.median(around / law.sd(around, pattern=pattern), axis=0)
-        assert np.diff(np.log(ratio))[0] / np.diff(np.log(around))[0] == pytest.approx(
-            slope, abs=0.01
-        )
 
 
 @pytest.mark.parametrize("sd_dn", [0.2, 0.5])

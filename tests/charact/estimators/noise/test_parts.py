@@ -9,7 +9,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from charact.estimators.noise.gain.series import read_levels
+from charact.estimators.noise import read_levels
 from charact.frames import stack_statistics
 from charact.method.registry import parallel_map
 from charact.session_measurement import method_context

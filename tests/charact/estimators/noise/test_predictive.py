@@ -2,7 +2,6 @@
 what no fit saw.
 """
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +9,13 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from charact.estimators import noise
-from charact.estimators.noise import predictive_check
-from charact.estimators.noise.gain import emva1288
-from charact.estimators.noise.gain.series import read_levels, series_of
-from charact.estimators.noise.gain.single_setting import fit_single_setting
-from charact.estimators.noise.predictive_check import LightNoise
+from charact.estimators.noise import (
+    fit_single_setting,
+    gain_line,
+    predictive_check,
+    read_levels,
+    series_of,
+)
 from labdata import FrameStack
 from tests.truth.counted_pulses import QUICK, Pulses, flat_series, gaussian, memory_of, session_of
 
@@ -26,7 +27,7 @@ def told(session):
     """Signs of a session beside those drawn from what is fitted to it."""
     darks, flats, single = read_levels(session, context=QUICK, spectra=True)
     one = fit_single_setting(series_of(flats, darks, single), context=QUICK, quick=True)
-    gain = emva1288.gain_line(one.series, context=QUICK).slope if one.white else None
+    gain = gain_line(one.series, context=QUICK).slope if one.white else None
     return predictive_check.predictive_residuals(session.stacks, one, gain, context=QUICK)
 
 
@@ -99,53 +100,6 @@ def test_what_the_model_has_not_is_found_by_its_own_sign(seed, wrong):
         one.sign == sign and one.chance * len(found) < predictive_check.PREDICTIVE.false_alarm
         for one in found
     )
-
-
-def test_chances_are_no_smaller_than_they_say(seed, monkeypatch):
-    """Frames drawn from the very law: of each sign no more are odd than chance has it, with nothing
-    held harmless.
-    """
-    monkeypatch.setattr(
-        predictive_check,
-        "STATISTICS",
-        {n: replace(sign, harmless=0.0) for n, sign in predictive_check.STATISTICS.items()},
-    )
-    rng, sets, odd = np.random.default_rng(seed), 30, 0.1
-    law = LightNoise(pulse_dn=20.0, height_variance=1.0, electron_gain_dn=0.1)
-    light, dark = np.full((40, 40), 80.0), 2.0 * rng.standard_normal((6, 40, 40))
-    seen: Counter[str] = Counter()
-    for _ in range(sets):
-        frames = law.frames(light, 4, 1, rng) + 2.0 * rng.standard_normal((4, 40, 40))
-        seen.update(
-            one.sign
-            for one in predictive_check._stack_residuals("flat", frames, dark, lambda: law, 1, rng)
-            if one.chance < odd
-        )
-    most = sets * odd + 4.5 * np.sqrt(sets * odd * (1.0 - odd))
-    assert max(seen.values()) <= most, seen
-    assert sum(seen.values()) >= 0.25 * odd * sets * len(predictive_check.STATISTICS)
-
-
-@pytest.mark.parametrize(("kept", "spread"), [(0.0, 0.0), (0.4, 1.0), (0.6, 0.5)])
-def test_light_of_decaying_pulses_has_the_cumulants_of_shot_noise(seed, kept, spread):
-    """Cumulants of a sum of exposures, each (1 - r) r^i of compound Poisson light (Campbell's
-    theorem).
-    """
-    light, pulse, every, pixels = 40.0, 5.0, 2, 400
-    law = LightNoise(pulse_dn=pulse, height_variance=spread, electron_gain_dn=0.0, retained=kept)
-    drawn = law.frames(np.full((pixels, pixels), light), 3, every, np.random.default_rng(seed))
-    age = np.arange(200)
-    left = (1.0 - kept) * kept**age
-    variance = light * pulse * (1.0 + spread) * np.sum(left**2)
-    third = light * pulse**2 * (1.0 + spread) * (1.0 + 2.0 * spread) * np.sum(left**3)
-    for frame in drawn:
-        off = frame - light
-        errors = 5.0 / pixels
-        assert abs(off.mean()) < errors * np.sqrt(variance)
-        assert abs(off.var() / variance - 1.0) < errors * np.sqrt(4.0)
-        assert abs(np.mean(off**3) - third) < errors * np.sqrt(20.0) * variance**1.5
-    correlation = np.corrcoef(drawn[1].ravel(), drawn[2].ravel())[0, 1]
-    assert abs(correlation - kept**every) < 5.0 / pixels
 
 
 def test_a_number_that_is_not_quick_carries_what_its_frames_say(seed):

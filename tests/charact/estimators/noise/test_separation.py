@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.noise.gain.series import read_levels, series_of
-from charact.estimators.noise.gain.single_setting import fit_single_setting
-from charact.estimators.noise.gain_separation import (
+from charact.estimators.noise import (
     add_event_gains,
-    posterior_of,
-    separate_gains,
-    snr_from_specification,
-)
-from charact.estimators.noise.illumination import (
+    fit_single_setting,
     luminous_sensitivity_ua_per_lm,
     photoelectrons_per_photon,
+    posterior_of,
+    read_levels,
+    separate_gains,
+    series_of,
+    snr_from_specification,
 )
 from charact.method import Context
 from labdata import Conditions, Result, load_sensor, measurement_from_draws

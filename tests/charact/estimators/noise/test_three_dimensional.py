@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from charact.estimators import noise
-from charact.frames.components import components, contrasts
+from charact.frames import components
 from charact.method import Context
 from labdata import Conditions, FrameStack
 from tests.truth.counted_pulses import QUICK, Pulses, flat_series, session_of
@@ -58,8 +58,8 @@ def two_fields(rng, shape, sd):
 
 
 def of(frames, *, interlaced=False):
-    return components(
-        contrasts(FrameStack(data=np.asarray(frames, np.float32)), interlaced=interlaced)
+    return components.components(
+        components.contrasts(FrameStack(data=np.asarray(frames, np.float32)), interlaced=interlaced)
     )
 
 
@@ -116,38 +116,6 @@ def test_a_component_that_is_not_there_is_estimated_as_often_below_zero_as_above
     assert 0.2 * CUBES < below.min() <= below.max() < 0.87 * CUBES
 
 
-def test_what_is_taken_off_is_the_bias_of_finite_cubes(seed):
-    """Variances of plain directional means exceed the components by the textbook's terms; ours do
-    not.
-    """
-    shape, sd = (12, 24, 32), (1.0, 1.0, 1.0, 1.5, 1.2, 0.8, 3.0)
-    frames, rows, cols = shape
-    tv, th, vh, tvh = np.square(sd[3:])
-    textbook = {
-        "vh": tvh / frames,
-        "tv": tvh / cols,
-        "th": tvh / rows,
-        "t": tv / rows + th / cols + tvh / (rows * cols),
-        "v": tv / frames + vh / cols + tvh / (frames * cols),
-        "h": th / frames + vh / rows + tvh / (frames * rows),
-    }
-    averaged = {"vh": 0, "tv": 2, "th": 1, "t": (1, 2), "v": (0, 2), "h": (0, 1)}
-    rng = np.random.default_rng(seed)
-    excess = {name: [] for name in textbook}
-    for _ in range(CUBES):
-        frames_dn = cube(rng, shape, sd)
-        parts = of(frames_dn)
-        for name, axes in averaged.items():
-            mean = frames_dn.mean(axis=axes)
-            for axis in range(mean.ndim):
-                mean = mean - mean.mean(axis=axis, keepdims=True)
-            plain = float((mean**2).sum() / np.prod([length - 1 for length in mean.shape]))
-            excess[name].append(plain - parts[name].variance_dn2)
-    for name, bias in textbook.items():
-        error = np.std(excess[name], ddof=1) / np.sqrt(CUBES)
-        assert abs(np.mean(excess[name]) - bias) < 3.5 * error, name
-
-
 def test_noise_shared_by_neighbours_is_no_noise_of_rows_or_columns(seed):
     """Blurred noise leaves more in the mean of a row than white noise: the plain analysis calls
     that row noise.
@@ -158,19 +126,6 @@ def test_noise_shared_by_neighbours_is_no_noise_of_rows_or_columns(seed):
     assert held.min() >= LEAST_HELD
     plain = (3.54 - 1.0) * sd[6] ** 2 / np.array([96, 72])
     assert (np.abs(found[:, 3:5].mean(axis=0)) < 0.08 * plain).all()
-
-
-def test_noise_that_lasts_is_followed_to_frequency_zero(seed):
-    """The slowest waves still hold less of it than the mean over time does: the slope between them
-    tells the rest.
-    """
-    sd = (0.2, 0.3, 0.3, 0.0, 0.0, 0.2, 2.0)
-    found, held = trials(
-        np.random.default_rng(seed), lambda rng: cube(rng, (32, 40, 56), sd, lag=0.4), sd
-    )
-    assert held.min() >= LEAST_HELD
-    # Without the slope 0.026 DN2 of the random noise would pass for fixed pattern.
-    assert abs(found[:, 5].mean() - sd[5] ** 2) < 0.01
 
 
 @pytest.mark.parametrize(("frames", "lag"), [(16, 0.3), (16, 0.6), (64, 0.6), (12, 0.9)])
@@ -215,7 +170,9 @@ def test_a_strong_fixed_pattern_leaves_what_changes_in_time_alone(seed, kind):
         20000.0 * np.outer(np.linspace(1, 2, 40) ** 2, np.linspace(1.0, 0.5, 48)) / 4.0
     )
     plain, shaded = (
-        components(contrasts(FrameStack(data=frames.astype(kind)), interlaced=False))
+        components.components(
+            components.contrasts(FrameStack(data=frames.astype(kind)), interlaced=False)
+        )
         for frames in (still, still + shading)
     )
     for name in ("t", "tv", "th", "tvh"):
@@ -240,7 +197,7 @@ def test_memory_does_not_grow_to_a_second_cube(seed):
     frames = np.random.default_rng(seed).integers(0, 4000, (256, 64, 96), dtype=np.uint16)
     stack = FrameStack(data=frames)
     tracemalloc.start()
-    components(contrasts(stack, interlaced=False))
+    components.components(components.contrasts(stack, interlaced=False))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 0.7 * frames.size * 8

@@ -6,14 +6,6 @@ import numpy as np
 import pytest
 
 from charact.estimators import noise
-from charact.frames.pixels import (
-    lower_neighbour,
-    pixel_sums,
-    right_neighbour,
-    successor_correlation,
-)
-from charact.frames.spectrum import NO_BINS
-from charact.frames.temporal import order_of
 from labdata import FrameStack
 from tests.truth.counted_pulses import (
     METHODS,
@@ -107,29 +99,3 @@ def test_codes_that_pile_up_are_the_end_of_the_range_though_nobody_told(ccd, see
     result = noise.measure(untold, method="variance", context=QUICK)
     assert result.evidence["photon-transfer"]["fitted"] == [True, True, True, False]
     assert abs(errors(one(result, "system_gain"), 0.5)) < 4.5
-
-
-def sums_of(image):
-    """Sums over the pixels of frames that follow one another."""
-    order = order_of(np.arange(len(image)), interlaced=False)
-    return pixel_sums(image, order, NO_BINS), order.parity
-
-
-def test_independent_noise_has_neither_neighbours_nor_successors(seed):
-    """All three statistics are unbiased however few frames the mean was taken from."""
-    rng = np.random.default_rng(seed)
-    for frames in (2, 3, 6):
-        sums, parity = sums_of(rng.standard_normal((frames, 96, 128), dtype=np.float32))
-        for value, sd in (right_neighbour(sums), lower_neighbour(sums)):
-            assert abs(value) < 4.5 * sd
-        value, sd = successor_correlation(sums, parity)
-        assert (np.isinf(sd) and frames == 2) or abs(value) < 4.5 * sd
-
-
-def test_successors_are_weighed_against_frames_further_apart(seed):
-    """A moving mean of two frames: neighbours in time share half, others nothing."""
-    rng = np.random.default_rng(seed)
-    white = rng.standard_normal((13, 96, 128), dtype=np.float32)
-    value, sd = successor_correlation(*sums_of((white[1:] + white[:-1]) / np.float32(np.sqrt(2.0))))
-    # Centring lowers the variance by the mean covariance of all pairs, 11 of 66 sharing a half.
-    assert abs(value - 0.5 / (1.0 - 0.5 * 11 / 66)) < 4.5 * sd
