@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from charact.fitting.prior import prior_of
-from charact.fitting.tube_observations import LAG, LEVEL, SHAPE
+from charact.fitting import prior_of, tube_observations
 from labdata import Camera, Conditions, Kind, LoadedStackEntry, Session, Target, load_camera
 from simulate import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
@@ -18,9 +17,9 @@ FRAMES = 16
 # Fractions of the largest linear signal.
 LEVELS = (0.02, 0.1, 0.3, 0.6, 1.0)
 DRAWN_OF_TUBE = (
-    *SHAPE,
-    *LEVEL,
-    *LAG,
+    *tube_observations.SHAPE,
+    *tube_observations.LEVEL,
+    *tube_observations.LAG,
     "ccd.read_noise_e",
     "ccd.prnu",
     "phosphor.gain_nonuniformity",

@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.fitting import predicted_quantities
-from charact.fitting.prior import prior_of, values_of_description
-from charact.fitting.sensor import Model, model_of
-from charact.fitting.tube_observations import LEVEL, SHAPE, tube_observations
-from charact.observables import Values
-from charact.observables.stack_level import StackLevel
+from charact.fitting import (
+    Model,
+    model_of,
+    predicted_quantities,
+    prior_of,
+    tube_observations,
+    values_of_description,
+)
+from charact.observables import StackLevel, Values
 from labdata import (
     Camera,
     Curve,
@@ -56,7 +59,9 @@ def told_of(sheet: Camera) -> Callable[[int], Told]:
 
     def told(seed: int) -> Told:
         rng = np.random.default_rng([seed, 77])
-        prior = prior_of(sheet, tuple(dict.fromkeys((*SHAPE, *LEVEL))))
+        prior = prior_of(
+            sheet, tuple(dict.fromkeys((*tube_observations.SHAPE, *tube_observations.LEVEL)))
+        )
         point = prior.draw(rng, 1)
         drawn = dict(zip(prior.names, prior.parameters(point).T, strict=True))
         values = {**values_of_description(sheet), **drawn}
@@ -74,7 +79,7 @@ def told_of(sheet: Camera) -> Callable[[int], Told]:
             measurements=_numbers(values, rng), curves={"mtf:edge": _curve(values, rng)}
         )
         levels = _levels(values, rng)
-        model = model_of(sheet, tube_observations(session, sheet, result, levels))
+        model = model_of(sheet, tube_observations.tube_observations(session, sheet, result, levels))
         truth = {path: float(value[0]) for path, value in drawn.items()}
         return Told(truth=truth, session=session, result=result, levels=levels, model=model)
 

@@ -10,8 +10,7 @@ import pytest
 from charact.estimators.mtf import measure
 from charact.fitting import fit_sensor
 from charact.method import Context
-from charact.validation import Validation, validate
-from charact.validation.frames import MatchedFrames, simulate_frames
+from charact.validation import MatchedFrames, Validation, simulate_frames, validate
 from labdata import (
     BadInput,
     Camera,
@@ -157,21 +156,6 @@ def test_a_fit_of_a_plane_finds_the_pixels_of_the_camera(seed: int) -> None:
     assert any("plane g1 of a mosaic" in note for note in fitted.notes)
 
 
-def test_the_mtf_of_a_simulated_plane_is_that_of_its_pixels(seed: int) -> None:
-    frames = simulate_frames(
-        camera(2, 2), (shot("edge", EDGE, shape=(192, 96), frames=16),), seed=seed
-    )["edge"]
-    found = measure(
-        "edge", FrameStack(data=frames), method="edge-slanted", context=Context(quick=True)
-    )
-    line = next(iter(found.curves.values()))
-    frequency = np.arange(0.1, 0.46, 0.05)
-    expected = mtf_of_plane(frequency)
-    # Of veiling glare the edge loses a share at all frequencies.
-    measured = np.interp(frequency, line.frequency_cy_per_px, line.value)
-    assert measured / measured[0] == pytest.approx(expected / expected[0], abs=0.01)
-
-
 def test_the_edge_of_a_plane_is_measured_with_the_aperture_of_a_pixel(seed: int) -> None:
     frames = simulate_frames(
         camera(2, 2), (shot("edge", EDGE, shape=(192, 96), frames=16),), seed=seed
@@ -185,19 +169,6 @@ def test_the_edge_of_a_plane_is_measured_with_the_aperture_of_a_pixel(seed: int)
     away = np.interp(-0.5, -mtf_of_plane(fine), fine) - half.value
     assert abs(away) < 4.5 * (high - low) / (2.0 * 1.96)
     assert not any("model-misfit" in one.flags for one in found.measurements)
-
-
-def test_a_simulated_plane_is_every_second_pixel_of_the_camera(seed: int) -> None:
-    even = camera(128, 128, **{"ccd.prnu": 0.0, "ccd.dsnu_e": 0.0})
-    count = 32
-    frames = simulate_frames(even, (shot("edge", EDGE, shape=(64, 64), frames=count),), seed=seed)[
-        "edge"
-    ]
-    whole = LabBench(even).mean("edge", EDGE, replace(GREEN, photons_per_px=8000.0))
-    error = np.sqrt(frames.var(axis=0, ddof=1).mean() / count)
-    away = (frames.mean(axis=0) - whole[::2, ::2]) / error
-    assert abs(away.mean()) < 4.0 / 64.0 + 0.1
-    assert away.std() == pytest.approx(1.0, abs=0.1)
 
 
 def test_targets_of_a_plane_are_stated_in_its_samples(seed: int) -> None:

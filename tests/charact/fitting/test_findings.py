@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from charact.estimators.noise.findings import Finding, notes_of, step_finding
-from charact.fitting.observation import CAUSES, CAUSES_OF_MISFIT, findings_of, misfit_finding
-from charact.frames.rounding import FEWEST_DIFFERENCES, rounding_step
+from charact.estimators.noise import Finding, notes_of, step_finding
+from charact.fitting import findings_of, misfit_finding, observation
+from charact.frames import FEWEST_DIFFERENCES, rounding_step
 from charact.session_measurement import measure_noise, method_context
 from labdata import FrameStack, Measurement, Result, Session, measurement_from_sd
 from labdata.flags import FLAGS
@@ -34,14 +34,14 @@ def test_a_flag_of_the_flats_is_a_finding_and_that_of_an_edge_counts_only_withou
     # What frames and targets lack says nothing of the camera.
     few = measured("read_noise", "too-few-frames", "quantised", "model-misfit")
     assert findings_of(Result(measurements=(few,))) == ()
-    assert set(CAUSES) <= set(FLAGS)
+    assert set(observation.CAUSES) <= set(FLAGS)
 
 
 def test_a_misfit_names_its_observation_and_what_that_speaks_of() -> None:
     found = misfit_finding({"levels": 3.0, "image lag": 90.0}, 12, 2.8)
     assert found.flag == "model-misfit"
     assert "chi-squared 93 for 12 numbers, 90 of it from image lag" in found.effect
-    assert CAUSES_OF_MISFIT["image lag"].stage in found.effect
+    assert observation.CAUSES_OF_MISFIT["image lag"].stage in found.effect
     assert "may come from" not in misfit_finding({"halo diameter": 90.0}, 12, 2.8).effect
 
 

@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.fitting import fit_sensor, silicon_observations
-from charact.fitting.fitted_session import proposed_description
-from charact.fitting.prior import values_of_description
-from charact.fitting.stack_levels import levels_of
+from charact.fitting import (
+    fit_sensor,
+    levels_of,
+    proposed_description,
+    silicon_observations,
+    values_of_description,
+)
 from charact.observables.silicon import dark_variance
 from charact.session_measurement import measure
 from labdata import (
@@ -87,23 +90,6 @@ def test_every_class_has_six_parameters_fitted_and_their_intervals_hold_the_trut
     # Of 12 and more intervals of 95 %, of the tubes 24; pitch, efficiency and blur of a specimen
     # miss together.
     assert held.count(False) <= 3
-
-
-@pytest.mark.parametrize("name", CHIPS)
-def test_a_level_is_that_of_the_bench_for_lux_and_for_photons(name: str) -> None:
-    camera = chip(name, pitch_x_um=7.0, pitch_y_um=7.0)
-    bench, values = LabBench(camera), values_of_description(camera)
-    black = float(camera.video.black_level_dn)
-    for light in ({"illuminance_lux": 3e-3}, {"photons_per_px": 700.0, "wavelength_nm": 650.0}):
-        conditions = replace(settings(name), **light)
-        frame = bench.mean("flat", Target(), conditions).mean(dtype=float)
-        entry = stack_of(camera, "flat", conditions, frames=2, seed=1)
-        session = session_with(camera, entry)
-        (observed,) = silicon_observations.silicon_observations(
-            session, camera, Result(), levels_of(session)
-        )
-        # The integral of the lumens: within 0.2 %.
-        assert observed.predict(values)[0, 0] - black == pytest.approx(frame - black, rel=0.002)
 
 
 @pytest.mark.parametrize("name", CHIPS)

@@ -4,21 +4,22 @@ know.
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from charact.fitting import fit_sensor, predicted_quantities
-from charact.fitting.prior import prior_of, values_of_description
-from charact.fitting.sensor import (
+from charact.fitting import (
     description_from_posterior,
+    fit_sensor,
     inflate_errors,
     model_of,
     posterior_of,
+    predicted_quantities,
+    prior_of,
+    tube_observations,
+    values_of_description,
 )
-from charact.fitting.tube_observations import tube_observations
-from labdata import BadInput, Camera, Result, load_sensor, measurement_from_sd, save_sensor
+from labdata import BadInput, Camera, Result, measurement_from_sd
 from tests.truth.sessions import session_in_memory
 
 SPECIMENS = 3
@@ -109,29 +110,6 @@ def test_what_is_not_identified_keeps_the_range_of_its_prior(fits, sheet: Camera
         assert after["taper.transmission"].standing == "prior"
 
 
-def test_the_description_at_its_values_gives_back_what_was_measured(fits) -> None:
-    for told, _, sensor in fits:
-        values = values_of_description(sensor)
-        gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
-        measured = told.result.find("covariance_gain")[0].value
-        assert predicted_quantities.covariance_gain(values, gain)[0] == pytest.approx(
-            measured, rel=0.05
-        )
-        bright = told.levels[-1]
-        events = predicted_quantities.photoelectrons(values, bright.illuminance_lux, bright.gate_s)
-        load = predicted_quantities.mcp_load(
-            values, bright.illuminance_lux, bright.gate_s, 800.0, 800.0
-        )
-        signal = (
-            gain
-            * (events + predicted_quantities.background_rate(values) * bright.gate_s)
-            / (1.0 + load)
-        )
-        assert signal[0] + values["video.black_level_dn"][0] == pytest.approx(
-            bright.mean_dn, rel=0.02
-        )
-
-
 def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
     told, _, sensor = fits[0]
     rng = np.random.default_rng(0)
@@ -148,18 +126,13 @@ def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
     assert np.mean(gains) == pytest.approx(measured.value, rel=0.03)
 
 
-def test_a_fitted_sensor_is_read_back_as_it_was_written(fits, tmp_path: Path) -> None:
-    sensor = fits[0][2]
-    save_sensor(sensor, tmp_path / "fitted.toml")
-    assert load_sensor(tmp_path / "fitted.toml") == sensor
-
-
 def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> None:
     """A halo alone speaks of the gap and the taper, and leaves everything else as it stood."""
     told = told_of(seed)
     halo = Result(measurements=told.result.find("halo_diameter"))
     model = model_of(
-        told.session.camera, tube_observations(told.session, told.session.camera, halo, ())
+        told.session.camera,
+        tube_observations.tube_observations(told.session, told.session.camera, halo, ()),
     )
     posterior = posterior_of(model, seed=seed)
     assert posterior.sampler == "slice" and not posterior.flags
@@ -188,7 +161,7 @@ def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(
     result = replace(told.result, measurements=(*others, wrong))
     model = model_of(
         told.session.camera,
-        tube_observations(told.session, told.session.camera, result, told.levels),
+        tube_observations.tube_observations(told.session, told.session.camera, result, told.levels),
     )
     wider, said = inflate_errors(model)
     assert said is not None and said.flag == "model-misfit"
@@ -202,7 +175,9 @@ def test_a_bent_measurement_stays_outside(told_of: Callable, seed: int) -> None:
     result = replace(told.result, measurements=bent)
     names = [
         one.name
-        for one in tube_observations(told.session, told.session.camera, result, told.levels)
+        for one in tube_observations.tube_observations(
+            told.session, told.session.camera, result, told.levels
+        )
     ]
     assert names == ["levels"]
 

@@ -7,12 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.fitting import fit_sensor
-from charact.fitting.observation import observations_of
-from charact.fitting.prior import values_of_description
-from charact.fitting.stack_levels import levels_of
-from charact.observables import Stacks
-from charact.observables.dark_spectrum import readout_spectrum
+from charact.fitting import fit_sensor, levels_of, observations_of, values_of_description
+from charact.observables import Stacks, readout_spectrum
 from charact.session_measurement import measure
 from charact.validation import validate
 from labdata import Camera, Conditions, FrameStack, Session, Target, load_camera
@@ -67,12 +63,6 @@ def dark_of(camera: Camera, seed: int, frames: int = FRAMES) -> np.ndarray:
         .expose("dark", Target(), Conditions(exposure_s=EXPOSURE_S), frames=frames, seed=seed)
         .data
     )
-
-
-def test_white_noise_shows_no_interference(seed):
-    rng = np.random.default_rng(seed)
-    found = [readout_spectrum(rng.normal(50.0, 3.0, (6, 64, 80))) for _ in range(40)]
-    assert all(one is not None and one.interference is None for one in found)
 
 
 def test_coloured_read_noise_shows_no_interference(seed):

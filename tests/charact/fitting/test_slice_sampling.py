@@ -3,37 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.fitting.slice_sampling import slice_sample
-from charact.fitting.thresholds import SAMPLING
-
-
-def test_a_bounded_normal_law_has_its_closed_moments(seed: int) -> None:
-    """A half-normal coordinate has the mean sqrt(2/pi) and the variance 1 - 2/pi; a normal one is
-    tied to it.
-    """
-
-    def log_probability(points):
-        inside = points[:, 0] >= 0.0
-        first = np.where(inside, points[:, 0], 0.0)
-        return np.where(inside, -0.5 * first**2 - 0.5 * (points[:, 1] - 3.0 * first) ** 2, -np.inf)
-
-    found = slice_sample(
-        log_probability,
-        names=("a", "b"),
-        point=np.array([0.5, 1.5]),
-        covariance=np.diag([1.0, 4.0]),
-        bounds=np.array([[0.0, np.inf], [-np.inf, np.inf]]),
-        seed=seed,
-    )
-    assert not found.flags and len(found.draws) == SAMPLING.chains
-    first = found.draws[:, 0]
-    sd = np.sqrt(1.0 - 2.0 / np.pi)
-    assert abs(first.mean() - np.sqrt(2.0 / np.pi)) < 4.5 * sd / np.sqrt(first.size)
-    # Fourth central moment of the half-normal law over its squared variance: 3.869.
-    assert abs(first.var() / sd**2 - 1.0) < 4.5 * np.sqrt(2.869 / first.size)
-    rest = found.draws[:, 1] - 3.0 * first
-    assert abs(rest.mean()) < 4.5 / np.sqrt(rest.size)
-    assert abs(rest.std() - 1.0) < 4.5 / np.sqrt(2.0 * rest.size)
+from charact.fitting import slice_sample
 
 
 def test_a_curved_ridge_keeps_its_width(seed: int) -> None:

@@ -5,10 +5,7 @@ gain and blur.
 import numpy as np
 import pytest
 
-from charact.fitting import predicted_quantities
-from charact.fitting.prior import values_of_description
-from charact.fitting.sensor import model_of
-from charact.fitting.tube_observations import SENSITIVITY, noise_observations
+from charact.fitting import model_of, predicted_quantities, tube_observations, values_of_description
 from labdata import Camera, Posterior, Result, measurement_from_draws
 
 SIGNAL_DN = np.array([5.0, 30.0, 120.0])
@@ -68,7 +65,9 @@ def test_variance_over_signal_is_known_better_than_gain_and_blur(
     sheet: Camera, told_of, seed: int
 ) -> None:
     told = told_of(seed)
-    (observed,) = noise_observations(told.session, sheet, flats_of(sheet, told), told.levels)
+    (observed,) = tube_observations.noise_observations(
+        told.session, sheet, flats_of(sheet, told), told.levels
+    )
     sd = np.sqrt(np.diag(observed.covariance)) / observed.value
     assert observed.value.size == 2 + SIGNAL_DN.size
     # Power has its measured error and that of the blur models; the brightest flat has its own and
@@ -84,10 +83,14 @@ def test_the_ridge_is_a_plane(sheet: Camera, told_of, seed: int) -> None:
     parameters.
     """
     told = told_of(seed)
-    observed = tuple(noise_observations(told.session, sheet, flats_of(sheet, told), told.levels))
+    observed = tuple(
+        tube_observations.noise_observations(
+            told.session, sheet, flats_of(sheet, told), told.levels
+        )
+    )
     model = model_of(sheet, observed)
     points = model.prior.draw(np.random.default_rng(seed), 50)
-    place = model.prior.names.index(SENSITIVITY)
+    place = model.prior.names.index(tube_observations.SENSITIVITY)
     points[:, place] = model.prior.centre[place]
     ridge = observed[0].ridge
     assert ridge is not None
@@ -102,6 +105,6 @@ def test_without_a_test_of_image_lag_gain_and_blur_stand_alone(
 ) -> None:
     told = told_of(seed)
     result = flats_of(sheet, told, tested=False)
-    (observed,) = noise_observations(told.session, sheet, result, told.levels)
+    (observed,) = tube_observations.noise_observations(told.session, sheet, result, told.levels)
     assert observed.value == pytest.approx([m.value for m in result.measurements])
     assert observed.ridge is None
