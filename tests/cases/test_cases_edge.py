@@ -12,7 +12,8 @@ from charact.estimators.mtf import measure
 from charact.frames.clipping import is_clipped
 from charact.method import Context
 from labdata import FrameStack, read_frames
-from tests.truth import gaussian_edges
+from tests.truth.blur import BlurOf, TrueBlur
+from tests.truth.edge import EdgeScene
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = ROOT.parent / "shared" / "cases"
@@ -41,13 +42,15 @@ def diffraction(cut_off):
 
 
 def gaussian(sigma_px):
-    return lambda f: np.exp(-2.0 * (np.pi * sigma_px * f) ** 2)
+    return TrueBlur(sigma_px=sigma_px).before_pixel
 
 
 def drawn(transfer, angle_deg, rows=150, cols=140, shift=0.3):
     """Edge from 0 to 1 of a blur and square pixels, and its MTF50 along the normal."""
-    edge = gaussian_edges.frame_of(transfer, rows, cols, angle_deg=angle_deg, offset_px=shift)
-    return edge, gaussian_edges.level_of(transfer, angle_deg)
+    pose = {"rows": rows, "cols": cols, "angle_deg": angle_deg, "offset_px": shift}
+    levels = {"dark_dn": 0.0, "bright_dn": 1.0, "black_dn": 0.0}
+    scene = EdgeScene(blur=BlurOf(of=transfer), **pose, **levels)
+    return scene.mean(), scene.truth_mtf50
 
 
 def recorded(

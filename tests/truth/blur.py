@@ -90,6 +90,16 @@ class TrueBlur:
         return level_crossing(lambda f: self.mtf(f, angle_deg), level)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BlurOf(TrueBlur):
+    """A blur of any transfer: a function of the frequency, cycles per pixel, without the pixel."""
+
+    of: Callable[[Any], Any]
+
+    def before_pixel(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
+        return self.of(f)
+
+
 def level_crossing(mtf: Callable[[Any], Any], level: float) -> float:
     """Lowest frequency at which a function of frequency falls to a level, cycles per pixel, by
     bisection.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
-from charact.estimators.mtf.dispatch import drop_duplicate_frames
+from charact.estimators.mtf import drop_duplicate_frames
 from charact.method import Context
 from labdata import FrameStack
 from tests.truth.bars import BarScene

@@ -9,8 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, median_filter
 
 from charact.estimators import mtf
-from charact.estimators.mtf.edge.checks import edge_findings
-from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
+from charact.estimators.mtf import edge_findings, prepare_edge
 from charact.method import Context
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene

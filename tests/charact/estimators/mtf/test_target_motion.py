@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
-from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
-from charact.estimators.mtf.target_motion import TargetMotion, measure_target_motion
-from charact.estimators.mtf.thresholds import LIMITS
+from charact.estimators.mtf import TargetMotion, measure_target_motion, prepare_edge, thresholds
 from charact.method import Context
 from tests.truth.bars import BarScene
 from tests.truth.blur import TrueBlur, level_crossing
@@ -40,7 +38,7 @@ def test_places_at_rest_are_told_apart_from_motion_as_often_as_promised(seed):
     )
     below = np.mean(chances < 0.01)
     assert below == pytest.approx(0.01, abs=4.0 * np.sqrt(0.01 * 0.99 / 2000))
-    assert np.sum(chances < LIMITS.motion_p_value) <= 3
+    assert np.sum(chances < thresholds.LIMITS.motion_p_value) <= 3
 
 
 @pytest.mark.parametrize("lines", [12, 64])

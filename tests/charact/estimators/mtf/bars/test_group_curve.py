@@ -7,12 +7,13 @@ import pytest
 from scipy.special import sici
 
 from charact.estimators import mtf
-from charact.estimators.mtf.bars.group_curve import fit_group_curve, frame_curves, session_curves
+from charact.estimators.mtf import fit_group_curve, frame_curves, session_curves
 from charact.method import Context
 from labdata import BadInput, FrameStack, Measurement, Result, load_sensor, measurement_from_sd
 from tests.charact.estimators.mtf.bars.test_strip import read
+from tests.truth.bars import StripScene
+from tests.truth.blur import TrueBlur
 from tests.truth.charts import BarChart, Bars, noisy
-from tests.truth.long_bars import frames_of, gaussian, mtf_of, strip
 
 QUICK = Context(seed=1, quick=True)
 CAMERA = load_sensor("pulnix-ag5745ef3")
@@ -141,22 +142,6 @@ def test_too_few_sound_groups_of_one_direction_add_nothing(readings: list[Measur
     assert frame_curves(Result(measurements=tuple(readings)), context=QUICK) == Result()
 
 
-def test_rows_and_columns_are_told_apart_and_a_half_turn_is_none() -> None:
-    """Bars at 178 and at 2 degrees lie alike; those at 92 have a curve of their own."""
-    own = [
-        reading(f, float(tube(f)), angle_deg=angle)
-        for f, angle in zip(FREQUENCIES, (178, 2, 179, 1), strict=True)
-    ]
-    down = [reading(f, float(tube(f, half=0.15)), angle_deg=92.0) for f in FREQUENCIES]
-    found = frame_curves(Result(measurements=(*own, *down)), context=QUICK)
-    across, along = found.find("mtf50")
-    assert min(across.orientation_deg, 180.0 - across.orientation_deg) < 1.0
-    for m, half in ((across, 0.22), (along, 0.15)):
-        truth = crossing(lambda f, half=half: tube(f, half))
-        assert m.value == pytest.approx(truth, abs=2.0 * np.ptp(m.interval95) / 3.92)
-    assert set(found.evidence) == {"bar groups, rows", "bar groups, columns"}
-
-
 @pytest.mark.parametrize("frequencies", [(0.02, 0.04), (0.5, 0.6)])
 def test_an_mtf50_far_from_all_groups_is_refused_with_the_rule(
     frequencies: tuple[float, ...],
@@ -184,10 +169,11 @@ def test_an_mtf50_a_little_beyond_its_groups_says_so(
 
 
 def test_groups_that_do_not_belong_together_say_so() -> None:
-    groups = [reading(f, mtf_of(gaussian(0.8), f, 0.0), 0.01, 0.0) for f in FITTED]
+    blur = TrueBlur(sigma_px=0.8)
+    groups = [reading(f, float(blur.mtf(f, 0.0)), 0.01, 0.0) for f in FITTED]
     context = Context(seed=1, quick=True)
     assert fit_group_curve(groups, context=context).measurements[0].status == "ok"
-    groups[1] = reading(0.1, mtf_of(gaussian(0.8), 0.1, 0.0) - 0.2, 0.01, 0.0)
+    groups[1] = reading(0.1, float(blur.mtf(0.1, 0.0)) - 0.2, 0.01, 0.0)
     assert "model-misfit" in fit_group_curve(groups, context=context).measurements[0].flags
 
 
@@ -199,13 +185,13 @@ def test_one_group_is_no_curve_and_directions_do_not_mix() -> None:
         fit_group_curve([one, reading(0.2, 0.5, 0.01, angle_deg=90.0)], context=context)
 
 
-def test_coltmans_first_term_is_low_where_harmonics_are_and_always_suspect(seed: int) -> None:
+@pytest.mark.parametrize(("frequency", "bias"), [(0.05, -0.186), (0.25, 0.0)])
+def test_coltmans_first_term_is_low_where_harmonics_are_and_always_suspect(
+    frequency: float, bias: float, seed: int
+) -> None:
     """physics: 18.6 % low at 0.05 cy/px under a blur of 0.8 px, right at 0.25."""
-    rng = np.random.default_rng(seed)
-    for frequency, bias in ((0.05, -0.186), (0.25, 0.0)):
-        stack = frames_of(strip(gaussian(0.8), frequency, 4.0, 0.2), rng, snr=300.0)
-        found = read(stack, frequency, method="bars-coltman")
-        assert found.status == "suspect"
-        assert found.value / mtf_of(gaussian(0.8), frequency, 4.0) - 1.0 == pytest.approx(
-            bias, abs=0.03
-        )
+    pose = {"frequency_cy_per_px": frequency, "angle_deg": 4.0, "phase_px": 0.2, "snr": 300.0}
+    scene = StripScene(blur=TrueBlur(sigma_px=0.8), **pose)
+    found = read(scene, np.random.default_rng(seed), method="bars-coltman")
+    assert found.status == "suspect"
+    assert found.value / scene.truth_mtf - 1.0 == pytest.approx(bias, abs=0.03)

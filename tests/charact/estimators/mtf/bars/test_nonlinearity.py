@@ -9,7 +9,6 @@ import pytest
 
 from charact.estimators.mtf import measure
 from charact.estimators.mtf.bars import bar_measurement, nonlinearity
-from charact.estimators.mtf.bars.nonlinearity import BarNonlinearity, linearise_mtf_draws
 from charact.method import Context
 from labdata import FrameStack
 from tests.truth.bars import BarScene
@@ -155,24 +154,6 @@ def test_a_curved_response_of_fine_bars_is_told_without_any_harmonic(gamma, seed
     found = told(stack, scene, monkeypatch)[0]
     assert any(note.startswith("gamma: the image") for note in found.notes)
     assert found.interval95[0] < scene.truth_mtf < found.interval95[1] or "gamma" in found.flags
-
-
-def test_a_curvature_that_is_sure_is_taken_off_and_none_is_left_alone(seed):
-    mtf = np.full(20_000, 0.4)
-    sure = linearise_mtf_draws(mtf, BarNonlinearity(0.2, 0.01, 1.0, -0.5, None, None), seed)
-    assert np.log(sure / 0.4).mean() == pytest.approx(0.5 * 0.2, abs=0.001)
-    none = linearise_mtf_draws(mtf, BarNonlinearity(0.0, 0.01, 1.0, -0.5, None, None), seed)
-    assert np.mean(none != mtf) < 0.03 and np.abs(none / mtf - 1.0).max() < 0.04
-
-
-def test_noise_that_grows_as_the_light_speaks_for_a_straight_response(seed):
-    mtf = np.ones(20_000)
-    unsure = BarNonlinearity(0.0, 0.15, 0.5, -0.5, None, None)
-    moved = [
-        np.mean(linearise_mtf_draws(mtf, unsure._replace(shared=power), seed) != mtf)
-        for power in (nonlinearity.Power(1.0, 0.03), None, nonlinearity.Power(0.5, 0.1))
-    ]
-    assert moved[0] < 0.5 * moved[1] < 0.5 * moved[2]
 
 
 def test_a_black_above_the_ground_is_not_believed(seed, monkeypatch):

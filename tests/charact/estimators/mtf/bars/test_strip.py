@@ -2,35 +2,37 @@
 every pose.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchmarks.studies.harness import CaseTimer
 from charact.estimators.mtf import measure
 from charact.method import Context
-from tests.truth.long_bars import frames_of, gaussian, mtf_of, strip, tube
+from labdata import FrameStack
+from tests.truth.bars import StripScene
+from tests.truth.blur import TrueBlur
+from tests.truth.counted_pulses import errors
 
 CORES = {
-    "gaussian 0.8 px": gaussian(0.8),
-    "gaussian 1.5 px": gaussian(1.5),
-    "tube n 1.1": tube(0.25, 1.1),
+    "gaussian 0.8 px": TrueBlur(sigma_px=0.8),
+    "gaussian 1.5 px": TrueBlur(sigma_px=1.5),
+    "tube n 1.1": TrueBlur(form="exponential", frequency_cy_per_px=0.25, exponent=1.1),
 }
+PLAIN = StripScene(blur=CORES["gaussian 0.8 px"], angle_deg=3.0)
 
 
 def read(
-    stack, frequency: float, *, bars: int = 4, quick: bool = True, method: str = "bars-forward"
+    scene: StripScene, rng: np.random.Generator, *, method: str = "bars-forward", **asked: float
 ):
-    context = Context(seed=1, quick=quick, full_scale_dn=4095.0)
-    found = measure(
-        "bars", stack, bars=bars, frequency_cy_per_px=frequency, context=context, method=method
-    )
+    """Measure the bars of a scene; `asked`: their number, frequency or full effort if not as
+    drawn.
+    """
+    context = Context(seed=1, quick=asked.pop("quick", True), full_scale_dn=scene.full_scale_dn)
+    target = {"bars": 4, "frequency_cy_per_px": scene.frequency_cy_per_px, **asked}
+    found = measure("bars", scene.frames_drawn(rng), context=context, method=method, **target)
     return found.measurements[0]
-
-
-def deviation(found, truth: float) -> float:
-    """Distance from the truth in the standard deviations that the 68 % interval states."""
-    low, high = found.interval68
-    return (found.value - truth) / ((high - low) / 2)
 
 
 @pytest.mark.parametrize(
@@ -43,15 +45,14 @@ def deviation(found, truth: float) -> float:
         ("tube n 1.1", 8.0, 0.25),
     ],
 )
+@pytest.mark.parametrize("phase_px", [0.0, 0.37])
 def test_without_noise_the_mtf_is_exact_at_any_phase(
-    name: str, angle_deg: float, frequency: float
+    name: str, angle_deg: float, frequency: float, phase_px: float
 ) -> None:
-    truth = mtf_of(CORES[name], frequency, angle_deg)
-    for phase_px in (0.0, 0.37):
-        image = strip(CORES[name], frequency, angle_deg, phase_px)
-        stack = frames_of(image, np.random.default_rng(0), snr=1e4)
-        found = read(stack, frequency)
-        assert found.value == pytest.approx(truth, rel=0.01, abs=3e-4), (phase_px, found.flags)
+    pose = {"frequency_cy_per_px": frequency, "angle_deg": angle_deg, "phase_px": phase_px}
+    scene = StripScene(blur=CORES[name], snr=1e4, **pose)
+    found = read(scene, np.random.default_rng(0))
+    assert found.value == pytest.approx(scene.truth_mtf, rel=0.01, abs=3e-4), found.flags
 
 
 @pytest.mark.parametrize(
@@ -65,62 +66,74 @@ def test_no_bias_and_honest_intervals_at_ten_times_the_noise(
     interval says.
     """
     rng = np.random.default_rng(seed)
-    errors, scaled = [], []
+    relative, scaled = [], []
     for _ in range(8):
-        frequency = float(rng.uniform(0.05, 0.4 if name != "gaussian 1.5 px" else 0.18))
-        angle, phase = float(rng.choice([0.0, 1.0, 3.0, 8.0])), float(rng.uniform(-0.5, 0.5))
-        image = strip(CORES[name], frequency, angle, phase)
-        stack = frames_of(image.T if turned else image, rng, blur_px=blur_px)
-        found = read(stack, frequency)
-        assert found.value is not None, (frequency, angle, found.reason)
-        truth = mtf_of(CORES[name], frequency, angle)
-        scaled.append(deviation(found, truth))
-        errors.append(found.value / truth - 1.0)
-    weight = np.array(scaled) ** 2 / np.array(errors) ** 2
+        scene = StripScene(
+            blur=CORES[name],
+            frequency_cy_per_px=float(
+                rng.uniform(0.05, 0.4 if name != "gaussian 1.5 px" else 0.18)
+            ),
+            angle_deg=float(rng.choice([0.0, 1.0, 3.0, 8.0])),
+            phase_px=float(rng.uniform(-0.5, 0.5)),
+            noise_blur_px=blur_px,
+            turned=turned,
+        )
+        found = read(scene, rng)
+        assert found.value is not None, (scene, found.reason)
+        scaled.append(errors(found, scene.truth_mtf))
+        relative.append(found.value / scene.truth_mtf - 1.0)
+    weight = np.array(scaled) ** 2 / np.array(relative) ** 2
     error = np.sqrt(1.0 / weight.sum())
-    assert abs(np.average(errors, weights=weight)) < 0.01 + 3.3 * error
+    assert abs(np.average(relative, weights=weight)) < 0.01 + 3.3 * error
     # Chi squared of 8 is above 31.8 once in ten thousand runs; intervals may be a little wide.
     assert np.sum(np.square(scaled)) < 31.8
     assert np.std(scaled) > 0.35
 
 
 @pytest.mark.parametrize("asked", [3, 5])
-def test_another_number_than_asked_for_is_told(asked: int, seed) -> None:
+@pytest.mark.parametrize(("frequency", "sigma_px"), [(0.05, 0.6), (0.1, 1.2), (0.2, 1.2)])
+def test_another_number_than_asked_for_is_told(
+    asked: int, frequency: float, sigma_px: float, seed
+) -> None:
     """Four bars: what is asked for is never ok, and the note on three of them says how many there
     are.
     """
-    for frequency, sigma_px in ((0.05, 0.6), (0.1, 1.2), (0.2, 1.2)):
-        stack = frames_of(
-            strip(gaussian(sigma_px), frequency, 3.0, 0.3), np.random.default_rng(seed), snr=20.0
-        )
-        found = read(stack, frequency, bars=asked)
-        assert found.status != "ok", (frequency, found.value)
-        assert (
-            asked != 3
-            or found.status == "refused"
-            or any("favour 4 bars over 3" in note for note in found.notes)
-        )
+    blur = TrueBlur(sigma_px=sigma_px)
+    scene = replace(PLAIN, blur=blur, frequency_cy_per_px=frequency, phase_px=0.3, snr=20.0)
+    found = read(scene, np.random.default_rng(seed), bars=asked)
+    assert found.status != "ok", found.value
+    assert (
+        asked != 3
+        or found.status == "refused"
+        or any("favour 4 bars over 3" in note for note in found.notes)
+    )
 
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_untilted_bars_near_the_sampling_limit_are_not_identifiable(turned: bool, seed) -> None:
     rng = np.random.default_rng(seed)
-    for frequency, angle in ((0.46, 0.0), (0.48, 0.0)):
-        image = strip(gaussian(0.4), frequency, angle, 0.2)
-        found = read(frames_of(image.T if turned else image, rng, snr=50.0), frequency)
-        assert found.status == "refused"
-        assert "not identifiable" in found.reason
-    image = strip(gaussian(0.4), 0.46, 8.0, 0.2)
-    found = read(frames_of(image.T if turned else image, rng, snr=50.0), 0.46)
-    assert abs(deviation(found, mtf_of(gaussian(0.4), 0.46, 8.0))) < 4.5
+    fine = StripScene(
+        blur=TrueBlur(sigma_px=0.4), angle_deg=0.0, phase_px=0.2, snr=50.0, turned=turned
+    )
+    for frequency in (0.46, 0.48):
+        found = read(replace(fine, frequency_cy_per_px=frequency), rng)
+        assert found.status == "refused" and "not identifiable" in found.reason
+    tilted = replace(fine, frequency_cy_per_px=0.46, angle_deg=8.0)
+    assert abs(errors(read(tilted, rng), tilted.truth_mtf)) < 4.5
 
 
 def test_the_chain_on_compressed_data_agrees_with_the_curvature(seed) -> None:
-    rng = np.random.default_rng(seed)
-    stack = frames_of(strip(CORES["tube n 1.1"], 0.2, 3.0, 0.2), rng, snr=20.0, blur_px=0.6)
+    scene = replace(
+        PLAIN,
+        blur=CORES["tube n 1.1"],
+        frequency_cy_per_px=0.2,
+        phase_px=0.2,
+        snr=20.0,
+        noise_blur_px=0.6,
+    )
     watch = CaseTimer()
-    chain = read(stack, 0.2, quick=False)
-    seconds, quick = watch.seconds(), read(stack, 0.2)
+    chain = read(scene, np.random.default_rng(seed), quick=False)
+    seconds, quick = watch.seconds(), read(scene, np.random.default_rng(seed))
     assert chain.posterior.sampler == "emcee"
     width = np.diff(quick.interval68)[0]
     assert abs(chain.value - quick.value) < 0.4 * width
@@ -131,21 +144,32 @@ def test_the_chain_on_compressed_data_agrees_with_the_curvature(seed) -> None:
 
 def test_a_fundamental_under_the_noise_is_an_upper_limit(seed) -> None:
     """A blur of 1.5 px leaves 0.06 % at 0.4 cy/px: nothing to measure at ten times the noise."""
-    found = read(frames_of(strip(gaussian(1.5), 0.4, 3.0, 0.1), np.random.default_rng(seed)), 0.4)
+    scene = replace(PLAIN, blur=CORES["gaussian 1.5 px"], frequency_cy_per_px=0.4, phase_px=0.1)
+    found = read(scene, np.random.default_rng(seed))
     assert "low-signal" in found.flags
-    assert found.interval95[0] < mtf_of(gaussian(1.5), 0.4, 3.0) < found.interval95[1]
+    assert found.interval95[0] < scene.truth_mtf < found.interval95[1]
 
 
-def test_one_wide_bar_is_never_four_narrow_ones(seed) -> None:
-    rng = np.random.default_rng(seed)
-    for frequency in (0.1, 0.2):
-        wide = strip(gaussian(0.8), 0.5 * frequency / 4.0, 3.0, 0.2, bars=1, ground_px=24)
-        assert read(frames_of(wide, rng, snr=30.0), frequency).status != "ok"
+@pytest.mark.parametrize("frequency", [0.1, 0.2])
+def test_one_wide_bar_is_never_four_narrow_ones(frequency: float, seed) -> None:
+    pose = {"bars": 1, "frequency_cy_per_px": 0.125 * frequency, "phase_px": 0.2, "reach_px": 24}
+    scene = replace(PLAIN, snr=30.0, **pose)
+    found = read(scene, np.random.default_rng(seed), frequency_cy_per_px=frequency)
+    assert found.status != "ok"
 
 
 def test_motion_between_fields_of_a_strip_is_told(seed) -> None:
-    still, moved = strip(gaussian(0.9), 0.1, 3.0, 0.0), strip(gaussian(0.9), 0.1, 3.0, 0.6)
-    woven = np.where(np.arange(20)[:, None] % 2 == 0, still, moved)
-    rng = np.random.default_rng(seed)
-    assert "interlace-motion" in read(frames_of(woven, rng, snr=30.0), 0.1).flags
-    assert "interlace-motion" not in read(frames_of(still, rng, snr=30.0), 0.1).flags
+    still = replace(PLAIN, blur=TrueBlur(sigma_px=0.9), frequency_cy_per_px=0.1, snr=30.0)
+    asked = {"bars": 4, "frequency_cy_per_px": 0.1, "method": "bars-forward"}
+    frames, moved = (
+        scene.frames_drawn(np.random.default_rng(seed)).data
+        for scene in (still, replace(still, phase_px=0.6))
+    )
+    woven = np.where(np.arange(20)[:, None] % 2 == 0, frames, moved)
+    flags = [
+        measure("bars", FrameStack(data=data), context=Context(seed=1, quick=True), **asked)
+        .measurements[0]
+        .flags
+        for data in (woven, frames)
+    ]
+    assert "interlace-motion" in flags[0] and "interlace-motion" not in flags[1]

@@ -6,21 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.special import ndtri
 from scipy.stats import lognorm
 
 from benchmarks.studies.edge_map import case_of, cell_of
+from charact.estimators.mtf import edge_parametric
 from charact.estimators.mtf.edge import result as edge_result
+from charact.estimators.mtf.edge import thresholds
 from charact.estimators.mtf.edge.fit import model_selection as edge_beyond
-from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter
-from charact.estimators.mtf.edge.parametric import edge_parametric
-from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
-from charact.estimators.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX
-from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.estimators.mtf.known_transfer import known_transfer
 from charact.method import Context
-from charact.transfer import BlurModel, DiscComponent, ScatterComponent, UnresolvedGlareComponent
 from labdata import measurement_from_draws
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
@@ -39,59 +33,6 @@ PLAIN = EdgeScene(
 )
 
 
-def odds_of(scene, seed):
-    """Odds of a disc beyond a Gaussian fitted to a frame of a scene."""
-    edge = prepare_edge(scene.frames_drawn(np.random.default_rng(seed)), None, QUICK)
-    fitter = EdgeFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
-    fit = fitter.fit(
-        BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX
-    )
-    (promise,) = edge_beyond.score_extended_components(
-        fitter, fit, (DiscComponent(size_px=(6.0, 100.0)),), {EVEN_PER_PX: 0.0}
-    )
-    return promise.odds
-
-
-@pytest.mark.parametrize(
-    ("amplitude", "precision"), [(0.0, 1e-6), (0.0, 4e4), (0.1, 9e3), (-0.05, 2e3), (0.6, 50.0)]
-)
-@pytest.mark.parametrize(
-    "wide",
-    [DiscComponent(size_px=(6.0, 60.0)), UnresolvedGlareComponent(size_px=(30.0, 240.0))],
-    ids=["disc", "veil"],
-)
-def test_odds_are_the_mean_likelihood_over_shares(wide, amplitude, precision):
-    """By quadrature, at one size: the mean of the likelihood ratio over all shares that the light
-    may have.
-    """
-    size = np.array([[40.0]])
-    unit = float(wide.share_unit(size)[0, 0])
-    light = edge_beyond.TrialComponent(
-        component=wide, shapes=size, unit=np.array([unit]), change=np.zeros((1, 1))
-    )
-    ratio = lambda q: np.exp(precision * (amplitude * unit * q - 0.5 * (unit * q) ** 2))  # noqa: E731
-    low, high = wide.fraction
-    expected = quad(ratio, low, high, points=[np.clip(amplitude / unit, low, high)], limit=200)[
-        0
-    ] / (high - low)
-    found = light.bayes_factor(np.array([amplitude]), np.array([precision]))
-    assert found == pytest.approx(expected, rel=0.02)
-
-
-def test_an_edge_in_noise_leaves_the_odds_where_they_were_and_a_clear_one_does_not():
-    """Medians over six drawings: at a step of one standard deviation, and at 200 of them."""
-    noisy, clear = (
-        np.median([odds_of(replace(PLAIN, snr=snr), s) for s in range(6)]) for snr in (1.0, 200.0)
-    )
-    assert 0.2 < noisy < 2.0
-    assert clear < 0.05
-
-
-def test_a_clear_halo_is_beyond_doubt(seed):
-    halo = replace(PLAIN, blur=TrueBlur(sigma_px=0.9, halo_share=0.15, halo_px=25.0), snr=50.0)
-    assert odds_of(halo, seed) > 1e6
-
-
 def test_a_halo_that_noise_hides_stays_possible(monkeypatch):
     """A disc of a fifth of the light at seven standard deviations, in a drawing that shows next to
     nothing of it.
@@ -102,9 +43,9 @@ def test_a_halo_that_noise_hides_stays_possible(monkeypatch):
     cell = cell_of(3332)
     stack = case_of(cell, cell.scene.truth_mtf50, 14).drawn()
     reach = {}
-    for odds in (THRESHOLDS.component_bayes_factor, np.inf):
+    for odds in (thresholds.THRESHOLDS.component_bayes_factor, np.inf):
         monkeypatch.setattr(
-            edge_beyond, "THRESHOLDS", replace(THRESHOLDS, component_bayes_factor=odds)
+            edge_beyond, "THRESHOLDS", replace(thresholds.THRESHOLDS, component_bayes_factor=odds)
         )
         found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         beyond = sum(
@@ -129,13 +70,15 @@ def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
     stack = case_of(cell, truth, 16).drawn()
 
     def away(power, black_dn):
-        monkeypatch.setattr(edge_beyond, "THRESHOLDS", replace(THRESHOLDS, evidence_power=power))
+        monkeypatch.setattr(
+            edge_beyond, "THRESHOLDS", replace(thresholds.THRESHOLDS, evidence_power=power)
+        )
         found = edge_parametric(replace(stack, black_level_dn=black_dn), context=QUICK).find(
             "mtf50"
         )[0]
         return (truth - found.value) / (found.interval95[1] - found.value)
 
-    tempered = THRESHOLDS.evidence_power
+    tempered = thresholds.THRESHOLDS.evidence_power
     assert 0 < away(tempered, None) < 1.2
     assert away(tempered, None) < away(1.0, None) < 1.5
     assert 0 < away(tempered, 200.0) < away(1.0, 200.0) < 1.5
@@ -152,9 +95,11 @@ def test_a_halo_and_light_that_slopes_do_not_hide_each_other(monkeypatch):
     truth = cell.scene.truth_mtf50
     stack = case_of(cell, truth, 14).drawn()
     away = {}
-    for least in (THRESHOLDS.component_in_gradient_chi2, np.inf):
+    for least in (thresholds.THRESHOLDS.component_in_gradient_chi2, np.inf):
         monkeypatch.setattr(
-            edge_beyond, "THRESHOLDS", replace(THRESHOLDS, component_in_gradient_chi2=least)
+            edge_beyond,
+            "THRESHOLDS",
+            replace(thresholds.THRESHOLDS, component_in_gradient_chi2=least),
         )
         found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         assert found.status == "ok"
@@ -162,23 +107,6 @@ def test_a_halo_and_light_that_slopes_do_not_hide_each_other(monkeypatch):
     together, apart = away.values()
     assert together < 1.0
     assert apart > 2.5
-
-
-def test_what_a_fit_would_be_in_other_light_is_about_what_it_becomes(seed):
-    """Slopes are linear in the model: their prior may change with the point as it is, and no
-    fit.
-    """
-    stack = replace(PLAIN, snr=40.0, gradient=0.1).frames_drawn(np.random.default_rng(seed))
-    edge = prepare_edge(stack, None, QUICK)
-    fitter = EdgeFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
-    even = fitter.fit(
-        BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX
-    )
-    told = fitter.under(even, UNEVEN_PER_PX)
-    fitted = fitter.fit(even.family, even.point, UNEVEN_PER_PX)
-    assert fitted.log_evidence - even.log_evidence > 10.0
-    assert told.log_evidence == pytest.approx(fitted.log_evidence, abs=0.5)
-    assert fitter.under(even, EVEN_PER_PX) is even
 
 
 def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(seed):
@@ -193,42 +121,12 @@ def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(
         shares.append([forms.get(core, 0.0) for core in ("gaussian", "exponential", "moffat")])
     gaussian, exponential, moffat = np.mean(shares, axis=0)
     assert (
-        gaussian > moffat > 5 * THRESHOLDS.min_model_weight
-        and gaussian > exponential > 5 * THRESHOLDS.min_model_weight
+        gaussian > moffat > 5 * thresholds.THRESHOLDS.min_model_weight
+        and gaussian > exponential > 5 * thresholds.THRESHOLDS.min_model_weight
     )
     assert np.min(shares, axis=0).max() > 0.0 and np.all(
-        np.sum(np.array(shares)[:, 1:], axis=1) > THRESHOLDS.min_model_weight
+        np.sum(np.array(shares)[:, 1:], axis=1) > thresholds.THRESHOLDS.min_model_weight
     )
-
-
-def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
-    """The likeliest of three kinds is fitted, with the odds of all three; one that the edge tells
-    is fitted besides.
-    """
-    edge = prepare_edge(replace(PLAIN, snr=3.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
-    fitter = EdgeFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
-    core = fitter.fit(
-        BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX
-    )
-    kinds = (
-        DiscComponent(size_px=(6.0, 60.0)),
-        UnresolvedGlareComponent(size_px=(30.0, 240.0)),
-        ScatterComponent(size_px=(2.0, 15.0)),
-    )
-    found = edge_beyond.score_extended_components(fitter, core, kinds, {EVEN_PER_PX: 0.0})
-    promised = [
-        replace(one, odds=odds, gains=np.array([gain]))
-        for one, odds, gain in zip(found, (0.6, 0.9, 5.0), (1.0, 2.0, 30.0), strict=True)
-    ]
-    worth = edge_beyond._components_worth_fitting(promised)
-    assert [score.component for score in worth] == [kinds[2], kinds[1]]
-    assert np.exp([one.ln_weight for one in worth]) == pytest.approx([1 / 3, 1.5 / 0.9 / 3])
-    fit = edge_beyond.fit_extended_component(fitter, worth[1], np.inf)
-    assert fit.ln_weight == worth[1].ln_weight
-    weighed, plain = (
-        fitter.fit(fit.family, fit.point, EVEN_PER_PX, weight) for weight in (fit.ln_weight, 0.0)
-    )
-    assert weighed.log_evidence - plain.log_evidence == pytest.approx(fit.ln_weight)
 
 
 def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_not(seed):
@@ -242,8 +140,8 @@ def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_n
     )
     assert curve.interval68[:, column] == pytest.approx([half_low, half_high])
     stretch = (
-        ACCURACY.interval_margin
-        + ACCURACY.modulus_margin[0] * 0.5 * (half_high - half_low) / middle
+        thresholds.ACCURACY.interval_margin
+        + thresholds.ACCURACY.modulus_margin[0] * 0.5 * (half_high - half_low) / middle
     )
     assert 1.05 < stretch < 1.2
     wide = [middle + stretch * (low - middle), middle + stretch * (high - middle)]
@@ -269,12 +167,6 @@ def test_the_value_is_the_most_probable_frequency(deviation):
     density = lognorm.pdf(grid, deviation, scale=0.2)
     assert found.value == pytest.approx(grid[np.argmax(density)], rel=0.03 * deviation**2 + 1e-4)
     assert found.interval68 == pytest.approx(tuple(np.quantile(draws, [0.16, 0.84])), rel=1e-3)
-
-
-def test_a_value_stays_inside_its_68_percent_interval():
-    found = finished("mtf50", np.random.default_rng(0).uniform(0.01, 0.5, 4000))
-    assert found.interval68[0] <= found.value <= found.interval68[1]
-    assert "low-signal" in found.flags
 
 
 def test_a_frequency_known_to_a_tenth_may_lie_further_up_than_down_and_a_modulus_either_way():

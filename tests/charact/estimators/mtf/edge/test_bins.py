@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.edge.parametric import edge_parametric
+from charact.estimators.mtf import PreparedEdge, edge_parametric, prepare_edge
+from charact.estimators.mtf.edge import thresholds
 from charact.estimators.mtf.edge.pixels import profile
-from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
-from charact.estimators.mtf.edge.pixels.profile import coarsen
-from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.method import Context
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
@@ -38,21 +36,6 @@ def found(snr: float, seed: int) -> PreparedEdge:
     return edge
 
 
-def test_wider_bins_hold_the_pixels_of_the_narrow_ones(seed):
-    edge = found(20.0, seed)
-    narrow = edge.profile.gathered
-    wide = coarsen(narrow)
-    middle = np.abs(wide.borders[1:] + wide.borders[:-1]) / 2
-    assert np.allclose(np.diff(wide.borders)[middle < 4], 0.25)
-    assert wide.borders.size < 0.55 * narrow.borders.size
-    inside = (narrow.distance >= wide.borders[0]) & (narrow.distance < wide.borders[-1])
-    assert np.array_equal(wide.valid, narrow.valid & inside)
-    index = np.digitize(narrow.distance[wide.valid], wide.borders) - 1
-    assert np.array_equal(wide.bin_index[wide.valid], index)
-    mean, count = wide.means(edge.picture.value)
-    assert float(mean @ count) == pytest.approx(float(edge.picture.value[wide.valid].sum()))
-
-
 @pytest.mark.parametrize(("snr", "wide"), [(5.0, True), (30.0, False)])
 def test_bins_are_as_narrow_as_the_noise_lets_them_tell_anything(snr, wide, seed):
     edge = prepare_edge(drawn(snr, seed), None, QUICK, quickly=True)
@@ -67,9 +50,13 @@ def test_wider_bins_move_a_noisy_edge_by_a_small_part_of_its_error(seed, monkeyp
     moved = []
     for number in range(6):
         stack = drawn(6.0, 100 * seed + number)
-        monkeypatch.setattr(profile, "THRESHOLDS", replace(THRESHOLDS, noisy_step_sd=8.0))
+        monkeypatch.setattr(
+            profile, "THRESHOLDS", replace(thresholds.THRESHOLDS, noisy_step_sd=8.0)
+        )
         wide = edge_parametric(stack, context=QUICK).find("mtf50")[0]
-        monkeypatch.setattr(profile, "THRESHOLDS", replace(THRESHOLDS, noisy_step_sd=0.0))
+        monkeypatch.setattr(
+            profile, "THRESHOLDS", replace(thresholds.THRESHOLDS, noisy_step_sd=0.0)
+        )
         narrow = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         half = (narrow.interval68[1] - narrow.interval68[0]) / 2
         moved.append((wide.value - narrow.value) / half)

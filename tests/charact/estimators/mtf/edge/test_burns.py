@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
-from charact.estimators.mtf.curve import crossing_frequency
+from charact.estimators.mtf import PreparedEdge, crossing_frequency, prepare_edge
 from charact.estimators.mtf.edge import conventional as edge_slanted
-from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.method import Context
 from labdata import FrameStack, read_frames
 

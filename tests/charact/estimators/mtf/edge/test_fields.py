@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from charact.estimators.mtf import PreparedEdge, edge_gradient, edge_parametric, prepare_edge
 from charact.estimators.mtf.edge import checks
-from charact.estimators.mtf.edge.conventional import edge_gradient
-from charact.estimators.mtf.edge.parametric import edge_parametric
-from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.method import Context
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene

@@ -10,9 +10,13 @@ from benchmarks.studies.edge_peers import answers
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth import gaussian_edges as edges
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 QUICK = Context(quick=True)
+
+
+LEVELS = {"dark_dn": 1000.0, "bright_dn": 3000.0, "black_dn": 0.0, "full_scale_dn": 4095.0}
 
 
 def measured(frame):
@@ -25,24 +29,22 @@ def test_without_noise_the_curve_is_the_transform_of_the_blur(sigma_px, angle_de
     """Within 0.4 %: where rows step by nearly an eighth of a pixel, as at 7 degrees, bins are
     filled unevenly.
     """
-    form = lambda f: np.exp(-2 * (np.pi * f * sigma_px) ** 2)  # noqa: E731
-    result = measured(
-        1000.0 + 2000.0 * edges.frame_of(form, 128, 96, angle_deg=angle_deg, offset_px=0.3)
-    )
+    pose = {"rows": 128, "cols": 96, "angle_deg": angle_deg, "offset_px": 0.3}
+    scene = EdgeScene(blur=TrueBlur(sigma_px=sigma_px), **pose, **LEVELS)
+    result = measured(scene.mean())
     found, curve = result.find("mtf50")[0], result.curves["mtf"]
-    assert found.value == pytest.approx(edges.level_of(form, angle_deg), rel=4e-3)
+    assert found.value == pytest.approx(scene.truth_mtf50, rel=4e-3)
     assert found.status == "ok"
-    away = curve.value - edges.transfer_of(form, curve.frequency_cy_per_px, angle_deg)
+    away = curve.value - scene.blur.mtf(curve.frequency_cy_per_px, angle_deg)
     assert np.sqrt(np.mean(away**2)) < 4e-3
 
 
 def test_light_outside_the_window_of_the_blur_counts():
     """A tube's tails: a tool that normalises to a window this narrow reads 4 % too much."""
-    form = lambda f: np.exp(-((f / 0.25) ** 1.1))  # noqa: E731
-    found = measured(1000.0 + 2000.0 * edges.frame_of(form, 128, 128, angle_deg=5.0)).find("mtf50")[
-        0
-    ]
-    assert found.value == pytest.approx(edges.level_of(form, 5.0), rel=0.012)
+    blur = TrueBlur(form="exponential", frequency_cy_per_px=0.25, exponent=1.1)
+    scene = EdgeScene(blur=blur, rows=128, cols=128, **LEVELS)
+    found = measured(scene.mean()).find("mtf50")[0]
+    assert found.value == pytest.approx(scene.truth_mtf50, rel=0.012)
 
 
 def test_it_stands_noise_better_than_a_differentiated_profile(seed):

@@ -6,25 +6,23 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
-from charact.estimators.mtf.edge.pixels.noise_model import fit_correlation_model
-from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
-from charact.estimators.mtf.edge.pixels.profile import with_shading
-from charact.estimators.mtf.edge.thresholds import ACCURACY
+from charact.estimators.mtf import prepare_edge
+from charact.estimators.mtf.edge.pixels import profile as edge_profile
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth import gaussian_edges as edges
+from tests.truth.blur import BlurOf, TrueBlur
+from tests.truth.edge import EdgeScene
 
 QUICK = Context(quick=True)
 
 
-def gaussian(sigma_px):
-    return lambda f: np.exp(-2 * (np.pi * f * sigma_px) ** 2)
+LENS = TrueBlur(sigma_px=1.2)
 
 
-def frame_of(angle_deg, rows=110, cols=110, pedestal=1000.0, step=1500.0):
-    return pedestal + step * edges.frame_of(
-        gaussian(1.2), rows, cols, angle_deg=angle_deg, offset_px=0.3
-    )
+def frame_of(angle_deg, rows=110, cols=110, blur=LENS):
+    levels = {"dark_dn": 1000.0, "bright_dn": 2500.0, "black_dn": 0.0, "full_scale_dn": 4095.0}
+    pose = {"angle_deg": angle_deg, "offset_px": 0.3}
+    return EdgeScene(blur=blur, rows=rows, cols=cols, **pose, **levels).mean()
 
 
 def measured(frame, **options):
@@ -46,7 +44,7 @@ def test_light_that_changes_over_the_frame_leaves_the_mtf_alone(angle_deg, along
     frame = frame * (ramp[:, None] if along else ramp[None])
     found = measured(frame + 40.0 * np.random.default_rng(seed).standard_normal(frame.shape))
     half = (found.interval95[1] - found.interval95[0]) / 2
-    assert abs(found.value - edges.level_of(gaussian(1.2), angle_deg)) < 2.0 * half
+    assert abs(found.value - LENS.mtf50(angle_deg)) < 2.0 * half
 
 
 def test_a_ramp_along_a_tilted_edge_does_not_turn_its_line():
@@ -67,9 +65,9 @@ def test_light_wider_than_the_window_is_told_or_within_the_interval(share, seed)
     """A Gaussian veil of 80 px in a window of 55 px on both sides: its light belongs to the
     normalisation.
     """
-    form = lambda f: gaussian(1.2)(f) * (1 - share + share * gaussian(80.0)(f))  # noqa: E731
-    frame = 1000.0 + 1500.0 * edges.frame_of(form, 110, 110, angle_deg=5.0)
-    truth = edges.level_of(form, 5.0)
+    veil = TrueBlur(sigma_px=80.0).before_pixel
+    blur = BlurOf(of=lambda f: LENS.before_pixel(f) * (1 - share + share * veil(f)))
+    frame, truth = frame_of(5.0, blur=blur), blur.mtf50(5.0)
     for one in range(6):
         found = measured(
             frame + 40.0 * np.random.default_rng([seed, one]).standard_normal(frame.shape)
@@ -118,44 +116,6 @@ def test_the_sum_of_the_noise_correlation_is_unbiased(sigma_px, share, seed):
     assert abs(np.mean(sums) - truth) < max(4 * np.std(sums) / np.sqrt(20), 0.04 * truth)
 
 
-def test_the_form_of_a_correlation_is_found_and_none_where_there_is_none(seed):
-    y, x = np.mgrid[-14:15, -14:15].astype(float)
-    truth = np.where((x == 0) & (y == 0), 1.0, 0.7 * np.exp(-(x**2) / 9.0 - y**2 / 4.0))
-    pairs = np.full(truth.shape, 10_000.0)
-    noise = np.random.default_rng(seed).standard_normal(truth.shape) / 100.0
-    noise = (noise + noise[::-1, ::-1]) / np.sqrt(2.0)
-    noise[14, 14] = 0.0
-    form, taken = fit_correlation_model(truth + noise, pairs, x)
-    assert form.sum() == pytest.approx(truth.sum(), rel=0.05)
-    white, _ = fit_correlation_model((truth == 1.0) + noise, pairs, x)
-    assert white.sum() == 1.0
-    lost = 0.02 * np.maximum(1.0 - np.abs(x), 0.0) * (truth != 1.0)
-    _, taken = fit_correlation_model((truth == 1.0) + noise / 10.0 - lost, 100.0 * pairs, x)
-    assert taken[:14, 14].mean() == pytest.approx(-0.02, abs=0.003)
-
-
-def test_noise_of_no_smooth_form_keeps_its_own_correlation(seed):
-    """Lines of two fields and a core on a pedestal: correlations that no single smooth form has,
-    kept lag by lag.
-    """
-    rng = np.random.default_rng(seed)
-    parts = (
-        blurred_noise(rng, 200, 0.6),
-        blurred_noise(rng, 200, 3.0),
-        rng.standard_normal((200, 200)),
-    )
-    noise = np.sqrt(0.5) * parts[0] + np.sqrt(0.4) * parts[1] + np.sqrt(0.1) * parts[2]
-    truth = lambda x, y: 0.5 * np.exp(-(x**2 + y**2) / 1.44) + 0.4 * np.exp(-(x**2 + y**2) / 36.0)  # noqa: E731
-    frame = frame_of(8.0, rows=200, cols=200)
-    correlation = prepare_edge(
-        FrameStack(data=(frame + 60.0 * noise)[None]), None, QUICK
-    ).profile.correlated_noise.correlation
-    # Errors of a correlation under this noise, by Bartlett: sqrt(sum rho^2 / pairs), at most 0.04
-    # here.
-    for x, y in ((1, 0), (0, 1), (1, 1), (2, 0), (0, 3), (3, 3)):
-        assert correlation[14 + y, 14 + x] == pytest.approx(truth(x, y), abs=0.12)
-
-
 @pytest.mark.parametrize("cols", [48, 150])
 def test_ripples_are_no_undulations_many_times_their_size(cols, seed):
     """What a bend leaves over of a plateau of 13 px is a fiftieth of an undulation, and not to be
@@ -169,32 +129,6 @@ def test_ripples_are_no_undulations_many_times_their_size(cols, seed):
         height * np.sin(2 * np.pi * profile.distance / px)
         for height, px in ((6.0, 5.0), (45.0, 40.0))
     )
-    assert with_shading(profile, ripples).shading_sd < 3 * 6.0
-    assert with_shading(profile, waves).shading_sd > 10.0 or cols < 100
-
-
-def test_undulations_are_what_a_bend_and_the_noise_leave_over(seed):
-    """Reference: the same by projections, plateau by plateau: squares beyond the trace over what
-    undulations make.
-    """
-    frame = frame_of(4.0, rows=110, cols=150) + 10.0 * np.random.default_rng(seed).standard_normal(
-        (110, 150)
-    )
-    profile = prepare_edge(FrameStack(data=frame[None]), None, QUICK).profile
-    waves = 45.0 * np.sin(2 * np.pi * profile.distance / 40.0)
-    excess = weight = 0.0
-    for side in (
-        profile.distance < -ACCURACY.plateau_from_px,
-        profile.distance > ACCURACY.plateau_from_px,
-    ):
-        place = profile.distance[side]
-        bend = np.vander(place, 3)
-        rest = np.eye(place.size) - bend @ np.linalg.pinv(bend)
-        undulating = np.exp(-0.5 * ((place[:, None] - place) / ACCURACY.shading_length_px) ** 2)
-        excess += waves[side] @ rest @ waves[side] - np.trace(
-            rest @ profile.covariance[np.ix_(side, side)] @ rest
-        )
-        weight += np.trace(rest @ undulating)
-    assert with_shading(profile, waves).shading_sd == pytest.approx(
-        np.sqrt(excess / weight), rel=1e-6
-    )
+    assert edge_profile.with_shading(profile, ripples).shading_sd < 3 * 6.0
+    # Waves of 45 DN are undulations of their own size, as a plateau of 62 px lets them be told.
+    assert cols < 100 or 45.0 < edge_profile.with_shading(profile, waves).shading_sd < 90.0

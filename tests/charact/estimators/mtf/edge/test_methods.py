@@ -12,31 +12,28 @@ from benchmarks.studies.edge_coverage import measure_mixed_scene
 from benchmarks.studies.edge_peers import answers, row, scene_of
 from charact.estimators import mtf
 from charact.estimators.mtf.edge import parametric as edge_parametric
-from charact.estimators.mtf.edge.thresholds import THRESHOLDS
+from charact.estimators.mtf.edge import thresholds
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth import gaussian_edges as edges
+from tests.truth.blur import TrueBlur
+from tests.truth.edge import EdgeScene
 
 QUICK = Context(quick=True)
 
 
+LEVELS = {"dark_dn": 1000.0, "bright_dn": 3000.0, "black_dn": 0.0, "full_scale_dn": 4095.0}
+
+
 def gaussian(sigma_px):
-    return lambda f: np.exp(-2 * (np.pi * f * sigma_px) ** 2)
+    return TrueBlur(sigma_px=sigma_px)
 
 
 def tube(cut_off, exponent):
-    return lambda f: np.exp(-((f / cut_off) ** exponent))
+    return TrueBlur(form="exponential", frequency_cy_per_px=cut_off, exponent=exponent)
 
 
-def with_disc(core, share, diameter_px):
-    """A share of the light spread evenly over a disc: its line spread is half an ellipse."""
-    place = (np.arange(2000) + 0.5) / 2000 - 0.5
-    line = np.sqrt(1 - (2 * place) ** 2)
-    line = line / line.sum()
-    disc = lambda f: np.cos(2 * np.pi * np.outer(np.atleast_1d(f), place) * diameter_px) @ line  # noqa: E731
-    return lambda f: (
-        core(f) * (1 - share + share * np.concatenate([disc(p) for p in np.array_split(f, 64)]))
-    )
+def frame_of(blur, rows, cols, **scene):
+    return EdgeScene(blur=blur, rows=rows, cols=cols, **{**LEVELS, **scene}).mean()
 
 
 def measured(frame, method, context=QUICK, **options):
@@ -59,21 +56,21 @@ def test_without_noise_the_forms_have_no_bias(form, rms, angle_deg):
     """Acceptance: MTF50 within 0.1 %, RMS of the MTF up to Nyquist 5e-4 for Gaussians and 1e-3 for
     tubes.
     """
-    frame = 1000.0 + 2000.0 * edges.frame_of(form, 128, 96, angle_deg=angle_deg, offset_px=0.3)
+    frame = frame_of(form, 128, 96, angle_deg=angle_deg, offset_px=0.3)
     result = measured(frame, "edge-parametric")
     found, curve = result.find("mtf50")[0], result.curves["mtf"]
-    assert found.value == pytest.approx(edges.level_of(form, angle_deg), rel=1e-3)
-    away = curve.value - edges.transfer_of(form, curve.frequency_cy_per_px, angle_deg)
+    assert found.value == pytest.approx(form.mtf50(angle_deg), rel=1e-3)
+    away = curve.value - form.mtf(curve.frequency_cy_per_px, angle_deg)
     assert np.sqrt(np.mean(away**2)) < rms
 
 
 def test_a_halo_lowers_the_mtf_by_the_light_it_takes():
     """All light that entered is in the normalisation: RMS of the MTF up to Nyquist within 2e-3."""
-    form = with_disc(gaussian(0.8), 0.05, 22.0)
-    frame = 1000.0 + 2000.0 * edges.frame_of(form, 150, 150, angle_deg=6.0, offset_px=-0.2)
+    form = TrueBlur(sigma_px=0.8, halo_share=0.05, halo_px=22.0)
+    frame = frame_of(form, 150, 150, angle_deg=6.0, offset_px=-0.2)
     result = measured(frame, "edge-parametric")
     curve = result.curves["mtf"]
-    away = curve.value - edges.transfer_of(form, curve.frequency_cy_per_px, 6.0)
+    away = curve.value - form.mtf(curve.frequency_cy_per_px, 6.0)
     assert np.sqrt(np.mean(away**2)) < 2e-3
     assert any("disc" in note or "halo" in note for note in result.find("mtf50")[0].notes)
 
@@ -118,7 +115,7 @@ def test_the_evidence_tells_a_lens_from_a_tube(seed):
     """Noise makes one frame in a hundred look like another form: one of three is passed."""
     rng = np.random.default_rng(seed)
     for form, name in ((gaussian(1.0), "gaussian"), (tube(0.25, 1.15), "exponential")):
-        frame = 1000.0 + 2000.0 * edges.frame_of(form, 160, 120, angle_deg=6.0)
+        frame = frame_of(form, 160, 120, angle_deg=6.0)
         frames = [frame + 20.0 * rng.standard_normal(frame.shape) for _ in range(3)]
         found = [
             measured(one, "edge-parametric").find("mtf50")[0].provenance.settings["forms"]
@@ -133,10 +130,9 @@ def test_light_that_slopes_is_no_long_tail_to_the_free_method(gradient, seed):
     of MTF50.
     """
     rng = np.random.default_rng(seed)
-    mean = edges.mean_edge(
-        130, 116, sigma_px=1.3, angle_deg=7.0, dark=1500.0, bright=3000.0, gradient=gradient
-    )
-    truth, away = edges.frequency_at(0.5, 1.3, 7.0), []
+    light = {"dark_dn": 1500.0, "bright_dn": 3000.0, "gradient": gradient}
+    mean = frame_of(gaussian(1.3), 130, 116, angle_deg=7.0, **light)
+    truth, away = gaussian(1.3).mtf50(7.0), []
     for _ in range(4):
         frames = (mean + 60.0 * rng.standard_normal(mean.shape))[None]
         stack = FrameStack(data=frames, full_scale_dn=65535.0, black_level_dn=0.0)
@@ -151,13 +147,13 @@ def test_what_tails_carry_out_of_the_region_widens_the_free_interval(seed):
     times the noise.
     """
     form = tube(0.25, 1.1)
-    frame = 1000.0 + 2000.0 * edges.frame_of(form, 160, 56, angle_deg=5.0)
+    frame = frame_of(form, 160, 56, angle_deg=5.0)
     rng = np.random.default_rng(seed)
     found = [
         measured(frame + 20.0 * rng.standard_normal(frame.shape), "edge-free").find("mtf50")[0]
         for _ in range(5)
     ]
-    truth = edges.level_of(form, 5.0)
+    truth = form.mtf50(5.0)
     assert sum(one.interval95[0] < truth < one.interval95[1] for one in found) >= 3
 
 
@@ -168,7 +164,7 @@ def test_an_uncertain_edge_has_the_skewed_interval_of_the_chain_quickly_too(seed
     A side of a 95 % interval is uncertain by some 9 % with a thousand draws, ln of the ratio of two
     by 0.13.
     """
-    frame = 1000.0 + 2000.0 * edges.frame_of(gaussian(0.5), 120, 100, angle_deg=6.0)
+    frame = frame_of(gaussian(0.5), 120, 100, angle_deg=6.0)
     skew = []
     for one in range(2):
         noisy = frame + 700.0 * np.random.default_rng([seed, one]).standard_normal(frame.shape)
@@ -187,14 +183,14 @@ def test_a_surer_edge_has_the_skew_of_its_posterior_from_the_curvature_alone(see
     """A step of seven standard deviations, MTF50 known to 5 %: errors are even in the blur's width,
     not in ln MTF50.
     """
-    frame = 1000.0 + 2000.0 * edges.frame_of(gaussian(0.5), 120, 100, angle_deg=6.0)
+    frame = frame_of(gaussian(0.5), 120, 100, angle_deg=6.0)
     skew = []
     for one in range(4):
         noisy = frame + 300.0 * np.random.default_rng([seed, one]).standard_normal(frame.shape)
         both = []
-        for unsure in (THRESHOLDS.skewed_sd, 0.005):
+        for unsure in (thresholds.THRESHOLDS.skewed_sd, 0.005):
             monkeypatch.setattr(
-                edge_parametric, "THRESHOLDS", replace(THRESHOLDS, skewed_sd=unsure)
+                edge_parametric, "THRESHOLDS", replace(thresholds.THRESHOLDS, skewed_sd=unsure)
             )
             both.append(measured(noisy, "edge-parametric").find("mtf50")[0])
         assert [found.posterior.sampler for found in both] == ["laplace", "importance"]
@@ -210,7 +206,7 @@ def test_a_surer_edge_has_the_skew_of_its_posterior_from_the_curvature_alone(see
 
 
 def test_an_interval_too_wide_for_its_tails_is_flagged(seed):
-    frame = 1000.0 + 2000.0 * edges.frame_of(gaussian(0.7), 120, 100, angle_deg=6.0)
+    frame = frame_of(gaussian(0.7), 120, 100, angle_deg=6.0)
     for noise in (200.0, 3000.0):
         noisy = frame + noise * np.random.default_rng(seed).standard_normal(frame.shape)
         found = measured(noisy, "edge-parametric").find("mtf50")[0]
@@ -226,11 +222,11 @@ def test_plateaus_that_may_lie_anywhere_between_two_codes_are_told(method, seed)
     holds.
     """
     rng = np.random.default_rng(seed)
-    light = 60.3 + 30.4 * edges.frame_of(gaussian(0.9), 96, 96, angle_deg=5.0, offset_px=0.3)
+    light = frame_of(gaussian(0.9), 96, 96, offset_px=0.3, dark_dn=60.3, bright_dn=90.7)
     quiet, loud = (
         np.rint(light + sd * rng.standard_normal(light.shape)).astype(np.uint8) for sd in (0.1, 1.0)
     )
     found, dithered = (measured(frame, method).find("mtf50")[0] for frame in (quiet, loud))
     told = [any(note.startswith("quantised: ") for note in m.notes) for m in (found, dithered)]
     assert told == [True, False]
-    assert found.interval95[0] < edges.level_of(gaussian(0.9), 5.0) < found.interval95[1]
+    assert found.interval95[0] < gaussian(0.9).mtf50(5.0) < found.interval95[1]

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.edge.nonlinearity import READ_OUT, ln_bayes_factor_nonlinear
-from charact.estimators.mtf.edge.pixels.plateau_noise import NoiseGrowth, noise_flags
-from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
-from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR
+from charact.estimators.mtf import prepare_edge
+from charact.estimators.mtf.edge.pixels import plateau_noise
 from charact.method import Context
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
@@ -55,7 +53,7 @@ def edges(scene, seed, count=10):
 def test_noise_that_rises_faster_than_light_is_a_curved_response(gamma, shot_share, told, seed):
     """Photons' variance grows as the level over black; of 10 frames at most one is told wrongly."""
     found = edges(replace(STRAIGHT, gamma=gamma, shot_share=shot_share), seed)
-    flagged = sum(noise_flags(edge.noise_growth) == ("gamma",) for edge in found)
+    flagged = sum(plateau_noise.noise_flags(edge.noise_growth) == ("gamma",) for edge in found)
     assert abs(flagged - told) <= 1
 
 
@@ -76,34 +74,9 @@ def test_growth_is_that_of_the_light(shot_share, seed):
     )
 
 
-@pytest.mark.parametrize(("photons", "scatter"), [(2.4, 0.08), (1.5, 0.04), (1.5, 0.3)])
-@pytest.mark.parametrize("share", [-0.5, 0.0, 0.4, 1.0, 1.6])
-def test_odds_are_those_of_noise_drawn_as_was_said(photons, scatter, share, seed):
-    """Read-out's noise or photons' in any share, behind a power law or not: counted close to what
-    was found.
-    """
-    rng, count, most = np.random.default_rng(seed), 1_000_000, np.log(photons)
-    at = share * most
-    kept = rng.random(count) < READ_OUT
-    grown = np.where(kept, 0.0, rng.uniform(0.0, most, count)) + scatter * rng.standard_normal(
-        count
-    )
-    moved = grown + np.where(kept, 0.0, 2.0 * BENDING * most * rng.standard_normal(count))
-    near = 0.1 * scatter
-    straight, curved = (np.count_nonzero(np.abs(drawn - at) < near) for drawn in (grown, moved))
-    growth = NoiseGrowth(ratio=float(np.exp(at)), scatter=scatter, photon_ratio=photons)
-    if curved > 10.0 * straight:
-        assert ln_bayes_factor_nonlinear(growth) == pytest.approx(MAX_LN_BAYES_FACTOR, abs=0.1)
-        return
-    error = np.sqrt(1.0 / curved + 1.0 / straight)
-    assert ln_bayes_factor_nonlinear(growth) == pytest.approx(
-        np.log(curved / straight), abs=4 * error + 0.01
-    )
-
-
 def test_noise_that_grows_as_photons_do_speaks_for_a_straight_response(seed):
     odds = [
-        ln_bayes_factor_nonlinear(edge.noise_growth)
+        plateau_noise.ln_bayes_factor_nonlinear(edge.noise_growth)
         for edge in edges(replace(STRAIGHT, shot_share=0.8), seed)
     ]
     assert np.mean(odds) < -0.5
@@ -117,7 +90,7 @@ def test_noise_says_nothing_where_it_may_be_something_else(unknown, seed):
     black = None if unknown == "black" else edge.profile.black
     growth = replace(edge, profile=replace(edge.profile, black=black)).noise_growth
     assert growth.photon_ratio is None
-    assert ln_bayes_factor_nonlinear(growth) == 0.0
+    assert plateau_noise.ln_bayes_factor_nonlinear(growth) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -136,7 +109,7 @@ def test_pulses_tell_a_curved_response(gamma, frames, told, seed):
     # A response that steepens may leave the dark side too little for that; the variance tells it
     # then.
     assert all(one.of_light for one in found) or gamma > 1.0
-    assert abs(sum(noise_flags(one) == ("gamma",) for one in found) - told) <= 1
+    assert abs(sum(plateau_noise.noise_flags(one) == ("gamma",) for one in found) - told) <= 1
 
 
 @pytest.mark.parametrize("row_noise_dn", [0.0, 3.0])

@@ -2,76 +2,14 @@
 make of it.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from benchmarks.studies.consistency_scenes import TrueCameraChain
 from charact.estimators import mtf
-from charact.estimators.mtf.edge.checks import bow_of
+from charact.estimators.mtf.edge import checks
 from charact.method import Context
 from tests.truth.blur import TrueBlur
-from tests.truth.edge import edge_spread
 from tests.truth.photoelectron_targets import PulseEdge
-
-SCENE = PulseEdge(
-    blur=TrueBlur(form="exponential", frequency_cy_per_px=0.3, exponent=1.3),
-    pulse_px=0.7,
-    photoelectrons=4.0,
-    bright_dn=2400.0,
-    dark_share=0.25,
-    read_dn=3.0,
-    frames=60,
-    rows=48,
-    cols=64,
-    black_dn=200.0,
-    full_scale_dn=65535.0,
-    angle_deg=8.0,
-)
-
-
-def test_the_mean_is_the_edge_spread_of_the_whole_blur(seed):
-    """Blur, pulse and pixel in one, drawn by the other generator's transform: all pixels within
-    their scatter.
-    """
-    drawn = SCENE.frames_drawn(np.random.default_rng(seed)).data.astype(float) - SCENE.black_dn
-    angle = np.deg2rad(SCENE.angle_deg)
-    row, col = (np.arange(size) - (size - 1) / 2 for size in (SCENE.rows, SCENE.cols))
-    distance = col[None, :] * np.cos(angle) + row[:, None] * np.sin(angle)
-    spread = edge_spread(TrueCameraChain(SCENE.blur, SCENE.pulse_px), distance, SCENE.angle_deg)  # pyright: ignore
-    mean = SCENE.bright_dn * (SCENE.dark_share + (1.0 - SCENE.dark_share) * spread)
-    # Means along the edge, whose noise is tied: pulses are worth some three pixels either way.
-    cell = np.floor(distance).astype(int)
-    for place in range(-12, 13):
-        here = cell == place
-        error = drawn[:, here].mean(axis=1).std(ddof=1) / np.sqrt(len(drawn))
-        assert (drawn[:, here].mean() - mean[here].mean()) == pytest.approx(0.0, abs=4.5 * error)
-
-
-def test_the_noise_is_that_of_photoelectrons_and_their_heights(seed):
-    """Counts over a bright square far larger than a pulse: relative variance (1 + spread)/N, within
-    four errors.
-    """
-    scene = replace(SCENE, frames=200, dark_share=0.999, photoelectrons=0.5, read_dn=0.0)
-    drawn = (
-        scene.frames_drawn(np.random.default_rng(seed)).data[:, 4:-4, 4:-4].astype(float)
-        - scene.black_dn
-    )
-    light = drawn.sum(axis=(1, 2))
-    expected = (1.0 + scene.gain_spread) / (scene.photoelectrons * 40 * 56)
-    # What leaves and enters across the border is some 4 % of the square.
-    assert light.var(ddof=1) / light.mean() ** 2 == pytest.approx(
-        expected, rel=4.0 * np.sqrt(2.0 / 199) + 0.04
-    )
-
-
-def test_its_step_over_noise_is_that_of_single_pixels(seed):
-    scene = replace(SCENE, rows=40, cols=40, frames=100, angle_deg=0.0)
-    drawn = scene.frames_drawn(np.random.default_rng(seed)).data.astype(float)
-    half_way = drawn[:, :, 19:21].var(axis=0, ddof=1).mean()
-    step = scene.bright_dn * (1.0 - scene.dark_share)
-    assert step / np.sqrt(half_way / scene.frames) == pytest.approx(scene.snr, rel=0.05)
 
 
 @pytest.mark.parametrize("seed_of_scene", range(3))
@@ -114,10 +52,10 @@ def test_rows_that_share_noise_make_no_bow(tied, seed):
     place = np.linspace(-1.0, 1.0, 96)
     design = np.polynomial.legendre.legvander(place, 1)
     course -= (course @ np.linalg.pinv(design).T) @ design.T
-    assert np.mean([bow_of(one) > 0.0 for one in course]) <= 0.006
+    assert np.mean([checks.bow_of(one) > 0.0 for one in course]) <= 0.006
     error = course.std() * np.sqrt((3.0 if tied else 1.0) / 96 * 5.0)
     bow = 8.0 * error * np.polynomial.legendre.legval(place, [0.0, 0.0, 1.0])
-    assert np.mean([bow_of(one + bow) > 0.0 for one in course[:200]]) > 0.95
+    assert np.mean([checks.bow_of(one + bow) > 0.0 for one in course[:200]]) > 0.95
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
-from charact.estimators.mtf.edge.pixels.prepare_edge import prepare_edge
+from charact.estimators.mtf import prepare_edge
 from charact.method import Context
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene

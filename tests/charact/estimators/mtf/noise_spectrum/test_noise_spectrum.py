@@ -8,24 +8,13 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
-from charact.estimators.mtf.curve import crossing_frequency
-from charact.estimators.mtf.noise_spectrum.model import (
-    KnownReadout,
-    SpectrumOptimum,
-    optimum_under_model,
-    readout_of,
-    spectral_replicas,
-)
-from charact.estimators.mtf.noise_spectrum.pooled_spectrum import select_flats, spectrum_of
-from charact.estimators.mtf.noise_spectrum.result import (
-    SURE,
-    UndetectedComponent,
-    scatter_limits,
-    transfer_of,
-)
+from charact.estimators.mtf import crossing_frequency
+from charact.estimators.mtf.noise_spectrum import model, pooled_spectrum
+from charact.estimators.mtf.noise_spectrum import result as of_spectrum
 from charact.method import Context
 from charact.transfer import BlurModel
 from labdata import BadInput
+from tests.truth.counted_pulses import errors
 from tests.truth.scintillating_flats import ScintillatingFlats
 
 
@@ -41,12 +30,6 @@ def measured(scene: ScintillatingFlats, seed: int, method: str = "auto", **more)
 def half(result, angle=0.0):
     (found,) = result.find("post_gain_mtf50", orientation_deg=angle)
     return found
-
-
-def errors(found, truth: float) -> float:
-    """Distance from the truth in standard errors."""
-    low, high = found.interval68
-    return (found.value - truth) / (0.5 * (high - low))
 
 
 @pytest.mark.parametrize(("frequency", "exponent"), [(0.15, 2.0), (0.3, 1.3)])
@@ -101,20 +84,6 @@ def test_fields_are_taken_apart_and_light_shared_by_them_is_allowed_for(seed):
     # The square pixel of the fields here is one row high, as that of an undescribed camera is taken
     # to be.
     assert abs(errors(found, scene.mtf50(vertical=True))) < 4.5
-
-
-def test_points_seen_by_bare_square_pixels_make_white_noise():
-    """All replicas of sinc^2 sum to one at every frequency: sharp pulses fall into one pixel
-    each.
-    """
-    column, row = np.array([0.05, 0.3, 0.47]), np.array([0.4, 0.1, 0.47])
-    bare = KnownReadout(height_px=1.0, video=None, anisotropy_sd=0.1)
-    sharp = BlurModel(core="gaussian")
-    power = spectral_replicas(column, row, 1.0, bare, replicas=60).power(
-        sharp, np.array([[0.0, np.log(1e6)]])
-    )[0]
-    # What lies beyond 60 periods is 2/(pi^2 60) at most on each axis.
-    assert power == pytest.approx(1.0, abs=0.008)
 
 
 STILL = {"gain_dn": 1e-3, "read_noise_dn": 0.0, "electron_gain_dn": 0.0, "black_dn": 60.3}
@@ -188,11 +157,13 @@ def test_the_whole_posterior_agrees_with_the_curvature(seed):
     assert abs(errors(quick, whole.value)) < 0.5
 
 
-def peak(scene: ScintillatingFlats, seed: int) -> SpectrumOptimum:
+def peak(scene: ScintillatingFlats, seed: int) -> model.SpectrumOptimum:
     context = Context(seed=1, quick=True, full_scale_dn=scene.full_scale_dn)
     session = scene.session_drawn(np.random.default_rng(seed))
-    spectrum = spectrum_of(select_flats(session, context), context)
-    return optimum_under_model(spectrum, readout_of(context), BlurModel(core="exponential"))
+    spectrum = pooled_spectrum.spectrum_of(pooled_spectrum.select_flats(session, context), context)
+    return model.optimum_under_model(
+        spectrum, model.readout_of(context), BlurModel(core="exponential")
+    )
 
 
 def test_scattered_light_that_is_said_not_to_show_gains_what_is_said(seed):
@@ -200,21 +171,25 @@ def test_scattered_light_that_is_said_not_to_show_gains_what_is_said(seed):
     MTF50 is higher.
     """
     before = peak(ScintillatingFlats(half_frequency_cy_per_px=0.15, frames=16), seed)
-    near, _ = scatter_limits(before)
-    veiled = UndetectedComponent(
+    near, _ = of_spectrum.scatter_limits(before)
+    veiled = of_spectrum.UndetectedComponent(
         shape=before.problem.shape, fraction=near.fraction, length_px=near.length_px
     )
     power = replace(before.problem, shape=veiled).model(before.point[None])[0]
-    after = optimum_under_model(
+    after = model.optimum_under_model(
         replace(before.problem.spectrum, power_dn2=power),
         before.problem.known,
         before.problem.shape,
     )
-    assert -after.problem.log_likelihood_at(after.point) == pytest.approx(SURE, rel=0.25)
+    assert -after.problem.log_likelihood_at(after.point) == pytest.approx(
+        of_spectrum.SURE, rel=0.25
+    )
     frequency = np.geomspace(0.01, 0.5, 4000)
 
-    def curve(one: SpectrumOptimum):
-        return transfer_of(one, one.point[None], frequency, vertical=False, pitch_ratio=1.0)
+    def curve(one: model.SpectrumOptimum):
+        return of_spectrum.transfer_of(
+            one, one.point[None], frequency, vertical=False, pitch_ratio=1.0
+        )
 
     veil = (
         1.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
-from charact.frames.clipping import is_clipped_at_black
+from charact.frames import is_clipped_at_black
 from charact.method import Context
 from tests.truth.point import PointScene
 

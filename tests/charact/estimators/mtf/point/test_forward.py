@@ -4,93 +4,59 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import ndimage
-from scipy.optimize import brentq
-from scipy.special import erf, j1
 
-from charact.estimators.mtf.point.blur_models_2d import BANDWIDTH, BANDWIDTH_ORDERS, BlurModel2D
-from charact.estimators.mtf.point.forward import point_forward, tube_of_description
-from charact.estimators.mtf.point.source import DetectedSource
-from charact.estimators.mtf.point.source_window import source_window
-from charact.estimators.mtf.point.spot_image_matrix import Aperture, pixel_matrix
-from charact.estimators.mtf.point.spot_transform import point_spread
-from charact.frames.stack import Stack
+from charact.estimators.mtf import point_forward, point_spread
 from charact.method import Context
-from charact.transfer import VideoFilter
 from labdata import FrameStack, load_sensor
 from tests.truth.blur import TrueBlur
+from tests.truth.counted_pulses import errors
+from tests.truth.photon_spots import Spot
 from tests.truth.point import PointScene
 
-SHAPE = (64, 64)
 BACKGROUND_DN, READ_DN, GAIN_DN = 20.0, 2.0, 0.3
 
 
-def _along(places, centre, sigma):
-    return np.diff(
-        0.5 * (1.0 + erf((np.arange(places + 1) - 0.5 - centre) / (sigma * np.sqrt(2.0))))
-    )
-
-
-def gaussian_spot(row, col, light_dn, sigma_row, sigma_col):
-    """Pixels that integrate a Gaussian spot: MTF exp(-2 (pi s f)^2) sinc(f) in closed form."""
-    return light_dn * np.outer(_along(SHAPE[0], row, sigma_row), _along(SHAPE[1], col, sigma_col))
-
-
 def taken(mean, rng, frames=6):
-    noise = rng.standard_normal((frames, *mean.shape)) * np.sqrt(READ_DN**2 + GAIN_DN * mean)
+    """Draw frames of light (row, col), DN, in noise that grows with it."""
+    noise = rng.standard_normal((frames, *mean.shape)) * np.sqrt(
+        READ_DN**2 + GAIN_DN * np.maximum(mean, 0.0)
+    )
     return FrameStack(data=BACKGROUND_DN + mean + noise)
 
 
-def half_frequency(sigma, diameter_px=0.0):
-    def mtf(f):
-        u = np.pi * diameter_px * f
-        return (
-            np.exp(-2 * (np.pi * sigma * f) ** 2)
-            * np.sinc(f)
-            * (2 * j1(u) / u if diameter_px else 1.0)
-        )
-
-    return brentq(lambda f: mtf(f) - 0.5, 0.01, 0.9)
-
-
-def standard_errors(measurement, truth):
-    return (measurement.value - truth) / (
-        (measurement.interval95[1] - measurement.interval95[0]) / 3.92
-    )
-
-
-def level(result, quantity, angle):
-    (found,) = result.find(quantity, orientation_deg=angle)
-    return found
+def lit(light_dn, **spot):
+    """Pixels of a Gaussian spot of so much light, DN."""
+    return light_dn * Spot(**spot).picture(64, 64)
 
 
 QUICK = Context(quick=True)
 
 
-@pytest.mark.parametrize("sigmas", [(0.6, 0.7), (1.4, 1.2)])
-def test_mtf_of_a_gaussian_spot_is_that_of_its_width_in_each_direction(seed, sigmas):
+def level(result, angle=0.0):
+    (found,) = result.find("mtf50", orientation_deg=angle)
+    return found
+
+
+@pytest.mark.parametrize(("width", "stretch"), [(0.65, -0.15), (1.3, 0.15)])
+def test_mtf_of_a_gaussian_spot_is_that_of_its_width_in_each_direction(seed, width, stretch):
     rng = np.random.default_rng(seed)
-    spot = gaussian_spot(31.8 + rng.uniform(), 31.2 + rng.uniform(), 4000.0, *sigmas)
-    result = point_forward(taken(spot, rng), context=QUICK)
-    for angle, sigma in ((0.0, sigmas[1]), (90.0, sigmas[0])):
-        found = level(result, "mtf50", angle)
+    place = {"row_px": rng.uniform(-0.5, 0.5), "col_px": rng.uniform(-0.5, 0.5)}
+    spot = Spot(width=width, stretch=stretch, **place)
+    result = point_forward(taken(4000.0 * spot.picture(64, 64), rng), context=QUICK)
+    for angle in (0.0, 90.0):
+        found, truth = level(result, angle), spot.level(0.5, vertical=angle > 0)
         assert found.status == "ok"
-        assert abs(standard_errors(found, half_frequency(sigma))) < 4.5
-        assert found.value == pytest.approx(half_frequency(sigma), rel=0.04)
+        assert abs(errors(found, truth)) < 4.5
+        assert found.value == pytest.approx(truth, rel=0.04)
 
 
 def test_transfer_of_a_known_pinhole_is_divided_out(seed):
-    rng = np.random.default_rng(seed)
-    diameter, sigma = 2.5, 0.8
-    angles = np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    rings = diameter / 2 * np.sqrt((np.arange(12) + 0.5) / 12)
-    places = [(r * np.sin(a), r * np.cos(a)) for r in rings for a in angles]
-    spot = np.mean([gaussian_spot(32 + y, 32 + x, 8000.0, sigma, sigma) for y, x in places], axis=0)
-    stack = taken(spot, rng)
-    known = level(point_forward(stack, pinhole_px=diameter, context=QUICK), "mtf50", 0.0)
-    unknown = level(point_forward(stack, context=QUICK), "mtf50", 0.0)
-    assert abs(standard_errors(known, half_frequency(sigma))) < 4.5
-    assert unknown.value == pytest.approx(half_frequency(sigma, diameter), rel=0.05)
+    stack = taken(lit(8000.0, width=0.8, pinhole_px=2.5), np.random.default_rng(seed))
+    known = level(point_forward(stack, pinhole_px=2.5, context=QUICK))
+    unknown = level(point_forward(stack, context=QUICK))
+    assert abs(errors(known, TrueBlur(sigma_px=0.8).mtf50(0.0))) < 4.5
+    both = TrueBlur(sigma_px=0.8, halo_share=1.0, halo_px=2.5)
+    assert unknown.value == pytest.approx(both.mtf50(0.0), rel=0.05)
     assert unknown.value < known.value
 
 
@@ -98,50 +64,15 @@ def test_transfer_of_a_known_pinhole_is_divided_out(seed):
 def test_a_second_source_makes_the_fit_suspect_or_is_masked(seed, separation_px):
     rng = np.random.default_rng(seed)
     down, along = separation_px
-    two = gaussian_spot(20, 20, 4000.0, 0.9, 0.9) + gaussian_spot(
-        20 + down, 20 + along, 3000.0, 0.9, 0.9
-    )
-    found = level(point_forward(taken(two, rng), context=QUICK), "mtf50", 0.0)
+    first = {"row_px": -11.5, "col_px": -11.5, "width": 0.9}
+    second = {"row_px": down - 11.5, "col_px": along - 11.5, "width": 0.9}
+    two = lit(4000.0, **first) + lit(3000.0, **second)
+    found = level(point_forward(taken(two, rng), context=QUICK))
     if down == 0.0:
         assert found.status != "ok"
     else:
         assert any("neighbours of the source are masked" in note for note in found.notes)
-        assert abs(standard_errors(found, half_frequency(0.9))) < 4.5
-
-
-def test_the_described_tube_has_the_described_ranges_as_priors():
-    sensor = load_sensor("pulnix-ag5745ef3")
-    context = Context(camera=sensor, interlaced=True)
-    form = tube_of_description(context, 0.0, halo=True)
-    names, bounds = list(form.parameters), form.bounds
-    mean, precision = form.prior
-    gap = sensor.photocathode.gap_mm
-    wide = names.index("halo_diameter_px")
-    assert bounds[wide, 0] < mean[wide] < bounds[wide, 1]
-    assert mean[wide] * (gap.high - gap.low) / float(gap) * precision[wide] ** 0.5 == pytest.approx(
-        3.92
-    )
-    # The described cut-off is where the tube without its Gaussian has fallen to exp(-1).
-    cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * float(sensor.ccd.pitch_x_um) * 1e-3
-    point = form.start(0.0)[None]
-    point[0, names.index("blur_px")] = point[0, names.index("halo_fraction")] = 0.0
-    at = np.array([cut_off * float(sensor.taper.demagnification)])
-    assert form.camera(point, at, np.array([1.0])).item() == pytest.approx(np.exp(-1.0))
-
-
-@pytest.mark.parametrize("ln_bandwidth", [-0.08, 0.05])
-def test_the_image_of_another_video_bandwidth_is_that_of_its_filter(ln_bandwidth):
-    """Two standard deviations off, within 3e-3 of the peak."""
-    video = VideoFilter(bandwidth_mhz=6.5, clock_mhz=14.318, order=3, ln_bandwidth_sd=0.04)
-    other = replace(video, bandwidth_mhz=6.5 * np.exp(ln_bandwidth))
-    form = BlurModel2D(core="gaussian", known=((BANDWIDTH, 0.0, 0.04),))
-    point, x = np.array([[np.log(0.3), 0.0, ln_bandwidth]]), np.arange(-7.0, 8.0)
-    nodes = form.nodes(point)[0]
-    image = pixel_matrix(Aperture(video=video, orders=BANDWIDTH_ORDERS), x, x) @ nodes
-    exact = pixel_matrix(Aperture(video=other), x, x) @ nodes[: nodes.size // BANDWIDTH_ORDERS]
-    described = pixel_matrix(Aperture(video=video), x, x) @ nodes[: nodes.size // BANDWIDTH_ORDERS]
-    # The delay of the filter is no part of its transfer.
-    assert np.abs(image - exact).max() < 0.1 * np.abs(described - exact).max()
+        assert abs(errors(found, TrueBlur(sigma_px=0.9).mtf50(0.0))) < 4.5
 
 
 @pytest.mark.parametrize(
@@ -173,42 +104,25 @@ def test_frames_of_noise_hold_no_point(seed, frames, grain, method):
 
 def test_a_core_beyond_full_scale_has_lower_limits_and_no_transform(seed):
     rng = np.random.default_rng(seed)
-    clipped = np.minimum(taken(gaussian_spot(32, 32, 20000.0, 1.2, 1.2), rng).data, 255.0)
+    bright = lit(20000.0, width=1.2, row_px=0.5, col_px=0.5)
+    clipped = np.minimum(taken(bright, rng).data, 255.0)
     stack = FrameStack(data=clipped, full_scale_dn=255.0)
-    found = level(point_forward(stack, context=QUICK), "mtf50", 0.0)
+    found = level(point_forward(stack, context=QUICK), 0.0)
     assert (
         any("at full scale are treated as lower limits" in note for note in found.notes)
         or found.status != "ok"
     )
-    assert found.status != "ok" or abs(standard_errors(found, half_frequency(1.2))) < 4.5
+    assert found.status != "ok" or abs(errors(found, TrueBlur(sigma_px=1.2).mtf50(0.0))) < 4.5
     assert {m.status for m in point_spread(stack, context=QUICK).measurements} == {"refused"}
-
-
-def test_rings_of_light_that_neighbours_share_scatter_as_told(seed):
-    rng = np.random.default_rng(seed)
-    chi2 = []
-    for _ in range(120):
-        grain = ndimage.gaussian_filter(rng.standard_normal((2, 80, 80)), (0.0, 1.0, 1.0))
-        source = DetectedSource(row=40, col=40, significance=9.0, has_others=False)
-        window = source_window(Stack(frames=FrameStack(data=grain)), source, Context())
-        # A halo lifts all rings at once.
-        told = window.ring_covariance(window.ring_variance)
-        weight = 1.0 / window.ring_variance
-        chi2.append((weight @ window.ring_dn) ** 2 / (weight @ told @ weight))
-    # The mean of 120 squares is known to 0.13 of itself. Rings as if on their own scatter by 2.0 of
-    # what is told, those of curved borders counted as straight ones by 1.3.
-    assert 0.6 < np.mean(chi2) < 1.7
 
 
 def test_plain_transform_agrees_with_the_forward_fit_where_nothing_deceives_it(seed):
     rng = np.random.default_rng(seed)
-    stack = taken(gaussian_spot(32.2, 31.9, 8000.0, 1.2, 1.2), rng, frames=12)
-    plain, forward = (
-        level(m(stack, context=QUICK), "mtf50", 0.0) for m in (point_spread, point_forward)
-    )
+    stack = taken(lit(8000.0, width=1.2, row_px=0.7, col_px=0.4), rng, frames=12)
+    plain, forward = (level(m(stack, context=QUICK), 0.0) for m in (point_spread, point_forward))
     assert plain.status == "ok"
     # errors of 12 frames are themselves uncertain
-    assert abs(standard_errors(plain, half_frequency(1.2))) < 6.0
+    assert abs(errors(plain, TrueBlur(sigma_px=1.2).mtf50(0.0))) < 6.0
     assert plain.value == pytest.approx(forward.value, rel=0.05)
 
 
@@ -228,15 +142,15 @@ def test_a_tube_with_a_narrow_pulse_is_fitted_with_both(seed):
     """One form alone is 4 % off for exp(-(f/fc)^1.184) and a Gaussian behind the gain, six of its
     standard errors.
     """
-    errors = []
+    away = []
     for trial in range(2):
         rng = np.random.default_rng([seed, trial])
         blur = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
         scene = PointScene(blur=blur, pulse_px=0.6, col_px=rng.uniform(-0.5, 0.5))
-        found = level(point_forward(scene.frames_drawn(rng), context=QUICK), "mtf50", 0.0)
-        errors.append(standard_errors(found, scene.truth_mtf50))
-    assert np.abs(errors).max() < 4.5
-    assert abs(np.mean(errors)) < 4.5 / np.sqrt(2)
+        found = level(point_forward(scene.frames_drawn(rng), context=QUICK))
+        away.append(errors(found, scene.truth_mtf50))
+    assert np.abs(away).max() < 4.5
+    assert abs(np.mean(away)) < 4.5 / np.sqrt(2)
 
 
 def test_the_plain_transform_tells_tails_that_its_disc_cuts_off(seed):
@@ -280,7 +194,7 @@ def test_a_spot_of_many_codes_in_two_frames_is_measured(seed):
     )
     for one in range(2):
         stack = scene.frames_drawn(np.random.default_rng([seed, one]))
-        found = point_forward(stack, context=QUICK).find("mtf50", orientation_deg=0.0)[0]
+        found = level(point_forward(stack, context=QUICK), 0.0)
         low, high = found.interval95
         assert found.value == pytest.approx(scene.truth_mtf50, rel=0.25)
         assert found.status == "suspect" or abs(found.value - scene.truth_mtf50) < high - low

@@ -8,60 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.point.forward import point_forward
-from charact.estimators.mtf.point.nonlinearity import fit_nonlinearity, power_log_likelihoods
-from charact.estimators.mtf.point.parametric import point_parametric
-from charact.estimators.mtf.point.thresholds import ACCURACY
+from charact.estimators.mtf import point_forward, point_parametric
 from charact.method import Context
 from tests.truth.blur import TrueBlur
 from tests.truth.photon_spots import Spot, SpotCamera
 from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)
-SIZE = 9
-
-
-def noise(power, samples, rng):
-    """Samples of pulses behind a response, beside white noise, with what they are made of."""
-    y, x = (axis.ravel() - SIZE // 2 for axis in np.mgrid[:SIZE, :SIZE].astype(float))
-    mean = np.exp(-0.5 * (x**2 + y**2) / 1.8**2)
-    near = np.exp(-0.25 * ((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2) / 0.5**2)
-    pulses = 50.0 * near * np.sqrt(np.outer(mean, mean))
-    dark = 0.2 * np.eye(mean.size)
-    shown = np.maximum(mean, ACCURACY.min_light_fraction) ** (0.5 * power)
-    whole = pulses * np.outer(shown, shown) + dark
-    return rng.multivariate_normal(np.zeros(mean.size), whole, size=samples), mean, pulses, dark
-
-
-@pytest.mark.parametrize("power", [-0.9, -0.35, 0.0, 0.35])
-def test_the_power_by_which_noise_goes_off_is_found_whatever_its_size(seed, power):
-    rng = np.random.default_rng(seed)
-    found = []
-    for _ in range(12):
-        samples, mean, pulses, dark = noise(power, 15, rng)
-        found.append(fit_nonlinearity([power_log_likelihoods(samples, mean, 3.0 * pulses, dark)]))
-    error = np.std([one.power for one in found], ddof=1) / np.sqrt(len(found))
-    assert abs(np.mean([one.power for one in found]) - power) < 4.5 * error + 0.005
-    assert all(one.exponents[0] < 1.0 / (1.0 - power) < one.exponents[1] for one in found)
-
-
-def test_sources_of_one_camera_say_together_what_each_says_less_surely(seed):
-    rng = np.random.default_rng(seed)
-    profiles = [power_log_likelihoods(*noise(-0.3, 8, rng)) for _ in range(6)]
-    together, alone = fit_nonlinearity(profiles), [fit_nonlinearity([one]) for one in profiles]
-    assert together.is_nonlinear
-    assert together.significance > max(one.significance for one in alone)
-    assert np.ptp(together.exponents) < min(np.ptp(one.exponents) for one in alone)
-
-
-def test_a_source_that_flickers_says_nothing_of_its_response(seed):
-    rng = np.random.default_rng(seed)
-    samples, mean, pulses, dark = noise(0.0, 15, rng)
-    still = fit_nonlinearity([power_log_likelihoods(samples, mean, pulses, dark)])
-    flickering = samples + 500.0 * rng.standard_normal((15, 1)) * mean
-    assert fit_nonlinearity(
-        [power_log_likelihoods(flickering, mean, pulses, dark)]
-    ).power == pytest.approx(still.power, abs=0.02)
 
 
 @pytest.mark.parametrize("method", [point_parametric, point_forward])

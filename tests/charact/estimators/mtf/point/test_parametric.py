@@ -6,24 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import erf, log_ndtr
+from scipy.special import log_ndtr
 
-from charact.estimators.mtf.point import parametric
-from charact.estimators.mtf.point.blur_models_2d import BlurModel2D
-from charact.estimators.mtf.point.forward import point_forward
-from charact.estimators.mtf.point.model_fit import Censored
-from charact.estimators.mtf.point.model_selection import fit_sources
-from charact.estimators.mtf.point.parametric import point_parametric
-from charact.estimators.mtf.point.parametric_noise import (
-    measure_surroundings_noise,
-    pulse_covariances,
-)
-from charact.estimators.mtf.point.source_pixels import covariance
-from charact.estimators.mtf.point.spot_image_matrix import FREQUENCIES, Aperture, pixel_matrix
+from charact.estimators.mtf import point_forward, point_parametric
+from charact.estimators.mtf.point import model_fit, parametric
 from charact.inference import importance, importance_sample
 from charact.method import Context
 from labdata import BadInput, FrameStack
 from tests.truth.blur import TrueBlur
+from tests.truth.counted_pulses import errors
 from tests.truth.photon_spots import Spot, SpotCamera
 from tests.truth.point import PointScene
 
@@ -33,27 +24,6 @@ QUICK = Context(quick=True)
 def level(result, quantity="mtf50", angle=0.0):
     (found,) = result.find(quantity, orientation_deg=angle)
     return found
-
-
-def standard_errors(measurement, truth):
-    return (measurement.value - truth) / (
-        (measurement.interval95[1] - measurement.interval95[0]) / 3.92
-    )
-
-
-@pytest.mark.parametrize("sigma", [0.6, 1.0, 2.0])
-def test_matrix_of_pixels_is_that_of_integrated_gaussians(sigma):
-    x, y = np.linspace(-7.3, 6.7, 15), np.linspace(-5.8, 6.2, 13)
-    half = np.sqrt(np.log(2) / 2) / np.pi / sigma
-    transfer = BlurModel2D(core="gaussian").transfer(np.array([[np.log(half), 0.2]]))
-    pixels = pixel_matrix(Aperture(), x, y) @ transfer.ravel()
-    narrow, high = sigma * np.exp(-0.1), sigma * np.exp(0.1)
-    lines = [
-        0.5 * (erf((at + 0.5) / s / np.sqrt(2)) - erf((at - 0.5) / s / np.sqrt(2)))
-        for at, s in ((x, narrow), (y, high))
-    ]
-    true = np.outer(lines[1], lines[0]).ravel()
-    assert np.abs(pixels - true).max() < 1e-4 * true.max()
 
 
 @pytest.mark.parametrize(
@@ -76,7 +46,7 @@ def test_a_spot_without_noise_is_measured_within_a_thousandth_in_both_directions
 @pytest.mark.parametrize("full_scale_dn", [np.inf, 110.0])
 def test_intervals_hold_the_truth_also_of_cores_beyond_full_scale(seed, full_scale_dn):
     rng = np.random.default_rng(seed)
-    errors = []
+    away = []
     for _ in range(3):
         spot = Spot(
             width=float(rng.uniform(0.8, 1.4)),
@@ -85,9 +55,9 @@ def test_intervals_hold_the_truth_also_of_cores_beyond_full_scale(seed, full_sca
         )
         camera = SpotCamera(snr=40.0, full_scale_dn=full_scale_dn)
         found = level(point_parametric(camera.taken(spot, rng), context=QUICK))
-        errors.append(standard_errors(found, spot.level(0.5)))
-    assert np.abs(errors).max() < 4.5
-    assert abs(np.mean(errors)) < 4.5 / np.sqrt(3)
+        away.append(errors(found, spot.level(0.5)))
+    assert np.abs(away).max() < 4.5
+    assert abs(np.mean(away)) < 4.5 / np.sqrt(3)
 
 
 def test_a_core_at_full_scale_is_counted_and_told(seed):
@@ -99,10 +69,23 @@ def test_a_core_at_full_scale_is_counted_and_told(seed):
     )
 
 
+def test_light_far_beyond_full_scale_is_refused_and_not_fitted():
+    row, col = np.mgrid[:81, :81] - 40.0
+    light = 1e9 * np.exp(-(row**2 + col**2) / 8.0) + 1e4 / (1.0 + row**2 + col**2)
+    frames = (
+        np.random.default_rng(3)
+        .poisson(np.minimum(20.0 + light, 1e6), (6, 81, 81))
+        .clip(0, 255)
+        .astype(np.uint8)
+    )
+    found = point_parametric(FrameStack(data=frames, full_scale_dn=255.0), context=QUICK)
+    assert all(m.value is None or m.flags for m in found.find("mtf50"))
+
+
 def test_pixels_of_which_only_a_least_value_is_known_weigh_by_the_tail_beyond_it():
     heights = np.array([80.0, 100.0, 125.0])
     one = np.ones(3)
-    cut = Censored(
+    cut = model_fit.Censored(
         matrix=np.empty((3, 1)),
         limit=100 * one,
         sd=10 * one,
@@ -120,38 +103,6 @@ def test_pixels_of_which_only_a_least_value_is_known_weigh_by_the_tail_beyond_it
     )
 
 
-def test_a_clipped_pixel_far_from_its_limit_keeps_a_finite_likelihood():
-    one = np.ones(1)
-    cut = Censored(
-        matrix=np.empty((1, 1)),
-        limit=100 * one,
-        sd=10 * one,
-        cut=4 * one,
-        n_unclipped=0 * one,
-        mean=0 * one,
-    )
-    for height in (-1e12, -1e5, 1e5, 1e12):
-        slope, curvature, value = cut.terms(np.full((1, 1), height))
-        assert np.isfinite([slope[0, 0], curvature[0, 0], value[0]]).all()
-        # Far below, ln Phi(z) is -z^2/2: slope -z and curvature 1 in units of the noise.
-        z = (height - 100.0) / 10.0
-        assert slope[0, 0] == pytest.approx(4 * max(-z, 0.0) / 10.0, rel=1e-6)
-        assert curvature[0, 0] == pytest.approx(4 * (z < 0) / 100.0, rel=1e-6)
-
-
-def test_light_far_beyond_full_scale_is_refused_and_not_fitted():
-    row, col = np.mgrid[:81, :81] - 40.0
-    light = 1e9 * np.exp(-(row**2 + col**2) / 8.0) + 1e4 / (1.0 + row**2 + col**2)
-    frames = (
-        np.random.default_rng(3)
-        .poisson(np.minimum(20.0 + light, 1e6), (6, 81, 81))
-        .clip(0, 255)
-        .astype(np.uint8)
-    )
-    found = point_parametric(FrameStack(data=frames, full_scale_dn=255.0), context=QUICK)
-    assert all(m.value is None or m.flags for m in found.find("mtf50"))
-
-
 def test_an_unknown_pinhole_widens_the_interval_to_hold_the_camera_alone(seed):
     rng = np.random.default_rng(seed)
     spot = Spot(width=0.9, pinhole_px=2.0)
@@ -160,7 +111,7 @@ def test_an_unknown_pinhole_widens_the_interval_to_hold_the_camera_alone(seed):
         level(point_parametric(stack, pinhole_px=size, context=QUICK))
         for size in (2.0, (0.0, 3.0), None)
     )
-    assert abs(standard_errors(told, spot.level(0.5))) < 4.5
+    assert abs(errors(told, spot.level(0.5))) < 4.5
     assert bounded.interval95[0] < spot.level(0.5) < bounded.interval95[1]
     assert point.value < told.value
     assert np.diff(bounded.interval95) > np.diff(told.interval95)
@@ -175,7 +126,7 @@ def test_several_pinholes_fitted_together_say_more_than_one(seed):
     regions = tuple((0, 72 * number, 72, 72) for number in range(4))
     together = level(point_parametric(FrameStack(data=frames), regions=regions, context=QUICK))
     alone = level(point_parametric(FrameStack(data=frames), region=regions[0], context=QUICK))
-    assert abs(standard_errors(together, spots[0].level(0.5))) < 4.5
+    assert abs(errors(together, spots[0].level(0.5))) < 4.5
     assert np.diff(together.interval68) < 0.75 * np.diff(alone.interval68)
 
 
@@ -240,7 +191,7 @@ def test_a_faint_halo_in_whole_codes_is_counted(seed):
     stack = HALO.frames_drawn(np.random.default_rng(seed))
     found = level(point_parametric(stack, context=replace(QUICK, full_scale_dn=255.0)))
     assert found.status == "ok", found.flags
-    assert abs(standard_errors(found, HALO.truth_mtf50)) < 4.0
+    assert abs(errors(found, HALO.truth_mtf50)) < 4.0
     assert found.value == pytest.approx(HALO.truth_mtf50, rel=0.05)
 
 
@@ -277,91 +228,9 @@ def test_what_is_shown_of_a_fit_is_what_was_fitted(seed):
     assert shown["pedestal_dn"] == pytest.approx(HALO.black_dn, abs=0.1)
 
 
-@pytest.mark.parametrize("blur_px", [0.0, 0.7])
-def test_noise_of_the_surroundings_is_known_with_its_correlation(seed, blur_px):
-    stack = SpotCamera(snr=30.0, shot_share=0.0, noise_blur_px=blur_px, frames=8).taken(
-        Spot(), np.random.default_rng(seed)
-    )
-    dark = measure_surroundings_noise(stack.data, 36, 36)
-    assert dark.variance(0.0) == pytest.approx(25.0, rel=0.06)
-    neighbour = dark.covariance(np.zeros(2, int), np.arange(2))[0, 1] / dark.variance(0.0)
-    assert neighbour == pytest.approx(np.exp(-0.25 / blur_px**2) if blur_px else 0.0, abs=0.05)
-
-
-def test_pulses_that_spread_over_neighbours_are_a_covariance_of_the_same_size():
-    f = FREQUENCIES
-    x, y = np.arange(-7.0, 8.0), np.arange(-6.0, 7.0)
-    mean = 100 * np.exp(-0.5 * (x**2 + y[:, None] ** 2)).ravel()
-    for unit in pulse_covariances((f, np.exp(-2 * (np.pi * f) ** 2)), mean, x, y):
-        assert np.linalg.eigvalsh(unit).min() > -1e-9 * np.trace(unit)
-        assert np.trace(unit) == pytest.approx(mean.sum())
-
-
-@pytest.mark.parametrize(("exponent", "pulse_px"), [(1.1, 0.6), (1.3, 0.75), (1.7, 0.5)])
-def test_one_of_the_pulses_is_that_of_a_tail_before_the_gain_and_a_gaussian_behind_it(
-    exponent, pulse_px
-):
-    """Landing places by transform, pulses by error functions; shares of the blur alone are 6 to 15
-    % off.
-    """
-    x = np.arange(-5.0, 6.0)
-    step, size = 0.25, 512
-    axis = np.fft.fftfreq(size, step)
-    before = np.exp(-((np.hypot(axis, axis[:, None]) / 0.3) ** exponent))
-    density = np.fft.fftshift(np.fft.ifft2(before).real)
-    places = (np.arange(size) - size // 2) * step
-    off = (x - places[:, None]) / np.sqrt(2.0) / pulse_px
-    pulse = 0.5 * (
-        erf(off + 0.5 / np.sqrt(2.0) / pulse_px) - erf(off - 0.5 / np.sqrt(2.0) / pulse_px)
-    )
-    pairs = (pulse[:, :, None] * pulse[:, None, :]).reshape(size, -1)
-    exact = (
-        (pairs.T @ density @ pairs)
-        .reshape((x.size,) * 4)
-        .transpose(0, 2, 1, 3)
-        .reshape(x.size**2, -1)
-    )
-    f = FREQUENCIES
-    blur = np.exp(-((f / 0.3) ** exponent) - 2.0 * (np.pi * f * pulse_px) ** 2)
-    units = pulse_covariances((f, blur), np.diag(exact), x, x)
-    exact *= np.trace(units[0]) / np.trace(exact)
-    assert min(np.linalg.norm(unit - exact) for unit in units) < 0.05 * np.linalg.norm(exact)
-
-
 @pytest.mark.parametrize("pinhole_px", [-1.0, (2.0, 1.0), (0.0, 90.0)])
 def test_a_pinhole_of_impossible_size_is_bad_input(pinhole_px):
     with pytest.raises(BadInput, match="pinhole_px"):
         point_parametric(
             FrameStack(data=np.zeros((2, 32, 32))), pinhole_px=pinhole_px, context=QUICK
         )
-
-
-def test_the_noise_of_all_pixels_together_is_told_of_pulses_that_rows_share(seed, monkeypatch):
-    """Variance of the sum of the core of a frame, over that of the pixels alone: pulses several
-    pixels wide.
-    """
-    scene = PointScene(
-        blur=TrueBlur(sigma_px=0.7), pulse_px=0.8, peak_dn=2500.0, full_scale_dn=4095.0
-    )
-    sites = []
-
-    def fit_and_keep(*asked):
-        found = fit_sources(*asked)
-        sites.append(found[0][0])
-        return found
-
-    monkeypatch.setattr(parametric, "fit_sources", fit_and_keep)
-    point_parametric(scene.frames_drawn(np.random.default_rng(seed)), context=QUICK)
-    site = sites[-1]
-    core = site.window.core
-    told = covariance(site, np.zeros(site.values.size), 0.0)[: core.size, : core.size]
-    row, col = (round(47.5 + at) for at in (-(core.shape[0] - 1) / 2, -(core.shape[1] - 1) / 2))
-    many = (
-        replace(scene, frames=160).frames_drawn(np.random.default_rng(seed + 1)).data.astype(float)
-    )
-    off = (many - many.mean(axis=0))[
-        :, row : row + core.shape[0], col : col + core.shape[1]
-    ].reshape(160, -1)
-    grain = off.sum(axis=1).var() / off.var(axis=0).sum()
-    # Variances of 160 sums, and of gains by 8 frames of 3000 pulses: 11 % and 3 %.
-    assert told.sum() / np.trace(told) == pytest.approx(grain, rel=4.0 * 0.12)

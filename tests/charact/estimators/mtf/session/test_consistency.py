@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.session.consistency import mtf_consistency
+from charact.estimators.mtf import mtf_consistency
 from labdata import Curve, Result, measurement_from_sd
 
 FREQUENCIES = (0.08, 0.15, 0.25)

@@ -10,12 +10,17 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from charact.estimators.mtf.bars.group_curve import session_curves
-from charact.estimators.mtf.curve import FINE, REPORTED, crossing_frequency, curve_of
-from charact.estimators.mtf.session.consistency import mtf_consistency, mtf_uniformity
-from charact.estimators.mtf.session.constraints import constraints_from
-from charact.estimators.mtf.session.joint import fit_joint_mtf
-from charact.fitting.mtf_observations import mtf_observations
+from charact.estimators.mtf import (
+    FINE,
+    REPORTED,
+    crossing_frequency,
+    curve_of,
+    fit_joint_mtf,
+    mtf_consistency,
+    mtf_uniformity,
+    session_curves,
+)
+from charact.fitting import mtf_observations
 from charact.method import Context
 from labdata import (
     Camera,
@@ -191,20 +196,6 @@ def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(seed: int) -
     assert standard_errors_off(sensor) < 4.0 < standard_errors_off(exact)
 
 
-def test_an_edge_along_rows_counts_row_pitches_and_a_point_column_pitches(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    context = Context(seed=1, quick=True, camera=load_sensor("pulnix-ag5745ef3"))
-    edge = target(rng, "e", half=0.22 * context.pitch_ratio, angle=90.0)
-    point = target(rng, "p", name="mtf_vertical")
-    sound, _ = constraints_from(edge + point, KINDS, context)
-    along_rows, vertical = sound
-    assert along_rows.frequency[0] * context.pitch_ratio == pytest.approx(
-        vertical.frequency[0], rel=1e-12
-    )
-    assert np.allclose(vertical.angle_rad, np.pi / 2)
-    assert context.pitch_ratio > 1.1
-
-
 def test_the_noise_of_flats_bounds_the_whole_mtf_from_above(seed: int) -> None:
     """A transfer behind the gain above the whole MTF says nothing; one below it cannot be."""
     rng = np.random.default_rng(seed)
@@ -288,7 +279,10 @@ def test_the_curve_through_the_bars_is_taken_for_no_further_target(seed: int) ->
             fit_joint_mtf(result, KINDS, context=QUICK).evidence,
             mtf_consistency(result, KINDS).evidence,
             mtf_uniformity(result, KINDS, conditions, context=QUICK).evidence,
-            [(one.name, one.value.tolist()) for one in mtf_observations(held, sensor, result)],
+            [
+                (one.name, one.value.tolist())
+                for one in mtf_observations.mtf_observations(held, sensor, result)
+            ],
         )
         return json.dumps(told_of)
 

@@ -5,22 +5,9 @@
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
-from charact.estimators.mtf.session.stage_transfers import STAGES, Direction
+from charact.estimators.mtf import Direction, MeasuredCurve, MeasuredCurves, fit_mtf_budget
 from labdata import load_sensor
 
-# f at the cathode (lp/mm), and there lens, tube, taper, pixel along rows and columns (26 um), low
-# pass; section 1.12.
-TABLE = np.array(
-    [
-        [5.0, 0.986, 0.869, 0.992, 0.987, 0.927, 1.00],
-        [10.0, 0.957, 0.727, 0.970, 0.948, 0.728, 0.998],
-        [15.0, 0.914, 0.597, 0.934, 0.884, 0.453, 0.975],
-        [20.0, 0.859, 0.484, 0.885, 0.800, 0.169, 0.882],
-        [25.0, 0.795, 0.389, 0.826, 0.699, 0.059, 0.691],
-    ]
-)
-DEMAGNIFICATION = 18.0 / 11.0
 SENSOR = load_sensor("pulnix-ag5745ef3")
 
 
@@ -55,7 +42,7 @@ def cascade(
 
     along = direction == "horizontal"
     detector = frequency / (0.011 if along else 0.013)
-    cathode = detector / DEMAGNIFICATION
+    cathode = detector * 11.0 / 18.0
     x = np.pi * 0.006 * detector
     pupil = 1.0 - 4.0 / np.pi * cathode * 0.7e-3 * 1.4
     lens = pupil * np.exp(-2.0 * (np.pi * cathode * 0.004) ** 2)
@@ -92,54 +79,6 @@ BOTH: tuple[Direction, ...] = ("horizontal", "vertical")
 
 def budget(curves, **more):
     return fit_mtf_budget(tuple(curves), SENSOR, interlaced=True, seed=1, quick=True, **more)
-
-
-def test_the_stages_of_the_description_are_those_of_the_cascade_table():
-    found = budget([curve("horizontal", 1e-4), curve("vertical", 1e-4)])
-    cathode = TABLE[:, 0] * DEMAGNIFICATION
-    across, down = cathode * 0.011, cathode * 0.013
-    point = found.camera.mean[None]
-    rows = found.camera.log_stages(point, across, "horizontal")
-    columns = found.camera.log_stages(point, down, "vertical")
-    logs = {stage: rows[i, 0] for i, stage in enumerate(STAGES)}
-    tube = np.exp(logs["tube before the gain"] + logs["tube after the gain"])
-    for value, column in (
-        (np.exp(logs["lens"]), 1),
-        (tube, 2),
-        (np.exp(logs["taper"]), 3),
-        (np.exp(logs["pixel"]), 4),
-    ):
-        assert value == pytest.approx(TABLE[:, column], abs=0.004)
-    # The table's low pass is given at 1.3 to 6.6 MHz: at the clock's 14.318 MHz these are its
-    # frequencies per pixel. Frames hold more: the register's stairs, and what is folded by reading
-    # once a clock.
-    per_pixel = np.array([1.3, 2.6, 4.0, 5.3, 6.6]) / 14.318
-    assert np.abs(low_pass(per_pixel)) == pytest.approx(TABLE[:, 6], abs=0.01)
-    of_model = found.camera.log_stages(point, per_pixel, "horizontal")[STAGES.index("video"), 0]
-    assert np.exp(of_model) == pytest.approx(video(per_pixel), abs=0.002)
-    pixel = np.exp(columns[STAGES.index("pixel"), 0])
-    assert pixel[:4] == pytest.approx(TABLE[:4, 5], abs=0.012)
-
-
-def test_tube_and_share_are_found_from_curves_of_both_kinds(seed):
-    rng = np.random.default_rng(seed)
-    truth = {
-        "tube.mtf_frequency_lp_per_mm": 29.0,
-        "tube.mtf_exponent": 1.25,
-        "tube.post_gain_share": 0.65,
-    }
-    knobs = dict(zip(("cut_off", "exponent", "share"), truth.values(), strict=True))
-    curves = [
-        curve(direction, 0.002, rng, after_gain=after, **knobs)
-        for direction in BOTH
-        for after in (False, True)
-    ]
-    found = budget(curves)
-    for name, value in truth.items():
-        draws = found.posterior[name]
-        assert abs(np.mean(draws) - value) < 4.5 * np.std(draws), name
-    assert found.chance > 1e-3
-    assert {"tube before the gain", "tube after the gain"} & set(found.identified)
 
 
 def test_without_the_curve_after_the_gain_the_tube_is_a_product(seed):

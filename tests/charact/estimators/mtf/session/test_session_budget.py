@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.estimators.mtf.curve import REPORTED, curve_of
-from charact.estimators.mtf.session.mtf_budget import EVIDENCE, add_mtf_budget
+from charact.estimators.mtf import REPORTED, add_mtf_budget, curve_of
 from charact.method import Context
 from labdata import Curve, Result, load_sensor, measurement_from_sd
 from tests.charact.estimators.mtf.session.test_mtf_budget import cascade
@@ -95,7 +94,7 @@ def flats(rng, status: str) -> Result:
 def evidence(
     result: Result, kinds: dict[str, str] | None = None, context: Context = CONTEXT
 ) -> dict:
-    return add_mtf_budget(result, kinds or {}, context=context).evidence[EVIDENCE]
+    return add_mtf_budget(result, kinds or {}, context=context).evidence["stage budget"]
 
 
 @pytest.mark.parametrize("joint", [True, False])
@@ -124,8 +123,8 @@ def test_taken_as_single_rows_the_curves_of_summed_ones_are_described_by_no_stag
 ) -> None:
     result = session(np.random.default_rng(seed))
     found = add_mtf_budget(result, {}, context=replace(CONTEXT, interlaced=False))
-    assert found.evidence[EVIDENCE]["flags"] == ["model-misfit"]
-    assert found.evidence[EVIDENCE]["status"] == "suspect"
+    assert found.evidence["stage budget"]["flags"] == ["model-misfit"]
+    assert found.evidence["stage budget"]["status"] == "suspect"
     assert any("do not describe the curves" in note for note in found.find("mtf50")[0].notes)
     # What was measured is no worse for a description that does not hold.
     assert all(m.status == "ok" for m in found.find("mtf50"))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from charact.estimators import mtf
+from charact.estimators.mtf import find_bar_groups, find_pinholes
 from charact.estimators.mtf.point import source
-from charact.estimators.mtf.target_detection import find_bar_groups, find_pinholes
 from charact.method import Context
 from labdata import BadInput
 from tests.truth.blur import TrueBlur

@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from charact.estimators import mtf
-from charact.estimators.mtf.target_detection import DetectedEdge, find_edges
+from charact.estimators.mtf import DetectedEdge, find_edges
 from charact.method import Context
 from labdata import FrameStack
 from tests.truth.blur import TrueBlur

@@ -1,9 +1,8 @@
 """Which targets of a frame are measured where there are more than may be."""
 
-import numpy as np
 import pytest
 
-from charact.estimators.mtf.dispatch import LocatedTarget, spread_over_frame
+from charact.estimators.mtf import LocatedTarget, spread_over_frame
 
 SHAPE = (400, 600)
 
@@ -34,13 +33,3 @@ def test_nothing_is_lost_and_the_best_comes_first(max_targets: int) -> None:
     ordered = spread_over_frame(found, SHAPE, max_targets)
     assert ordered[0] == found[0]
     assert sorted(one.region for one in ordered) == sorted(one.region for one in found)
-
-
-def test_within_a_part_the_better_comes_first() -> None:
-    rng = np.random.default_rng(4)
-    found = [at(int(rng.integers(10, 390)), int(rng.integers(10, 590))) for _ in range(60)]
-    ordered = spread_over_frame(found, SHAPE, 4)
-    for part in {quarter(one) for one in found}:
-        assert [one for one in ordered if quarter(one) == part] == [
-            one for one in found if quarter(one) == part
-        ]
