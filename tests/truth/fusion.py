@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from charact.estimators.bloom.bloom_map import bloom_map
-from charact.estimators.bloom.posterior_psf import PosteriorPsf
-from charact.frames.noise_law import NoiseLaw
+from charact.estimators.bloom import PosteriorPsf, bloom_map
+from charact.frames import NoiseLaw
 from charact.fusion import Band, FusionTruth
 
 SHAPE = (240, 320)
@@ -224,7 +223,7 @@ def bands_of(
     visible, thermal = frames
     bloom = None
     if with_map:
-        bloom = bloom_map(
+        bloom = bloom_map.bloom_map(
             visible,
             psf_of(pair, halo_px),
             clip_dn=pair.full_dn,

@@ -8,7 +8,6 @@ from scipy.special import erf
 
 from tests.truth.bars import BarScene
 from tests.truth.blur import TrueBlur
-from tests.truth.camera_effects import boost, sharpen_images
 from tests.truth.point import PointScene, landing_places
 
 
@@ -91,32 +90,3 @@ def test_the_transform_of_many_photoelectrons_is_the_stated_mtf(pulse_px, seed):
         assert transform == pytest.approx(
             float(scene.mtf(frequency)), abs=4.5 * np.sqrt(0.8 / 2e5) + 2e-3
         )
-
-
-def test_pulses_behind_the_gain_tie_neighbours_and_an_ordinary_cameras_do_not(seed):
-    rng = np.random.default_rng(seed)
-    for pulse_px, expected in ((0.0, 0.0), (0.8, np.exp(-1 / (4 * (0.8**2 + 1 / 6))))):
-        scene = PointScene(
-            photoelectrons=0.0,
-            background=20.0,
-            pulse_px=pulse_px,
-            peak_dn=2.0,
-            read_dn=0.0,
-            frames=2,
-            full_scale_dn=65535.0,
-        )
-        data = scene.frames_drawn(rng).data[:, 10:-10, 10:-10].astype(float)
-        data = data - data.mean()
-        neighbour = np.mean(data[..., 1:] * data[..., :-1]) / data.var()
-        # A correlation of 11,000 pairs is known to 0.01.
-        assert neighbour == pytest.approx(expected, abs=0.05)
-
-
-def test_sharpening_raises_a_wave_as_it_says():
-    """A wave through a camera that sharpens comes out higher by the factor that its frequency
-    has.
-    """
-    for frequency in (0.02, 0.1, 0.25):
-        wave = np.cos(2.0 * np.pi * frequency * np.arange(400))[None, :] * np.ones((40, 1))
-        raised = sharpen_images(wave, 0.7)[20, 50:350]
-        assert raised == pytest.approx(wave[20, 50:350] * boost(frequency, 0.7), abs=2e-3)

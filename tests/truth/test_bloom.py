@@ -7,51 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.truth.bloom import apply_column_blooming, bloom_session, noiseless_frame, stack
+from tests.truth.bloom import apply_column_blooming, noiseless_frame, stack
 from tests.truth.bloom_extents import truth
 from tests.truth.bloom_light import (
     BloomScene,
-    gaussian,
     halo_rings,
-    moffat,
-    moffat_as_gaussians,
     radial_light,
-    rings_blurred,
 )
 
 # Densities of electrons that land at r/d = 0.1, 0.3 .. 1.9, in units of 1/d^2, by Monte Carlo of
 # the cosine law.
 ELASTIC = (0.040, 0.040, 0.041, 0.042, 0.045, 0.048, 0.053, 0.061, 0.077, 0.182)
 UNIFORM = (1.21, 0.38, 0.21, 0.14, 0.10, 0.07, 0.05, 0.04, 0.03, 0.01)
-
-
-def volume(radius_px, density):
-    return float(np.trapezoid(2 * np.pi * radius_px * density, radius_px))
-
-
-def test_core_wing_and_halo_each_hold_all_their_light():
-    radius = np.arange(0.0, 4000.0, 0.02)
-    assert volume(radius, gaussian(radius, 1.3)) == pytest.approx(1.0, abs=1e-4)
-    assert volume(radius, moffat(radius, 3.0, 2.5)) == pytest.approx(1.0, abs=1e-4)
-    near = radius[radius < 60]
-    for elastic in (0.0, 0.3, 1.0):
-        assert volume(near, rings_blurred(near, halo_rings(46.0, elastic), 1.3)) == pytest.approx(
-            1.0, abs=1e-4
-        )
-
-
-def test_wing_is_a_sum_of_gaussians():
-    radius = np.array([0.0, 1.0, 5.0, 20.0, 60.0])
-    for exponent in (1.5, 2.0, 3.0):
-        sigmas, weights = moffat_as_gaussians(3.0, exponent)
-        summed = np.sum(
-            [
-                weight * gaussian(radius, sigma)
-                for sigma, weight in zip(sigmas, weights, strict=True)
-            ],
-            0,
-        )
-        assert summed == pytest.approx(moffat(radius, 3.0, exponent), rel=1e-3)
 
 
 @pytest.mark.parametrize(("elastic", "density"), [(1.0, ELASTIC), (0.0, UNIFORM)])
@@ -107,17 +74,6 @@ def test_overflow_settles_as_charge_handed_on_step_by_step():
     assert apply_column_blooming(charge, 50.0) == pytest.approx(slow, abs=1e-6)
 
 
-def test_smear_lies_evenly_along_the_column():
-    source = BloomScene()
-    added = noiseless_frame(replace(source, smear_fraction=0.01), 1e3) - noiseless_frame(
-        source, 1e3
-    )
-    assert np.ptp(added, axis=0).max() < 1e-6
-    assert added[0] == pytest.approx(
-        0.01 * (noiseless_frame(source, 1e3) - source.dark_dn).mean(axis=0)
-    )
-
-
 @pytest.mark.parametrize("background_dn", [6.0, 240.0])
 def test_noise_is_that_of_pulses_blurred_after_the_gain(background_dn):
     source = BloomScene(frames=24, background_dn=background_dn, full_scale_dn=4095.0, bits=12)
@@ -163,26 +119,3 @@ def test_lag_motion_and_a_second_source_are_where_they_should_be():
         replace(source, second_distance_px=20.0, second_ratio=0.5, second_angle_deg=90.0), 1.0
     )
     assert pair[row + 20, col] - 13 == pytest.approx(0.5 * (pair[row, col] - 13), rel=1e-3)
-
-
-def test_automatic_gain_holds_the_mean_and_the_background_falls():
-    source = BloomScene(agc=True, halo_fraction=0.2)
-    session_ = bloom_session(source, (3.0, 3e3), np.random.default_rng(4))
-    dim, bright = (
-        entry.read().data.astype(float) - source.dark_dn for entry in session_.of_kind("point")
-    )
-    assert bright[:, :20].mean() < 0.6 * dim[:, :20].mean()
-    assert truth(source, 3e3, faintest=3.0)["bloom_diameter"] < truth(source, 3e3)["bloom_diameter"]
-
-
-def test_the_plate_tires_where_it_is_bright():
-    source = BloomScene(background_dn=0.0)
-    tired = replace(source, plate_saturation_dn=1e3)
-    assert truth(tired, 1e-3)["core_compression"] == pytest.approx(1.0, abs=1e-2)
-    assert truth(tired, 100.0)["core_compression"] < 0.3
-    row, col = (round(one) for one in source.centre)
-    assert noiseless_frame(tired, 1e6)[row, col] - source.dark_dn == pytest.approx(1e3, rel=0.01)
-    far = np.s_[row, col + 21]
-    assert noiseless_frame(tired, 100.0)[far] == pytest.approx(
-        noiseless_frame(source, 100.0)[far], rel=0.02
-    )

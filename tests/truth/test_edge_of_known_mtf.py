@@ -58,11 +58,3 @@ def test_noise_half_way_up_has_the_stated_spread_whether_or_not_it_is_shared(noi
     neighbour = np.mean((data[..., 1:] - data.mean()) * (data[..., :-1] - data.mean())) / data.var()
     expected = 0.8 * np.exp(-1 / (4 * noise_blur_px**2)) if noise_blur_px else 0.0
     assert neighbour == pytest.approx(expected, abs=0.04)
-
-
-def test_clipping_loses_the_stated_share_of_the_step():
-    scene = EdgeScene(clip_share=0.2, snr=np.inf)
-    frame = scene.mean()
-    assert (frame.max() - scene.full_scale_dn) / (frame.max() - frame.min()) == pytest.approx(
-        0.2, abs=0.01
-    )

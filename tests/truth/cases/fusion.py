@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.frames.noise_law import NoiseLaw
+from charact.frames import NoiseLaw
 from charact.fusion import Band, Fused, fit_to_truth, fuse, restoration_errors
 from charact.method import Context, Method
 from labdata import Result, make_measurement
