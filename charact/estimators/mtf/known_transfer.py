@@ -73,8 +73,8 @@ def known_transfer(picture: OrientedFrame, angle_rad: float, context: Context) -
     video = None if picture.transposed else VideoFilter.of(context.camera)
     return KnownTransfer(
         angle_rad=angle_rad,
-        along_px=along / picture.sample_pitch_px,
-        across_px=across / picture.sample_pitch_px,
+        along_px=along / picture.stack.frames.sample_pitch_px,
+        across_px=across / picture.stack.frames.sample_pitch_px,
         video=video,
         mirrored=picture.mirrored,
     )

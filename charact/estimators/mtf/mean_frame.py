@@ -1,11 +1,13 @@
 """Mean frame of a stack, oriented so that an edge is upright with its bright side right."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.thresholds import LIMITS
+from charact.frames.stack import Stack
 
 Array = NDArray[np.float64]
 
@@ -18,36 +20,24 @@ class OrientedFrame:
 
     Parameters
     ----------
+    stack
+        The frames averaged.
     value
         Mean frame, shape (row, col), DN, upright.
     row_index
         Row of the original frame of every pixel, shape (row, col); its parity is the field.
     transposed, mirrored
         Whether rows and columns are exchanged, and whether the columns then run backwards.
-    frames
-        Number of frames averaged.
-    whole_codes
-        Whether the frames hold integers.
-    black_dn
-        Black level, DN; None: unknown.
     pitch_ratio
         Row pitch over column pitch of the oriented frame.
-    interlaced
-        Whether odd and even rows of the original frame are two fields.
-    sample_pitch_px
-        Distance of neighbouring samples in pixels of the camera, see `labdata.frames.FrameStack`.
     """
 
+    stack: Stack
     value: Array
     row_index: NDArray[np.int64]
     transposed: bool
     mirrored: bool
-    frames: int
-    whole_codes: bool
-    black_dn: float | None
     pitch_ratio: float
-    interlaced: bool = False
-    sample_pitch_px: int = 1
 
     def turned(self, *, transpose: bool, mirror: bool) -> "OrientedFrame":
         """Return the frame transposed and then mirrored."""
@@ -64,9 +54,10 @@ class OrientedFrame:
             pitch_ratio=1.0 / self.pitch_ratio if transpose else self.pitch_ratio,
         )
 
-    def upright(self, frames: NDArray) -> Array:
-        """Return frames (frame, row, col) in the same orientation."""
-        turned = frames.swapaxes(1, 2) if self.transposed else frames
+    @cached_property
+    def upright_frames(self) -> Array:
+        """Frames in the same orientation, shape (frame, row, col), DN."""
+        turned = self.stack.data.swapaxes(1, 2) if self.transposed else self.stack.data
         return np.ascontiguousarray(turned[:, :, ::-1] if self.mirrored else turned, np.float64)
 
 

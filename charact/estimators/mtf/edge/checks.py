@@ -118,7 +118,7 @@ def edge_findings(
         Relative loss of MTF50 by motion from which on the noise on the slopes is no test.
     """
     picture, profile = edge.picture, edge.profile
-    if edge.stack.is_clipped():
+    if edge.picture.stack.is_clipped():
         yield EdgeFinding(flag="clipped", effect=_clipping(edge))
     travel_px = abs(edge.rows.line.slope) * picture.value.shape[0]
     if travel_px < THRESHOLDS.min_travel_px:
@@ -138,7 +138,7 @@ def edge_findings(
         yield _defects(profile, relative_sd)
     # Neither noise that grows with the light nor an unknown black level contradicts a line.
     if (
-        picture.frames > 1
+        len(picture.stack.data) > 1
         or profile.black is not None
         or profile.side_variances[1] < profile.side_variances[0]
     ) and noise_flags(edge.noise_growth):
@@ -152,13 +152,13 @@ def edge_findings(
             "exceed the camera's by as many percent"
         )
         yield EdgeFinding(flag="processed", effect=effect)
-    motion = TargetMotion() if picture.frames < 2 else edge.target_motion
+    motion = TargetMotion() if len(picture.stack.data) < 2 else edge.target_motion
     if motion.moves:
         effect = f"the edge moves by {motion.rms_px:.2g} px rms"
         yield EdgeFinding(flag="drift", effect=effect, undo=unblurred(motion.rms_px), sign=-1)
     # An edge that moves far leaves more on its slopes than rows that move in one piece.
     still = not motion.moves or motion.mtf_loss(half) < least_loss
-    several = picture.frames >= LIMITS.min_smoothing_frames
+    several = len(picture.stack.data) >= LIMITS.min_smoothing_frames
     if several and still and not (gain > 1.0 or overshoot > 0.0) and edge.slope_noise.is_smoothed:
         effect = (
             f"noise on the edge is {edge.slope_noise.ratio:.1f} times that of its plateaus: noise "
@@ -173,7 +173,7 @@ def plain(flag: str) -> EdgeFinding:
 
 
 def _clipping(edge: PreparedEdge) -> str:
-    data = edge.stack.data
+    data = edge.picture.stack.data
     percents = {float(end): 100.0 * float(np.mean(data == end)) for end in (data.max(), data.min())}
     # The other end of the scale has a few pixels of noise.
     ends = [
@@ -350,8 +350,8 @@ def _step_of(profile: EdgeProfile) -> float:
 def noise_below_quantisation(picture: OrientedFrame, profile: EdgeProfile) -> bool:
     """Return whether the noise of one frame is too small to dither the quantisation."""
     return (
-        picture.whole_codes
-        and profile.noise_variance(0.5) ** 0.5 * np.sqrt(picture.frames)
+        picture.stack.holds_codes
+        and profile.noise_variance(0.5) ** 0.5 * np.sqrt(len(picture.stack.data))
         < THRESHOLDS.quantisation_noise_dn
     )
 

@@ -299,7 +299,7 @@ def _with_margin(
 def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
     """Yield notes that are no reason for distrust."""
     profile = edge.profile
-    yield from edge.stack.frames.notes
+    yield from edge.picture.stack.frames.notes
     correlation_sum = profile.correlated_noise.correlation_factor
     if not 0.8 <= correlation_sum <= 1.3:
         yield (

@@ -105,18 +105,14 @@ class EdgeLine:
 
 def find(stack: Stack) -> tuple[OrientedFrame, EdgeLine]:
     """Find the strongest straight step of a stack's mean frame, turned upright, and return both."""
-    frames, rows, cols = stack.data.shape
+    rows, cols = stack.mean_frame_dn.shape
     picture = OrientedFrame(
+        stack=stack,
         value=stack.mean_frame_dn,
         row_index=np.broadcast_to(np.arange(rows)[:, None], (rows, cols)),
         transposed=False,
         mirrored=False,
-        frames=frames,
-        whole_codes=stack.holds_codes,
-        black_dn=stack.frames.black_level_dn,
         pitch_ratio=stack.pitch_ratio,
-        interlaced=stack.interlaced,
-        sample_pitch_px=stack.frames.sample_pitch_px,
     )
     factor = max(1, int(np.ceil(max(picture.value.shape) / 96)))
     rows, cols = (size // factor * factor for size in (rows, cols))

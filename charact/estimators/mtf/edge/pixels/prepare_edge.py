@@ -65,12 +65,10 @@ class PreparedEdge:
 
     Parameters
     ----------
-    stack
-        The frames cut to the edge and its plateaus.
     where
-        ROW, COL, HEIGHT, WIDTH of that in the frames of the caller.
+        ROW, COL, HEIGHT, WIDTH of the edge and its plateaus in the frames of the caller.
     picture
-        Mean frame, the edge upright.
+        Mean frame cut to that, the edge upright.
     rows
         Its line and the displacements of single rows.
     profile
@@ -79,7 +77,6 @@ class PreparedEdge:
         Those of finding it.
     """
 
-    stack: Stack
     where: Region
     picture: OrientedFrame
     rows: RowFit
@@ -88,19 +85,14 @@ class PreparedEdge:
     notes: tuple[str, ...] = ()
 
     @cached_property
-    def upright_frames(self) -> Array:
-        """Frames in the orientation of the picture, shape (frame, row, col), DN."""
-        if self.picture.frames == 1:
-            return self.picture.value[None]
-        return self.picture.upright(self.stack.data)
-
-    @cached_property
     def target_motion(self) -> TargetMotion:
         """Displacement across the edge from frame to frame."""
         across = self.rows.line.across(self.picture.value.shape)
         row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
         normal = across * np.cos(self.profile.angle_rad)
-        return measure_line_motion(self.upright_frames, normal, row, np.abs(across) < ROW_REACH_PX)
+        return measure_line_motion(
+            self.picture.upright_frames, normal, row, np.abs(across) < ROW_REACH_PX
+        )
 
     @cached_property
     def roughness(self) -> TargetMotion:
@@ -159,11 +151,11 @@ class PreparedEdge:
         in_profile = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach_px]))
         square = float(residuals @ residuals) / (valid.size - 2) / max(1.0 - in_profile, 0.5)
         noise = 0.5 * sum(plateau[0] for plateau in plateaus)
-        if picture.whole_codes:
+        if picture.stack.holds_codes:
             # All pixels of a plateau have the same quantisation error; those near an edge differ:
             # the mean square of the sawtooth of `charact.frames.rounding` at any level, DN^2.
             sides = np.array(profile.side_variances)
-            variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
+            variance = np.maximum(sides * len(picture.stack.data) - QUANTISATION_DN2, 0.0)
             turn = np.pi * np.arange(1, 7)[:, None]
             quantisation = np.mean(
                 np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0)
@@ -198,7 +190,9 @@ class PreparedEdge:
         """Temporal noise of the slopes over that of the plateaus."""
         profile, (_, level, sides) = self.profile, self.expected
         steep = steepness(profile.distance, profile.value, profile.gathered.distance)
-        return noise_on_slopes(self.upright_frames, level, steep * profile.gathered.valid, sides)
+        return noise_on_slopes(
+            self.picture.upright_frames, level, steep * profile.gathered.valid, sides
+        )
 
     @cached_property
     def noise_growth(self) -> NoiseGrowth:
@@ -206,16 +200,16 @@ class PreparedEdge:
         differ, or by covariances above a known black level; else by the noise of the mean frame.
         """
         profile, correlation_sum = self.profile, self.profile.correlated_noise.correlation_factor
-        if self.picture.frames > 1 or profile.black is not None:
+        if len(self.picture.stack.data) > 1 or profile.black is not None:
             value, _, sides = self.expected
             plateaus = plateau_noise(
-                self.upright_frames,
+                self.picture.upright_frames,
                 value,
                 sides,
                 along=0 if self.picture.transposed else 1,
                 correlation_sum=correlation_sum,
             )
-            several = self.picture.frames > 1
+            several = len(self.picture.stack.data) > 1
             growth = plateaus and noise_growth(plateaus, profile.black, several=several)
             if growth:
                 return growth
@@ -305,7 +299,6 @@ def prepare_edge(
             f"{profile.dark:.4g} DN: taken as not known."
         )
     return PreparedEdge(
-        stack=stack,
         where=where,
         picture=picture,
         rows=replace(rows, line=edge),

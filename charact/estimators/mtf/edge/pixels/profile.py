@@ -351,7 +351,7 @@ def profile_of(
     # Defects: pixels that the noise of their level cannot explain; none in heavy-tailed noise,
     # where many nearly are.
     size, valid = np.abs(residual), gathered.valid
-    quantisation_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
+    quantisation_sd = 0.3 / np.sqrt(len(picture.stack.data)) if picture.stack.holds_codes else 0.0
     least_sd = max(quantisation_sd, THRESHOLDS.min_defect * step / DEFECT_SD)
     sides = (
         side if side.any() else valid for side in (valid & (level < 0.25), valid & (level > 0.75))
@@ -374,7 +374,7 @@ def profile_of(
     dark, bright = levels_of(mean, count, gathered)
     angle = line.angle_rad(picture.pitch_ratio)
     slopes = float(np.cos(angle)), float(-line.slope * np.cos(angle))
-    quantisation = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
+    quantisation = 1.0 / (12.0 * len(picture.stack.data)) if picture.stack.holds_codes else 0.0
     floor = max(quantisation, (3e-4 * (bright - dark)) ** 2, 1e-30)
     return EdgeProfile(
         gathered=gathered,
@@ -385,7 +385,7 @@ def profile_of(
         keep=keep,
         dark=dark,
         bright=bright,
-        black=usable_black_level(picture.black_dn, dark, bright),
+        black=usable_black_level(picture.stack.frames.black_level_dn, dark, bright),
         noise=fit_noise_law(
             level[gathered.valid] * (bright - dark),
             residual[gathered.valid] ** 2,
@@ -394,7 +394,7 @@ def profile_of(
         ),
         residual=residual,
         level=level,
-        field_axis=int(picture.transposed) if picture.interlaced else None,
+        field_axis=int(picture.transposed) if picture.stack.interlaced else None,
         defects=defects,
         angle_rad=angle,
         slopes=slopes,
