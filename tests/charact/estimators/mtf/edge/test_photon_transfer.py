@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators.mtf import prepare_edge
+from charact.estimators.mtf.edge import nonlinearity
 from charact.estimators.mtf.edge.pixels import plateau_noise
 from charact.method import Context
 from tests.truth.blur import TrueBlur
@@ -76,7 +77,7 @@ def test_growth_is_that_of_the_light(shot_share, seed):
 
 def test_noise_that_grows_as_photons_do_speaks_for_a_straight_response(seed):
     odds = [
-        plateau_noise.ln_bayes_factor_nonlinear(edge.noise_growth)
+        nonlinearity.ln_bayes_factor_nonlinear(edge.noise_growth)
         for edge in edges(replace(STRAIGHT, shot_share=0.8), seed)
     ]
     assert np.mean(odds) < -0.5
@@ -90,7 +91,7 @@ def test_noise_says_nothing_where_it_may_be_something_else(unknown, seed):
     black = None if unknown == "black" else edge.profile.black
     growth = replace(edge, profile=replace(edge.profile, black=black)).noise_growth
     assert growth.photon_ratio is None
-    assert plateau_noise.ln_bayes_factor_nonlinear(growth) == 0.0
+    assert nonlinearity.ln_bayes_factor_nonlinear(growth) == 0.0
 
 
 @pytest.mark.parametrize(
