@@ -8,11 +8,29 @@ import stat
 import threading
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from labdata.errors import BadInput
+
+_SYNC = threading.local()
+
+
+def call_at_syncs(progress: Callable[[], object]) -> None:
+    """Have this thread call a function after each sync of a disk."""
+    _SYNC.progress = progress
+
+
+def progress_of_syncs() -> Callable[[], object]:
+    """Return what this thread calls after each sync."""
+    return getattr(_SYNC, "progress", lambda: None)
+
+
+def sync(descriptor: int, progress: Callable[[], object] | None = None) -> None:
+    """Wait until a file is on the disk."""
+    os.fsync(descriptor)
+    (progress or progress_of_syncs())()
 
 
 def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> None:
@@ -25,7 +43,7 @@ def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> 
         with open(partial, "wb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            sync(file.fileno())
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)
@@ -41,7 +59,7 @@ def sync_folder(folder: Path) -> None:
     """Sync a folder, so that a rename in it survives a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        sync(descriptor)
     finally:
         os.close(descriptor)
 

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from labdata.capture import Frame, LostFrames, lost_frames_with_reason
 from labdata.errors import BadInput
+from labdata.file_io import call_at_syncs
 from labdata.session_writer import SessionWriter, StackWriter
 
 # Queued bytes of frames: 11 s of a 768 x 493 camera of 16 bits; a busy disk pauses for several
@@ -167,6 +168,7 @@ class Storage:
     # In the thread
 
     def _work(self) -> None:
+        call_at_syncs(self._note_progress)
         while jobs := self._next():
             try:
                 self._do(jobs)
@@ -185,6 +187,10 @@ class Storage:
         with self._turn:
             self._idle = self._ended = True
             self._turn.notify_all()
+
+    def _note_progress(self) -> None:
+        """Count a sync as progress: a slow disk that goes on is not stuck."""
+        self._progress_s = time.monotonic()
 
     def _next(self) -> list["_Job"]:
         """Wait for work: one task, or frames of one stack that can be written together; [] at the

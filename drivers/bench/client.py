@@ -25,6 +25,7 @@ from drivers.bench.connection import (
     Ports,
     Reply,
     Request,
+    SchedulingDelay,
 )
 from drivers.bench.light_control import GuardedLight
 from drivers.bench.safe_state import (
@@ -112,6 +113,7 @@ class BenchClient:
             )
         self._server = Connection(ours)
         self._heard_s = time.monotonic() + START_S
+        self._delay = SchedulingDelay(self._log, time.monotonic)
         opened = self._replies[0] = queue.SimpleQueue()
         self._server.send(self._setup)
         self._guard = threading.Thread(target=self._guard_server, name="bench", daemon=True)
@@ -235,20 +237,27 @@ class BenchClient:
         """Send heartbeats, take messages and watch the server, in a separate thread."""
         next_beat_s = 0.0
         while not self._over:
-            for message, descriptors in self._server.receive(0.5 * BEAT_S):
+            began_s = time.monotonic()
+            messages = self._server.receive(0.5 * BEAT_S)
+            self._delay.take(time.monotonic() - began_s - 0.5 * BEAT_S)
+            for message, descriptors in messages:
                 self._heard_s = time.monotonic()
                 self._take(message, descriptors)
             now_s = time.monotonic()
             if now_s >= next_beat_s:
-                self._server.send(Beat(age_s=max(0.0, now_s - self._stamp_s)))
+                age_s = max(0.0, now_s - self._stamp_s)
+                self._server.send(Beat(age_s=age_s, delay_s=self._delay.delay_s))
                 next_beat_s = now_s + BEAT_S
-            if self._server.gone or now_s - self._heard_s > SERVER_SILENCE_S:
+            silence_s = now_s - self._heard_s
+            if self._server.gone or silence_s > SERVER_SILENCE_S + self._delay.slack_s():
                 if not self._left:
                     self._take_over("has ended" if self._server.gone else "was silent")
                 self._over = True
 
     def _take(self, message: Any, descriptors: list[int]) -> None:
-        if isinstance(message, Ports):
+        if isinstance(message, Beat):
+            self._delay.take(0.0, message.delay_s)
+        elif isinstance(message, Ports):
             for role, descriptor in zip(message.roles, descriptors, strict=False):
                 self._ports[role] = descriptor
             self._drivers = {role: self._driver(role) for role in self._ports}

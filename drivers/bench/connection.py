@@ -3,6 +3,7 @@
 import pickle
 import select
 import socket
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,9 +20,48 @@ LARGEST_BYTES = 1 << 17  # Largest message; a setup with calibrations has a few 
 
 @dataclass(frozen=True, kw_only=True)
 class Beat:
-    """A heartbeat, with the time since that of the run, s (0 for the server)."""
+    """A heartbeat, with the time since that of the run, s (0 for the server), and the scheduling
+    delay of its process, s.
+    """
 
     age_s: float = 0.0
+    delay_s: float = 0.0
+
+
+# Multiple of the longest scheduling delay, of both sides, by which limits grow on a busy machine,
+# and the most that they grow, s; the delay is forgotten after a minute, and said above 0.1 s
+SLACK_FACTOR, LONGEST_SLACK_S, FORGET_S, SAID_S = 4.0, 2.5, 60.0, 0.1
+
+
+class SchedulingDelay:
+    """Longest lateness with which a process was scheduled in the last minute or two, s.
+
+    A busy machine delays heartbeats and answers that come in time; both sides run on it.
+    """
+
+    def __init__(self, log: Callable[..., object], clock: Callable[[], float]) -> None:
+        self._log, self._clock, self._began_s = log, clock, clock()
+        self._recent_s = self._before_s = self._other_s = 0.0
+        self._is_said = False
+
+    @property
+    def delay_s(self) -> float:
+        """Longest lateness of this process, s."""
+        return max(self._recent_s, self._before_s)
+
+    def slack_s(self) -> float:
+        """Return the time by which limits grow, s."""
+        return min(LONGEST_SLACK_S, SLACK_FACTOR * max(self.delay_s, self._other_s))
+
+    def take(self, late_s: float, other_s: float | None = None) -> None:
+        """Take a lateness of this process, and that which the other side reports."""
+        if (now_s := self._clock()) - self._began_s > FORGET_S:
+            self._began_s, self._before_s, self._recent_s = now_s, self._recent_s, 0.0
+        self._recent_s = max(self._recent_s, late_s)
+        self._other_s = self._other_s if other_s is None else other_s
+        if not self._is_said and self.slack_s() > SLACK_FACTOR * SAID_S:
+            self._is_said = True
+            self._log("busy machine: limits grow", slack_s=round(self.slack_s(), 2))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,6 +30,7 @@ from drivers.bench.connection import (
     Ports,
     Reply,
     Request,
+    SchedulingDelay,
 )
 from drivers.bench.light_control import Station
 from drivers.bench.safe_state import DANGEROUS, FOLLOW_S, Record
@@ -85,6 +86,7 @@ class BenchServer:
         self._over = threading.Event()
         self._stop_signal: int | None = None
         self._stamp_s = self._heard_s = clock()
+        self._delay = SchedulingDelay(log, clock)
         self._longest_silence_s = 0.0
 
     def stop(self, number: int, _frame: object) -> None:
@@ -117,12 +119,15 @@ class BenchServer:
         """
         next_beat_s = 0.0
         while True:
-            for message, _ in self._client.receive(TICK_S):
+            began_s = self._clock()
+            messages = self._client.receive(TICK_S)
+            self._delay.take(self._clock() - began_s - TICK_S)
+            for message, _ in messages:
                 if isinstance(message, Request) and message.command == "leave":
                     return "the client leaves", message.number
                 self.take(message)
             if (now_s := self._clock()) >= next_beat_s:
-                self._client.send(Beat())
+                self._client.send(Beat(delay_s=self._delay.delay_s))
                 next_beat_s = now_s + BEAT_S
             if reason := self.end_reason():
                 # Before the gate is shut, so that a living client does not record a dark frame as
@@ -137,8 +142,9 @@ class BenchServer:
             now_s = self._clock()
             self._longest_silence_s = max(self._longest_silence_s, now_s - self._heard_s)
             self._heard_s, self._stamp_s = now_s, now_s - message.age_s
+            self._delay.take(0.0, message.delay_s)
             if self._bench is not None:
-                self._bench.record_heartbeat()
+                self._bench.record_heartbeat(self._delay.slack_s())
         elif message.command == "frame_seen" and self._bench is not None:
             self._bench.frame_seen(*message.arguments)
         elif message.command == "safe":
@@ -152,7 +158,7 @@ class BenchServer:
             return f"the server got signal {self._stop_signal}"
         if self._client.gone:
             return "the client is gone"
-        if (silence_s := self._clock() - self._heard_s) > SILENCE_S:
+        if (silence_s := self._clock() - self._heard_s) > SILENCE_S + self._delay.slack_s():
             return f"the client was silent for {silence_s:.2f} s"
         return None
 
@@ -163,9 +169,11 @@ class BenchServer:
         if self._bench is None or not self._is_open or self._bench.fault is not None:
             return
         state = self._bench.interlock.state
-        stalled_s = self._clock() - self._stamp_s
-        if (not state.shut or state.mcp_v > 0.0) and stalled_s > STALLED_S:
-            why = f"the run must show life every {STALLED_S:g} s, got {stalled_s:.1f} s of silence"
+        stalled_s, longest_s = self._clock() - self._stamp_s, STALLED_S + self._delay.slack_s()
+        if (not state.shut or state.mcp_v > 0.0) and stalled_s > longest_s:
+            why = (
+                f"the run must show life every {longest_s:.2g} s, got {stalled_s:.1f} s of silence"
+            )
             self._bench.fail(BenchError(why))
         else:
             self._bench.react()
@@ -238,6 +246,7 @@ class BenchServer:
                 lines[connection.role] = model_of(connection).open_line(
                     str(connection.port), connection.address
                 )
+                lines[connection.role].slack_s = self._delay.slack_s
                 self._log("port opened", line=connection.role)
             except BenchError as error:
                 self._log("port not opened", line=connection.role, error=str(error))

@@ -5,7 +5,7 @@ import re
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -53,6 +53,8 @@ class InstrumentLine(ABC):
         self._received = b""
         self._in_step = False  # an earlier program may have left a reply pending
         self._turn = threading.RLock()
+        # Returns the time by which an answer may come later on a busy machine, s
+        self.slack_s: Callable[[], float] = lambda: 0.0
         self._taken_over = threading.Event()
         self._caller = _Caller()
 
@@ -183,16 +185,18 @@ class InstrumentLine(ABC):
 
     def _until(self, end: bytes, question: str, *, within_s: float | None = None) -> str:
         """Return the text up to a terminator; by default within the time limit of a reply."""
-        within_s = self._answer_s if within_s is None else within_s
+        within_s = (self._answer_s if within_s is None else within_s) + self.slack_s()
         deadline_s = time.monotonic() + within_s
         while end not in self._received:
             self._require_turn()
-            if (left_s := deadline_s - time.monotonic()) <= 0:
+            left_s = deadline_s - time.monotonic()
+            # The last look is after the deadline: this thread may have slept through it.
+            self._received += (came := self._port.receive(max(0.0, min(left_s, SLICE_S))))
+            if left_s <= 0 and not came:
                 partial = f"only {self._received[:80]!r}" if self._received else "nothing"
                 raise InstrumentTimeout.of(
-                    self.name, f"answer {question} within {within_s:g} s", partial
+                    self.name, f"answer {question} within {within_s:.2g} s", partial
                 )
-            self._received += self._port.receive(min(left_s, SLICE_S))
             if len(self._received) > LONGEST_ANSWER and end not in self._received:
                 began, self._received = self._received[:40], b""
                 rule = f"end its answer to {question} within {LONGEST_ANSWER} bytes"

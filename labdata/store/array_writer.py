@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,14 @@ from numpy.typing import NDArray
 from labdata.background import BackgroundWriter
 from labdata.capture import Frame
 from labdata.errors import BadInput
-from labdata.file_io import ends_mid_line, sync_folder, write_atomically, write_whole
+from labdata.file_io import (
+    ends_mid_line,
+    progress_of_syncs,
+    sync,
+    sync_folder,
+    write_atomically,
+    write_whole,
+)
 from labdata.store.journal import (
     JOURNAL,
     METADATA,
@@ -59,7 +67,8 @@ class ArrayWriter:
         # All lines, to write them again if somebody removes or cuts the journal
         self._lines = bytearray((path / JOURNAL).read_bytes())
         # Daemon threads, so that a stuck disk does not keep the process from ending.
-        self._disk = [BackgroundWriter(_force, name="disk") for _ in range(FORCED_AT_ONCE)]
+        force = partial(sync, progress=progress_of_syncs())
+        self._disk = [BackgroundWriter(force, name="disk") for _ in range(FORCED_AT_ONCE)]
 
     def __len__(self) -> int:
         """Number of acknowledged frames that can be read."""
@@ -174,7 +183,7 @@ class ArrayWriter:
             os.ftruncate(journal, self._journal_bytes)
         lines = (b"\n" if self._mid_line else b"") + b"".join(entry.line() for entry in entries)
         write_whole(journal, lines)
-        os.fsync(journal)
+        sync(journal)
         self._journal_bytes += len(lines)
         self._lines += lines
         self._mid_line = False
@@ -235,11 +244,6 @@ def _entry(index: int, frame: Frame) -> Acknowledged:
         time_s=float(frame.time_s),
         sha256=sha256(frame.pixels),
     )
-
-
-def _force(file: int) -> None:
-    """Wait until a file is on the disk."""
-    os.fsync(file)
 
 
 def _start_writing_out(file: int) -> None:

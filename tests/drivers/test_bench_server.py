@@ -126,6 +126,19 @@ def test_a_client_that_is_silent_for_half_a_second_ends_the_server(hot):
     assert not hot.is_hot
 
 
+def test_a_busy_machine_has_longer_limits_and_is_said_once(hot):
+    said = []
+    hot.server._delay._log = lambda event, **details: said.append((event, details))
+    for _ in range(2):
+        hot.server.take(Beat(delay_s=0.2))
+    hot.silent_until_s = float("inf")
+    hot.passes(1.2)
+    assert hot.is_hot and said == [("busy machine: limits grow", {"slack_s": 0.8})]
+    hot.passes(0.5)
+    assert hot.over and not hot.is_hot
+    hot.lab.hurts.clear()  # those of an idle machine, whose limits are shorter
+
+
 def test_nothing_gets_hotter_by_what_waits_when_the_server_ends(hot):
     hot.ask("set_conditions", HOT, later=True)
     hot.end("the client leaves")

@@ -173,6 +173,20 @@ def test_a_disk_is_stalled_while_work_waits_and_nothing_moves(writer, monkeypatc
         assert storage.stall_s == 0.0
 
 
+def test_each_sync_of_a_slow_disk_is_progress(writer, monkeypatch):
+    fsync = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda file: (time.sleep(0.1), fsync(file)))
+    with Storage(writer) as storage:
+        stack, stalls = begun(storage), []
+        for frame in frames(4):
+            stack.enqueue(frame)
+        began_s = time.monotonic()
+        while stack.acknowledged < 4:
+            stalls.append(storage.stall_s)
+            time.sleep(0.01)
+    assert time.monotonic() - began_s > 0.5 and max(stalls) < 0.4
+
+
 def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_counted(
     writer, monkeypatch
 ):
