@@ -5,23 +5,18 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import Command, FilterMoved, FilterRead, LightRead, SetLight, TurnFilter
 from drivers.errors import BenchError, BenchStopped
+from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.instrument_config import Role
 from labdata.target import Kind, Target
-
-if TYPE_CHECKING:
-    from drivers.bench.client import BenchClient
-    from drivers.bench.local_bench import LocalBench
-    from drivers.interface import Operator
-
 
 # Fraction of the largest allowed light below which a reading with blocked light is the zero of the
 # meter
@@ -165,12 +160,26 @@ class LightControl(ABC):
             self.stations["filter-wheel"].watched = True
 
 
+class LitBench(Protocol):
+    """What a guarded operator needs of its bench; see `LightControl` and `TubeBench`."""
+
+    def check(self) -> None: ...
+    def shut_gate(self) -> None: ...
+    def light_unknown(self) -> bool: ...
+    def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None: ...
+    def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None: ...
+    def darken(self) -> None: ...
+    def shine(
+        self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None
+    ) -> Conditions: ...
+
+
 class GuardedLight:
     """Operator who places targets, behind the interlock of the bench, with its lamp, if it has
     one.
     """
 
-    def __init__(self, operator: "Operator", bench: "BenchClient | LocalBench") -> None:
+    def __init__(self, operator: Operator, bench: LitBench) -> None:
         self._operator, self._bench = operator, bench
         self._has_lamp = bench.light_unknown()
         operator.while_waiting = self.while_waiting = bench.check
