@@ -1,6 +1,11 @@
 """Making safe tries every step on each line, and neither line waits for the other."""
 
+import getpass
+import shutil
+import subprocess
+import sys
 import time
+from importlib import resources
 
 import pytest
 
@@ -83,3 +88,17 @@ def test_a_wrong_polarity_is_put_right(virtual, drivers, record):
     assert virtual.outputs().gate_open
     assert make_safe(**drivers, record=record).whole
     assert not virtual.outputs().gate_open
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not here")
+def test_the_unit_that_makes_safe_at_start_is_one_that_systemd_takes(tmp_path):
+    unit = resources.files("drivers.bench").joinpath("charact-safe.service").read_text()
+    assert unit.count("/home/lab/charact/.venv/bin/charact safe") == 2
+    mine = unit.replace("/home/lab/charact/.venv/bin/charact", sys.executable)
+    (path := tmp_path / "charact-safe.service").write_text(
+        mine.replace("User=lab", f"User={getpass.getuser()}")
+    )
+    checked = subprocess.run(
+        ["systemd-analyze", "verify", str(path)], capture_output=True, text=True, timeout=60
+    )
+    assert (checked.returncode, checked.stderr) == (0, "")
