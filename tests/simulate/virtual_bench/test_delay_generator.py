@@ -29,9 +29,47 @@ def test_case_and_blanks_do_not_matter(dg645, spelling):
     assert told(dg645, spelling) == ["0,+0.000000000000"]
 
 
-def test_a_set_answers_nothing_and_semicolons_separate(dg645):
-    assert told(dg645, "TSRC0;TRAT 59.94;DLAY 2,0,1e-3") == []
-    assert told(dg645, "TSRC?;TRAT?;DLAY?2") == ["0", "+59.940000", "0,+0.001000000000"]
+# Lines in their order, each with its answers
+EXCHANGES: dict[str, dict[str, list[str]]] = {
+    "a set answers nothing and semicolons separate": {
+        "TSRC0;TRAT 59.94;DLAY 2,0,1e-3": [],
+        "TSRC?;TRAT?;DLAY?2": ["0", "+59.940000", "0,+0.001000000000"],
+    },
+    "clear empties queue and registers": {
+        "TSRC 9;nonsense": [],
+        "*CLS;LERR?;*ESR?;INSR?": ["0", "0", "0"],
+    },
+    "reading the event register clears it": {
+        "TSRC 9;nonsense": [],
+        "*ESR?;*ESR?": ["48", "0"],
+    },
+    "the status byte sums up what is enabled": {
+        "TSRC 9;*STB?": ["0"],
+        "*ESE 16;*SRE 32;*STB?": ["96"],
+        "*STB? 5": [],  # single bits cannot be asked
+        "LERR?;LERR?": ["10", "115"],
+    },
+    "settings can be saved and recalled": {
+        "DLAY 2,0,3e-6;TSRC 0;*SAV 4;*RST": [],
+        "DLAY?2;TSRC?": ["0,+0.000000000000", "5"],
+        "*RCL 4;DLAY?2;TSRC?": ["0,+0.000003000000", "0"],
+        "*RCL 0;TSRC?;TRAT?;LAMP?1": ["5", "+1000.000000", "+2.50"],
+    },
+    "an edge can be stepped and linked": {
+        "SSDL 2,1e-9;SPDL 2,1;SPDL 2,1;SPDL 2,0;LINK 4,2": [],
+        "DLAY?2;LINK?4": ["0,+0.000000001000", "2"],
+    },
+}
+
+
+@pytest.mark.parametrize("law", EXCHANGES)
+def test_the_generator_answers_as_its_manual_says(dg645, law):
+    for line, answers in EXCHANGES[law].items():
+        assert told(dg645, line) == answers, line
+
+
+def test_power_on_is_in_the_event_register():
+    assert told(DelayGenerator(), "*ESR?;*ESR?") == ["128", "0"]
 
 
 def test_a_line_may_arrive_in_pieces(dg645):
@@ -100,41 +138,6 @@ def test_the_error_queue_holds_20_and_then_says_254(dg645):
         told(dg645, "TSRC 9")
     codes = [told(dg645, "LERR?")[0] for _ in range(21)]
     assert codes == ["10"] * 19 + ["254", "0"]
-
-
-def test_clear_empties_queue_and_registers(dg645):
-    told(dg645, "TSRC 9;nonsense")
-    told(dg645, "*CLS")
-    assert told(dg645, "LERR?;*ESR?;INSR?") == ["0", "0", "0"]
-
-
-def test_reading_the_event_register_clears_it(dg645):
-    assert told(DelayGenerator(), "*ESR?;*ESR?") == ["128", "0"]  # power was just switched on
-    told(dg645, "TSRC 9;nonsense")
-    assert told(dg645, "*ESR?;*ESR?") == ["48", "0"]
-
-
-def test_the_status_byte_sums_up_what_is_enabled(dg645):
-    told(dg645, "TSRC 9")
-    assert told(dg645, "*STB?") == ["0"]
-    told(dg645, "*ESE 16;*SRE 32")
-    assert told(dg645, "*STB?") == ["96"]
-    assert told(dg645, "*STB? 5") == []  # single bits cannot be asked
-    assert told(dg645, "LERR?;LERR?") == ["10", "115"]
-
-
-def test_settings_can_be_saved_and_recalled(dg645):
-    told(dg645, "DLAY 2,0,3e-6;TSRC 0;*SAV 4;*RST")
-    assert told(dg645, "DLAY?2;TSRC?") == ["0,+0.000000000000", "5"]
-    told(dg645, "*RCL 4")
-    assert told(dg645, "DLAY?2;TSRC?") == ["0,+0.000003000000", "0"]
-    told(dg645, "*RCL 0")
-    assert told(dg645, "TSRC?;TRAT?;LAMP?1") == ["5", "+1000.000000", "+2.50"]
-
-
-def test_an_edge_can_be_stepped_and_linked(dg645):
-    told(dg645, "SSDL 2,1e-9;SPDL 2,1;SPDL 2,1;SPDL 2,0;LINK 4,2")
-    assert told(dg645, "DLAY?2;LINK?4") == ["0,+0.000000001000", "2"]
 
 
 def test_terminators_can_be_chosen(dg645):
