@@ -114,7 +114,8 @@ class SessionSource:
         self.folder, self._look_s = Path(folder), look_s
         if not (self.folder / MANIFEST).is_file():
             raise BadInput(f"a session must be a folder with a {MANIFEST}, got {folder}")
-        self.name, self.while_waiting = f"session {self.folder.name}", lambda: None
+        self.name = f"session {self.folder.name}"
+        self.while_waiting: Callable[[], None] = lambda: None
         self._form, self._written_ns = self._read()
         camera = (
             None

@@ -81,7 +81,7 @@ class BenchClient:
         self.fault: BenchError | None = None  # First error of the bench since it was opened
         self.report: SafeStateReport | None = None  # Report of the last safe action
         self.dark_seen = False
-        self.say = say_on_stderr
+        self.say: Callable[[str], None] = say_on_stderr
         self._numbers = itertools.count(1)
         self._replies: dict[int, queue.SimpleQueue[Reply]] = {}
         self._ports: dict[Role, int] = {}

@@ -2,7 +2,7 @@
 ports.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -40,7 +40,7 @@ class LocalBench(TubeBench):
             on_failure=lambda error: self.make_safe(str(error)),
             warn=lambda report: self.say(report.warning()),
         )
-        self.say = say_on_stderr
+        self.say: Callable[[str], None] = say_on_stderr
         self._looked_s = 0.0
 
     def __enter__(self) -> Self:

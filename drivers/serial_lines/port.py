@@ -34,11 +34,6 @@ class Port(Protocol):
         """
         ...
 
-    @property
-    def path(self) -> str | None:
-        """Path by which it can be opened; None without one."""
-        ...
-
     def reopen(self, path: str | None = None) -> None:
         """Reopen a lost port, or another path in its place; InstrumentDisconnected if it is
         missing.
