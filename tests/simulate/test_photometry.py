@@ -116,39 +116,6 @@ def test_charge_is_poisson(level, seed):
     assert chi2 < stats.chi2.isf(3.4e-6, len(expected) - 1)
 
 
-def test_large_charge_has_the_skewness_of_a_poisson_law(seed):
-    level, count = 2000.0, 1_000_000
-    away = (
-        poisson_numbers(key_of(seed, 1, 7), np.full(count, level, np.float32)).astype(float) - level
-    )
-    assert away.var() / level == pytest.approx(1.0, abs=4.5 * np.sqrt(2.0 / count))
-    skewness = np.mean(away**3) / level**1.5
-    assert skewness == pytest.approx(level**-0.5, abs=4.5 * np.sqrt(15.0 / count))
-
-
-@pytest.mark.parametrize("level", [0.5, 4.0, 11.0, 20.0])
-def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
-    """P(S <= x) = sum_n Poisson(n) gamma cdf(n, x), the probability of none included."""
-    from scipy import stats
-
-    count = 100_000
-    plate = MicrochannelPlate(
-        detection_probability=1.0,
-        pulse_height_shape=1.0,
-        gain=1.0,
-        saturation_e_per_s_cm2=np.inf,
-        field_s=1.0,
-    )
-    sums = drawn_pulses(plate, level, count, np.random.default_rng([seed, int(level * 8)]))
-    n = np.arange(0, int(level + 12 * np.sqrt(level) + 20))
-    chance = stats.poisson.pmf(n, level)
-    for x in level * np.array([0.0, 0.2, 0.7, 1.0, 1.6, 2.5]):
-        below = np.where(n == 0, 1.0, stats.gamma.cdf(x, np.maximum(n, 1)))
-        expected = float(np.sum(chance * below))
-        spread = np.sqrt(expected * (1.0 - expected) / count)
-        assert abs(np.mean(sums <= x) - expected) < 4.5 * spread + 1e-9
-
-
 def test_plate_saturates_to_half_at_its_saturation_current(sheet):
     from labdata import Conditions
 

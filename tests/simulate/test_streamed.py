@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, load_sensor
+from labdata import BadInput, Conditions
 from simulate.camera import (
     CameraModel,
     PhosphorDecay,
@@ -16,7 +16,6 @@ from simulate.camera import (
     PulseMoments,
     Slot,
     StageImage,
-    grid,
     mcp_input_from_photoelectrons,
     product,
 )
@@ -144,37 +143,6 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
     assert np.allclose(found, due, atol=4e-3)
 
 
-@pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
-def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
-    """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over
-    the plane.
-    """
-    camera = CameraModel(load_sensor(name))
-    blurs = PulseMoments(camera.chain(Conditions())).blurs
-    made = kernel.pulse_kernel(blurs, camera.cells, camera.fields_per_frame)
-    places = made.shares.shape[0] * made.shares.shape[1]
-    assert made.shares.sum() / places + made.wing.sum() * kernel.COARSE**2 == pytest.approx(
-        camera.fields_per_frame, rel=1e-5
-    )
-    # The picture of a pixel, a seventh of a pixel from point to point.
-    side, step = 48 * 7, 1.0 / 7.0
-    f = np.fft.fftfreq(side, step)
-    fx, fy = np.broadcast_arrays(
-        f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm
-    )
-    width_mm, height_mm = camera.cells.pitch_x_mm, camera.fields_per_frame * camera.cells.pitch_y_mm
-    transfer = product((*blurs, PixelAperture(width_mm=width_mm, height_mm=height_mm)), fx, fy)
-    seen = np.fft.ifft2(transfer).real / step**2 * camera.fields_per_frame
-    # A cell under the middle of a frame; what the wing brings hardly changes from place to place.
-    middle = 64
-    far = _far_of_cell(made, middle, middle, (128, 128))
-    taps, breadth = made.shares.shape[2:]
-    far = far[middle - taps + 1 : middle + 1, middle - breadth + 1 : middle + 1]
-    for power in (2, 3, 4, 6):
-        found = np.sum((made.shares.astype(float) + far) ** power) / places
-        assert found == pytest.approx(np.sum(seen**power) * step**2, rel=3e-3), power
-
-
 @pytest.fixture(scope="module")
 def sparse(plain):
     """A small camera before a dim edge, patterns, ions and all, in which single pulses are seen."""
@@ -234,49 +202,6 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     due = (brightest[:, None] < levels).mean(axis=0)
     assert len(found) > 200
     assert np.all(np.abs(seen - due) < 4.5 * np.sqrt(due * (1.0 - due) / len(found)) + 0.02)
-
-
-def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
-    """Their light in their own field has the mean and the mean square of the screen's decay."""
-    camera = CameraModel(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
-    light = _made(
-        camera, StageImage(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)
-    ).light
-    assert isinstance(light, SparseLight)
-    pulses = _screen(camera, light, seed)._draw_pulses(light, 0, np.float32(1.0))
-    own = 1.0 - pulses.later.sum(axis=0) / pulses.charge
-    truth = camera.stage(Slot.DECAY, Conditions()).pulse_shares[:, 0]
-    for power in (1, 2):
-        error = np.std(truth**power) / np.sqrt(len(own))
-        assert np.mean(own**power) == pytest.approx(np.mean(truth**power), abs=4.5 * error + 1e-3)
-
-
-def test_sharpened_light_keeps_its_sum_and_even_light_stays(sheet):
-    _, _, made = _kernels(sheet, (1, 1))
-    assert made.sharpening.sum() == pytest.approx(1.0, abs=1e-9)
-    even = event_samplers._sharpen(np.full((40, 60), 3.0), made)
-    assert np.allclose(even, 3.0)
-
-
-@pytest.mark.parametrize("gate_s", [1e-6, 4e-3, 16.6e-3])
-def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
-    """Shares over the fields agree with the pulse shares of the decay itself, in mean and in mean
-    square.
-    """
-    glow = PhosphorDecay(
-        components=((0.95, 1.45e-3), (0.05, 35e-3)), gate_s=gate_s, field_s=1 / 59.94
-    )
-    (later, spread, kept), memory = glow.recursion.astype(float), glow.n_lag_fields
-    truth = glow.pulse_shares
-    assert 1.0 - later.sum() == pytest.approx(truth[:, 0].mean(), abs=2e-4)
-    assert (1.0 - later.sum()) ** 2 + spread.sum() ** 2 == pytest.approx(
-        np.mean(truth[:, 0] ** 2), abs=3e-4
-    )
-    first = np.sum(later * (1.0 - kept))
-    assert first == pytest.approx(truth[:, 1].mean(), abs=1e-3)
-    both = (1.0 - later.sum()) * first - spread.sum() * np.sum(spread * (1.0 - kept))
-    assert both == pytest.approx(np.mean(truth[:, 0] * truth[:, 1]), abs=1e-3)
-    assert np.sum(later * kept**memory) < grid.ACCURACY.max_lag_fraction
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import pytest
 from simulate.radiance.geometry import Viewpoint, box, plane
 from simulate.radiance.integrator import (
     IntegratorSettings,
-    Nodes,
     SamplingSettings,
     SpectralScene,
     build_irradiance_cache,
@@ -204,32 +203,3 @@ def test_threads_change_no_byte(seed):
             stage, view, rays, IntegratorSettings(), weight=WHITE, seed=seed, run=run
         )
     assert alone.cube.radiance.tobytes() == together.cube.radiance.tobytes()
-
-
-def steps(faces: int = 2) -> Nodes:
-    """A grid over two levels, the right half higher, of one triangle each or of many."""
-    row, col = (axis.ravel() for axis in np.meshgrid(np.arange(24), np.arange(40), indexing="ij"))
-    place = np.column_stack([0.1 * col, 0.1 * row, np.where(col < 20, 0.0, 0.5)])
-    face = np.arange(960) if faces == 960 else col // 20
-    return Nodes.of(row, col, (24, 40), place, np.broadcast_to([0.0, 0.0, 1.0], place.shape), face)
-
-
-@pytest.mark.parametrize("width", [1, 4, 8])
-@pytest.mark.parametrize("faces", [2, 960])
-def test_evening_out_keeps_slopes_and_mixes_no_surfaces(width, faces):
-    nodes = steps(faces)
-    row, col = np.meshgrid(np.arange(24.0), np.arange(40.0), indexing="ij")
-    slope = np.where(col < 20, 1.0 + 0.2 * row - 0.1 * col, 50.0 + col)[..., None]
-    kept = nodes.smooth(slope, np.full((24, 40), width), one_by_one)
-    assert np.abs(kept - slope).max() < 1e-9
-
-
-def test_between_nodes_of_one_surface_others_have_no_say():
-    nodes = steps()
-    value = np.where(nodes.place_m[..., 2] > 0.0, 9.0, 1.0).astype(np.float32)[..., None]
-    # Beside the step, on the lower level, on the higher, and on neither.
-    place = np.array([[1.95, 1.0, 0.0], [1.95, 1.0, 0.5], [1.95, 1.0, 3.0]])
-    up = np.broadcast_to([0.0, 0.0, 1.0], place.shape)
-    found, has = nodes.between(value, np.full(3, 10.0), np.full(3, 19.5), place, up)
-    assert has.tolist() == [True, True, False]
-    assert found[:2, 0] == pytest.approx([1.0, 9.0])
