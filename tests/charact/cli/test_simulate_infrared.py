@@ -1,5 +1,5 @@
-"""`charact simulate` of a scene for thermal imagers, alone and with a camera of visible light on
-one rig.
+"""`charact simulate` of a scene out of doors, for thermal imagers, alone and with a camera of
+visible light on one rig, and for a camera at night: frames, radiance, truth and plan.
 """
 
 import json
@@ -210,50 +210,23 @@ def test_a_preview_takes_few_pixels(files, tmp_path):
     assert "radiance.png: a preview" in done.output and (tmp_path / "p" / "truth.npz").exists()
 
 
-def test_what_a_thermal_imager_cannot_do_is_refused_in_one_sentence(files, tmp_path):
-    thermal = ("--sensor", files / "thermal.toml")
-
-    def refused(*arguments, words):
-        assert_one_sentence(charact("simulate", *arguments), *words)
-
-    refused(
-        files / "still.toml",
-        tmp_path / "a",
-        *thermal,
-        words=("[weather] with wind_m_s or with a file",),
-    )
-    refused("bench", tmp_path / "b", *thermal, words=("a thermal imager needs an outdoor scene",))
-    refused(
-        files / "scene.toml",
-        tmp_path / "c",
-        *thermal,
-        "--gain",
-        100,
-        words=("gain needs a camera of visible",),
-    )
-    refused(
-        files / "scene.toml",
-        tmp_path / "d",
-        *thermal,
-        *thermal,
-        words=("different names, got 'thermal' twice",),
-    )
-    refused(
-        files / "scene.toml",
-        tmp_path / "e",
-        *thermal,
-        "--radiance",
-        "tif",
-        words=("fits, envi, exr, got 'tif'",),
-    )
-    refused(
-        files / "scene.toml",
-        tmp_path / "f",
-        *thermal,
-        "--kind",
-        "flat",
-        words=("must be scene, got flat",),
-    )
+@pytest.mark.parametrize(
+    ("source", "options", "words"),
+    [
+        ("still.toml", (), "[weather] with wind_m_s or with a file"),
+        ("bench", (), "a thermal imager needs an outdoor scene"),
+        ("scene.toml", ("--gain", 100), "gain needs a camera of visible"),
+        ("scene.toml", ("--sensor", "thermal.toml"), "different names, got 'thermal' twice"),
+        ("scene.toml", ("--radiance", "tif"), "fits, envi, exr, got 'tif'"),
+        ("scene.toml", ("--kind", "flat"), "must be scene, got flat"),
+    ],
+)
+def test_what_a_thermal_imager_cannot_do_is_refused_in_one_sentence(
+    files, tmp_path, monkeypatch, source, options, words
+):
+    monkeypatch.chdir(files)
+    asked = ("simulate", source, tmp_path / "out", "--sensor", "thermal.toml", *options)
+    assert_one_sentence(charact(*asked), words)
 
 
 def test_radiance_as_fits_has_bands_range_and_pose(files, tmp_path):
@@ -274,3 +247,49 @@ def test_radiance_as_fits_has_bands_range_and_pose(files, tmp_path):
             focal_px=(file[0].header["FOCALX"], file[0].header["FOCALY"]),
         )
     assert lens.position_m == (0.0, -9.0, 1.5) and lens.forward[1] > 0.99
+
+
+BALL = """
+name = "a ball on a lawn"
+place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-07-01T23:00:00-04:00 }
+camera = { position_m = [0, -9, 1.5], look_at_m = [0, 0, 1] }
+[[material]]
+label = "lawn"
+library = "green-canopy"
+[[material]]
+label = "paint"
+reflectance = [0.6]
+[[object]]
+label = "ground"
+shape = "ground"
+size_m = [400]
+material = "lawn"
+[[object]]
+label = "ball"
+shape = "sphere"
+size_m = [0.15]
+material = "paint"
+position_m = [0, 0, 1]
+"""
+
+
+def test_a_scene_becomes_frames_with_radiance_truth_and_plan_beside_them(tmp_path):
+    out, camera = tmp_path / "out", small_camera(tmp_path, 48, 64)
+    (tmp_path / "scene.toml").write_text(BALL)
+    done = done_well(
+        "simulate", tmp_path / "scene.toml", out, "--sensor", camera, "--frames", 40, "--explain"
+    )
+    assert "moon" in done.output and "bounces followed" in done.output
+    frames = open_session(out).stack("scene").read().data.astype(float)
+    with np.load(out / "truth.npz") as truth:
+        ball = truth["object"] == list(truth["objects"]).index("ball")
+        lawn = truth["object"] == list(truth["objects"]).index("ground")
+        assert truth["range_m"][ball].min() == pytest.approx(np.hypot(9.0, 0.5) - 0.15, abs=0.05)
+        assert list(truth["sources"]) == ["moon"]
+    assert frames.shape[1:] == ball.shape
+    mean = frames.mean(axis=0)
+    # Pale paint in moonlight beside a lawn: the camera sees it where the truth says it is.
+    assert mean[ball].mean() > mean[lawn].mean() + 5.0 * mean[lawn].std() / np.sqrt(lawn.sum())
+    plan = json.loads((out / "light.json").read_text())
+    assert {effect["name"] for effect in plan["effects"]} >= {"moon", "bounce 1", "hidden sky"}
+    assert (out / "radiance.png").read_bytes()[:4] == b"\x89PNG"
