@@ -119,3 +119,16 @@ def test_lag_motion_and_a_second_source_are_where_they_should_be():
         replace(source, second_distance_px=20.0, second_ratio=0.5, second_angle_deg=90.0), 1.0
     )
     assert pair[row + 20, col] - 13 == pytest.approx(0.5 * (pair[row, col] - 13), rel=1e-3)
+
+
+def test_the_plate_tires_where_it_is_bright():
+    source = BloomScene(background_dn=0.0)
+    tired = replace(source, plate_saturation_dn=1e3)
+    assert truth(tired, 1e-3)["core_compression"] == pytest.approx(1.0, abs=1e-2)
+    assert truth(tired, 100.0)["core_compression"] < 0.3
+    row, col = (round(one) for one in source.centre)
+    assert noiseless_frame(tired, 1e6)[row, col] - source.dark_dn == pytest.approx(1e3, rel=0.01)
+    far = np.s_[row, col + 21]
+    assert noiseless_frame(tired, 100.0)[far] == pytest.approx(
+        noiseless_frame(source, 100.0)[far], rel=0.02
+    )

@@ -10,11 +10,14 @@ from scipy.special import ndtri
 from scipy.stats import lognorm
 
 from benchmarks.studies.edge_map import case_of, cell_of
-from charact.estimators.mtf import edge_parametric
+from charact.estimators.mtf import edge_parametric, known_transfer, prepare_edge
 from charact.estimators.mtf.edge import result as edge_result
 from charact.estimators.mtf.edge import thresholds
+from charact.estimators.mtf.edge.fit import model_fit
 from charact.estimators.mtf.edge.fit import model_selection as edge_beyond
+from charact.estimators.mtf.edge.pixels import profile
 from charact.method import Context
+from charact.transfer import BlurModel
 from labdata import measurement_from_draws
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene
@@ -107,6 +110,25 @@ def test_a_halo_and_light_that_slopes_do_not_hide_each_other(monkeypatch):
     together, apart = away.values()
     assert together < 1.0
     assert apart > 2.5
+
+
+def test_what_a_fit_would_be_in_other_light_is_about_what_it_becomes(seed):
+    """Slopes are linear in the model: their prior may change with the point as it is, and no
+    fit.
+    """
+    stack = replace(PLAIN, snr=40.0, gradient=0.1).frames_drawn(np.random.default_rng(seed))
+    edge = prepare_edge(stack, None, QUICK)
+    fitter = model_fit.EdgeFitter(
+        edge.profile, known_transfer.known_transfer(edge.picture, edge.profile.angle_rad, QUICK)
+    )
+    even = fitter.fit(
+        BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), profile.EVEN_PER_PX
+    )
+    told = fitter.under(even, profile.UNEVEN_PER_PX)
+    fitted = fitter.fit(even.family, even.point, profile.UNEVEN_PER_PX)
+    assert fitted.log_evidence - even.log_evidence > 10.0
+    assert told.log_evidence == pytest.approx(fitted.log_evidence, abs=0.5)
+    assert fitter.under(even, profile.EVEN_PER_PX) is even
 
 
 def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(seed):

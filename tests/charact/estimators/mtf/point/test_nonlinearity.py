@@ -9,12 +9,38 @@ import numpy as np
 import pytest
 
 from charact.estimators.mtf import point_forward, point_parametric
+from charact.estimators.mtf.point import nonlinearity, thresholds
 from charact.method import Context
 from tests.truth.blur import TrueBlur
 from tests.truth.photon_spots import Spot, SpotCamera
 from tests.truth.point import PointScene
 
 QUICK = Context(quick=True)
+SIZE = 9
+
+
+def noise(power, samples, rng):
+    """Samples of pulses behind a response, beside white noise, with what they are made of."""
+    y, x = (axis.ravel() - SIZE // 2 for axis in np.mgrid[:SIZE, :SIZE].astype(float))
+    mean = np.exp(-0.5 * (x**2 + y**2) / 1.8**2)
+    near = np.exp(-0.25 * ((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2) / 0.5**2)
+    pulses = 50.0 * near * np.sqrt(np.outer(mean, mean))
+    dark = 0.2 * np.eye(mean.size)
+    shown = np.maximum(mean, thresholds.ACCURACY.min_light_fraction) ** (0.5 * power)
+    whole = pulses * np.outer(shown, shown) + dark
+    return rng.multivariate_normal(np.zeros(mean.size), whole, size=samples), mean, pulses, dark
+
+
+def test_sources_of_one_camera_say_together_what_each_says_less_surely(seed):
+    rng = np.random.default_rng(seed)
+    profiles = [nonlinearity.power_log_likelihoods(*noise(-0.3, 8, rng)) for _ in range(6)]
+    together, alone = (
+        nonlinearity.fit_nonlinearity(profiles),
+        [nonlinearity.fit_nonlinearity([one]) for one in profiles],
+    )
+    assert together.is_nonlinear
+    assert together.significance > max(one.significance for one in alone)
+    assert np.ptp(together.exponents) < min(np.ptp(one.exponents) for one in alone)
 
 
 @pytest.mark.parametrize("method", [point_parametric, point_forward])
