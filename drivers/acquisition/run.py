@@ -1,5 +1,6 @@
 """Take the steps of a plan with camera, bench and storage open."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -38,9 +39,11 @@ SAME, SAME_LIGHT = 1e-3, 0.02
 # Measured conditions without set-point; they may differ between runs
 OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")
 
-# Temporal noise above which no two frames are equal, DN, and where it is unknown the fraction of
-# pixels off the median that shows it: hot pixels are fewer
-VISIBLE_NOISE_DN, VISIBLE_PIXELS = 0.25, 0.01
+# Fraction of read noise that a video filter leaves, and number of pixels that rounding must let
+# deviate by it before no two frames are taken to be equal; where noise is unknown, the fraction of
+# pixels off the median that shows it (hot pixels are fewer)
+NOISE_LEFT, VARYING_PIXELS, VISIBLE_PIXELS = 0.5, 20.0, 0.01
+VISIBLE_DN = 1.0  # Predicted level above black from which light has noise to be seen, DN
 # Factor by which a level above black may exceed the one that the description predicts (specimens
 # are within 2.5), and fraction of full scale by which it may exceed it in any case
 PREDICTED_FACTOR, PREDICTED_MARGIN = 5.0, 0.05
@@ -80,6 +83,7 @@ class Run:
     def __post_init__(self) -> None:
         self._gain_table, self._before = gain_table_of(self.plan, self.sensor), None
         self._black_dn: float | None = None  # Mean of the first frame without light
+        self._pictures: dict[int, int] = {}  # Numbers of all frames, by their digests
         self._finished, self._partial, self._doubtful = (
             self.writer.finished_labels,
             self.writer.partial,
@@ -132,7 +136,10 @@ class Run:
         self._tell(step, 0)
         self.log("step begins", step=step.label)
         anew, watcher = self._set_aside(step), self._watcher(step)
-        self._freshness = Freshness(step, self._noise_dn)
+        asked, is_bright = step.conditions, bool(step.conditions.illuminance_lux)
+        if is_bright and self.predict is not None:
+            is_bright = bool(asked.mcp_v) and self.predict(asked) > VISIBLE_DN
+        self._freshness = Freshness(self._pictures, is_bright=is_bright, noise_dn=self._noise_dn)
         stored_frames = 0 if anew else self._partial.get(step.label, 0)
         before = self._look_back(step, watcher) if stored_frames else None
         conditions = self._set(step, clock)
@@ -403,21 +410,24 @@ class Freshness:
     """Notices frames of a stack that equal an earlier one under another number.
 
     Noise makes every frame new. A camera that repeats its pictures shows no light of the room, so
-    that the second repeat ends the run; a dark without noise is noted alone. `noise_dn`: read noise
-    by the camera's description, DN; None if unknown.
+    that the second repeat ends the run; a dark without noise is noted alone. `pictures`: numbers of
+    the frames of the run so far, by their digests; `is_bright`: whether the light of the step must
+    show noise; `noise_dn`: read noise by the camera's description, DN; None if unknown.
     """
 
-    def __init__(self, step: Step, noise_dn: float | None) -> None:
-        self._is_lit, self._noise_dn = bool(step.conditions.illuminance_lux), noise_dn
-        self._numbers: dict[int, int] = {}  # of the first frame of each digest
-        self._repeats = 0
+    def __init__(
+        self, pictures: dict[int, int], *, is_bright: bool, noise_dn: float | None
+    ) -> None:
+        self._is_bright, self._noise_dn = is_bright, noise_dn
+        self._pictures, self._repeats = pictures, 0
 
     def see(self, frame: Frame) -> None:
         """Take a frame; the second repeat is BenchError where noise must show."""
         rows = frame.pixels[:: max(1, frame.pixels.nbytes // DIGEST_BYTES)]
-        first = self._numbers.setdefault(hash(rows.tobytes()), frame.number)
-        self._repeats += first != frame.number
-        if first != frame.number and self._repeats > 1 and self._must_vary(rows):
+        first = self._pictures.get(digest := hash(rows.tobytes()))
+        self._pictures[digest] = frame.number
+        self._repeats += first is not None
+        if first is not None and self._repeats > 1 and self._must_vary(rows):
             raise BenchError.of(
                 "camera",
                 "send a new picture under each number",
@@ -429,10 +439,11 @@ class Freshness:
         return f"{self._repeats} frames equal an earlier one" if self._repeats else None
 
     def _must_vary(self, pixels: NDArray) -> bool:
-        if self._is_lit:
+        if self._is_bright:
             return True
         if self._noise_dn is not None:
-            return self._noise_dn > VISIBLE_NOISE_DN
+            deviates = math.erfc(0.5 / (math.sqrt(2.0) * NOISE_LEFT * (self._noise_dn or 1e-9)))
+            return deviates * pixels.size > VARYING_PIXELS
         return bool(np.count_nonzero(pixels != np.median(pixels)) > VISIBLE_PIXELS * pixels.size)
 
 
