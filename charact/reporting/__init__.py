@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FIGURES",
-    "SHEET",
     "VERDICT_COLOURS",
     "FrequencyUnit",
     "TruthComparison",
