@@ -10,12 +10,19 @@ import numpy as np
 from charact.method import Context
 from charact.method.registry import Progress, Spread, ignore_progress
 from charact.verdict import judge
-from labdata.camera.description import has_tube
+from labdata import (
+    MANIFEST,
+    BadInput,
+    Result,
+    Session,
+    StackEntry,
+    has_tube,
+    make_refusal,
+    open_lazy_stack,
+    open_session,
+    sha256_of,
+)
 from labdata.camera.parameters import Parameter
-from labdata.errors import BadInput
-from labdata.lazy_stack import open_lazy_stack
-from labdata.measurement import Result, make_refusal
-from labdata.session import MANIFEST, Session, StackEntry, open_session, sha256_of
 
 Quantities = tuple[tuple[str, str], ...]
 METHOD = "session"

@@ -8,9 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.capture import CameraSettings, Frame, LostFrames
-from labdata.conditions import Conditions
-from labdata.target import Kind, Target
+from labdata import CameraSettings, Conditions, Frame, Kind, LostFrames, Target
 
 
 class Capture(Iterable[Frame], AbstractContextManager["Capture"], Protocol):

@@ -17,11 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.session import Kind
-from labdata.target import Target
+from labdata import BadInput, Camera, Conditions, Kind, Target
 from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     photoelectrons_from_image,

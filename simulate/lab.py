@@ -10,12 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Camera, Conditions, Kind, Target
 from labdata.frames import FrameStack, read_only
-from labdata.session import Kind
-from labdata.target import Target
 from simulate.camera import tube_photometry as photometry
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot

@@ -3,10 +3,8 @@
 import math
 from typing import Any
 
-from labdata.camera.description import Camera
+from labdata import BadInput, Camera, Conditions
 from labdata.camera.tube import TubeLimits
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
 
 # Conditions of a tube.
 _OF_A_TUBE = ("mcp_v", "gain_control", "gate_ns", "brightness_control")
@@ -14,8 +12,7 @@ _OF_A_TUBE = ("mcp_v", "gain_control", "gate_ns", "brightness_control")
 
 def load_described_camera(sensor: str, phosphor: str | None = None) -> Camera:
     """Return the sensor description of a camera, with another phosphor if one is given."""
-    from labdata.phosphors import load_phosphor
-    from labdata.sensors import load_camera
+    from labdata import load_camera, load_phosphor
 
     camera = load_camera(sensor)
     if phosphor is None:

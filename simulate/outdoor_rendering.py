@@ -11,8 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.camera import tube_photometry
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labdata.errors import BadInput
-from labdata.file_io import write_atomically
+from labdata import BadInput, write_atomically
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

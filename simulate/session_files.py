@@ -30,10 +30,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labdata.camera.description import Camera
-from labdata.file_io import write_atomically
-from labdata.sensors import save_sensor
-from labdata.session_writer import SessionWriter
+from labdata import Camera, SessionWriter, save_sensor, write_atomically
 from simulate.shot import Progress, Shot, ignore_progress
 
 if TYPE_CHECKING:

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.session import Kind
-from labdata.target import Target
+from labdata import Conditions, Kind, Target
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Chain, Slot, Stage
 from simulate.camera.phosphor import apply_phosphor_decay

@@ -14,10 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.file_io import write_atomically
-from labdata.measurement import Provenance, Result, measurement_from_sd
+from labdata import BadInput, Conditions, Provenance, Result, measurement_from_sd, write_atomically
 from labdata.settings import (
     Argument,
     ProgressSink,

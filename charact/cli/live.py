@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from charact.live.frame_source import FrameSource
     from charact.live.quick_look import QuickLook
     from charact.method import Context
-    from labdata.measurement import Measurement
-    from labdata.plan import Plan, Step
+    from labdata import Measurement, Plan, Step
 
 
 def _show(
@@ -164,8 +163,7 @@ def _frames_each(camera: str) -> int:
     unlimited.
     """
     from charact.live.frame_source import ENDLESS
-    from labdata.lazy_stack import open_lazy_stack
-    from labdata.session import open_session
+    from labdata import open_lazy_stack, open_session
 
     kind, _, address = camera.partition(":")
     if kind != "replay":

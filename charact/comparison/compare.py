@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 
 from charact.comparison.conditions import ConditionPair, condition_pairs, pair_stacks, require_alike
 from charact.comparison.thresholds import LIMITS
-from labdata.errors import BadInput
-from labdata.flags import order_flags
+from labdata import QUANTITIES, BadInput, Session, order_flags
 from labdata.measurement import Interval, Measurement, Result, intervals_of
-from labdata.quantity import QUANTITIES
-from labdata.session import Session
 
 # Standard scores of the upper limits of the 68 % and 95 % intervals, and one beyond all draws.
 SCORES, FARTHEST = (0.994458, 1.959964), 10.0

@@ -10,10 +10,7 @@ from charact.estimators.noise.findings import AUTOMATIC, step_finding
 from charact.fitting.observation import Observation, has_automatic_gain
 from charact.fitting.prior import Camera
 from charact.verdict import Finding
-from labdata.errors import BadInput
-from labdata.lazy_stack import open_lazy_stack
-from labdata.measurement import Result
-from labdata.session import Session
+from labdata import BadInput, Result, Session, open_lazy_stack
 
 
 def camera_of(session: Session, pitch_px: int) -> Camera:

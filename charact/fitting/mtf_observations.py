@@ -3,7 +3,6 @@
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities
 from charact.fitting.observation import (
@@ -14,10 +13,7 @@ from charact.fitting.observation import (
 )
 from charact.fitting.prior import Camera
 from charact.fitting.thresholds import ERRORS, LEVELS, LIMITS
-from labdata.measurement import Curve, Result
-from labdata.session import Session, StackEntry
-
-Array = NDArray[np.float64]
+from labdata import Array, Curve, Result, Session, StackEntry
 
 SPREAD = (
     "optics.aberration_blur_um",

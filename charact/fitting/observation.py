@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import (
     AUTOMATIC,
@@ -21,10 +20,7 @@ from charact.estimators.noise.findings import (
 from charact.observables import Stacks, Values, observables
 from charact.observables.photon_transfer import PhotonTransfer
 from charact.verdict import Finding
-from labdata.conditions import Conditions
-from labdata.measurement import Measurement, Result
-
-Array = NDArray[np.float64]
+from labdata import Array, Conditions, Measurement, Result
 
 # Flags that add no bias; any other flag excludes a measurement from the fit.
 MILD = {

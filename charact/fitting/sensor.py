@@ -31,13 +31,9 @@ from charact.fitting.thresholds import LIMITS, SAMPLING
 from charact.fitting.tube_observations import tube_observations
 from charact.observables import Values
 from charact.verdict import Finding
-from labdata.camera.description import Camera
+from labdata import Array, BadInput, Camera, Posterior, Result, Session
 from labdata.camera.parameters import Draws, Parameter
-from labdata.errors import BadInput
-from labdata.measurement import Posterior, Result
-from labdata.session import Session
 
-Array = NDArray[np.float64]
 # Row pitch of pixels of known shape: it follows the column pitch.
 TIED = {"ccd.pitch_y_um": "ccd.pitch_x_um"}
 

@@ -1,7 +1,6 @@
 """Observations of a camera without a tube: gain, dark noise, levels, fixed patterns, saturation."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.gain.emva1288 import excess_of
 from charact.estimators.noise.illumination import relative_sd_of, table_sensitivity_ua_per_lm
@@ -33,13 +32,8 @@ from charact.observables.silicon import (
 )
 from charact.observables.stack_level import StackLevel
 from charact.observables.thresholds import SILICON
+from labdata import Array, Camera, Conditions, Result, Session
 from labdata.camera.chip import Silicon
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.measurement import Result
-from labdata.session import Session
-
-Array = NDArray[np.float64]
 
 LENS = ("optics.aberration_blur_um", "optics.f_number")
 

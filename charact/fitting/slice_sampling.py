@@ -8,12 +8,11 @@ few effective draws.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.fitting.thresholds import SAMPLING
+from labdata import Array
 from labdata.measurement import Posterior
 
-Array = NDArray[np.float64]
 LogProbability = Callable[[Array], Array]
 
 

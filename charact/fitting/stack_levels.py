@@ -7,8 +7,7 @@ from charact.estimators.noise.illumination import gathering_s
 from charact.fitting.thresholds import LEVELS
 from charact.frames.rounding import rounding_step
 from charact.observables.stack_level import StackLevel, variances_of
-from labdata.conditions import Conditions
-from labdata.session import Session, StackEntry
+from labdata import Conditions, Session, StackEntry
 
 
 def levels_of(session: Session) -> tuple[StackLevel, ...]:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities as predicted
 from charact.fitting.observation import Observation, scalar_observation
@@ -30,9 +29,7 @@ from charact.fitting.tube_time_observations import (
     pulse_covariance,
 )
 from charact.observables import Values
-
-Array = NDArray[np.float64]
-
+from labdata import Array
 
 EBI, READ, DSNU, BLACK = (
     "photocathode.ebi_lm_per_cm2",

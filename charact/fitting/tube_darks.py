@@ -8,10 +8,8 @@ from numpy.typing import NDArray
 from charact.fitting.thresholds import DARKS
 from charact.fitting.tube_ions import IonEvents
 from charact.observables.stack_level import StackLevel
+from labdata import Array, Mask
 from labdata.camera.description import Camera
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,10 +15,7 @@ from charact.fitting.thresholds import DARKS, ION_ERRORS
 from charact.fitting.tube_time_observations import field_products, frames_of, pulse_covariance
 from charact.observables import Values
 from charact.observables.stack_level import StackLevel
-from labdata.camera.description import Camera
-from labdata.measurement import Result
-
-Array = NDArray[np.float64]
+from labdata import Array, Camera, Result
 
 RATE, SIZE = "microchannel_plate.ion_event_rate_per_s_cm2", "microchannel_plate.ion_event_size_pe"
 IONS = (RATE, SIZE)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from charact.fitting import predicted_quantities
@@ -22,11 +21,7 @@ from charact.fitting.tube_ions import IONS, IonEvents, ions_of
 from charact.fitting.tube_pattern_observations import frame_observations
 from charact.observables import Values
 from charact.observables.stack_level import StackLevel
-from labdata.camera.description import Camera
-from labdata.measurement import Measurement, Result
-from labdata.session import Session
-
-Array = NDArray[np.float64]
+from labdata import Array, Camera, Measurement, Result, Session
 
 SENSITIVITY = "photocathode.luminous_sensitivity_ua_per_lm"
 GAIN = (

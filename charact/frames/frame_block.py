@@ -28,10 +28,7 @@ from charact.frames.temporal import (
 )
 from charact.frames.thresholds import STACK
 from charact.method import Context
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-
-Array = NDArray[np.float64]
+from labdata import Array, BadInput, FrameStack
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,11 +10,7 @@ from charact.frames import clipping
 from charact.frames.image_lag import ImageLagModel, image_lag_model
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context
-from labdata.camera.description import Camera
-from labdata.frames import FrameStack
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Camera, FrameStack, Mask
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,13 +22,8 @@ from charact.frames.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY, Bins
 from charact.frames.temporal import runs_of
 from charact.frames.thresholds import STACK
 from charact.method import Context
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import Array, BadInput, Conditions, StackEntry, open_lazy_stack
 from labdata.frames import FrameStack, LazyStack
-from labdata.lazy_stack import open_lazy_stack
-from labdata.session import StackEntry
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

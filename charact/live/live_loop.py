@@ -11,8 +11,7 @@ from charact.live.focus import BestFocus, FocusReader
 from charact.live.frame_source import FrameSource, SourceFrame
 from charact.live.live_view import LiveView, measure_frame, render_preview
 from drivers.errors import BenchError
-from labdata.capture import Frame
-from labdata.errors import BadInput
+from labdata import BadInput, Frame
 
 CLOSED = "the live view was closed"
 

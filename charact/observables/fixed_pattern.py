@@ -9,7 +9,6 @@ dark (EMVA 1288 Release 4.0, eq. 66, 67).
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.observables.frame_view import FrameView, bands_of, highest
 from charact.observables.observable import (
@@ -26,8 +25,8 @@ from charact.observables.observable import (
 from charact.observables.silicon import amplification, cooling, dn_per_electron, em_gain, warmth
 from charact.observables.stack_level import StackLevel
 from charact.observables.thresholds import FRAMES, SILICON
+from labdata import Array
 
-Array = NDArray[np.float64]
 DSNU_E, PRNU_FRACTION = "ccd.dsnu_e", "ccd.prnu"
 
 

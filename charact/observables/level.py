@@ -6,7 +6,6 @@ b: black level; p: photons of a pixel; eta: quantum efficiency.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.observables.observable import (
     Estimates,
@@ -17,8 +16,6 @@ from charact.observables.observable import (
     log,
     observable,
 )
-
-Array = NDArray[np.float64]
 
 
 @observable

@@ -11,13 +11,9 @@ from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.measurement import Result
+from labdata import Array, Camera, Conditions, Result
 
-Array = NDArray[np.float64]
 # Every parameter of a description by its path: n draws, or one value, shape (n,) or (1,)
 Values = Mapping[str, Array]
 Numbers = Mapping[str, float]

@@ -10,7 +10,6 @@ the response.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.frames.rounding import rounding_sd
 from charact.observables.observable import (
@@ -39,8 +38,7 @@ from charact.observables.silicon import (
 )
 from charact.observables.stack_level import StackLevel
 from charact.observables.thresholds import SILICON
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 def variance_errors(stacks: Stacks[MeasuredStack]) -> tuple[Array, float]:

@@ -8,14 +8,12 @@ of full scale.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.observables.observable import Values
 from charact.observables.thresholds import SILICON
+from labdata import Array
 from labdata.camera.chip import excess_noise_factor
 from labdata.conditions import Conditions
-
-Array = NDArray[np.float64]
 
 CONVERSION_GAIN = "video.conversion_gain_dn_per_e"
 READ_NOISE = "ccd.read_noise_e"

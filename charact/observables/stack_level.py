@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from charact.frames.components import shading
 from charact.observables.dark_spectrum import ReadoutSpectrum, readout_spectrum
-from labdata.conditions import Conditions
-from labdata.session import StackEntry
+from labdata import Conditions, StackEntry
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.validation.thresholds import VALIDATION
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,8 @@ from charact.validation.frames import MatchedFrames, MatchedStacks
 from charact.validation.target_features import FREQUENCY_CY_PER_PX, RADII_PX, point_features
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import FramePair, ResidualMap, ValidationFigures
-from labdata.conditions import Conditions
-from labdata.session import Session
+from labdata import Array, Conditions, Session
 
-Array = NDArray[np.float64]
 Frames = Mapping[str, NDArray]
 
 # Side of the squares over which a residual is averaged, px: structure stands out of the noise of

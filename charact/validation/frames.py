@@ -9,11 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.validation.thresholds import VALIDATION
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.session import Kind, Session, StackEntry
-from labdata.target import Target
+from labdata import BadInput, Camera, Conditions, Kind, Session, StackEntry, Target
 
 if TYPE_CHECKING:
     from simulate.lab import LabBench

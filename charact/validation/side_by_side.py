@@ -29,8 +29,7 @@ from charact.validation.frames import (
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
 from charact.validation.validation_test import ParameterChange, ValidationTest
-from labdata.camera.description import Camera
-from labdata.session import Session
+from labdata import Camera, Session
 
 Frames = Mapping[str, NDArray]
 Progress = Callable[[str, float], None]

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.observables import Numbers
 from charact.validation.ensemble import Ensemble, ensemble_of, holm_levels
@@ -14,8 +13,8 @@ from charact.validation.frame_features import GROUPS
 from charact.validation.parameter_scores import ParameterScores, parameter_scores
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import DetectableError, Statistic
+from labdata import Array
 
-Array = NDArray[np.float64]
 Groups = Mapping[str, Numbers]
 
 # Least p-value that the repetitions can give.

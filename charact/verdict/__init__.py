@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from math import fsum, isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labdata import Array
 from labdata.flags import order_flags
 from labdata.measurement import Curve, Interval, Measurement, Status
-
-Array = NDArray[np.float64]
 
 GOLDEN_RATIO = 0.5 + 0.5 * 5.0**0.5
 SETTLES, AT_MOST = "; what settles it: ", ": at most "

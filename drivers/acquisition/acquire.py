@@ -20,22 +20,30 @@ from drivers.bench.local_bench import LocalBench, open_bench
 from drivers.cameras import camera_named
 from drivers.interface import Bench, Camera, Operator
 from drivers.serial_lines.line import InstrumentLine
-from labdata.background import BackgroundWriter
-from labdata.camera.description import Camera as Description
+from labdata import (
+    MANIFEST,
+    BackgroundWriter,
+    BadInput,
+    DoseLedger,
+    EventLog,
+    Session,
+    SessionWriter,
+    Storage,
+    ledger_of,
+    limits_in_force,
+    load_sensor,
+    open_session,
+    plan_toml,
+    read_plan,
+    save_sensor,
+    sensor_names,
+    write_atomically,
+)
+from labdata import Camera as Description
 from labdata.capture import PIXEL_BITS, CameraSettings
-from labdata.errors import BadInput
-from labdata.event_log import EventLog
-from labdata.file_io import write_atomically
 from labdata.instrument_config import InstrumentConfig, Role
-from labdata.limits import limits_in_force
 from labdata.plan import Judge, Plan, gain_table_of, in_volts
-from labdata.plan_file import plan_toml, read_plan
-from labdata.sensors import load_sensor, save_sensor, sensor_names
-from labdata.session import MANIFEST, Session, open_session
-from labdata.session_writer import SessionWriter
 from labdata.settings import Argument, ProgressSink, Resume, documented, ignore_progress
-from labdata.storage_thread import Storage
-from labdata.tube_dose import DoseLedger, ledger_of
 
 PLAN = "plan.toml"
 LOG = "log.jsonl"

@@ -10,15 +10,19 @@ from drivers.acquisition.run import DISCARDED_FRAMES
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import FIELD_RATE_HZ
 from drivers.bench.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
-from labdata.calibration import GainTable, LampCalibration
-from labdata.camera.description import Camera
+from labdata import (
+    BadInput,
+    Camera,
+    Conditions,
+    GainTable,
+    Gating,
+    LampCalibration,
+    load_sensor,
+    out_of_step,
+)
 from labdata.capture import PIXEL_BITS, CameraSettings
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.gating import Gating, out_of_step
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step, by_calibration, gain_table_of, in_volts
-from labdata.sensors import load_sensor
 from labdata.settings import Argument, documented
 from labdata.tube_dose import Dose, dose_of, ledger_of, total_dose, warnings
 

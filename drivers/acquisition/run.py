@@ -14,14 +14,10 @@ from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError, CameraError
 from drivers.interface import Bench, Camera, FrameLevels, Operator
-from labdata.camera.description import Camera as Description
+from labdata import BadInput, Conditions, EventLog, SessionWriter, open_session
+from labdata import Camera as Description
 from labdata.capture import PIXEL_BITS, CameraSettings, Frame, LostFrames
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.event_log import EventLog
 from labdata.plan import Judge, Plan, SaturationSearch, Step, Watcher, by_calibration, gain_table_of
-from labdata.session import open_session
-from labdata.session_writer import SessionWriter
 from labdata.storage_thread import Storage, StoredStack
 
 LOOK_S = 0.1

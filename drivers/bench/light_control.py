@@ -13,10 +13,8 @@ from drivers.bench.state import Command, FilterMoved, FilterRead, LightRead, Set
 from drivers.errors import BenchError, BenchStopped
 from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions, Kind, Target
 from labdata.instrument_config import Role
-from labdata.target import Kind, Target
 
 # Fraction of the largest allowed light below which a reading with blocked light is the zero of the
 # meter

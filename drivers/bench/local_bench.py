@@ -15,8 +15,7 @@ from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stati
 from drivers.errors import BenchError
 from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
-from labdata.errors import BadInput
-from labdata.event_log import EventLog
+from labdata import BadInput, EventLog
 from labdata.instrument_config import PORT_KEYS, InstrumentConfig, Role
 from labdata.limits import Limits, LimitsInForce, limits_in_force
 

@@ -7,11 +7,9 @@ from typing import Any
 
 from drivers.bench.state import TubeState
 from drivers.errors import BenchError
-from labdata.background import BackgroundWriter
-from labdata.conditions import Conditions
+from labdata import BackgroundWriter, Conditions, Dose, DoseLedger, dose_of, total_dose
 from labdata.instrument_config import Meters, Role
 from labdata.limits import LimitsInForce
-from labdata.tube_dose import Dose, DoseLedger, dose_of, total_dose
 
 Reading = tuple[
     Conditions, tuple[str, ...]

@@ -40,8 +40,7 @@ from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stati
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.serial_lines.line import InstrumentLine
-from labdata.errors import BadInput
-from labdata.event_log import EventLog
+from labdata import BadInput, EventLog
 from labdata.instrument_config import Role
 
 TICK_S = 0.02

@@ -6,13 +6,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from drivers.serial_lines.port import usb_ports
-from labdata.calibration import LampCalibration
-from labdata.errors import BadInput
-from labdata.file_io import write_atomically
-from labdata.gating import Gating
+from labdata import BadInput, DoseLedger, Gating, LampCalibration, write_atomically
 from labdata.instrument_config import InstrumentConfig, Meters, Role
 from labdata.limits import LimitsInForce
-from labdata.tube_dose import DoseLedger
 
 FIELD_RATE_HZ = 60.0 / 1.001  # Field rate of 525-line video, Hz
 

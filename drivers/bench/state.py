@@ -3,9 +3,8 @@
 import math
 from dataclasses import dataclass, replace
 
-from labdata.errors import BadInput
+from labdata import BadInput, Target
 from labdata.limits import LimitsInForce
-from labdata.target import Target
 
 
 class InterlockRefused(BadInput):

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from drivers.errors import CameraError
-from labdata.capture import Frame, LostFrames, losses_before
-from labdata.errors import BadInput
+from labdata import BadInput, Frame, LostFrames, losses_before
 
 POLL_S = 0.05  # Longest wait between two calls of `while_waiting`, s; half of the guaranteed 0.1 s
 

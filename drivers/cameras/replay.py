@@ -10,11 +10,17 @@ import numpy as np
 
 from drivers.cameras.frame_assembly import POLL_S, FrameCapture
 from drivers.errors import CameraError
-from labdata.capture import CameraSettings, Frame, LostFrames
-from labdata.errors import BadInput
+from labdata import (
+    BadInput,
+    CameraSettings,
+    Frame,
+    LostFrames,
+    Session,
+    StackEntry,
+    open_lazy_stack,
+    open_session,
+)
 from labdata.frames import LazyStack
-from labdata.lazy_stack import open_lazy_stack
-from labdata.session import Session, StackEntry, open_session
 
 RATE_WITHOUT_STAMPS_HZ = 30.0
 LONGEST_PAUSE_S = 1.0  # Longest wait between two frames, s

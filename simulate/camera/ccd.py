@@ -7,8 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.camera import pattern
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import CameraFrame

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv, gammaincinv, ndtri
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Chain, Slot

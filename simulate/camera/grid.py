@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
+from labdata import Camera, Conditions
 
 
 @dataclass(frozen=True, kw_only=True)

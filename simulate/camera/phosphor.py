@@ -12,8 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.camera import pattern
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import ACCURACY, CameraFrame

@@ -9,9 +9,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Camera, Conditions
 from simulate.camera.chain import Stage, values_of
 from simulate.camera.stage_image import StageImage
 from simulate.camera.thermal_lens import KELVIN, Slot

@@ -3,9 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Camera, Conditions
 from simulate.camera import image_placement
 from simulate.camera.camera import CameraModel
 from simulate.camera.stage_image import StageImage

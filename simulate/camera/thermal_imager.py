@@ -10,9 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Camera, Conditions
 from simulate.camera.chain import Chain, Stage, stages_with_section
 from simulate.camera.scanner import (
     NOISE_BANDWIDTH,

@@ -9,8 +9,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Conditions
 from simulate.camera.chain import Stage, values_of
 from simulate.camera.grid import irfft_image, rfft_image
 from simulate.camera.stage_image import StageImage

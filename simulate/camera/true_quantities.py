@@ -9,9 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata import BadInput, Camera, Conditions
 from simulate.camera import tube_photometry
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot

@@ -5,8 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labdata.camera.description import Camera
-from labdata.errors import BadInput
+from labdata import BadInput, Camera
 from simulate.radiance.cube import band_widths
 from simulate.radiance.spectrum import LUMENS_PER_WATT, hat_integrals, luminous_efficiency, planck
 

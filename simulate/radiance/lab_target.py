@@ -12,9 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.errors import BadInput
-from labdata.session import Kind
-from labdata.target import Target
+from labdata import BadInput, Kind, Target
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.integrator.sampling import R2
 from simulate.radiance.scene import Holder, LabScene

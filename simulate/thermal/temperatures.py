@@ -12,9 +12,8 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata import BadInput, from_mapping, read_toml
 from labdata.camera.parameters import Parameter
-from labdata.errors import BadInput
-from labdata.serialiser import from_mapping, read_toml
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import workers
 from simulate.radiance.integrator.sampling import SequenceSlice, low_discrepancy_points

@@ -6,9 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
-from labdata.calibration import LampCalibration
-from labdata.camera.description import Camera
-from labdata.errors import BadInput
+from labdata import BadInput, Camera, LampCalibration
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.camera import CameraProcess

@@ -11,8 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from labdata.capture import CameraSettings, Frame
-from labdata.errors import BadInput
+from labdata import BadInput, CameraSettings, Frame
 from labdata.instrument_config import InstrumentConfig, Role
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.instrument import SerialInstrument, virtual_model

@@ -10,8 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from labdata.conditions import Conditions
-from labdata.target import Kind, Target
+from labdata import Conditions, Kind, Target
 
 GATE_FILE, VOLTAGE_FILE, LAMP_FILE, WHEEL_FILE, THERMOMETER_FILE = (
     f"{name}.output.json"

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from labdata.errors import BadInput
-from labdata.event_log import EventLog, read_events
+from labdata import BadInput, EventLog, read_events
 from simulate.virtual_bench.faults import Faults
 
 Place = Literal[

@@ -9,12 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labdata.calibration import LampCalibration
-from labdata.camera.description import Camera
+from labdata import BadInput, Camera, LampCalibration, from_toml, load_sensor, to_toml
 from labdata.camera.parameters import Parameter
-from labdata.errors import BadInput
-from labdata.sensors import load_sensor
-from labdata.serialiser import from_toml, to_toml
 from simulate.virtual_bench.outputs import METER_RELATIVE_SD, Outputs, TargetPlacement, replace_file
 
 # A range holds its value with 95 % probability: 1.96 standard deviations on either side.

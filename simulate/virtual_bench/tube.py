@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera.description import Camera
-from labdata.conditions import Conditions
+from labdata import Camera, Conditions, Kind, Target
 from labdata.gating import IN_STEP, fields_open_ns, whole_field_s
-from labdata.target import Kind, Target
 from simulate.camera.fast_sampler.frame_generator import SEGMENT_FRAMES
 from simulate.lab import LabBench
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement

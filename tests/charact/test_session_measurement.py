@@ -17,8 +17,8 @@ from labdata import (
     make_refusal,
     measurement_from_sd,
     open_session,
+    sha256_of,
 )
-from labdata.session import sha256_of
 from tests.truth.edge import EdgeScene
 from tests.truth.sessions import session_in_memory, stack_in_memory
 

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import CameraError
-from labdata import BadInput
-from labdata.capture import CameraSettings, Frame
+from labdata import BadInput, CameraSettings, Frame
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from drivers.interface import FrameLevels
-from labdata import Conditions
-from labdata.capture import CameraSettings, Frame, LostFrames
+from labdata import CameraSettings, Conditions, Frame, LostFrames
 
 SIZE = (6, 8)
 

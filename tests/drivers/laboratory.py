@@ -16,9 +16,7 @@ from drivers.errors import (
     InstrumentTripped,
 )
 from drivers.serial_lines.line import InstrumentLine
-from labdata import Target, load_sensor
-from labdata.calibration import LampCalibration
-from labdata.limits import Limits, limits_in_force
+from labdata import LampCalibration, Limits, Target, limits_in_force, load_sensor
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 LIMITS = replace(limits_in_force(Limits(), SENSOR), ramp_v_per_s=1000.0)

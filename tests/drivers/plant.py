@@ -18,9 +18,7 @@ from drivers.bench.interlock import REACTIONS, RULES, Interlock
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import RaiseGain
 from drivers.interface import FrameLevels
-from labdata import Conditions, Target
-from labdata.gating import Gating
-from labdata.instrument_config import InstrumentConfig, Meters
+from labdata import Conditions, Gating, InstrumentConfig, Meters, Target
 from tests.drivers import laboratory
 
 CLOCK, LIMITS, SENSOR = laboratory.CLOCK, laboratory.LIMITS, laboratory.SENSOR

@@ -10,12 +10,22 @@ import pytest
 from drivers import acquire
 from drivers.acquisition.plan_check import bytes_of, check_plan, picture_of
 from drivers.errors import BenchError, CameraError, InstrumentTripped
-from labdata import BadInput, Conditions, InstrumentConfig, load_sensor, open_session
-from labdata.capture import CameraSettings
-from labdata.event_log import read_events
-from labdata.plan import FrameFormat, Plan, SaturationSearch, Step, StopCriterion
-from labdata.plan_file import read_plan
-from labdata.session_writer import StackWriter
+from labdata import (
+    BadInput,
+    CameraSettings,
+    Conditions,
+    FrameFormat,
+    InstrumentConfig,
+    Plan,
+    SaturationSearch,
+    StackWriter,
+    Step,
+    StopCriterion,
+    load_sensor,
+    open_session,
+    read_events,
+    read_plan,
+)
 from tests.drivers import fake_rig
 
 FakeRig = fake_rig.FakeRig

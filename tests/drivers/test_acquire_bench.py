@@ -12,14 +12,14 @@ from labdata import (
     BadInput,
     Conditions,
     InstrumentConfig,
+    LampCalibration,
+    Override,
     Plan,
     Step,
     Target,
     load_sensor,
     save_sensor,
 )
-from labdata.calibration import LampCalibration
-from labdata.limits import Override
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.bench import VirtualBench
 

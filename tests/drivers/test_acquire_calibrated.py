@@ -8,10 +8,19 @@ from dataclasses import replace
 import pytest
 
 from drivers import acquire
-from labdata import BadInput, Conditions, load_sensor
-from labdata.calibration import GainTable
-from labdata.plan import Plan, Step, by_calibration, in_volts
-from labdata.plan_file import SweepRecord, plan_of, plan_toml
+from labdata import (
+    BadInput,
+    Conditions,
+    GainTable,
+    Plan,
+    Step,
+    SweepRecord,
+    by_calibration,
+    in_volts,
+    load_sensor,
+    plan_of,
+    plan_toml,
+)
 from tests.drivers.fake_rig import FakeRig
 
 # A tube whose gain goes as the tenth power of its voltage, so that the volts of a gain are known

@@ -12,8 +12,7 @@ import pytest
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.cameras.aravis.connection import list_cameras
 from drivers.errors import CameraError
-from labdata import BadInput, Target, load_sensor
-from labdata.capture import CameraSettings
+from labdata import BadInput, CameraSettings, Target, load_sensor
 from simulate.lab import LabBench
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.in_process import InProcessCamera

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import CameraError
-from labdata import Target
-from labdata.capture import CameraSettings
+from labdata import CameraSettings, Target
 from simulate.lab import LabBench
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.outputs import read_outputs

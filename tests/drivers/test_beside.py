@@ -9,8 +9,7 @@ from drivers.bench.local_bench import open_bench
 from drivers.errors import BenchError, InstrumentTimeout
 from drivers.instruments.models import lines_on
 from drivers.interface import Bench, FrameLevels
-from labdata import BadInput, Conditions, Limits, Plan, Step, Target
-from labdata.instrument_config import InstrumentConfig, Meters
+from labdata import BadInput, Conditions, InstrumentConfig, Limits, Meters, Plan, Step, Target
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
 from simulate.virtual_bench.instruments.meters import LUX_PER_W, NOISE_W, TEMPERATURE_C

@@ -8,9 +8,7 @@ import pytest
 
 from drivers.bench.meters import LONGEST_S, DoseMeter
 from drivers.bench.state import TubeState
-from labdata import load_sensor
-from labdata.limits import Limits, limits_in_force
-from labdata.tube_dose import DoseLedger
+from labdata import DoseLedger, Limits, limits_in_force, load_sensor
 
 LIMITS = limits_in_force(Limits(), load_sensor("pulnix-ag5745ef3"))
 LIT = TubeState(duty=0.5, mcp_v=800.0, light_lux=1e-3)

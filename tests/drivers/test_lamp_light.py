@@ -11,8 +11,7 @@ from drivers.errors import BenchError, InstrumentRejected
 from drivers.instruments.filter_wheel import FilterWheel, PromptLine
 from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
-from labdata import BadInput, Conditions, InstrumentConfig, Limits, Target
-from labdata.calibration import LampCalibration
+from labdata import BadInput, Conditions, InstrumentConfig, LampCalibration, Limits, Target
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.in_process import InProcessInstruments
 

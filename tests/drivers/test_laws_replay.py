@@ -10,9 +10,15 @@ import pytest
 
 from drivers.cameras.replay import LONGEST_PAUSE_S, ReplayCamera
 from drivers.errors import CameraError
-from labdata import BadInput, Conditions, open_session
-from labdata.capture import CameraSettings, Frame, lost_frames_with_reason
-from labdata.session_writer import SessionWriter
+from labdata import (
+    BadInput,
+    CameraSettings,
+    Conditions,
+    Frame,
+    SessionWriter,
+    lost_frames_with_reason,
+    open_session,
+)
 from tests.drivers.camera_laws import Bench, CameraLaws, taken
 from tests.drivers.fake_video import PERIOD_S, luma
 

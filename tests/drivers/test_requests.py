@@ -12,8 +12,7 @@ import pytest
 from drivers import acquire
 from drivers.acquisition.run_control import PAUSED, STOPPING, RunControl
 from drivers.errors import InstrumentTripped
-from labdata import Conditions, Plan, Step, open_session
-from labdata.event_log import read_events
+from labdata import Conditions, Plan, Step, open_session, read_events
 from tests.drivers import fake_rig
 
 LIT = Conditions(mcp_v=700.0, gate_ns=1.6e7, illuminance_lux=1e-4)

@@ -12,14 +12,14 @@ from labdata import (
     BadInput,
     Conditions,
     InstrumentConfig,
+    Override,
     Plan,
     Step,
     load_sensor,
     open_session,
+    read_events,
     save_sensor,
 )
-from labdata.event_log import read_events
-from labdata.limits import Override
 from simulate.virtual_bench.rehearsal import FaultScript, ScriptedFault
 
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")

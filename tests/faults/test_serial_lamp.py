@@ -18,9 +18,7 @@ from drivers.bench.local_bench import open_bench
 from drivers.bench.tube_bench import TubeBench
 from drivers.errors import BenchError
 from drivers.interface import Bench, FrameLevels
-from labdata import Conditions, InstrumentConfig, Limits, Target
-from labdata.calibration import LampCalibration
-from labdata.event_log import read_events
+from labdata import Conditions, InstrumentConfig, LampCalibration, Limits, Target, read_events
 from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.outputs import VirtualOperator, read_outputs
 from simulate.virtual_bench.process import VirtualInstruments

@@ -7,14 +7,20 @@ import cv2
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, open_session
-from labdata.file_io import write_atomically
-from labdata.importers import read_array, read_frames
-from labdata.lazy_stack import open_lazy_stack
-from labdata.serialiser import from_toml, to_toml
-from labdata.session import SessionFile
-from labdata.session_import import import_frames
-from labdata.session_writer import SessionWriter
+from labdata import (
+    BadInput,
+    Conditions,
+    SessionFile,
+    SessionWriter,
+    from_toml,
+    import_frames,
+    open_lazy_stack,
+    open_session,
+    read_array,
+    read_frames,
+    to_toml,
+    write_atomically,
+)
 
 SITES = {"r": (0, 0), "g1": (0, 1), "g2": (1, 0), "b": (1, 1)}
 

@@ -13,9 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, open_session
-from labdata.lazy_stack import open_lazy_stack
-from labdata.session_writer import SessionWriter
+from labdata import BadInput, Conditions, SessionWriter, open_lazy_stack, open_session
 from labdata.store import ArrayFollower, read_journal
 from labdata.store.journal import JOURNAL, _restore_frames
 

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, open_session
-from labdata.session_import import import_emva1288, import_frames
+from labdata import BadInput, Conditions, import_emva1288, import_frames, open_session
 
 DESCRIPTOR = """# a comment
 v 3.0

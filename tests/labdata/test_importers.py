@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from labdata import BadInput, read_frames
-from labdata.session_import import import_frames
+from labdata import BadInput, import_frames, read_frames
 from tests.labdata import dng
 
 TYPES = ["u1", "u2", "u4", "i2", "i4", "f4", "f8"]

@@ -12,10 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, open_session
-from labdata.capture import Frame, LostFrames
-from labdata.session_writer import SessionWriter
-from labdata.storage_thread import Storage
+from labdata import BadInput, Conditions, Frame, LostFrames, SessionWriter, Storage, open_session
 
 SHAPE = (49, 77)
 

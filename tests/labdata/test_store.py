@@ -13,10 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labdata import BadInput, Conditions, Target, open_session, store
-from labdata.capture import Frame, LostFrames
+from labdata import (
+    BadInput,
+    Conditions,
+    Frame,
+    LostFrames,
+    SessionWriter,
+    StackWriter,
+    Target,
+    open_session,
+    store,
+)
 from labdata.session import read_manifest
-from labdata.session_writer import SessionWriter, StackWriter
 from labdata.store.array_writer import ArrayWriter
 
 SHAPE = (49, 77)

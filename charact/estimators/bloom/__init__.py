@@ -5,10 +5,8 @@ from dataclasses import replace
 from charact.estimators.bloom.defects import with_sound_pixels
 from charact.estimators.bloom.extent_measurements import add_findings
 from charact.method import Context, choose
-from labdata.errors import BadInput
+from labdata import BadInput, Result, Session
 from labdata.lazy_names import import_on_first_use
-from labdata.measurement import Result
-from labdata.session import Session
 
 __all__ = ["measure"]
 

@@ -20,12 +20,7 @@ from charact.estimators.bloom.posterior_psf import (
 from charact.frames.robust import robust_sd
 from charact.frames.stack import Stack
 from charact.method import Context
-from labdata.errors import BadInput
-from labdata.measurement import Result
-from labdata.session import Session, StackEntry
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, BadInput, Mask, Result, Session, StackEntry
 
 # Light within this distance of its entry is not blooming: about a pixel of a thermal imager next to
 # the camera.

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom.posterior_psf import FrameGrid, PosteriorPsf, profiles, radial
 from charact.frames.robust import robust_sd
+from labdata import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Pixels = NDArray[np.int64]
 
 # Maximum number of pixels in the fit of a group of sources, and minimum number of unclipped ones.

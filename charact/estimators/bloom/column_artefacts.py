@@ -13,10 +13,8 @@ from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
 from charact.frames.rounding import QUANTISATION_DN2
 from charact.method import Context
+from labdata import Array, Mask
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Minimum row distance for the comparison; the profile is too steep closer to the source.
 FIRST_ROW_PX = 5.0

@@ -14,11 +14,7 @@ from charact.estimators.bloom.thresholds import (
     NEIGHBOUR_SD,
 )
 from charact.frames.robust import robust_sd
-from labdata.frames import FrameStack
-from labdata.session import Session, StackEntry
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, FrameStack, Mask, Session, StackEntry
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,9 +14,7 @@ from charact.estimators.bloom.source_view import (
     SourceView,
     mean_with_clipping,
 )
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Mask
 
 DRAWS = 200
 # A single contour is fitted if the 95 % range of crossings is narrower than this, px and fraction

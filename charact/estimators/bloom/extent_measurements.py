@@ -16,7 +16,7 @@ from charact.estimators.bloom.smear import smear_measurement
 from charact.estimators.bloom.source_view import SECTORS
 from charact.method import Context
 from charact.verdict import Finding, judge
-from labdata.camera.description import Camera, has_tube
+from labdata import Camera, Session, has_tube
 from labdata.measurement import (
     Interval,
     Measurement,
@@ -27,7 +27,6 @@ from labdata.measurement import (
     make_refusal,
     measurement_from_draws,
 )
-from labdata.session import Session
 
 
 def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, Interval] | None:

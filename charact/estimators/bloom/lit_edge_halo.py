@@ -21,12 +21,18 @@ from charact.inference import importance_sample, laplace
 from charact.method import Context, register
 from charact.transfer import spreads
 from charact.transfer.form import Parameter
-from labdata.camera.description import has_tube
-from labdata.errors import BadInput
-from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
-from labdata.session import Session, StackEntry
-
-Array = NDArray[np.float64]
+from labdata import (
+    Array,
+    BadInput,
+    Measurement,
+    Posterior,
+    Result,
+    Session,
+    StackEntry,
+    has_tube,
+    make_refusal,
+    measurement_from_draws,
+)
 
 METHOD = "lit-edge"
 QUANTITIES = (("halo_diameter", "px"), ("halo_fraction", "1"))

@@ -12,11 +12,7 @@ from numpy.typing import NDArray
 from charact.estimators.bloom.point_stack import PointStack
 from charact.frames.robust import robust_sd
 from charact.frames.thresholds import CLIPPING
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement, make_refusal, measurement_from_draws
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, FrameStack, Mask, Measurement, make_refusal, measurement_from_draws
 
 # Side of the tiles whose means form the background, px.
 TILE_PX = 6

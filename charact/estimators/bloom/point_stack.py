@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.extent import Extent, contour_at, extent_at
 from charact.estimators.bloom.source_view import Background, SourceView, background_of, view_of
@@ -11,10 +10,7 @@ from charact.frames.robust import robust_sd
 from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context
-from labdata.conditions import Conditions
-from labdata.session import Session, StackEntry
-
-Array = NDArray[np.float64]
+from labdata import Array, Conditions, Session, StackEntry
 
 # Width of the smoothing that detects a source, px; the local surroundings are three times as wide.
 SMOOTHING_PX = 1.5

@@ -7,10 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.transfer import spreads
-from labdata.errors import BadInput
-from labdata.measurement import Posterior
-
-Array = NDArray[np.float64]
+from labdata import Array, BadInput, Posterior
 
 SHARES = ("halo_fraction", "wing_share", "glare_fraction")
 POSITIVE = ("halo_diameter_px", "core_frequency_cy_per_px", "core_exponent", "wing_radius_px")

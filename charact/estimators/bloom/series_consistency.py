@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.over_time import (
     FrameSeries,
@@ -17,10 +16,7 @@ from charact.estimators.bloom.over_time import (
 )
 from charact.estimators.bloom.point_stack import DETECTED, PointStack, has_same_settings
 from charact.method import Context
-from labdata.measurement import Measurement, make_refusal, measurement_from_sd
-from labdata.session import Session
-
-Array = NDArray[np.float64]
+from labdata import Array, Measurement, Session, make_refusal, measurement_from_sd
 
 # Standard errors at which a fall of the background, or a dark mismatch, is significant.
 SEEN = 4.0

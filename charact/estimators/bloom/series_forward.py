@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.extent_measurements import (
     add_common_measurements,
@@ -40,11 +39,7 @@ from charact.estimators.bloom.series.series_measurements import (
 from charact.estimators.bloom.thresholds import CUT_SD, Unmeasurable
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
-from labdata.camera.description import has_tube
-from labdata.measurement import Measurement, Posterior, Result, make_refusal
-from labdata.session import Session
-
-Array = NDArray[np.float64]
+from labdata import Array, Measurement, Posterior, Result, Session, has_tube, make_refusal
 
 
 def profile_evidence(fit: FittedSeries) -> dict[str, Any]:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.defects import with_sound_pixels
 from charact.estimators.bloom.extent import DRAWS
@@ -30,18 +29,18 @@ from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from labdata.camera.description import has_tube
-from labdata.conditions import Conditions
-from labdata.measurement import (
+from labdata import (
+    Array,
+    Conditions,
     Measurement,
     Result,
+    Session,
+    StackEntry,
+    has_tube,
     make_refusal,
     measurement_from_draws,
     measurement_from_sd,
 )
-from labdata.session import Session, StackEntry
-
-Array = NDArray[np.float64]
 
 SHARES = (0.5, 0.9)
 # Outermost ring of the sum, px: halos end inside, and the background's error grows with the area.

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.column_artefacts import (
     FULL_SHARE,
@@ -17,10 +16,8 @@ from charact.estimators.bloom.point_stack import DETECTED, PointStack
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.robust import robust_sd
 from charact.method import Context
+from labdata import Array, Mask
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Number of columns left and right of the core for comparison.
 FLANK_PX = 8

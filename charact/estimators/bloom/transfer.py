@@ -3,11 +3,9 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.transfer.spreads import hankel_matrix, quadrature
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 def _quadrature() -> tuple[Array, Array]:

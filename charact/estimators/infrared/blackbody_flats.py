@@ -39,7 +39,7 @@ from charact.frames.thresholds import CUBE
 from charact.method import Context
 from charact.method.registry import single_blas_thread
 from charact.method.stopwatch import with_timing
-from labdata import Array
+from labdata import Array, Session, StackEntry
 from labdata.camera.description import is_thermal
 from labdata.measurement import (
     Measurement,
@@ -50,7 +50,6 @@ from labdata.measurement import (
     make_refusal,
     measurement_from_draws,
 )
-from labdata.session import Session, StackEntry
 
 METHOD = "signal-transfer"
 E1543 = "ASTM E1543 (scanning imagers, background 295 K, noise through a reference filter)"

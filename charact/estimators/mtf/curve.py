@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labdata import Array
 from labdata.measurement import (
     QUANTILES,
     Curve,
@@ -14,8 +14,6 @@ from labdata.measurement import (
     make_refusal,
     measurement_from_draws,
 )
-
-Array = NDArray[np.float64]
 
 # Frequencies of a reported curve, and the finer grid for crossing frequencies, cy/px.
 REPORTED = np.linspace(0.0, 0.5, 101)

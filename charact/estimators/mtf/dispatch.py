@@ -13,11 +13,7 @@ from charact.estimators.mtf.thresholds import ACCURACY
 from charact.frames.stack import Stack
 from charact.method import Context, choose
 from charact.method.registry import beyond_note
-from labdata.camera.description import has_tube
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Result
-from labdata.session import Session
+from labdata import BadInput, FrameStack, Measurement, Result, Session, has_tube
 
 # Default methods for a camera with a sensor description. Its stages are known within ranges, which
 # the chart's cases, of one blur each, do not represent: on edges of 38 simulated cameras MTF10

@@ -5,11 +5,9 @@ times the contrast.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.thresholds import LIMITS
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Prior probability of a nonlinear response, and the standard deviation of its curvature at a
 # contrast of one.

@@ -2,10 +2,8 @@
 
 from charact.method import Context, choose
 from charact.method.stopwatch import with_timing
-from labdata.errors import BadInput
+from labdata import BadInput, Result, Session
 from labdata.lazy_names import import_on_first_use
-from labdata.measurement import Result
-from labdata.session import Session
 
 __all__ = ["measure"]
 

@@ -66,9 +66,7 @@ from charact.estimators.noise.thresholds import GAIN
 from charact.frames.spectrum import Bins
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context, register
-from labdata.camera.description import has_tube
-from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
-from labdata.session import Session
+from labdata import Measurement, Result, Session, has_tube, make_refusal, measurement_from_draws
 
 
 def spectrum_figure_data(summary: PooledNoise, fit: Fit) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
 from charact.estimators.noise.gain.checks import drift_and_flicker
@@ -15,9 +14,9 @@ from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from labdata import Array
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
 
-Array = NDArray[np.float64]
 METHOD = "dark-exposures"
 
 

@@ -17,9 +17,7 @@ from charact.frames.rounding import (
     rounding_step,
 )
 from charact.method import Context
-from labdata.lazy_stack import open_lazy_stack
-from labdata.measurement import Provenance
-from labdata.session import Session
+from labdata import Provenance, Session, open_lazy_stack
 
 
 class Unmeasurable(Exception):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from charact.estimators.noise.findings import Unmeasurable
 from charact.estimators.noise.gain.series import FlatSeries, gain_of
@@ -29,11 +29,17 @@ from charact.estimators.noise.illumination import (
 )
 from charact.estimators.noise.thresholds import GAIN, SNR
 from charact.method import Context
-from labdata.camera.description import has_tube
-from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
-from labdata.session import Session
+from labdata import (
+    Array,
+    Measurement,
+    Posterior,
+    Result,
+    Session,
+    has_tube,
+    make_refusal,
+    measurement_from_draws,
+)
 
-Array = NDArray[np.float64]
 # Illuminance, diameter of the spot and bandwidth of the specified signal-to-noise ratio of tubes.
 ILLUMINANCE_LUX, SPOT_MM, BANDWIDTH_HZ = 108e-6, 0.2, 10.0
 

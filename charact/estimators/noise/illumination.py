@@ -9,20 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Unmeasurable
 from charact.estimators.noise.thresholds import SNR
 from charact.frames.rounding import rounding_sd
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
-from labdata.camera.description import has_tube
+from labdata import Array, Conditions, has_tube
 from labdata.camera.parameters import Parameter
 from labdata.camera.tube import Photocathode
-from labdata.conditions import Conditions
-
-Array = NDArray[np.float64]
-
 
 ELECTRON_C = 1.602176634e-19
 # h c in J nm, and h c / k in nm K.

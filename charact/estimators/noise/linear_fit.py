@@ -5,12 +5,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.inference import find_maximum
+from labdata import Array
 from labdata.measurement import Posterior
-
-Array = NDArray[np.float64]
 
 
 class LinearFit(NamedTuple):

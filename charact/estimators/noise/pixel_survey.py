@@ -10,9 +10,7 @@ from charact.estimators.noise.thresholds import SURVEY
 from charact.frames.robust import NORMAL, robust_sd
 from charact.frames.rounding import rounding_step
 from charact.frames.thresholds import STACK
-from labdata.errors import BadInput
-from labdata.lazy_stack import open_lazy_stack
-from labdata.session import StackEntry
+from labdata import Array, BadInput, StackEntry, open_lazy_stack
 
 
 def common_step(steps: list[float | None]) -> float | None:
@@ -29,7 +27,6 @@ def common_step(steps: list[float | None]) -> float | None:
     return min(known)
 
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 # Squares of larger values exceed single precision.
 LARGEST_DN = 1e9

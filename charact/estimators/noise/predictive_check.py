@@ -21,9 +21,7 @@ from charact.estimators.noise.thresholds import PREDICTIVE
 from charact.frames.rounding import QUANTISED_DN2
 from charact.frames.temporal import split_fields
 from charact.method import Context
-from labdata.lazy_stack import open_lazy_stack
-from labdata.measurement import Posterior
-from labdata.session import StackEntry
+from labdata import Posterior, StackEntry, open_lazy_stack
 
 Array = NDArray[np.floating]
 

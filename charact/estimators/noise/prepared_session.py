@@ -16,9 +16,16 @@ from charact.estimators.noise.pixel_survey import PixelSurvey, common_step, surv
 from charact.estimators.noise.thresholds import SURVEY
 from charact.frames.stack_statistics import WHOLE_BYTES
 from charact.method import Context
+from labdata import (
+    LoadedStackEntry,
+    Measurement,
+    Result,
+    Session,
+    StackEntry,
+    make_measurement,
+    make_refusal,
+)
 from labdata.frames import LazyStack
-from labdata.measurement import Measurement, Result, make_measurement, make_refusal
-from labdata.session import LoadedStackEntry, Session, StackEntry
 
 Places = NDArray[np.int64]
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding, flags_of, flags_of_rounding, notes_of
 from charact.estimators.noise.gain import emva1288
@@ -24,6 +23,7 @@ from charact.method import Context
 from charact.observables import Stacks
 from charact.observables.fixed_pattern import Dsnu, Prnu
 from charact.observables.photon_transfer import DarkNoise
+from labdata import Array
 from labdata.measurement import (
     Measurement,
     make_refusal,
@@ -31,7 +31,6 @@ from labdata.measurement import (
     measurement_from_sd,
 )
 
-Array = NDArray[np.float64]
 PAIR = "from two frames: includes any temporal correlation between them"
 
 

@@ -45,8 +45,9 @@ from charact.estimators.noise.thresholds import SNR
 from charact.frames.stack_statistics import SIDE_PX, StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from labdata.conditions import Conditions
-from labdata.measurement import (
+from labdata import (
+    Array,
+    Conditions,
     Measurement,
     Posterior,
     Result,
@@ -55,7 +56,6 @@ from labdata.measurement import (
     measurement_from_sd,
 )
 
-Array = NDArray[np.float64]
 # Defining signal-to-noise ratio.
 LEAST_SNR = 1.0
 ALTERNATIVE = (

@@ -4,7 +4,6 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
 from charact.estimators.noise.thresholds import CHECKS
@@ -15,9 +14,9 @@ from charact.frames.stack_statistics import StackStatistics
 from charact.frames.thresholds import CUBE
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
+from labdata import Array
 from labdata.measurement import Measurement, Result, intervals_of, make_measurement, make_refusal
 
-Array = NDArray[np.float64]
 METHOD = "three-dimensional"
 NAMES = (*OWN, "tvh")
 

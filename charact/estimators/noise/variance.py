@@ -33,8 +33,7 @@ from charact.estimators.noise.quantities import (
 )
 from charact.estimators.noise.three_dimensional import three_dimensional
 from charact.method import Context, register
-from labdata.measurement import Result
-from labdata.session import Session
+from labdata import Result, Session
 
 METHOD = "variance"
 

@@ -5,10 +5,7 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
-from labdata.errors import BadInput
-from labdata.plan import Plan
-from labdata.plan_file import plan_of, read_plan
-from labdata.serialiser import read_toml
+from labdata import BadInput, Plan, plan_of, read_plan, read_toml
 
 
 def builtin_plan_names() -> tuple[str, ...]:

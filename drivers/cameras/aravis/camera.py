@@ -8,8 +8,7 @@ from typing import Self
 from drivers.cameras.aravis.capture import PIXELS, AravisCapture
 from drivers.cameras.aravis.connection import HEARTBEAT_S, Connection, only_camera
 from drivers.errors import CameraError
-from labdata.capture import CameraSettings
-from labdata.errors import BadInput
+from labdata import BadInput, CameraSettings
 
 
 class AravisCamera:

@@ -12,8 +12,7 @@ from drivers.cameras.v4l2.listing import Control, capture_capability, format_cod
 from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage, picture_of
 from drivers.cameras.v4l2.structures import CAPTURE, Format, StreamParameters, words
 from drivers.errors import CameraError
-from labdata.capture import CameraSettings
-from labdata.errors import BadInput
+from labdata import BadInput, CameraSettings
 
 # Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
 LONGEST_WAIT_S = 600.0

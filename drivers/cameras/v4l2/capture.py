@@ -30,8 +30,7 @@ from drivers.cameras.v4l2.structures import (
     Request,
 )
 from drivers.errors import CameraError
-from labdata.capture import Frame
-from labdata.errors import BadInput
+from labdata import BadInput, Frame
 
 BUFFERS = 8
 MOST_BUFFERS = 32  # VIDEO_MAX_FRAME

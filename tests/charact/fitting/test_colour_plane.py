@@ -17,6 +17,8 @@ from labdata import (
     Conditions,
     Curve,
     FrameStack,
+    Kind,
+    LoadedStackEntry,
     Result,
     Session,
     Target,
@@ -24,7 +26,6 @@ from labdata import (
     measurement_from_sd,
 )
 from labdata.camera.parameters import Draws
-from labdata.session import Kind, LoadedStackEntry
 from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
 

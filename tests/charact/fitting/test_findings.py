@@ -7,8 +7,7 @@ from charact.estimators.noise import Finding, notes_of, step_finding
 from charact.fitting import findings_of, misfit_finding, observation
 from charact.frames import FEWEST_DIFFERENCES, rounding_step
 from charact.session_measurement import measure_noise, method_context
-from labdata import FrameStack, Measurement, Result, Session, measurement_from_sd
-from labdata.flags import FLAGS
+from labdata import FLAGS, FrameStack, Measurement, Result, Session, measurement_from_sd
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 

@@ -11,8 +11,7 @@ from charact.fitting import fit_sensor, levels_of, observations_of, values_of_de
 from charact.observables import Stacks, readout_spectrum
 from charact.session_measurement import measure
 from charact.validation import validate
-from labdata import Camera, Conditions, FrameStack, Session, Target, load_camera
-from labdata.session_import import import_emva1288
+from labdata import Camera, Conditions, FrameStack, Session, Target, import_emva1288, load_camera
 from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
 

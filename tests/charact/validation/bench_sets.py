@@ -21,9 +21,8 @@ from charact.validation import (
     features_of,
     simulate_frames,
 )
-from labdata import Camera, Conditions, Target, load_camera
+from labdata import Camera, Conditions, Kind, Target, load_camera
 from labdata.camera.parameters import Draws
-from labdata.session import Kind
 from tests.charact.validation.defects import Defect, Digitiser
 
 Frames = Mapping[str, NDArray]

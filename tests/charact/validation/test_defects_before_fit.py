@@ -18,9 +18,7 @@ from charact.reporting.validation import sentence_of
 from charact.session_measurement import measure
 from charact.validation import FAULTS, PARAMETERS, VALIDATION, Statistic, Validation, as_json
 from charact.validation import side_by_side as command
-from labdata import BadInput, FrameStack, Result, Session
-from labdata.flags import FLAGS
-from labdata.session import LoadedStackEntry
+from labdata import FLAGS, BadInput, FrameStack, LoadedStackEntry, Result, Session
 from tests.charact.cli.runner import charact
 from tests.charact.validation import defects
 from tests.charact.validation.defects import Digitiser, Frames

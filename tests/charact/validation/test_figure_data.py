@@ -9,8 +9,7 @@ import pytest
 
 from charact.method import Context
 from charact.validation import MatchedFrames, MatchedStacks, features_of, figure_data
-from labdata import Conditions, FrameStack, Target
-from labdata.session import Kind
+from labdata import Conditions, FrameStack, Kind, Target
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 SHAPE, FRAMES, DRAWS = (48, 64), 8, 6

@@ -11,9 +11,8 @@ import pytest
 from charact.validation import FAULTS, GROUPS, PARAMETERS, SCORES, VALIDATION, validate
 from charact.validation import frames as cut
 from charact.validation import side_by_side as command
-from labdata import BadInput, Camera, Conditions, Session, Target, load_sensor, open_session
+from labdata import BadInput, Camera, Conditions, Kind, Session, Target, load_sensor, open_session
 from labdata.camera.parameters import Draws
-from labdata.session import Kind
 from simulate.lab import LabBench
 from simulate.virtual_bench.true_sensor import draw_true_sensor
 

@@ -25,10 +25,7 @@ from drivers.bench.local_bench import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
 from drivers.interface import Operator
-from labdata import BadInput, Conditions, Plan
-from labdata.capture import Frame
-from labdata.limits import limits_in_force
-from labdata.tube_dose import DoseLedger
+from labdata import BadInput, Conditions, DoseLedger, Frame, Plan, limits_in_force
 from tests.faults.campaign.rig import CampaignRig, StoppablePipe
 
 CLOCK_JUMP_S = 7200.0

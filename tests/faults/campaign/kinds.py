@@ -14,8 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labdata import Conditions, Plan, Step
-from labdata.gating import Gating
+from labdata import Conditions, Gating, Plan, Step
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import Outputs
 from tests.faults.campaign.client import Client

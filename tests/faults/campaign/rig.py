@@ -11,9 +11,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
 
-from labdata import Conditions, InstrumentConfig, Plan, Step, load_sensor, save_sensor
-from labdata.event_log import read_events
-from labdata.limits import Override
+from labdata import (
+    Conditions,
+    InstrumentConfig,
+    Override,
+    Plan,
+    Step,
+    load_sensor,
+    read_events,
+    save_sensor,
+)
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.faults import Faults, inject_faults

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.acquisition.acquire import LOG
-from labdata import BadInput, Plan, open_session
-from labdata.event_log import read_events
+from labdata import BadInput, Plan, open_session, read_events
 from tests.faults.campaign.client import LAST_WORDS, Client
 from tests.faults.campaign.kinds import PATIENT_S, Fault
 from tests.faults.campaign.rig import DANGEROUS_V, FRAMES, GATE, SUPPLY, CampaignRig

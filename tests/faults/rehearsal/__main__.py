@@ -20,8 +20,7 @@ import numpy as np
 from charact.reporting import TruthComparison
 from charact.session_measurement import measure
 from drivers.acquisition.acquire import LOG
-from labdata import Plan, Result, Session, open_session
-from labdata.event_log import read_events
+from labdata import Plan, Result, Session, open_session, read_events
 from tests.faults.campaign.rig import CampaignRig
 from tests.faults.rehearsal.judged import allowed, beside, by_quantity, missing
 from tests.faults.rehearsal.night import FASTER, FRAMES, Diary, night_plan, rehearse

@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.acquisition.acquire import LOG
-from labdata import Conditions, Plan, Step
-from labdata.event_log import EventLog, read_events
-from labdata.limits import Override
+from labdata import Conditions, EventLog, Override, Plan, Step, read_events
 from tests.faults.campaign.client import Client
 from tests.faults.campaign.kinds import draw_fault
 from tests.faults.campaign.rig import CampaignRig

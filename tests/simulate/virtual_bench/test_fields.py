@@ -7,9 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata import BadInput, InstrumentConfig, Target, load_sensor
-from labdata.capture import CameraSettings
-from labdata.gating import Gating, fields_open_ns, out_of_step
+from labdata import (
+    BadInput,
+    CameraSettings,
+    Gating,
+    InstrumentConfig,
+    Target,
+    fields_open_ns,
+    load_sensor,
+    out_of_step,
+)
 from simulate.virtual_bench.bench import VirtualBench
 from simulate.virtual_bench.in_process import InProcessCamera
 from simulate.virtual_bench.outputs import Outputs

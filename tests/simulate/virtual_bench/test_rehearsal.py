@@ -6,9 +6,7 @@ import time
 
 import pytest
 
-from labdata import BadInput
-from labdata.event_log import EventLog
-from labdata.serialiser import from_mapping
+from labdata import BadInput, EventLog, from_mapping
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.rehearsal import FaultScript, Rehearsal, ScriptedFault
 

@@ -9,8 +9,7 @@ import numpy as np
 from charact.estimators.bloom.extent import Extent
 from charact.estimators.bloom.point_stack import HALF_STEP_DN, PointStack
 from charact.estimators.bloom.series.model_selection import FittedHaloModel
-from labdata import Array
-from labdata.measurement import Measurement
+from labdata import Array, Measurement
 
 MISFIT = ("model-misfit",)
 # Relative uncertainty of the fitted signal.

@@ -10,8 +10,7 @@ import numpy as np
 from charact.estimators.bloom.transfer import frequencies
 from charact.transfer import spreads
 from charact.transfer.form import Parameter
-from labdata import Array
-from labdata.camera.description import Camera, has_tube
+from labdata import Array, Camera, has_tube
 
 Core = Literal["gaussian", "tube", "moffat", "matern"]
 # Cores tried: of any camera, and of cameras with a tube.

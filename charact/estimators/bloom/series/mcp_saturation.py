@@ -11,8 +11,7 @@ from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.transfer import frequencies
 from charact.transfer import spreads
 from charact.transfer.form import Parameter
-from labdata import Array
-from labdata.camera.description import Camera, has_tube
+from labdata import Array, Camera, has_tube
 
 # Reciprocal signal density at half gain, px/DN: from no saturation to saturation at a few DN.
 PLATE_LOAD = Parameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)

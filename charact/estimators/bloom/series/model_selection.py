@@ -17,8 +17,7 @@ from charact.estimators.bloom.series.likelihood import RingSeries, SeriesLikelih
 from charact.estimators.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
 from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
 from charact.estimators.bloom.series.rings import SECTORS
-from labdata import Array
-from labdata.camera.description import Camera
+from labdata import Array, Camera
 
 # Steps of a first optimisation.
 FIRST_STEPS = 20

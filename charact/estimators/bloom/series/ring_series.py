@@ -20,8 +20,7 @@ from charact.estimators.bloom.series.rings import (
 )
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.method import Context
-from labdata import Array, Mask
-from labdata.session import Session
+from labdata import Array, Mask, Session
 
 # Maximum correction of a position, px: a source is located to a pixel or two before.
 FARTHEST_PX = 3.0

@@ -10,10 +10,8 @@ from charact.estimators.mtf.bars.target import BarTarget, amplitude
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.frames.robust import robust_sd
 from charact.frames.stack import Stack
+from labdata import Array, Mask
 from labdata.camera.description import has_tube
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)

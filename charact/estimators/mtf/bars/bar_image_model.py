@@ -4,16 +4,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.target import BarTarget
 from charact.estimators.mtf.bars.thresholds import ACCURACY
 from charact.transfer.cores import ON_BARS
 from charact.transfer.form import BarForm
 from charact.transfer.stages import aperture
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Mask
 
 NAMES = (
     "log_attenuation",

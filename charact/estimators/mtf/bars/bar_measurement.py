@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.amplitudes import (
     amplitudes_of,
@@ -44,11 +43,7 @@ from charact.frames.stack import Stack
 from charact.method import Context
 from charact.transfer.cores import ON_BARS
 from charact.verdict import Finding
-from labdata.camera.description import has_tube
-from labdata.measurement import Posterior
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Mask, Posterior, has_tube
 
 
 @dataclass(frozen=True, kw_only=True)

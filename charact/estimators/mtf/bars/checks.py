@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.amplitudes import Amplitudes
 from charact.estimators.mtf.bars.bar_image_model import (
@@ -19,9 +18,7 @@ from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.frames.stack import Stack
 from charact.verdict import Finding
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Mask
 
 REGION = "`roi` around this group only, with one period of background on every side"
 REMEDIES = {

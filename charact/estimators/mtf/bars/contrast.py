@@ -16,10 +16,7 @@ from charact.estimators.mtf.mean_frame import Region
 from charact.frames.stack import Stack
 from charact.method import Context, register
 from charact.verdict import judge
-from labdata.frames import FrameStack
-from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
-
-Array = NDArray[np.float64]
+from labdata import Array, FrameStack, Provenance, Result, make_refusal, measurement_from_sd
 
 CONTRAST, COLTMAN = "bars-contrast", "bars-coltman"
 BIASED_BY = "harmonics, the outer bars, noise and the phase of the pixels bias maxima and minima"

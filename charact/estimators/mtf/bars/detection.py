@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.bar_image_model import BarShape, table_of
 from charact.estimators.mtf.bars.target import (
@@ -16,9 +15,7 @@ from charact.estimators.mtf.bars.target import (
 )
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.transfer.cores import ON_BARS
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Mask
 
 # Trial directions around the grid's axes.
 TILTS_DEG = np.arange(-12.0, 12.1, 1.0)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.bar_image_model import (
     BarImageModel,
@@ -25,9 +24,7 @@ from charact.inference.least_squares import (
 )
 from charact.transfer.cores import ON_BARS
 from charact.transfer.form import BarForm
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Mask
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,6 @@
 """Forward method for bar targets: the exact spectrum of N finite bars, fitted to the pixels."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 import charact
 from charact.estimators.mtf.bars.bar_image_model import BarShape, table_of
@@ -15,10 +14,7 @@ from charact.method import Context, register
 from charact.transfer.cores import ON_BARS
 from charact.transfer.stages import aperture
 from charact.verdict import judge
-from labdata.frames import FrameStack
-from labdata.measurement import Provenance, Result, make_refusal, measurement_from_draws
-
-Array = NDArray[np.float64]
+from labdata import Array, FrameStack, Provenance, Result, make_refusal, measurement_from_draws
 
 METHOD = "bars-forward"
 

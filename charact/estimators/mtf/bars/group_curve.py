@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 import charact
@@ -19,19 +18,18 @@ from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.transfer.extended import HaloComponent
 from charact.verdict import judge
-from labdata.camera.description import has_tube
-from labdata.errors import BadInput
-from labdata.measurement import (
+from labdata import (
+    Array,
+    BadInput,
     Curve,
     Measurement,
     Posterior,
     Provenance,
     Result,
+    has_tube,
     make_refusal,
     measurement_from_draws,
 )
-
-Array = NDArray[np.float64]
 
 METHOD = "bars-joint"
 # Method without errors by harmonics or phase.

@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.frames.noise_law import fit_noise_law, masked_covariance
 from charact.frames.rounding import rounding_shifts
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array, Mask
 
 
 @dataclass(frozen=True, kw_only=True)

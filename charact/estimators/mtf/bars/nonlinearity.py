@@ -17,9 +17,7 @@ from charact.estimators.mtf.nonlinearity import (
 from charact.frames.stack import Stack
 from charact.inference.least_squares import Linearisation, least_squares, linearise_residual
 from charact.verdict import Finding
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from labdata import Array
 
 
 class Power(NamedTuple):

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.bars.amplitudes import Amplitudes
 from charact.estimators.mtf.bars.bar_image_model import BarImageModel, BarLikelihood
@@ -12,9 +11,8 @@ from charact.estimators.mtf.bars.fit import BarFit
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.inference import importance_sample, laplace, sample, sample_posterior
 from charact.method import Context
+from labdata import Array
 from labdata.measurement import Posterior
-
-Array = NDArray[np.float64]
 
 TABULATED, PLACE = ("log_attenuation", "form_one"), ("across_px", "along_px")
 

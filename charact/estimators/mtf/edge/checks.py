@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.curve import FINE, LEVELS, crossing_frequency
 from charact.estimators.mtf.edge.pixels.line import field_displacement, is_significant
@@ -19,10 +18,7 @@ from charact.frames.noise_law import masked_covariance
 from charact.frames.robust import median
 from charact.method import Context
 from charact.verdict import Finding
-from labdata.flags import FLAGS
-from labdata.measurement import Measurement
-
-Array = NDArray[np.float64]
+from labdata import FLAGS, Array, Measurement
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,17 +27,16 @@ from charact.estimators.mtf.edge.result import edge_result, refuse_edge, shared_
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, Region
 from charact.method import Context, register
-from labdata.frames import FrameStack
-from labdata.measurement import (
+from labdata import (
+    Array,
     Curve,
+    FrameStack,
     Measurement,
     Provenance,
     Result,
     make_refusal,
     measurement_from_sd,
 )
-
-Array = NDArray[np.float64]
 
 # Half width of the window, px: a wider one brings only noise.
 WIDEST_PX = 64.0

@@ -11,7 +11,6 @@ from itertools import product
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.checks import FittedProfile
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter
@@ -40,10 +39,7 @@ from charact.estimators.mtf.mean_frame import Region
 from charact.inference.least_squares import weigh_by_evidence
 from charact.method import Context, register
 from charact.transfer.blur_model import BlurModel
-from labdata.frames import FrameStack
-from labdata.measurement import Posterior, Result
-
-Array = NDArray[np.float64]
+from labdata import Array, FrameStack, Posterior, Result
 
 METHOD = "edge-free"
 _evidence = attrgetter("log_evidence")

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.curve import FINE
 from charact.estimators.mtf.edge.pixels.plateau_noise import NoiseGrowth
@@ -11,9 +10,8 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.estimators.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR, curvatures
 from charact.method import Context
+from labdata import Array
 from labdata.camera.description import has_tube
-
-Array = NDArray[np.float64]
 
 # Curvature of the response with its standard uncertainty.
 CurvatureEstimate = tuple[float, float]

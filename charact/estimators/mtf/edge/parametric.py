@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.curve import FINE, crossing_frequency
 from charact.estimators.mtf.edge.checks import misfit_finding, window_finding
@@ -42,10 +41,7 @@ from charact.inference.diagnostics import crowds_at_bound
 from charact.method import Context, register
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.extended import ExtendedComponent, UnresolvedGlareComponent
-from labdata.frames import FrameStack
-from labdata.measurement import Posterior, Result
-
-Array = NDArray[np.float64]
+from labdata import Array, FrameStack, Posterior, Result
 
 PARAMETRIC, FORWARD = "edge-parametric", "edge-forward"
 # Parameters whose bounds were merely chosen; beyond those of the others lies what physics forbids

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import charact
 from charact.estimators.mtf.curve import FINE, mtf_measurements
@@ -28,20 +27,18 @@ from charact.estimators.mtf.thresholds import LIMITS
 from charact.inference import has_several_peaks
 from charact.method import Context
 from charact.verdict import judge, widen_curve
-from labdata.camera.description import has_tube
-from labdata.frames import FrameStack
-from labdata.measurement import (
+from labdata import (
+    Array,
     Curve,
+    FrameStack,
     Measurement,
     Posterior,
     Provenance,
     Result,
+    has_tube,
     make_refusal,
     measurement_from_sd,
 )
-
-Array = NDArray[np.float64]
-
 
 EdgeFitFunction = Callable[[PreparedEdge, KnownTransfer, Context], Result]
 

@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.noise_spectrum.model import (
     FAMILIES,
@@ -49,11 +48,7 @@ from charact.method import Context, register
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.extended import ScatterComponent
 from charact.verdict import Finding
-from labdata.camera.description import has_tube
-from labdata.measurement import Posterior, Result, make_refusal
-from labdata.session import Session
-
-Array = NDArray[np.float64]
+from labdata import Array, Posterior, Result, Session, has_tube, make_refusal
 
 
 def findings_of(

@@ -22,11 +22,7 @@ from charact.frames.spectrum import Bins, bins_of
 from charact.frames.stack_statistics import StackStatistics
 from charact.frames.temporal import n_effective_samples, same_row_lags
 from charact.method import Context
-from labdata.errors import BadInput
-from labdata.lazy_stack import open_lazy_stack
-from labdata.session import Session
-
-Array = NDArray[np.float64]
+from labdata import Array, BadInput, Session, open_lazy_stack
 
 
 def frequency_cells(rows: int, cols: int, row_pitch: float) -> Bins:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
 from charact.estimators.mtf.noise_spectrum.model import (
@@ -21,6 +20,7 @@ from charact.estimators.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.estimators.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.transfer.extended import ScatterComponent
 from charact.verdict import Finding, judge
+from labdata import Array
 from labdata.measurement import (
     Curve,
     Measurement,
@@ -30,7 +30,6 @@ from labdata.measurement import (
     measurement_from_draws,
 )
 
-Array = NDArray[np.float64]
 DRAWS = 1000
 DIRECTIONS = (("mtf_post_gain", False), ("mtf_post_gain_vertical", True))
 REMEDIES = {

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES
 from charact.estimators.mtf.point.thresholds import PRIORS
@@ -16,8 +15,7 @@ from charact.transfer.cores import ON_POINTS
 from charact.transfer.extended import ExtendedComponent
 from charact.transfer.form import table_of
 from charact.transfer.tables import disc
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Centres of the departure bumps in ln of frequency over half frequency, and their width.
 BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5

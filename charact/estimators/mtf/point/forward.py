@@ -16,9 +16,7 @@ from charact.estimators.mtf.session.stage_transfers import prior_sd_of
 from charact.method import Context, register
 from charact.transfer.extended import HaloComponent
 from charact.transfer.video_filter import VideoFilter
-from labdata.camera.description import has_tube
-from labdata.frames import FrameStack
-from labdata.measurement import Result
+from labdata import FrameStack, Result, has_tube
 
 METHOD = "point-forward"
 

@@ -4,13 +4,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfcx, log_ndtr
 
 from charact.estimators.mtf.point.blur_models_2d import BlurModel2D
 from charact.inference.least_squares import Linearisation, covariance_at, least_squares, ln_evidence
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.point.blur_models_2d import BlurModel2D
 from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter
@@ -19,8 +18,7 @@ from charact.estimators.mtf.point.thresholds import ACCURACY
 from charact.inference.least_squares import weigh_by_evidence
 from charact.transfer.cores import ON_POINTS
 from charact.transfer.extended import ExtendedComponent, HaloComponent
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Prior odds of each extended component of a camera without a description; both together equal none.
 WIDE_ODDS = 0.5

@@ -7,12 +7,10 @@ the light.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Extra powers of the light in the noise: response exponents from 0.4 to 2.5.
 POWERS = np.array([-1.5, -1.2, -0.9, -0.7, -0.5, -0.35, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6])

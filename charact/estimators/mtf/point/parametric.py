@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import charact
 from charact.estimators.mtf.curve import (
@@ -55,12 +54,17 @@ from charact.transfer.extended import (
 )
 from charact.transfer.video_filter import VideoFilter, powers
 from charact.verdict import judge
-from labdata.camera.description import has_tube
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Posterior, Provenance, Result, measurement_from_draws
-
-Array = NDArray[np.float64]
+from labdata import (
+    Array,
+    BadInput,
+    FrameStack,
+    Measurement,
+    Posterior,
+    Provenance,
+    Result,
+    has_tube,
+    measurement_from_draws,
+)
 
 METHOD = "point-parametric"
 

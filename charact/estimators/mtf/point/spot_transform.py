@@ -24,18 +24,17 @@ from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context, register
 from charact.verdict import judge
-from labdata.camera.description import has_tube
-from labdata.frames import FrameStack
-from labdata.measurement import (
+from labdata import (
+    Array,
     Curve,
+    FrameStack,
     Measurement,
     Provenance,
     Result,
+    has_tube,
     make_refusal,
     measurement_from_sd,
 )
-
-Array = NDArray[np.float64]
 
 METHOD = "point-spread"
 FREQUENCY = np.linspace(0.0, 0.5, 251)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
 from charact.estimators.mtf.session.constraints import (
@@ -17,10 +16,7 @@ from charact.estimators.mtf.session.constraints import (
 )
 from charact.estimators.mtf.session.thresholds import HALF68_SD, THRESHOLDS
 from charact.method import Context
-from labdata.conditions import Conditions
-from labdata.measurement import Measurement, Result
-
-Array = NDArray[np.float64]
+from labdata import Conditions, Measurement, Result
 
 
 def mtf_consistency(result: Result, kinds: Mapping[str, str]) -> Result:

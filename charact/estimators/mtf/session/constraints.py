@@ -9,14 +9,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.session.thresholds import HALF68_SD, THRESHOLDS
 from charact.method import Context
+from labdata import Array
 from labdata.camera.description import has_tube
 from labdata.measurement import Curve, Interval, Measurement, Result
-
-Array = NDArray[np.float64]
 
 # Frequencies at which curves are compared, cycles per pixel of the curve.
 FREQUENCIES = np.arange(0.04, 0.481, 0.04)

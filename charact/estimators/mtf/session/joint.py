@@ -23,17 +23,17 @@ from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.transfer.extended import HaloComponent
 from charact.verdict import Finding, judge
-from labdata.camera.description import has_tube
-from labdata.measurement import (
+from labdata import (
+    Array,
     Measurement,
     Posterior,
     Provenance,
     Result,
+    has_tube,
     make_refusal,
     measurement_from_draws,
 )
 
-Array = NDArray[np.float64]
 CORES: tuple[tuple[str, bool], ...] = (
     ("gaussian", False),
     ("exponential", False),

@@ -12,7 +12,6 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from charact.estimators.mtf.curve import REPORTED, quantiles
@@ -32,10 +31,7 @@ from charact.estimators.mtf.session.stage_transfers import (
 from charact.estimators.mtf.session.thresholds import THRESHOLDS
 from charact.inference import find_maximum, laplace, sample_posterior
 from charact.method import Context
-from labdata.camera.description import Camera, has_tube
-from labdata.measurement import Curve, Measurement, Posterior, Result
-
-Array = NDArray[np.float64]
+from labdata import Array, Camera, Curve, Measurement, Posterior, Result, has_tube
 
 EVIDENCE = "stage budget"
 # Frequencies at which the stages are shown, cycles per column pitch in both directions.

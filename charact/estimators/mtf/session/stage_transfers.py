@@ -8,16 +8,15 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.session.thresholds import THRESHOLDS
 from charact.transfer.extended import halo
 from charact.transfer.stages import fibres, lens
 from charact.transfer.video_filter import sampled_response, transfer
+from labdata import Array
 from labdata.camera.description import Camera
 from labdata.camera.parameters import Parameter
 
-Array = NDArray[np.float64]
 Direction = Literal["horizontal", "vertical"]
 
 STAGES = ("lens", "halo", "tube before the gain", "tube after the gain", "taper", "pixel", "video")

@@ -12,8 +12,7 @@ from charact.estimators.mtf.bars.thresholds import ACCURACY as BAR_ACCURACY
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.target_detection.smoothed_mean_frame import local_maximum, mean_frame_of
 from charact.estimators.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata import BadInput, FrameStack
 
 # Periods looked at outside the bars; mean over modulation of bars with dark gaps; the ground
 # outside them over their height; the first bar against the last.

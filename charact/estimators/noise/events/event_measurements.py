@@ -6,7 +6,6 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.events.frames import MIDDLE, dark_frames, fits_filters, has_pulses
 from charact.estimators.noise.events.pulse_height_fit import PulseFit, fit_pulses
@@ -18,14 +17,20 @@ from charact.frames.rounding import QUANTISED_DN2
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from labdata.camera.description import has_tube
-from labdata.conditions import Conditions
-from labdata.frames import FrameStack
-from labdata.lazy_stack import open_lazy_stack
-from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
-from labdata.session import Session, StackEntry
-
-Array = NDArray[np.float64]
+from labdata import (
+    Array,
+    Conditions,
+    FrameStack,
+    Measurement,
+    Posterior,
+    Result,
+    Session,
+    StackEntry,
+    has_tube,
+    make_refusal,
+    measurement_from_draws,
+    open_lazy_stack,
+)
 
 
 def pulse_figure_data(pulse_fit: PulseFit) -> dict[str, Any]:

@@ -29,10 +29,7 @@ from charact.estimators.noise.findings import Unmeasurable
 from charact.estimators.noise.thresholds import EVENT_ACCURACY, EVENTS
 from charact.inference import laplace
 from charact.method import Context
-from labdata.camera.description import has_tube
-from labdata.measurement import Posterior
-
-Array = NDArray[np.float64]
+from labdata import Array, Posterior, has_tube
 
 UNITS = {
     "density": "1/px",

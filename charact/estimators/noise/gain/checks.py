@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding, with_remedy
 from charact.estimators.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
@@ -17,9 +16,8 @@ from charact.estimators.noise.linear_fit import generalised_fit
 from charact.estimators.noise.thresholds import CHECKS
 from charact.frames.stack_statistics import StackStatistics
 from charact.observables.photon_transfer import PhotonTransfer
+from labdata import Array
 from labdata.conditions import Conditions
-
-Array = NDArray[np.float64]
 
 ALLOWED = "the interval includes what cannot be excluded"
 # Conditions that must agree between flat and dark: largest relative and absolute difference.

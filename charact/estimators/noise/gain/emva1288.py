@@ -17,10 +17,8 @@ from charact.frames.rounding import QUANTISATION_DN2
 from charact.inference import laplace, sample_posterior
 from charact.method import Context
 from charact.observables.photon_transfer import variance_errors
+from labdata import Array, Conditions, Posterior, has_tube
 from labdata.camera.chip import excess_noise_factor
-from labdata.camera.description import has_tube
-from labdata.conditions import Conditions
-from labdata.measurement import Posterior
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +65,6 @@ def excess_of(conditions: Conditions, context: Context) -> Excess:
         f"{factor:.4g} ({source}; Robbins & Hadwen 2003) is divided out"
     )
     return Excess(factor=factor, relative_sd=half / factor, note=note)
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

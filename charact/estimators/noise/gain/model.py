@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.thresholds import GAIN, GAIN_PRIORS
 from charact.transfer.video_filter import VideoFilter
+from labdata import Array
 from labdata.camera.description import Camera, has_tube
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

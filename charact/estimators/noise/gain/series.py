@@ -11,12 +11,8 @@ from charact.frames.frame_block import Spectra
 from charact.frames.stack_statistics import StackStatistics, read_levels_of
 from charact.method import Context
 from charact.observables import Stacks
-from labdata.camera.description import has_tube
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.session import Session
+from labdata import Array, BadInput, Conditions, Session, has_tube
 
-Array = NDArray[np.float64]
 # Fraction of values at full scale above which clipping lowers the variance.
 CLIPPED_SHARE = 1e-4
 # Conditions that set the gain.

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding
 from charact.estimators.noise.gain import emva1288
@@ -23,10 +22,7 @@ from charact.estimators.noise.linear_fit import linear_fit
 from charact.estimators.noise.thresholds import GAIN
 from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.method import Context
-from labdata.camera.description import has_tube
-from labdata.measurement import Posterior
-
-Array = NDArray[np.float64]
+from labdata import Array, Posterior, has_tube
 
 
 class _Trend(NamedTuple):

@@ -8,15 +8,13 @@ widens the interval of the gain by what it cannot exclude.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding
 from charact.estimators.noise.gain.series import FlatSeries
 from charact.estimators.noise.linear_fit import linear_fit, weighted_mean
 from charact.estimators.noise.thresholds import CORRELATION
 from charact.frames.stack_statistics import StackStatistics
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 @dataclass(frozen=True, kw_only=True)

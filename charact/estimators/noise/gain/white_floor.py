@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.gain.model import NAMES, PixelReadoutModel, transfer
 from charact.estimators.noise.gain.series import FlatSeries, dark_shares
@@ -18,10 +17,7 @@ from charact.frames.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
 from charact.frames.stack_statistics import StackStatistics, shares_of
 from charact.frames.thresholds import STACK
 from charact.method import Context
-from labdata.camera.description import has_tube
-from labdata.measurement import Posterior
-
-Array = NDArray[np.float64]
+from labdata import Array, Posterior, has_tube
 
 
 @dataclass(frozen=True, kw_only=True)

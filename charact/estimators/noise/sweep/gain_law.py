@@ -9,17 +9,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding
 from charact.estimators.noise.linear_fit import draw_posterior, linear_fit
 from charact.estimators.noise.sweep.settings import SweepSetting
 from charact.estimators.noise.thresholds import SWEEP
 from charact.inference import importance_sample, sample
+from labdata import Array
 from labdata.measurement import Posterior
-
-Array = NDArray[np.float64]
-
 
 LOG_DEPARTURE = np.log([1e-4, 0.3])
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding
 from charact.estimators.noise.sweep.gain_law import (
@@ -19,9 +18,9 @@ from charact.estimators.noise.sweep.gain_law import (
 from charact.estimators.noise.sweep.settings import Sweep, SweepSetting
 from charact.estimators.noise.thresholds import GAIN, SWEEP
 from charact.method import Context
+from labdata import Array
 from labdata.camera.description import has_tube
 
-Array = NDArray[np.float64]
 # Smallest slope of the gain law of a working control, by its unit: exponent, none, exponent, dB per
 # dB.
 FOLLOWS = {"V": 1.0, "count": 0.0, "1": 0.5, "dB": 0.5}

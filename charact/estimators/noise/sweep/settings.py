@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import Finding
 from charact.estimators.noise.gain import emva1288
@@ -25,9 +24,8 @@ from charact.estimators.noise.illumination import relative_sd_of
 from charact.estimators.noise.thresholds import GAIN, SWEEP
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
+from labdata import Array
 from labdata.conditions import Conditions
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.noise.findings import (
     Unmeasurable,
@@ -27,6 +26,7 @@ from charact.estimators.noise.thresholds import SWEEP
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from labdata import Array
 from labdata.measurement import (
     Measurement,
     Result,
@@ -35,7 +35,6 @@ from labdata.measurement import (
     measurement_from_sd,
 )
 
-Array = NDArray[np.float64]
 # Signal of the stated knee, effective photoelectrons per pixel and exposure.
 STATED_PE = 1.0
 

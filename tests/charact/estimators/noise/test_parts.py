@@ -13,8 +13,7 @@ from charact.estimators.noise import read_levels
 from charact.frames import stack_statistics
 from charact.method.registry import parallel_map
 from charact.session_measurement import method_context
-from labdata import BadInput, Conditions, open_session
-from labdata.session_writer import SessionWriter
+from labdata import BadInput, Conditions, SessionWriter, open_session
 
 SHAPE = (64, 96)
 # More than one run of 32 frames, so that large stacks have several parts.

@@ -9,15 +9,13 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.linalg.blas import dtrmm  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue]
 
 from charact.estimators.mtf.edge.fit.esf_from_mtf import edge_weights, nodes
 from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
 from charact.estimators.mtf.known_transfer import KnownTransfer
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 class EdgeMaps:

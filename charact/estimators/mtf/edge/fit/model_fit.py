@@ -13,7 +13,6 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.checks import FittedProfile
 from charact.estimators.mtf.edge.fit.edge_form import EdgeForm
@@ -31,8 +30,7 @@ from charact.inference.least_squares import (
     ln_evidence,
 )
 from charact.transfer.blur_model import BlurModel
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 LINEAR = 4  # step, level and two slopes
 # Half frequencies among which the first guess is taken, cy/px.

@@ -14,7 +14,6 @@ from itertools import compress
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.fit.edge_form import KNOTS, PHASE_KNOTS, cosine_shapes
 from charact.estimators.mtf.edge.fit.model_fit import (
@@ -39,9 +38,9 @@ from charact.transfer.extended import (
     ScatterComponent,
     UnresolvedGlareComponent,
 )
+from labdata import Array
 from labdata.camera.description import has_tube
 
-Array = NDArray[np.float64]
 _evidence = attrgetter("log_evidence")
 
 
