@@ -74,6 +74,8 @@ def judge(measurement: Measurement, findings: Iterable[Finding]) -> Measurement:
         for finding in dict.fromkeys(findings)
         if not any(note.startswith(finding.beginnings) for note in measurement.notes)
     ]
+    if not new:
+        return measurement
     value, interval95 = measurement.value, measurement.interval95
     if value is None or interval95 is None:
         flagged = [finding for finding in new if value is None or finding.bound != 0.0]

@@ -26,7 +26,7 @@ class MtfLimits:
     # Displacements over their rms as measured, at most: it is known to a fifth (test_roughness,
     # test_target_motion)
     max_rms_ratio: float = 1.2
-    # Effect of motion that needs no flag, standard uncertainties of the measurement
+    # Effect of motion on MTF50 that leaves the noise on slopes a test, standard uncertainties
     max_motion_sd: float = 0.5
     min_line_power: float = 0.5  # Precision of a line's position over the median
 

@@ -213,17 +213,23 @@ def edge_result(
             "degrees_of_freedom": fitted.free,
             "orientation_deg": shared["orientation_deg"],
         }
-    modulus = _modulus_at_fine(curve)
-    # What has a bound concerns the MTF, not the tilt.
-    unbounded = [finding for finding in findings if finding.undo is None]
-    return Result(
-        measurements=(
-            *(judge(m, [f.finding_of(m, modulus) for f in findings]) for m in numbers),
-            judge(angle, [f.finding_of(angle, modulus) for f in unbounded]),
-        ),
-        curves={"mtf": _widen(curve, modulus, findings)},
-        evidence={"edge-spread": shown},
-    )
+    measurements = (*numbers, angle)
+    if findings:
+        modulus = _modulus_at_fine(curve)
+        measurements = tuple(
+            judge(
+                m,
+                [
+                    finding.finding_of(m, modulus)
+                    for finding in findings
+                    # What has a bound concerns the MTF, not the tilt.
+                    if m is not angle or finding.undo is None
+                ],
+            )
+            for m in measurements
+        )
+        curve = _widen(curve, modulus, findings)
+    return Result(measurements=measurements, curves={"mtf": curve}, evidence={"edge-spread": shown})
 
 
 def _modulus_at_fine(curve: Curve) -> Array:
