@@ -162,9 +162,10 @@ def combine_faults(strikes: list[ScriptedFault], power_cycles: int) -> Faults:
     one.
     """
     names = vars(Faults())
+    given = {name: [getattr(strike.faults, name) for strike in strikes] for name in names}
     combined = {
-        name: max((getattr(strike.faults, name) for strike in strikes), default=names[name])
-        for name in names
+        name: max((value for value in values if value is not None), default=names[name])
+        for name, values in given.items()
     }
     return Faults(**{**combined, "power_cycles": power_cycles})
 

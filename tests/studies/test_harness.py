@@ -218,7 +218,7 @@ def test_cases_are_the_same_for_the_same_seed_and_others_for_another(quantity):
 def test_a_quantity_without_a_study_is_refused_with_those_that_have_one():
     with pytest.raises(
         BadInput,
-        match=r"must be of one of mtf50, mtf, .*fusion_error, halo_diameter, got 'prnu'",
+        match=r"must be one of mtf50, mtf, .*fusion_error, halo_diameter, got prnu",
     ):
         chart("prnu")
 
