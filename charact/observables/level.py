@@ -5,10 +5,7 @@
 b: black level; p: photons of a pixel; eta: quantum efficiency.
 """
 
-import numpy as np
-
 from charact.observables.observable import (
-    Estimates,
     MeasuredStack,
     Numbers,
     Observable,
@@ -26,14 +23,6 @@ class Level(Observable[MeasuredStack]):
     order = 0
     title = "Level of the dark, and signal of the brightest flat"
     cause = "sensitivity, gain, black level, EBI, dark current, or the light meter"
-
-    def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
-        """Return the mean of each dark and flat, DN."""
-        levels = (*stacks.darks, *stacks.flats)
-        return Estimates(
-            value=np.array([level.mean_dn for level in levels]),
-            covariance=np.diag([level.mean_sd_dn**2 for level in levels]),
-        )
 
     def numbers(self, stacks: Stacks[MeasuredStack]) -> Numbers:
         """Return them by label."""

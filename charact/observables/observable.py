@@ -140,8 +140,6 @@ class Observable(Generic[S]):
     least_sd: float = 0.0
     # Whether all parts of the frame are compared, as faults may lie anywhere
     over_frame: bool = False
-    # Whether a prediction beyond the measured number agrees
-    is_bound: bool = False
 
     def usable(self, stacks: Stacks[S]) -> Stacks[S] | None:
         """Return the stacks that show the statistic to a fit; None where there are none."""

@@ -226,7 +226,7 @@ def bend_allowance(series: FlatSeries) -> float:
     open.
 
     The gain of EMVA 1288 is the slope of variance against signal up to 70 % of saturation. Of three
-    or more levels it is the fitted slope, and curvature is a quantity beside it (`gain_curvature`).
+    or more levels it is the fitted slope, and curvature is another quantity (`gain_curvature`).
     One or two levels do not show the slope over the whole range: the accepted curvature and none
     are equally likely.
     """
