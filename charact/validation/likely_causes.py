@@ -4,7 +4,6 @@ the way they go.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +22,59 @@ from charact.estimators.noise.findings import (
 from charact.validation.thresholds import VALIDATION
 from charact.verdict import Finding
 
-if TYPE_CHECKING:
-    from charact.validation.validation_result import Statistic
-
 Array = NDArray[np.float64]
 # Half of a two-sided 95 % interval of a Gaussian, standard deviations.
 HALF95_SD = 1.96
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statistic:
+    """One comparison of measured with simulated frames.
+
+    Parameters
+    ----------
+    name, title, note
+        Short name, description, and note for the reader.
+    distance
+        Distance of the measured value from the simulated ones, about 1 if they agree.
+    p_value, level
+        Probability of a distance at least as large if the camera is right, and that below which it
+        fails, corrected for several comparisons; dimensionless.
+    least_p
+        Least p-value that the number of repetitions can give.
+    labels, measured, low95, high95
+        Names of the numbers, measured values, and predicted 95 % intervals.
+    worst, cause
+        Number that deviates most, and stages or faults that move the numbers of this statistic.
+    """
+
+    name: str
+    title: str
+    distance: float
+    p_value: float
+    level: float
+    labels: tuple[str, ...] = ()
+    measured: tuple[float, ...] = ()
+    low95: tuple[float, ...] = ()
+    high95: tuple[float, ...] = ()
+    note: str = ""
+    least_p: float = 0.0
+    worst: str = ""
+    cause: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the measured frames look like the simulated ones in this respect."""
+        return self.p_value >= self.level
+
+    @property
+    def p_text(self) -> str:
+        """The p-value, or "< least" where no repetition was as distant."""
+        return (
+            f"< {self.least_p:.2g}"
+            if self.p_value <= self.least_p * 1.0001
+            else f"{self.p_value:.2g}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +175,7 @@ SIGNATURES = (
 )
 
 
-def likely_causes(statistics: Iterable["Statistic"]) -> tuple[Finding, ...]:
+def likely_causes(statistics: Iterable[Statistic]) -> tuple[Finding, ...]:
     """Return the faults whose signatures failing statistics show, the likeliest first; empty where
     none fails.
 
@@ -152,7 +198,7 @@ def likely_causes(statistics: Iterable["Statistic"]) -> tuple[Finding, ...]:
     )
 
 
-def _number_of(signature: Signature, statistic: "Statistic") -> str | None:
+def _number_of(signature: Signature, statistic: Statistic) -> str | None:
     """Return the number that shows a signature most, with its prediction, in words; None where none
     does.
     """
