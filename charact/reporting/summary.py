@@ -285,12 +285,18 @@ def _reason_lines(refused: list[Measurement], width: int) -> list[str]:
 
 
 def _note_lines(shown: list[Measurement], width: int) -> list[str]:
-    """Return the first notes that are no findings."""
-    notes = dict.fromkeys(
-        note for m in shown for note in m.notes if note.partition(":")[0] not in FLAGS
-    )
+    """Return the first notes: one on each finding that an interval holds, then the others."""
+    held, others = dict[str, str](), dict[str, None]()
+    for m in shown:
+        for note in m.notes:
+            flag = note.partition(":")[0]
+            if flag not in FLAGS:
+                others[note] = None
+            elif flag not in m.flags:
+                held.setdefault(flag, f"{note} [{m.quantity}]")
+    notes = (f"note: {note}" for note in (*held.values(), *others))
     return _first_entries(
-        [_wrap(f"note: {note}", "    ", width, max_lines=2) for note in notes], NOTE_LINES, "notes"
+        [_wrap(note, "    ", width, max_lines=2) for note in notes], NOTE_LINES, "notes"
     )
 
 

@@ -7,6 +7,7 @@ import pytest
 from charact.cli.demo_loop import lines
 from charact.cli.output import print_result
 from charact.reporting import compare_with_truth, rows_of_file, sparkline, summary_of
+from charact.verdict import Finding, judge
 from labdata import QUANTITIES, Measurement, Result, make_refusal, measurement_from_sd
 
 LONG = (
@@ -165,3 +166,12 @@ def test_the_table_of_truths_tells_directions_apart() -> None:
     assert along_rows.startswith("mtf50 along 0 deg ") and along_columns.startswith(
         "mtf50 along 90 deg "
     )
+
+
+def test_a_bound_that_widens_an_interval_is_the_first_note():
+    plain = measurement_from_sd("mtf50", "cy/px", 0.2, 0.001, method="m", notes=("a remark",))
+    unseen = Finding(flag="gamma", effect="not seen", remedy="more frames", bound=0.02, sign=1)
+    text = summary_of(Result(measurements=(judge(plain, [unseen]),)), title="edge")
+    lines = text.splitlines()
+    assert lines[1].endswith("ok")
+    assert lines[2].startswith("note: gamma: not seen: at most 0.02 cy/px too high, by which")

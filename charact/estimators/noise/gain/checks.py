@@ -254,7 +254,7 @@ def gain_curvature(series: FlatSeries) -> tuple[float, float] | None:
     trend = _trend(series)
     if trend is None or series.fitted.sum() < CHECKS.min_levels:
         return None
-    return trend.rise / trend.middle, trend.rise_sd / abs(trend.middle)
+    return float(trend.rise / trend.middle), float(trend.rise_sd / abs(trend.middle))
 
 
 def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
