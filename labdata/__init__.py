@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from labdata.flags import FLAGS, order_flags
     from labdata.frame_export import write_frames
     from labdata.frames import Array, FrameStack, Mask
+    from labdata.frequency import convert_frequency
     from labdata.gating import Gating, fields_open_ns, out_of_step
     from labdata.importers import read_array, read_frames
     from labdata.instrument_config import InstrumentConfig, Meters
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
         in_volts,
     )
     from labdata.plan_file import SweepRecord, plan_of, plan_toml, read_plan
-    from labdata.quantity import QUANTITIES, convert_frequency
+    from labdata.quantity import QUANTITIES
     from labdata.schema import file_schema
     from labdata.sensors import load_camera, load_sensor, save_sensor, sensor_names
     from labdata.serialiser import from_mapping, from_toml, read_toml, to_mapping, to_toml
@@ -191,7 +192,8 @@ __getattr__ = import_on_first_use(
             "FrameFormat Plan SaturationSearch Step StopCriterion by_calibration in_volts"
         ),
         "labdata.plan_file": "SweepRecord plan_of plan_toml read_plan",
-        "labdata.quantity": "QUANTITIES convert_frequency",
+        "labdata.frequency": "convert_frequency",
+        "labdata.quantity": "QUANTITIES",
         "labdata.schema": "file_schema",
         "labdata.sensors": "load_camera load_sensor save_sensor sensor_names",
         "labdata.serialiser": "from_mapping from_toml read_toml to_mapping to_toml",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from charact.estimators.infrared import DIRECTIONS
 from labdata import BadInput, Camera, Measurement
-from labdata.quantity import ARCMIN_MRAD, FREQUENCY_UNITS, convert_frequency
+from labdata.frequency import ARCMIN_MRAD, FREQUENCY_UNITS, convert_frequency
 
 # Lengths that a unit needs.
 NEEDS: dict[str, tuple[str, ...]] = {
