@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass
 
-from charact.estimators.infrared import DIRECTIONS
 from labdata import BadInput, Camera, Measurement
+from labdata.camera import SCAN_DIRECTIONS
 from labdata.frequency import ARCMIN_MRAD, FREQUENCY_UNITS, convert_frequency
 
 # Lengths that a unit needs.
@@ -117,7 +117,7 @@ class FrequencyUnit:
     ) -> tuple[float, str]:
         """Return the frequency of a measurement in this unit, and the unit."""
         by_rows = measurement is not None and counts_rows(measurement)
-        lines = tuple(f"lines {direction}" for direction in DIRECTIONS)
+        lines = tuple(f"lines {direction}" for direction in SCAN_DIRECTIONS)
         if (
             self.two_way
             and by_rows

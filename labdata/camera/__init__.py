@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from labdata.camera.description import Camera, ThermalImagerFile, camera_from_mapping
     from labdata.camera.optics import Band, InfraredOptics, Optics
     from labdata.camera.parameters import Draws, Parameter
-    from labdata.camera.thermal import Bolometer, CooledArray, PixelArray, Scanner
+    from labdata.camera.thermal import SCAN_DIRECTIONS, Bolometer, CooledArray, PixelArray, Scanner
     from labdata.camera.tube import (
         MicrochannelPlate,
         Phosphor,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from labdata.camera.video import InfraredVideo, Video
 
 __all__ = [
+    "SCAN_DIRECTIONS",
     "Band",
     "Bolometer",
     "Camera",
@@ -63,7 +64,7 @@ __getattr__ = import_on_first_use(
         "labdata.camera.description": "Camera ThermalImagerFile camera_from_mapping",
         "labdata.camera.optics": "Band InfraredOptics Optics",
         "labdata.camera.parameters": "Draws Parameter",
-        "labdata.camera.thermal": "Bolometer CooledArray PixelArray Scanner",
+        "labdata.camera.thermal": "Bolometer CooledArray PixelArray SCAN_DIRECTIONS Scanner",
         "labdata.camera.tube": "MicrochannelPlate Phosphor Photocathode Taper Tube TubeLimits",
         "labdata.camera.video": "InfraredVideo Video",
     },

@@ -7,6 +7,8 @@ from labdata.errors import BadInput, check, check_range
 
 # Temperatures of the black bodies of a description, C.
 BODY_C = (-200.0, 2000.0)
+# Directions in which the lines of a two-way scanner run in turn, the first line first.
+SCAN_DIRECTIONS = ("to the right", "to the left")
 
 
 @dataclass(frozen=True, kw_only=True)

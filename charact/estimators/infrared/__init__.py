@@ -4,7 +4,6 @@ MRTD.
 
 from charact.estimators.infrared.blackbody_flats import blackbody_flats, is_linear, measure
 from charact.estimators.infrared.mrtd import (
-    DIRECTIONS,
     FOUR_BARS,
     add_mrtd,
     mrtd,
@@ -14,7 +13,6 @@ from charact.estimators.infrared.signal_transfer import Response, fit_signal_tra
 from charact.estimators.infrared.thresholds import INFRARED
 
 __all__ = [
-    "DIRECTIONS",
     "FOUR_BARS",
     "INFRARED",
     "Response",

@@ -24,10 +24,10 @@ from labdata import (
     open_lazy_stack,
 )
 from labdata.camera.description import is_thermal
+from labdata.camera.thermal import SCAN_DIRECTIONS
 
 Region = tuple[int, int, int, int]
 METHOD = "objective-mrtd"
-DIRECTIONS = ("to the right", "to the left")
 # pi^2 / (4 sqrt 14): four bars of 7:1 and an eye that integrates over the bar.
 FOUR_BARS = np.pi**2 / (4.0 * np.sqrt(14.0))
 # Frequencies at which MRTD is reported, cy/px: quarters of Nyquist.
@@ -153,7 +153,7 @@ def _curve_of(m: Measurement, session: Session, result: Result) -> Iterator[Curv
         for entry in session.of_kind("edge")
         for name in (
             entry.label,
-            *(f"{entry.label}, lines {direction}" for direction in DIRECTIONS),
+            *(f"{entry.label}, lines {direction}" for direction in SCAN_DIRECTIONS),
         )
     }
     if m.stack in labels and (curve := result.curves.get(f"mtf:{m.stack}")) is not None:
@@ -256,7 +256,7 @@ def scan_directions(
     direction_context = replace(context, camera=replace(imager, scanner=scanner))
     rows = 2 * fields * (stack.shape[1] // (2 * fields))
     cut = None if region is None else (region[0] // 2, region[1], region[2] // 2, region[3])
-    for number, direction in enumerate(DIRECTIONS):
+    for number, direction in enumerate(SCAN_DIRECTIONS):
         sets = stack.data[:, :rows].reshape(len(stack), -1, 2, fields, stack.shape[2])[:, :, number]
         yield (
             direction,
