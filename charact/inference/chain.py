@@ -20,7 +20,7 @@ from charact.inference.diagnostics import (
     split_r_hat,
 )
 from charact.inference.ensembles import Ensembles, first_places, walker_moves
-from charact.inference.laplace import (
+from charact.inference.laplace_approximation import (
     Vectorised,
     bounds_of,
     covariance_root,

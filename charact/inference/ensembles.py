@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.inference.laplace import Vectorised, covariance_root, draw_truncated_gaussian
+from charact.inference.laplace_approximation import (
+    Vectorised,
+    covariance_root,
+    draw_truncated_gaussian,
+)
 from charact.inference.probit_transform import NormalScores
 
 Array = NDArray[np.float64]

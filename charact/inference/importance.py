@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from charact.inference.chain import sample
 from charact.inference.diagnostics import crowds_at_bound, has_several_peaks
-from charact.inference.laplace import (
+from charact.inference.laplace_approximation import (
     Vectorised,
     bounds_of,
     covariance_root,

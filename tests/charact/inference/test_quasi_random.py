@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from charact.inference import draw_truncated_gaussian, quasi_random_normals
-from charact.inference.laplace import BASES, LONGEST
+from charact.inference.laplace_approximation import BASES, LONGEST
 
 WIDE = np.tile([-np.inf, np.inf], (4, 1))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from charact.estimators.bloom.series.likelihood import SeriesLikelihood
-from charact.inference.least_squares import least_squares, linearise_residual
+from charact.inference.gauss_newton import least_squares, linearise_residual
 from labdata import Array
 
 

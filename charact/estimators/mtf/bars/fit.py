@@ -15,13 +15,13 @@ from charact.estimators.mtf.bars.noise import WindowCovariance, noise_of, noise_
 from charact.estimators.mtf.bars.target import BarTarget
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.frames.rounding import rounding_shifts
-from charact.inference.laplace import covariance_root
-from charact.inference.least_squares import (
+from charact.inference.gauss_newton import (
     Linearisation,
     least_squares,
     linearise_residual,
     weigh_by_evidence,
 )
+from charact.inference.laplace_approximation import covariance_root
 from charact.transfer.cores import ON_BARS
 from charact.transfer.form import BarForm
 from labdata import Array, Mask

@@ -15,7 +15,7 @@ from charact.estimators.mtf.nonlinearity import (
     curvatures,
 )
 from charact.frames.stack import Stack
-from charact.inference.least_squares import Linearisation, least_squares, linearise_residual
+from charact.inference.gauss_newton import Linearisation, least_squares, linearise_residual
 from charact.verdict import Finding
 from labdata import Array
 

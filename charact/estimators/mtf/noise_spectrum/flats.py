@@ -43,7 +43,7 @@ from charact.estimators.noise.findings import fields_of
 from charact.frames.rounding import QUANTISED_DN2
 from charact.inference import laplace, predictive_check, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
-from charact.inference.least_squares import weigh_by_evidence
+from charact.inference.gauss_newton import weigh_by_evidence
 from charact.method import Context, register
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.extended import ScatterComponent

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from charact.estimators.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
 from charact.estimators.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.inference import find_maximum
-from charact.inference.least_squares import ln_evidence
+from charact.inference.gauss_newton import ln_evidence
 from charact.method import Context
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.cores import EXPONENT

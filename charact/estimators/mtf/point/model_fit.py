@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import erfcx, log_ndtr
 
 from charact.estimators.mtf.point.blur_models_2d import BlurModel2D
-from charact.inference.least_squares import Linearisation, covariance_at, least_squares, ln_evidence
+from charact.inference.gauss_newton import Linearisation, covariance_at, least_squares, ln_evidence
 from labdata import Array
 
 

@@ -15,7 +15,7 @@ from charact.estimators.mtf.point.source_pixels import (
     whiten_source,
 )
 from charact.estimators.mtf.point.thresholds import ACCURACY
-from charact.inference.least_squares import weigh_by_evidence
+from charact.inference.gauss_newton import weigh_by_evidence
 from charact.transfer.cores import ON_POINTS
 from charact.transfer.extended import ExtendedComponent, HaloComponent
 from labdata import Array

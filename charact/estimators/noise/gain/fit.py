@@ -20,8 +20,8 @@ from charact.estimators.noise.gain.pooled_noise import PooledNoise
 from charact.estimators.noise.gain.white_floor import integrals
 from charact.estimators.noise.thresholds import GAIN, GAIN_PRIORS
 from charact.inference import find_maximum, importance_sample, laplace
+from charact.inference.gauss_newton import ln_evidence
 from charact.inference.importance import ENOUGH, FIRST_DRAWS
-from charact.inference.least_squares import ln_evidence
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY
 from charact.estimators.mtf.known_transfer import KnownTransfer
 from charact.inference import find_maximum
-from charact.inference.least_squares import (
+from charact.inference.gauss_newton import (
     Linearisation,
     Optimum,
     covariance_at,

@@ -27,7 +27,7 @@ from charact.estimators.mtf.edge.fit.model_fit import (
 from charact.estimators.mtf.edge.pixels.profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.known_transfer import halo_diameters_px
-from charact.inference.least_squares import weigh_by_evidence
+from charact.inference.gauss_newton import weigh_by_evidence
 from charact.method import Context
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.cores import ON_EDGES

@@ -11,9 +11,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_ndtr, ndtr
 
 Array = NDArray[np.float64]
 
@@ -144,32 +143,24 @@ def least_squares(
     return Optimum(point, model)
 
 
-@njit(cache=True)
 def damped_step(
     gradient: Array, normal: Array, point: Array, bounds: Array, damping: float, max_change: Array
 ) -> Array:
     """Return the damped Gauss-Newton step of the parameters that have bounds, at most so large,
     shape (parameter,).
     """
-    total = gradient.size
-    matrix, right = normal.copy(), gradient.copy()
-    for k in range(total):
-        matrix[k, k] = max(matrix[k, k], LEAST_CURVATURE)
-    scale = np.sqrt(np.diag(matrix))
-    for k in range(point.size):
-        outwards = (point[k] <= bounds[k, 0] and right[k] < 0) or (
-            point[k] >= bounds[k, 1] and right[k] > 0
-        )
-        if outwards or bounds[k, 0] == bounds[k, 1]:
-            matrix[k, :], matrix[:, k], right[k], matrix[k, k], scale[k] = 0.0, 0.0, 0.0, 1.0, 1.0
-    for k in range(total):
-        matrix[k] /= scale[k] * scale
-        matrix[k, k] += damping + UNDETERMINED
-    step = np.linalg.solve(matrix, right / scale) / scale
-    out = np.empty(point.size)
-    for k in range(point.size):
-        out[k] = min(max(step[k], -max_change[k]), max_change[k])
-    return out
+    low, high = bounds.T
+    pull = gradient[: point.size]
+    free = np.ones(gradient.size, dtype=bool)
+    free[: point.size] = (
+        ((point > low) | (pull >= 0.0)) & ((point < high) | (pull <= 0.0)) & (low != high)
+    )
+    scale = np.sqrt(np.maximum(normal.diagonal()[free], LEAST_CURVATURE))
+    matrix = normal[np.ix_(free, free)] / (scale[:, None] * scale)
+    np.fill_diagonal(matrix, 1.0 + damping + UNDETERMINED)
+    step = np.zeros(gradient.size)
+    step[free] = np.linalg.solve(matrix, gradient[free] / scale) / scale
+    return np.clip(step[: point.size], -max_change, max_change)
 
 
 def covariance_at(normal: Array, bounds: Array) -> Array:
@@ -217,12 +208,12 @@ def ln_evidence(
         return volume
     sd = np.sqrt(np.maximum(np.diag(covariance), LEAST_CURVATURE))
     low, high = (point - bounds[:, 0]) / sd, (bounds[:, 1] - point) / sd
-    ln_mass = np.log(np.maximum(ndtr(high) - ndtr(-low), 1e-3))
+    ln_mass = np.log(np.maximum(scipy.special.ndtr(high) - scipy.special.ndtr(-low), 1e-3))
     if gradient is not None:
         pull = sd * np.where(
             low < 1e-6, np.maximum(-gradient, 0.0), (high < 1e-6) * np.maximum(gradient, 0.0)
         )
-        ln_mass = np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), ln_mass)
+        ln_mass = np.where(pull > 0.0, 0.5 * pull**2 + scipy.special.log_ndtr(-pull), ln_mass)
     return volume + float(np.sum(ln_mass))
 
 
