@@ -34,9 +34,9 @@ from charact.estimators.mtf.edge.result import (
     window_normalisation_note,
 )
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.estimators.mtf.known_transfer import KnownTransfer
+from charact.estimators.mtf.known_transfer import KnownTransfer, known_transfer
 from charact.estimators.mtf.mean_frame import Region
-from charact.inference.least_squares import weigh_by_evidence
+from charact.inference.gauss_newton import weigh_by_evidence
 from charact.method import Context, register
 from charact.transfer.blur_model import BlurModel
 from labdata import Array, FrameStack, Posterior, Result
@@ -74,10 +74,11 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     return measure_by_fit(METHOD, _fit, stack, region, context)
 
 
-def _fit(edge: PreparedEdge, known: KnownTransfer, context: Context) -> Result:
+def _fit(edge: PreparedEdge, context: Context) -> Result:
     """Fit an edge, first as if its plateaus were even, then with the shading that is left over, if
     any.
     """
+    known = known_transfer(edge.picture, edge.profile.angle_rad, context)
     fitter = EdgeFitter(edge.profile, known)
     start = np.array([0.0, np.log(fitter.guess())])
     shift_px = float(fitter.fit(BlurModel(core="gaussian"), start, EVEN_PER_PX).point[0])

@@ -34,7 +34,7 @@ from charact.estimators.mtf.edge.result import (
     window_normalisation_note,
 )
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.estimators.mtf.known_transfer import KnownTransfer, halo_of
+from charact.estimators.mtf.known_transfer import KnownTransfer, halo_of, known_transfer
 from charact.estimators.mtf.mean_frame import Region
 from charact.inference import importance_sample, laplace, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
@@ -134,8 +134,9 @@ def _result(
     )
 
 
-def _average_models(edge: PreparedEdge, known: KnownTransfer, context: Context) -> Result:
+def _average_models(edge: PreparedEdge, context: Context) -> Result:
     """Fit blur models and average them by their evidence."""
+    known = known_transfer(edge.picture, edge.profile.angle_rad, context)
     fitter, fits = fit_edge_models(edge, known, context)
     best = fits[0].fit
     half = float(np.exp(best.point[1]))
@@ -296,8 +297,9 @@ def _exceeds_window(fit: EdgeFit) -> bool:
     return bool(fit.point[-component.after_size] > high - THRESHOLDS.widest_sizes * (high - low))
 
 
-def _fit_departures(edge: PreparedEdge, known: KnownTransfer, context: Context) -> Result:
+def _fit_departures(edge: PreparedEdge, context: Context) -> Result:
     """Fit one blur model with departures; its noise is estimated anew after a first fit."""
+    known = known_transfer(edge.picture, edge.profile.angle_rad, context)
     profile = with_shading(edge.profile, edge.profile.value)
     halo, certain = halo_of(edge.picture, profile.gathered.half_width_px, context)
     fitter, best = _best_departures(profile, known, halo, certain=certain)

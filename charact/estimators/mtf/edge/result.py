@@ -21,7 +21,6 @@ from charact.estimators.mtf.edge.nonlinearity import CurvatureEstimate, response
 from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
 from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.estimators.mtf.known_transfer import KnownTransfer, known_transfer
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.inference import has_several_peaks
@@ -40,7 +39,7 @@ from labdata import (
     measurement_from_sd,
 )
 
-EdgeFitFunction = Callable[[PreparedEdge, KnownTransfer, Context], Result]
+EdgeFitFunction = Callable[[PreparedEdge, Context], Result]
 
 
 def measure_by_fit(
@@ -62,7 +61,7 @@ def measure_by_fit(
     edge = prepare_edge(stack, region, context, quickly=quickly, fields_apart=True)
     if isinstance(edge, EdgeRefusal):
         return refuse_edge(method, edge, context.seed)
-    return fit(edge, known_transfer(edge.picture, edge.profile.angle_rad, context), context)
+    return fit(edge, context)
 
 
 def refuse_edge(

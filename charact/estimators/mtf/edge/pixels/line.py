@@ -5,7 +5,6 @@ displacements of fields.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
@@ -27,7 +26,6 @@ SMOOTHING = np.exp(-0.5 * ((CELLS_PX[:, None] - CELLS_PX) / 0.5) ** 2)
 Displacement = tuple[float, float]
 
 
-@njit(cache=True)
 def _strongest_step(value: Array, slopes: Array) -> tuple[float, float, float]:
     """Return the largest weighted step of the profiles projected along slopes: signed, its position
     and its slope.
@@ -35,31 +33,28 @@ def _strongest_step(value: Array, slopes: Array) -> tuple[float, float, float]:
     rows, cols = value.shape
     side, middle = min(rows, cols), 0.5 * (rows - 1)
     reach_cells = max(3, side // 6)
-    best, position, along = 0.0, 0.0, 0.0
+    strongest = (0.0, 0.0, 0.0)
     for slope in slopes:
         # Running sums of the pixels projected along the slope and of their number.
         first = -abs(slope) * middle
         size = int(np.rint(cols - 1 - 2.0 * first)) + 1
-        total, count = np.zeros(size + 1), np.zeros(size + 1)
-        for row in range(rows):
-            begin = int(np.rint(-slope * (row - middle) - first)) + 1
-            for col in range(cols):
-                total[begin + col] += value[row, col]
-                count[begin + col] += 1.0
-        for cell in range(size):
-            total[cell + 1] += total[cell]
-            count[cell + 1] += count[cell]
-        for cut in range(2, size - 1):
-            low, high = max(cut - reach_cells, 0), min(cut + reach_cells, size)
-            before, after = count[cut] - count[low], count[high] - count[cut]
-            # Each side of a step has at least a tenth of a full side's pixels.
-            if min(before, after) <= 0.1 * reach_cells * side:
-                continue
+        begin = np.rint(-slope * (np.arange(rows) - middle) - first).astype(np.int64) + 1
+        cell = (begin[:, None] + np.arange(cols)).ravel()
+        total = np.cumsum(np.bincount(cell, value.ravel(), size + 1))
+        count = np.cumsum(np.bincount(cell, minlength=size + 1))
+        cut = np.arange(2, size - 1)
+        low, high = np.maximum(cut - reach_cells, 0), np.minimum(cut + reach_cells, size)
+        before, after = count[cut] - count[low], count[high] - count[cut]
+        # Each side of a step has at least a tenth of a full side's pixels.
+        full = np.minimum(before, after) > 0.1 * reach_cells * side
+        cut, low, high, before, after = (part[full] for part in (cut, low, high, before, after))
+        if cut.size:
             step = (total[high] - total[cut]) / after - (total[cut] - total[low]) / before
             score = step * np.sqrt(before * after / (before + after))
-            if abs(score) > abs(best):
-                best, position, along = score, cut - 0.5 + first, slope
-    return best, position, along
+            index = int(np.argmax(np.abs(score)))
+            if abs(score[index]) > abs(strongest[0]):
+                strongest = (float(score[index]), float(cut[index] - 0.5 + first), float(slope))
+    return strongest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +160,7 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
         bend_argument = (distance - shift - turn * height) / width
         renew = iteration in (3, 6)
         across_step, along_step, wider, clip = _smooth_step(
-            value, bend_argument, np.tanh(bend_argument), height, width, clip, renew
+            value, bend_argument, height, width, clip, renew
         )
         # On single numbers NumPy's clip takes fifty times as long.
         across_step, along_step = min(max(across_step, -4.0), 4.0), min(max(along_step, -8.0), 8.0)
@@ -178,15 +173,8 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
     return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
 
 
-@njit(cache=True)
 def _smooth_step(
-    value: Array,
-    bend_argument: Array,
-    bend: Array,
-    height: Array,
-    width: float,
-    clip: float,
-    renew: bool,
+    value: Array, bend_argument: Array, height: Array, width: float, clip: float, renew: bool
 ) -> tuple[float, float, float, float]:
     """Return the Gauss-Newton step of position, turn and width of a smooth step, and the clip of
     residuals.
@@ -194,35 +182,24 @@ def _smooth_step(
     Level, rise and their slopes along the edge are fitted first. `renew`: whether the clip is set
     from the residuals.
     """
-    design, residual = np.empty((7, value.size)), np.empty(value.size)
-    for k in range(value.size):
-        design[0, k], design[1, k], design[2, k], design[3, k] = (
-            1.0,
-            bend[k],
-            height[k],
-            height[k] * bend[k],
-        )
-    levels = _least_squares(design[:4], value)
-    for k in range(value.size):
-        rise = levels[1] + levels[3] * height[k]
-        residual[k] = value[k] - levels[0] - levels[2] * height[k] - rise * bend[k]
-        design[4, k] = -rise / width * (1.0 - bend[k] ** 2)
-        design[5, k], design[6, k] = design[4, k] * height[k], design[4, k] * bend_argument[k]
+    bend = np.tanh(bend_argument)
+    amplitudes = np.stack([np.ones_like(bend), bend, height, height * bend])
+    levels = _least_squares(amplitudes, value)
+    steep = -(levels[1] + levels[3] * height) / width * (1.0 - bend**2)
+    residual = value - levels @ amplitudes
     if renew:
-        clip = 6.0 * NORMAL * np.median(np.abs(residual[:: max(1, value.size // 4000)]))
-    move = _least_squares(design, np.minimum(np.maximum(residual, -clip), clip))
-    return move[4], move[5], move[6], clip
+        clip = 6.0 * NORMAL * median(np.abs(residual[:: max(1, value.size // 4000)]))
+    design = np.concatenate([amplitudes, [steep, steep * height, steep * bend_argument]])
+    return *_least_squares(design, np.clip(residual, -clip, clip))[4:].tolist(), clip
 
 
-@njit(cache=True)
 def _least_squares(design: Array, value: Array) -> Array:
     """Return the amplitudes of rows of a design, shape (row, pixel); one that has no effect stays
     at 0.
     """
-    normal = np.dot(design, design.T)
-    for k in range(len(normal)):
-        normal[k, k] += 1e-9 * normal[k, k] + 1e-300
-    return np.linalg.solve(normal, np.dot(design, value))
+    normal = design @ design.T
+    normal += np.diag(1e-9 * np.diag(normal) + 1e-300)
+    return np.linalg.solve(normal, design @ value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,11 +233,16 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
     corrected = False
     while True:
         across = line.across(picture.value.shape)
-        sums, counts = _profile_sums(picture.value, across)
+        col, near = _near_columns(line, across)
+        value, distance = (np.take_along_axis(part, col, 1) for part in (picture.value, across))
+        position = np.clip((distance + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0, CELLS_PX.size - 1)
+        sums, counts = _profile_sums(value[near], position[near])
         profile = SMOOTHING @ sums / np.maximum(SMOOTHING @ counts, 1e-300)
-        offset, power = _row_displacements(
-            picture.value, across, profile, np.gradient(profile, CELLS_PX)
-        )
+        cells = np.arange(profile.size)
+        template = np.interp(position, cells, profile)
+        rise = np.interp(position, cells, np.gradient(profile, CELLS_PX))
+        weights, power = displacement_weights(rise, template - profile.mean(), near)
+        offset = np.sum(weights * (value - template), axis=1)
         usable = (power > 0.5 * median(power)) & (power > 0)
         if usable.sum() < 3:
             return RowFit(line=line, offset=offset, offset_sd=np.inf)
@@ -280,70 +262,55 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
     return RowFit(line=line, offset=offset, offset_sd=robust_sd(offset[usable]))
 
 
-@njit(cache=True)
-def _profile_sums(value: Array, across: Array) -> tuple[Array, Array]:
+def _near_columns(line: EdgeLine, across: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the columns of each row around a line, shape (row, near column), and which of their
+    pixels locate the edge.
+    """
+    rows, cols = across.shape
+    reach_px = ROW_REACH_PX + 0.5 * abs(line.fields_apart_px)
+    middle = line.position + line.slope * (np.arange(rows)[:, None] - (rows - 1) / 2)
+    col = np.floor(middle - reach_px).astype(np.int64) + np.arange(2 * int(reach_px) + 4)
+    inside = (col >= 0) & (col < cols)
+    col = np.clip(col, 0, cols - 1)
+    return col, inside & (np.abs(np.take_along_axis(across, col, 1)) < ROW_REACH_PX)
+
+
+def _profile_sums(value: Array, position: Array) -> tuple[Array, Array]:
     """Return the sum of the pixels in each cell of the rows' mean profile, and their number.
 
     A pixel between the middles of two cells counts in both as it is near: at 45 degrees all rows
     cross the cells at one place, and pixels that passed from one cell to the next along the edge
-    would seem to bend it.
+    would seem to bend it. `position`: that of each pixel, in cells.
     """
-    size = 2 * CELLS_PER_PX * int(ROW_REACH_PX)
-    sums, counts = np.zeros(size), np.zeros(size)
-    for row in range(value.shape[0]):
-        for col in range(value.shape[1]):
-            if abs(across[row, col]) < ROW_REACH_PX:
-                position = min(
-                    max((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0.0), size - 1.001
-                )
-                cell = int(position)
-                for k in range(2):
-                    weight = position - cell if k else 1.0 - position + cell
-                    sums[cell + k] += weight * value[row, col]
-                    counts[cell + k] += weight
-    return sums, counts
+    position = np.minimum(position, CELLS_PX.size - 1.001)
+    cell = position.astype(np.int64)
+    cells = np.concatenate([cell, cell + 1])
+    weights = np.concatenate([1.0 - position + cell, position - cell])
+    sums = np.bincount(cells, weights * np.tile(value, 2), CELLS_PX.size)
+    return sums, np.bincount(cells, weights, CELLS_PX.size)
 
 
-@njit(cache=True)
-def _row_displacements(
-    value: Array, across: Array, profile: Array, rise: Array
+def displacement_weights(
+    rise: Array, profile: Array, near: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """Return by how much each row's edge lies off a profile, shape (row,), px, and the power that
-    tells it.
+    """Return the weights by which the pixels of a row, less their profile, sum to its displacement,
+    shape (row, near column), px per DN, and the power that tells it, shape (row,).
 
     A row's own level and step are free: light that changes along the edge must not move it.
+
+    Parameters
+    ----------
+    rise, profile, near
+        Slope of the profile at each pixel, its value less a mean one, and which pixels count, shape
+        (row, near column).
     """
-    rows, cols = value.shape
-    offset, power = np.zeros(rows), np.zeros(rows)
-    mean = profile.mean()
-    shape = np.ones(3)
-    for row in range(rows):
-        normal, pull = np.zeros((3, 3)), np.zeros(3)
-        for col in range(cols):
-            if abs(across[row, col]) >= ROW_REACH_PX:
-                continue
-            position = min(
-                max((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0.0), profile.size - 1.0
-            )
-            cell = min(int(position), profile.size - 2)
-            fraction = position - cell
-            template = profile[cell] + fraction * (profile[cell + 1] - profile[cell])
-            shape[0] = rise[cell] + fraction * (rise[cell + 1] - rise[cell])
-            shape[2] = template - mean
-            for k in range(3):
-                pull[k] += shape[k] * (value[row, col] - template)
-                for m in range(k + 1):
-                    normal[k, m] += shape[k] * shape[m]
-        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        for k in range(3):
-            for m in range(k):
-                normal[m, k] = normal[k, m]
-        normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(3)
-        # Symmetric: the first column of the inverse is its first row.
-        inverse = np.linalg.solve(normal, np.array([1.0, 0.0, 0.0]))
-        power[row] = scale[0] ** 2 / inverse[0]
-        offset[row] = -np.dot(inverse, pull / scale) / scale[0]
-    return offset, power
+    shape = np.stack([rise, np.ones_like(rise), profile], axis=1) * near[:, None]
+    normal = shape @ shape.mT
+    diagonal = np.einsum("rkk->rk", normal)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    normal = normal / (scale[:, :, None] * scale[:, None]) + 1e-9 * np.eye(3)
+    inverse = np.linalg.inv(normal)[:, 0] / (scale * scale[:, :1])
+    return -np.einsum("rk,rkc->rc", inverse, shape), near.any(axis=1) / inverse[:, 0]
 
 
 def is_significant(displacement: Displacement) -> bool:

@@ -5,13 +5,12 @@ pattern that frames share, and the correlation by blur.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.frames.noise_law import NoiseLaw, masked_covariance
 from charact.frames.robust import median
-from charact.inference.least_squares import Linearisation, least_squares, linearise_residual
+from charact.inference.gauss_newton import Linearisation, least_squares, linearise_residual
 
 Array = NDArray[np.float64]
 
@@ -103,39 +102,29 @@ def fit_correlation_model(
     return np.where(middle, 1.0, form), np.where(middle, 0.0, loss * strip)
 
 
-@njit(cache=True)
 def _shape(theta: Array, lags: Array) -> Array:
     """Return exp(-r^p), shape (n, 3) and (2, lag) -> (n, lag)."""
-    out = np.empty((len(theta), lags.shape[1]))
-    for i in range(len(theta)):
-        across, along = np.exp(-2.0 * theta[i, 0]), np.exp(-2.0 * theta[i, 1])
-        for k in range(lags.shape[1]):
-            square = lags[0, k] ** 2 * across + lags[1, k] ** 2 * along
-            out[i, k] = np.exp(-(square ** (0.5 * theta[i, 2])))
-    return out
+    square = np.exp(-2.0 * theta[:, :2]) @ lags**2
+    return np.exp(-(square ** (0.5 * theta[:, 2:])))
 
 
-@njit(cache=True)
 def _solve_amplitudes(
     theta: Array, data: Array, lags: Array, strip: Array, weight: Array
 ) -> tuple[Array, Array]:
     """Return amplitude and loss, shape (n, 2), and residuals, shape (n, lag + 1), the prior of the
     exponent last.
     """
-    amplitudes, residual = np.empty((len(theta), 2)), np.empty((len(theta), data.size + 1))
-    other, stripped = max(np.dot(strip, strip), 1e-300), np.dot(strip, data)
-    shapes = _shape(theta, lags)
-    for i in range(len(theta)):
-        shape = shapes[i] * weight
-        overlap = np.dot(shape, strip)
-        power = max(np.dot(shape, shape) - overlap**2 / other, 1e-300)
-        amplitude = min(max((np.dot(shape, data) - overlap * stripped / other) / power, 0.0), 1.0)
-        # Means take away and never add.
-        loss = min((stripped - amplitude * overlap) / other, 0.0)
-        amplitudes[i] = amplitude, loss
-        residual[i, :-1] = data - amplitude * shape - loss * strip
-        residual[i, -1] = (theta[i, 2] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
-    return amplitudes, residual
+    other, stripped = max(strip @ strip, 1e-300), strip @ data
+    shape = _shape(theta, lags) * weight
+    overlap = shape @ strip
+    power = np.maximum(np.sum(shape**2, axis=1) - overlap**2 / other, 1e-300)
+    amplitude = np.clip((shape @ data - overlap * stripped / other) / power, 0.0, 1.0)
+    # Means take away and never add.
+    loss = np.minimum((stripped - amplitude * overlap) / other, 0.0)
+    amplitudes = np.stack([amplitude, loss], axis=1)
+    exponent = (theta[:, 2:] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
+    residual = data - amplitude[:, None] * shape - loss[:, None] * strip
+    return amplitudes, np.concatenate([residual, exponent], axis=1)
 
 
 def correlation_of(

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.pixels.line import (
@@ -32,11 +31,11 @@ from charact.estimators.mtf.edge.pixels.profile import (
     centre_line,
     profile_of,
 )
+from charact.estimators.mtf.edge.pixels.roughness import measure_roughness
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, Region
 from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
 from charact.frames.robust import median, robust_sd
-from charact.frames.rounding import QUANTISATION_DN2
 from charact.frames.stack import Stack
 from charact.method import Context
 from labdata.frames import FrameStack
@@ -46,8 +45,6 @@ Array = NDArray[np.float64]
 MIN_ROWS = 12
 # Half width of the band along an edge, px.
 WIDEST_PX = 110.0
-# Step of the distances at which the profile's slope is tabulated, px.
-STEP_PX = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,83 +93,8 @@ class PreparedEdge:
 
     @cached_property
     def roughness(self) -> TargetMotion:
-        """Deviation from a straight line along its length, the same in all frames, beyond what
-        noise alone causes.
-
-        Notes
-        -----
-        d_row = -sum w (v - m), w = (X'X)^-1 X' of m': the displacement of a row is a weighted sum
-        of its pixels v, least squares on -m'(d), m the edge's profile, its own level and contrast
-        free (X = [m', m, 1]). The same weights, applied to the plateaus, give the displacements by
-        noise: temporal and fixed-pattern noise, correlated between rows or not. Noise half way up
-        is taken as the mean of both sides', as that of light and of read-out are. The mean squares
-        of displacements at the edge and on the plateaus are compared as Fisher's F.
-        """
-        from scipy.special import fdtrc
-
-        picture, profile = self.picture, self.profile
-
-        # Pixels that locate the edge: they hold most of the squared slope.
-        at = np.arange(0.0, ACCURACY.max_row_window_px, STEP_PX)
-        steep = sum(
-            steepness(profile.distance, profile.value, sign * at) ** 2 for sign in (-1.0, 1.0)
-        )
-        slope_power = np.cumsum(steep)
-        reach_px = (
-            at[int(np.searchsorted(slope_power, ACCURACY.slope_fraction * slope_power[-1]))]
-            + STEP_PX
-            if slope_power[-1] > 0
-            else 0.0
-        )
-        reach_px = max(float(reach_px), ACCURACY.min_row_window_px)
-        distance, step = profile.gathered.distance, reach_px / abs(profile.slopes[0])
-        at = np.arange(-reach_px - 1.0, reach_px + 1.0 + STEP_PX, STEP_PX)
-        residual = picture.value - np.interp(distance, profile.distance, profile.value)
-        profile_at = np.interp(at, profile.distance, profile.value)
-        steep = steepness(profile.distance, profile.value, at)
-        # As many windows on the dark as on the bright side.
-        offsets = np.rint(
-            np.arange(2.0 * step, max(picture.value.shape[1], 2.0 * step + 1.0), step)
-        ).astype(np.int64)
-        shifts = np.concatenate([[0], -offsets, offsets])
-        displacements, squares = _row_positions(
-            residual, distance, profile.gathered.valid, reach_px, profile_at, steep, shifts
-        )
-        edge = displacements[:, 0]
-        valid = np.flatnonzero(np.isfinite(edge))
-        plateaus = [_plateau_scatter(side) for side in np.split(displacements[:, 1:], 2, axis=1)]
-        if (
-            valid.size < 16
-            or min(plateau[1] for plateau in plateaus) < ACCURACY.min_plateau_positions
-        ):
-            return TargetMotion()
-        residuals = edge[valid] - np.polyval(np.polyfit(valid, edge[valid], 1), valid)
-        # Of each pixel the profile holds as much as one of its bin's pixels weighs.
-        in_profile = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach_px]))
-        square = float(residuals @ residuals) / (valid.size - 2) / max(1.0 - in_profile, 0.5)
-        noise = 0.5 * sum(plateau[0] for plateau in plateaus)
-        if picture.stack.holds_codes:
-            # All pixels of a plateau have the same quantisation error; those near an edge differ:
-            # the mean square of the sawtooth of `charact.frames.rounding` at any level, DN^2.
-            sides = np.array(profile.side_variances)
-            variance = np.maximum(sides * len(picture.stack.data) - QUANTISATION_DN2, 0.0)
-            turn = np.pi * np.arange(1, 7)[:, None]
-            quantisation = np.mean(
-                np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0)
-            )
-            noise += float(quantisation * np.mean(squares[valid]))
-        if not square > noise > 0:
-            return TargetMotion()
-        variance_factor = 0.5 * sum(plateau[2] for plateau in plateaus)
-        # Of a mean of two squares (Satterthwaite); windows that overlap by half count for half.
-        freedom = (
-            0.5
-            * 4.0
-            * noise**2
-            / sum(plateau[0] ** 2 * variance_factor / plateau[1] for plateau in plateaus)
-        )
-        chance = float(fdtrc(valid.size / variance_factor, freedom, square / noise))
-        return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
+        """Deviation from a straight line along its length, the same in all frames."""
+        return measure_roughness(self.picture, self.profile)
 
     @cached_property
     def expected(self) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -430,103 +352,6 @@ def _plateau_reach(value: Array, across: Array, sign: int, step: float, error: f
     before = 0.5 * (windows[index, (known - 1) // 2] + windows[index, known // 2])
     departs = np.abs(levels - before) > 0.3 * step + 3.0 * error
     return 2.0 * (3 + int(np.argmax(departs)) - 4) if departs.any() else np.inf
-
-
-@njit(cache=True)
-def _row_positions(
-    residual: Array,
-    distance: Array,
-    valid: NDArray,
-    reach_px: float,
-    profile: Array,
-    steep: Array,
-    shifts: NDArray,
-) -> tuple[Array, Array]:
-    """Return each row's displacement by the same weights at columns shifted, px, and the weights'
-    sum of squares.
-
-    Shapes (row, shift), NaN where a window is not whole, and (row,).
-    """
-    rows, cols = residual.shape
-    displacement, squares = np.full((rows, shifts.size), np.nan), np.zeros(rows)
-    middle = profile.mean()
-    shape = np.zeros((cols, 3))
-    for row in range(rows):
-        normal, first, last = np.zeros((3, 3)), cols, -1
-        for col in range(cols):
-            if abs(distance[row, col]) >= reach_px:
-                continue
-            node = (distance[row, col] + reach_px + 1.0) / STEP_PX
-            lower = int(node)
-            fraction = node - lower
-            shape[col, 0] = steep[lower] + fraction * (steep[lower + 1] - steep[lower])
-            shape[col, 1] = (
-                profile[lower] + fraction * (profile[lower + 1] - profile[lower]) - middle
-            )
-            shape[col, 2] = 1.0
-            first, last = min(first, col), col
-            for k in range(3):
-                for m in range(3):
-                    normal[k, m] += shape[col, k] * shape[col, m]
-        # A row locates the edge if its pixels lie on both sides of it up to the reach.
-        if (
-            last - first < 4
-            or distance[row, first] > 1.0 - reach_px
-            or distance[row, last] < reach_px - 1.0
-        ):
-            continue
-        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(3)
-        inverse = np.linalg.solve(normal, np.array([1.0, 0.0, 0.0])) / scale / scale[0]
-        for window in range(shifts.size):
-            shift = shifts[window]
-            if first + shift < 0 or last + shift >= cols:
-                continue
-            total, complete = 0.0, True
-            for col in range(first, last + 1):
-                complete &= valid[row, col + shift]
-                weight = (
-                    inverse[0] * shape[col, 0]
-                    + inverse[1] * shape[col, 1]
-                    + inverse[2] * shape[col, 2]
-                )
-                total -= weight * residual[row, col + shift]
-                squares[row] += weight**2 if window == 0 else 0.0
-            if complete:
-                displacement[row, window] = total
-    return displacement, squares
-
-
-def _plateau_scatter(displacements: Array) -> tuple[float, int, float]:
-    """Return mean square and number of displacements on a plateau, shape (row, window), and their
-    variance factor.
-
-    The factor is by how much a mean square scatters more than that of as many independent normal
-    displacements.
-    """
-    finite = np.isfinite(displacements)
-    count = np.count_nonzero(finite, axis=0)
-    displacements, finite, count = (
-        displacements[:, count > 1],
-        finite[:, count > 1],
-        count[count > 1],
-    )
-    if not count.size:
-        return 0.0, 0, 1.0
-    values = np.where(finite, displacements, 0.0)
-    values = np.where(finite, values - values.sum(axis=0) / count, 0.0)
-    number = int(count.sum())
-    square = float(np.sum(values**2)) / (number - count.size)
-    if not square > 0:
-        return 0.0, number, 1.0
-    correlation = [
-        float(np.sum(values[lag:] * values[:-lag]))
-        / max(np.count_nonzero(finite[lag:] & finite[:-lag]), 1)
-        / square
-        for lag in range(1, ACCURACY.roughness_lags + 1)
-    ]
-    heavy = max(float(np.sum(values**4)) / number / square**2 - 1.0, 2.0) / 2.0
-    return square, number, heavy + 2.0 * float(np.sum(np.square(correlation)))
 
 
 def fit_refusal(
