@@ -9,13 +9,11 @@ from charact.frames.components import (
     ROW,
     TIME,
     Component,
-    Contrasts,
     components,
-    contrasts,
-    row_sets,
     shading,
     subtract_means,
 )
+from charact.frames.contrasts import Contrasts, contrasts, row_sets
 from charact.frames.thresholds import CUBE, STACK
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from charact.estimators import noise
 from charact.frames import components
+from charact.frames.contrasts import contrasts
 from charact.method import Context
 from labdata import Conditions, FrameStack
 from tests.truth.counted_pulses import QUICK, Pulses, flat_series, session_of
@@ -59,7 +60,7 @@ def two_fields(rng, shape, sd):
 
 def of(frames, *, interlaced=False):
     return components.components(
-        components.contrasts(FrameStack(data=np.asarray(frames, np.float32)), interlaced=interlaced)
+        contrasts(FrameStack(data=np.asarray(frames, np.float32)), interlaced=interlaced)
     )
 
 
@@ -170,9 +171,7 @@ def test_a_strong_fixed_pattern_leaves_what_changes_in_time_alone(seed, kind):
         20000.0 * np.outer(np.linspace(1, 2, 40) ** 2, np.linspace(1.0, 0.5, 48)) / 4.0
     )
     plain, shaded = (
-        components.components(
-            components.contrasts(FrameStack(data=frames.astype(kind)), interlaced=False)
-        )
+        components.components(contrasts(FrameStack(data=frames.astype(kind)), interlaced=False))
         for frames in (still, still + shading)
     )
     for name in ("t", "tv", "th", "tvh"):
@@ -197,7 +196,7 @@ def test_memory_does_not_grow_to_a_second_cube(seed):
     frames = np.random.default_rng(seed).integers(0, 4000, (256, 64, 96), dtype=np.uint16)
     stack = FrameStack(data=frames)
     tracemalloc.start()
-    components.components(components.contrasts(stack, interlaced=False))
+    components.components(contrasts(stack, interlaced=False))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 0.7 * frames.size * 8

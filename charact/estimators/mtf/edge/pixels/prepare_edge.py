@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.mtf.edge.pixels.bins import bin_pixels
 from charact.estimators.mtf.edge.pixels.line import (
     ROW_REACH_PX,
     EdgeLine,
@@ -27,7 +28,6 @@ from charact.estimators.mtf.edge.pixels.plateau_noise import (
 )
 from charact.estimators.mtf.edge.pixels.profile import (
     EdgeProfile,
-    bin_pixels,
     centre_line,
     profile_of,
 )
