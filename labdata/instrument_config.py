@@ -51,7 +51,7 @@ class InstrumentConfig:
     thermometer: str | None = None  #: Model of the thermometer; None: there is none
     thermometer_port: str | None = None  #: Serial port of the thermometer
     #: Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card);
-    #: "replay:FOLDER" or : "replay:FOLDER#LABEL": a recorded session or one of its stacks. None:
+    #: "replay:FOLDER" or "replay:FOLDER#LABEL": a recorded session or one of its stacks. None:
     #: the only camera there is, or the virtual bench's own
     camera: str | None = None
 
