@@ -18,7 +18,7 @@ from benchmarks.plain_chain import PlainChain
 from benchmarks.scenes import uneven
 from benchmarks.simulator import median_seconds, seconds_a_frame
 from labdata import Camera, load_sensor
-from tests.simulate import event_by_event as events
+from tests.simulate import pulse_theory as events
 from tests.simulate.conftest import PLAIN
 from tests.simulate.samplers import SAMPLERS, Sampler
 from tests.simulate.test_moments import BLOCKS, measured_flat

@@ -1,24 +1,16 @@
-"""Mean, variance and covariance of simulated flats agree with cascade theory (physics reference,
-5.2, 6.4 and 10).
-"""
+"""True quantities of noise agree with cascade theory (physics reference, 5.2, 6.4 and 10)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from labdata import Conditions, Target
-from simulate import LabBench
 from simulate.camera import (
     PixelAperture,
-    Slot,
     TubeShare,
-    product,
     true_quantities,
 )
-
-LUX = 1e-4
-FRAMES = 40
+from tests.simulate import pulse_theory
 
 
 @dataclass(frozen=True)
@@ -58,131 +50,35 @@ def test_blur_factor_and_correlations_are_those_of_table_5_2(row):
         assert found[1:] == pytest.approx(expected[1:], abs=6e-3)
 
 
-@dataclass
-class Flat:
-    """Deviations of simulated frames from their known mean, and the truths."""
-
-    deviations: np.ndarray
-    mean: float
-    quantities: dict[str, float]
-
-    @property
-    def signal(self) -> float:
-        q = self.quantities
-        return q["photoelectron_gain"] * (LUX * q["photoelectrons_per_lux"] + q["ebi_per_field"])
-
-    def field(self, parity: int) -> np.ndarray:
-        rows = 2 * (self.deviations.shape[1] // 2)
-        return self.deviations[:, parity:rows:2]
-
-    @property
-    def variance(self) -> float:
-        return float(np.mean(self.deviations**2)) - self.quantities["read_noise"] ** 2
+NO_DECAY = {"phosphor__fast_decay_ms": 1e-9, "phosphor__slow_decay_ms": 1e-9}
 
 
-def _flat(sensor, seed: int) -> Flat:
-    bench = LabBench(sensor)
-    conditions = Conditions(illuminance_lux=LUX)
-    frames = bench.expose("flat", Target(), conditions, frames=FRAMES, seed=seed).data.astype(float)
-    mean = bench.mean("flat", Target(), conditions).astype(float)
-    return Flat(
-        frames - mean, float(frames.mean()) - 400.0, true_quantities.true_quantities(sensor)
-    )
+@pytest.mark.parametrize("decay", [{}, NO_DECAY], ids=["glowing", "without decay"])
+def test_truths_of_the_noise_of_flats_are_campbells(decay, plain):
+    """The moments of frames are held against the same theory in test_moments.py."""
+    sensor, level = plain(120, 160, **decay), 3.0
+    truths, camera = true_quantities.true_quantities(sensor), pulse_theory.of_sensor(sensor)
+    theory = pulse_theory.campbell(camera, level)
+    shares, weight = pulse_theory.field_shares(camera)
+    dn_per_e = float(sensor.video.conversion_gain_dn_per_e)
+    signal = truths["photoelectron_gain"] * 2.0 * level
+    assert dn_per_e * theory.mean == pytest.approx(signal, rel=1e-3)
+    # All the light of a pulse lies on the pixels of a field, whatever its blur.
+    pulses = float(weight @ np.sum(shares**2, axis=1)) * camera.height_moment(2)
+    covariance_gain = dn_per_e * (1.0 + pulses / camera.height_moment(1))
+    assert truths["field_covariance_gain"] == pytest.approx(covariance_gain, rel=1e-3)
+    variance = dn_per_e**2 * theory.variance - truths["read_noise"] ** 2
+    assert truths["blur_factor"] * covariance_gain * signal == pytest.approx(variance, rel=3e-3)
+    # The next line of a field is the line after next of the frame.
+    shared = dn_per_e**2 * np.array([theory.horizontal[0], theory.vertical[1]]) / variance
+    correlations = [truths["correlation_horizontal"], truths["correlation_vertical"]]
+    assert correlations == pytest.approx(shared, abs=2e-3)
 
 
-@pytest.fixture(scope="module")
-def glowing(plain, seed) -> Flat:
-    return _flat(plain(120, 160), seed)
-
-
-@pytest.fixture(scope="module")
-def lagless(plain, seed) -> Flat:
-    return _flat(plain(120, 160, phosphor__fast_decay_ms=1e-9, phosphor__slow_decay_ms=1e-9), seed)
-
-
-def _with_error(per_frame: np.ndarray) -> tuple[float, float]:
-    """Mean over frames and its standard error; blocks of four frames hold most of the glow's
-    memory.
-    """
-    blocks = per_frame[: len(per_frame) // 4 * 4].reshape(-1, 4).mean(axis=1)
-    return float(per_frame.mean()), float(blocks.std(ddof=1) / np.sqrt(len(blocks)))
-
-
-def _block_variance(fields: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Variance of sums over blocks per pixel, for each frame: the covariance sum, short of what
-    blocks cut off.
-    """
-    frames, height, width = fields.shape
-    cut = fields[:, : height // rows * rows, : width // columns * columns]
-    sums = cut.reshape(frames, height // rows, rows, width // columns, columns).sum(axis=(2, 4))
-    return (sums**2).mean(axis=(1, 2)) / (rows * columns)
-
-
-def _captured(sensor, rows: int, columns: int) -> float:
-    """Share of the covariance sum that sums over blocks hold, by the same theory in the plane of
-    frequencies.
-    """
-    from simulate.camera import CameraModel
-
-    camera = CameraModel(sensor)
-    # As many points as three times this on either axis tell the same to a millionth.
-    x, y = ((np.arange(n) + 0.5) / n - 0.5 for n in (400, 200))
-    pitch_x, pitch_y = camera.cells.pitch_x_mm, 2 * camera.cells.pitch_y_mm
-    power = np.zeros((len(y), len(x)))
-    for m in (-2, -1, 0, 1, 2):
-        for n in (-2, -1, 0, 1, 2):
-            fx, fy = np.broadcast_arrays((x[None, :] + m) / pitch_x, (y[:, None] + n) / pitch_y)
-            power += product(true_quantities._after_gain(camera), fx, fy) ** 2
-    power *= np.abs(camera.stage(Slot.VIDEO).low_pass.transfer(x)) ** 2
-    kernel = [
-        (np.sin(np.pi * n * f) / np.sin(np.pi * f)) ** 2 / n for n, f in ((columns, x), (rows, y))
-    ]
-    return float(np.mean(power * kernel[0][None, :] * kernel[1][:, None]))
-
-
-def test_mean_is_black_plus_gain_times_photoelectrons(lagless):
-    mean, error = _with_error(lagless.deviations.mean(axis=(1, 2)))
-    assert abs(mean) < 4.5 * error + 1e-3 * lagless.signal
-    assert lagless.mean == pytest.approx(lagless.signal, rel=0.02)
-
-
-@pytest.mark.parametrize("which", ["glowing", "lagless"])
-def test_variance_is_blur_factor_times_covariance_gain_times_signal(which, request):
-    flat: Flat = request.getfixturevalue(which)
-    q = flat.quantities
-    expected = q["blur_factor"] * q["field_covariance_gain"] * flat.signal
-    mean, error = _with_error(
-        (flat.deviations**2).mean(axis=(1, 2)) - q["read_noise"] ** 2 - 1.0 / 12.0
-    )
-    assert abs(mean - expected) < 4.5 * error + 0.003 * expected
-
-
-@pytest.mark.parametrize("which", ["glowing", "lagless"])
-def test_covariance_sum_of_a_field_is_its_truth(which, request, plain):
-    flat: Flat = request.getfixturevalue(which)
-    q = flat.quantities
-    rows, columns = 10, 20
-    captured = _captured(plain(120, 160), rows, columns)
-    expected = captured * q["field_covariance_gain"] * flat.signal
-    mean, error = _with_error(_block_variance(flat.field(0), rows, columns) - q["read_noise"] ** 2)
-    assert abs(mean - expected) < 4.5 * error + 0.003 * expected
-
-
-def test_without_decay_field_and_pulse_have_one_covariance_gain(lagless):
-    q = lagless.quantities
+def test_without_decay_field_and_pulse_have_one_covariance_gain(plain):
+    q = true_quantities.true_quantities(plain(120, 160, **NO_DECAY))
     assert q["covariance_gain"] == pytest.approx(
         q["system_gain"] + q["photoelectron_gain"] * q["excess_noise_factor"]
     )
     assert q["field_covariance_gain"] == pytest.approx(q["covariance_gain"], rel=1e-3)
     assert q["field_correlation"] == pytest.approx(0.0, abs=1e-6)
-
-
-def _correlation(flat: Flat, product: np.ndarray) -> tuple[float, float]:
-    mean, error = _with_error(product.mean(axis=(1, 2)))
-    return mean / flat.variance, error / flat.variance
-
-
-def test_lines_of_one_field_correlate_as_their_blur_says(lagless):
-    field = lagless.field(0)
-    found, error = _correlation(lagless, field[:, 1:] * field[:, :-1])
-    assert abs(found - lagless.quantities["correlation_vertical"]) < 4.5 * error + 0.003

@@ -1,22 +1,20 @@
-"""An intensified camera photoelectron by photoelectron, slow and on its own: the simulator's draws
-are held against it.
+"""Theory of an intensified camera's pulses: the simulator's draws are held against it.
 
 Nothing here knows the simulator. Photoelectrons fall as a Poisson process at continuous places and
 times; each is detected or lost, gets a pulse of its own height, spreads its light over the pixels
 by the continuous point spread, releases it through a decay of two exponentials, and the charge is
-counted and read. Beside the draws stands the theory of the same process: by Campbell's theorem its
-cumulants are lambda E[g^n] int h^n, and its characteristic function gives quantiles. Physics
-reference, sections 1.4 to 1.12 and 10; Kingman, Poisson Processes, 3.2.
+counted and read. By Campbell's theorem the cumulants of that process are lambda E[g^n] int h^n, and
+its characteristic function gives quantiles. Physics reference, sections 1.4 to 1.12 and 10;
+Kingman, Poisson Processes, 3.2.
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from math import gamma
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 ELECTRON_C = 1.602176634e-19
@@ -24,11 +22,6 @@ LAGS = 4
 # Places within a pixel, along each axis: at eight cycles per pixel no camera has transfer left, so
 # that the sum over them is the integral.
 PHASES = 8
-# Rows and columns of pixels around an event to which its light goes from its very place; farther
-# ones see it at the centre of its pixel: they hold less than 1e-3 of the noise.
-NEAR_ROWS, NEAR_COLUMNS = 9, 8
-# Fields before the first frame; the light that they found is the mean of those before them.
-WARM_UP_FIELDS = 10
 FAR_PX = 48
 
 Transfer = Callable[[NDArray[np.floating]], NDArray[np.floating]]
@@ -58,16 +51,6 @@ class Johnson:
             * np.abs(2.0 * jv(1, u) / u)
             * np.exp(-((at_detector / self.interface_lp_per_mm) ** 2))
         )
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """A Gaussian point spread of a standard deviation in mm at the photocathode."""
-
-    sigma_mm: float
-
-    def __call__(self, frequency: NDArray[np.floating]) -> NDArray[np.floating]:
-        return np.exp(-2.0 * (np.pi * frequency * self.sigma_mm) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,18 +115,8 @@ class EventCamera:
         return p * (self.charge_e / p / k) ** power * gamma(k + power) / gamma(k)
 
 
-def of_sensor(sensor: Any, *, spread: Transfer | None = None, lag: bool = True) -> EventCamera:
-    """Return the numbers of a sensor description, by the formulas of sections 1.6 to 1.10.
-
-    Parameters
-    ----------
-    sensor
-        A `Camera` with a tube.
-    spread
-        Replaces the tube's and the taper's blur.
-    lag
-        False leaves the screen's decay out.
-    """
+def of_sensor(sensor: Any) -> EventCamera:
+    """Return the numbers of a camera with a tube, by the formulas of sections 1.6 to 1.10."""
     tube, taper, ccd, video, phosphor = (
         sensor.tube,
         sensor.taper,
@@ -170,13 +143,13 @@ def of_sensor(sensor: Any, *, spread: Transfer | None = None, lag: bool = True) 
     return EventCamera(
         pitch_x_mm=float(ccd.pitch_x_um) * demagnification * 1e-3,
         pitch_y_mm=float(ccd.pitch_y_um) * demagnification * 1e-3,
-        spread=johnson if spread is None else spread,
+        spread=johnson,
         detection_probability=float(sensor.microchannel_plate.detection_probability),
         pulse_height_shape=float(sensor.microchannel_plate.pulse_height_shape),
         charge_e=photons * float(taper.transmission) * float(ccd.quantum_efficiency),
         fast_fraction=float(phosphor.fast_fraction),
-        fast_decay_s=float(phosphor.fast_decay_ms) * 1e-3 if lag else 0.0,
-        slow_decay_s=float(phosphor.slow_decay_ms) * 1e-3 if lag else 0.0,
+        fast_decay_s=float(phosphor.fast_decay_ms) * 1e-3,
+        slow_decay_s=float(phosphor.slow_decay_ms) * 1e-3,
         field_s=field_s,
         gate_s=field_s,
         interlaced=video.interlaced,
@@ -276,199 +249,6 @@ def components(camera: EventCamera) -> tuple[NDArray[np.floating], NDArray[np.fl
     return tau, light / light.sum()
 
 
-# The draws, event by event.
-
-
-@njit(fastmath=True)
-def _deposit(start, place, weight, table, canvas, width):
-    """Add the events' light to the canvas (component, pixel) by the table (place, row, col) of
-    pixel shares.
-
-    An event's first pixel is `start`; loops of known length over flat memory are what a compiler
-    makes fast.
-    """
-    for i in range(start.size):
-        share = table[place[i]]
-        for k in range(canvas.shape[0]):
-            w = weight[k, i]
-            for r in range(NEAR_ROWS):
-                first = start[i] + r * width
-                line = canvas[k, first : first + NEAR_COLUMNS]
-                near = share[r]
-                for c in range(NEAR_COLUMNS):
-                    line[c] += w * near[c]
-
-
-@lru_cache(maxsize=8)
-def _tables(camera: EventCamera, rows: int, columns: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Pixel shares near an event by its place within its pixel, and the transform of the shares
-    farther off.
-    """
-    wide = pixel_response(camera, 2 * FAR_PX, 2 * FAR_PX, PHASES)
-    near = np.zeros((PHASES, PHASES, NEAR_ROWS, NEAR_COLUMNS))
-    for r in range(NEAR_ROWS):
-        for c in range(NEAR_COLUMNS):
-            near[:, :, r, c] = _at_offset(wide, r - NEAR_ROWS // 2, c - (NEAR_COLUMNS // 2 - 1))
-    far = np.zeros((rows, columns))
-    for dr in range(-FAR_PX + 1, FAR_PX):
-        for dc in range(-FAR_PX + 1, FAR_PX):
-            inside = (
-                abs(dr) <= NEAR_ROWS // 2 and -(NEAR_COLUMNS // 2 - 1) <= dc <= NEAR_COLUMNS // 2
-            )
-            if not inside:
-                far[dr % rows, dc % columns] += _at_offset(wide, dr, dc).mean()
-    # What goes beyond the lattice comes back evenly: on a torus no light is lost.
-    far += (1.0 - far.sum() - near.mean(axis=(0, 1)).sum()) / far.size
-    return near.reshape(-1, NEAR_ROWS, NEAR_COLUMNS).astype(np.float32), np.fft.rfft2(far)
-
-
-def _at_offset(wide: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
-    """Shares (phase, phase) of the pixel so many rows and columns after the event's own."""
-    # The event lies so much before the pixel's centre; its own pixel's centre is half a pixel from
-    # its edge.
-    row = int((FAR_PX - rows - 0.5) * PHASES)
-    col = int((FAR_PX - columns - 0.5) * PHASES)
-    return wide[row : row + PHASES, col : col + PHASES]
-
-
-def _field(
-    camera: EventCamera,
-    expected: float | NDArray[np.floating],
-    shape: tuple[int, int],
-    rng: np.random.Generator,
-) -> NDArray[np.floating]:
-    """Light of one field's events on chip pixels: shown in the field itself, left in the fast and
-    slow component.
-    """
-    rows, columns = shape
-    table, far = _tables(camera, rows, columns)
-    p, k = camera.detection_probability, camera.pulse_height_shape
-    pixel, place = _places(expected, p, shape, rng)
-    count = len(pixel)
-    width = columns + NEAR_COLUMNS - 1
-    start = pixel // columns * width + pixel % columns
-    height = rng.standard_gamma(k, size=count, dtype=np.float32) * np.float32(
-        camera.charge_e / p / k
-    )
-    tau, share = components(camera)
-    before_end = camera.field_s - camera.gate_s * rng.random(count, dtype=np.float32)
-    left = [
-        height * np.float32(s) * np.exp(-before_end / np.float32(t))
-        for s, t in zip(share, tau, strict=True)
-    ]
-    lagging = max(camera.fast_decay_s, camera.slow_decay_s) > 0.0
-    weight = np.stack([height - left[0] - left[1], *left]) if lagging else height[None]
-    canvas = np.zeros((len(weight), (rows + NEAR_ROWS - 1) * width), np.float32)
-    _deposit(start, place, weight, table, canvas, width)
-    light = _folded(canvas.reshape(len(weight), -1, width).astype(float), rows, columns)
-    for k_image, image in enumerate(light):
-        sums = np.bincount(pixel, weights=weight[k_image], minlength=rows * columns).reshape(shape)
-        image += np.fft.irfft2(np.fft.rfft2(sums) * far, s=shape)
-    return light
-
-
-def _places(
-    expected: float | NDArray[np.floating],
-    probability: float,
-    shape: tuple[int, int],
-    rng: np.random.Generator,
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The pixels on which detected photoelectrons fall, and their places within them, counted row
-    by row.
-    """
-    pixels = shape[0] * shape[1]
-    if np.ndim(expected) == 0:
-        count = rng.binomial(rng.poisson(float(expected) * pixels), probability)
-        return (
-            rng.integers(pixels, size=count, dtype=np.int32),
-            rng.integers(PHASES * PHASES, size=count, dtype=np.int32),
-        )
-    counts = rng.binomial(rng.poisson(np.asarray(expected) / PHASES), probability).ravel()
-    strip = np.repeat(np.arange(pixels * PHASES, dtype=np.int32), counts)
-    return strip // PHASES, rng.integers(
-        PHASES, size=len(strip), dtype=np.int32
-    ) * PHASES + strip % PHASES
-
-
-def _folded(canvas: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
-    """The canvas with its margins laid back onto the torus."""
-    light = np.zeros((len(canvas), rows, columns))
-    row = (np.arange(canvas.shape[1]) - NEAR_ROWS // 2) % rows
-    col = (np.arange(canvas.shape[2]) - (NEAR_COLUMNS // 2 - 1)) % columns
-    place: Any = (slice(None), row[:, None], col[None, :])
-    np.add.at(light, place, canvas)
-    return light
-
-
-def frames(
-    camera: EventCamera,
-    photoelectrons: float | NDArray[np.floating],
-    *,
-    shape: tuple[int, int],
-    seed: int,
-) -> Iterator[NDArray[np.floating]]:
-    """Yield frames of charge above the clamped dark level, shape (row, col), e-; never ends.
-
-    Parameters
-    ----------
-    camera
-        The camera.
-    photoelectrons
-        Expected per chip pixel and exposure: one number, or the level of every eighth of a pixel
-        along the row, shape (row, 8 col).
-    shape
-        Rows (even) and columns of a torus of pixels: what leaves on one side comes back on the
-        other.
-    seed
-        Seed.
-    """
-    rng = np.random.default_rng(seed)
-    tau, _ = components(camera)
-    decay = np.exp(-camera.field_s / tau)
-    left = np.ones((2, *shape)) * _steady_left(camera)[:, None, None] * np.mean(photoelectrons)
-    per_frame = 2 if camera.interlaced else 1
-    number = -WARM_UP_FIELDS
-    frame = np.zeros(shape)
-    while True:
-        light = _field(camera, photoelectrons, shape, rng)
-        shown = light[0] + np.tensordot(1.0 - decay, left, axes=1)
-        if len(light) == 3:
-            left = left * decay[:, None, None] + light[1:]
-        parity = number % per_frame
-        frame[parity::per_frame] = _read(camera, shown, rng)[parity::per_frame]
-        number += 1
-        if number > 0 and number % per_frame == 0:
-            yield frame.copy()
-
-
-def _steady_left(camera: EventCamera) -> NDArray[np.floating]:
-    """Light of both components left at the end of a field under steady light, e- per photoelectron,
-    shape (2,).
-    """
-    node, weight = np.polynomial.legendre.leggauss(48)
-    before_end = camera.field_s - camera.gate_s * (node + 1.0) / 2.0
-    tau, share = components(camera)
-    left = share * (np.exp(-before_end[:, None] / tau).T @ weight / 2.0)
-    return camera.charge_e * left / (1.0 - np.exp(-camera.field_s / tau))
-
-
-def _read(
-    camera: EventCamera, light: NDArray[np.floating], rng: np.random.Generator
-) -> NDArray[np.floating]:
-    """Charge counted, read and filtered along lines, from every row on; shape (row, col), e-."""
-    collected = light if camera.rows_summed == 1 else light + np.roll(light, -1, axis=0)
-    charge = rng.poisson(np.maximum(collected, 0.0) + camera.dark_e) - camera.dark_e
-    charge = charge + camera.read_noise_e * rng.standard_normal(light.shape)
-    return sum(
-        (
-            tap * np.roll(charge, n, axis=1)
-            for n, tap in enumerate(camera.video_taps)
-            if abs(tap) > 1e-9
-        ),
-        start=np.zeros(light.shape),
-    )
-
-
 # What is compared: the same statistics of either kind of frames and of the theory.
 
 
@@ -507,17 +287,15 @@ def measured(blocks: Iterable[NDArray[np.floating]], reference: float) -> tuple[
         A value near the mean, about which powers are summed.
     """
     table = np.array([_raw(np.asarray(block, np.float64) - reference) for block in blocks])
-    whole = _from_raw(table.mean(axis=0), reference)
     # Leaving out one block at a time gives errors of ratios as well as of means (jackknife).
-    count = len(table)
-    left_out = np.array(
-        [
-            _packed(_from_raw(np.delete(table, n, axis=0).mean(axis=0), reference))
-            for n in range(count)
-        ]
-    )
-    error = np.sqrt((count - 1) * np.mean((left_out - left_out.mean(axis=0)) ** 2, axis=0))
-    return whole, _unpacked(error)
+    partial = [
+        _from_raw(np.delete(table, n, axis=0).mean(axis=0), reference) for n in range(len(table))
+    ]
+    error = {
+        part.name: np.sqrt((len(table) - 1) * np.var([vars(m)[part.name] for m in partial], axis=0))
+        for part in fields(Moments)
+    }
+    return _from_raw(table.mean(axis=0), reference), Moments(**error)
 
 
 def _raw(x: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -540,21 +318,6 @@ def _from_raw(raw: NDArray[np.floating], reference: float) -> Moments:
         quantile=quantile + reference,
         horizontal=covariance[:LAGS],
         vertical=covariance[LAGS:],
-    )
-
-
-def _packed(m: Moments) -> NDArray[np.floating]:
-    return np.array([m.mean, m.variance, m.skewness, m.quantile, *m.horizontal, *m.vertical])
-
-
-def _unpacked(row: NDArray[np.floating]) -> Moments:
-    return Moments(
-        mean=row[0],
-        variance=row[1],
-        skewness=row[2],
-        quantile=row[3],
-        horizontal=row[4 : 4 + LAGS],
-        vertical=row[4 + LAGS :],
     )
 
 
@@ -640,6 +403,36 @@ def campbell(camera: EventCamera, photoelectrons: float, *, step_e: float = 0.0)
         horizontal=np.array(horizontal),
         vertical=np.array(vertical),
     )
+
+
+def campbell_of_columns(
+    camera: EventCamera, photoelectrons: Transfer, period: int
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Return mean and variance of columns under light that changes along the row, shape (period,).
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    photoelectrons
+        Expected per chip pixel and exposure at a place along the row, columns; repeats with the
+        period.
+    period
+        Columns after which light repeats.
+    """
+    place = (np.arange(2 * FAR_PX * PHASES) + 0.5) / PHASES - FAR_PX + 0.5
+    light = photoelectrons(np.arange(period)[:, None] + place) / PHASES**2
+    a1, a2 = _line_response(camera, 1), _line_response(camera, 2)
+    shares, weight = field_shares(camera)
+    white = np.sum(camera.taps**2)
+    # What goes beyond the lattice of places is light of all columns alike.
+    missing = light.mean() * (PHASES**2 * camera.rows_summed - np.sum(a1))
+    mean = camera.height_moment(1) * (light @ a1.sum(axis=0) + missing)
+    counted = camera.height_moment(1) * (light @ a2.sum(axis=0) + missing * white)
+    pulses = camera.height_moment(2) * (light @ (a1**2).sum(axis=0))
+    decay = float(weight @ np.sum(shares**2, axis=1))
+    noise = (camera.dark_e + camera.read_noise_e**2) * white
+    return mean, pulses * decay + counted + noise
 
 
 @lru_cache(maxsize=8)
