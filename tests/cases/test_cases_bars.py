@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.special import erf
 
 from charact.estimators.mtf import measure, measure_all
 from charact.method import Context
-from labdata import FrameStack, Measurement, read_frames
+from labdata import Array, FrameStack, Measurement, read_frames
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"
@@ -27,7 +26,7 @@ def bars_of(
     length_periods: float,
     *,
     sigma_px: float = SIGMA_PX,
-) -> NDArray[np.float64]:
+) -> Array:
     """Bars under a Gaussian blur, integrated over square pixels, 1 on a wide bar, with ground all
     around.
     """
@@ -44,7 +43,7 @@ def bars_of(
     across = col[None, :] * np.cos(angle) + row[:, None] * np.sin(angle)
     along = row[:, None] * np.cos(angle) - col[None, :] * np.sin(angle)
 
-    def slab(distance: NDArray, size: float) -> NDArray:
+    def slab(distance: Array, size: float) -> Array:
         return 0.5 * (erf((distance + size / 2) / step) - erf((distance - size / 2) / step))
 
     places = (np.arange(number) - (number - 1) / 2) / frequency
@@ -60,7 +59,7 @@ def mtf_of(frequency: float, angle_deg: float) -> float:
     return float(np.exp(-2.0 * (np.pi * frequency * SIGMA_PX) ** 2) * pixel)
 
 
-def measured(frames: NDArray, **said) -> Measurement:
+def measured(frames: Array, **said) -> Measurement:
     """Measure frames of which hardly more than a region is said."""
     context = Context(seed=1, quick=True)
     region = (0, 0, *frames.shape[1:])

@@ -12,8 +12,7 @@ from charact.estimators.mtf import measure
 from charact.frames.clipping import is_clipped
 from charact.method import Context
 from labdata import FrameStack, read_frames
-from tests.truth.blur import BlurOf, TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import BlurOf, EdgeScene, TrueBlur
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = ROOT.parent / "shared" / "cases"

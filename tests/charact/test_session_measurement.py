@@ -19,8 +19,7 @@ from labdata import (
     open_session,
     sha256_of,
 )
-from tests.truth.edge import EdgeScene
-from tests.truth.sessions import session_in_memory, stack_in_memory
+from tests.truth import EdgeScene, session_in_memory, stack_in_memory
 
 
 @pytest.fixture

@@ -11,13 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labdata import Camera, Conditions, load_phosphor, load_sensor, phosphor_names
+from labdata import Array, Camera, Conditions, load_phosphor, load_sensor, phosphor_names
 from labdata.camera import Parameter
 from simulate.camera import CameraModel
 
-Image = NDArray[np.floating]
 REFERENCE_V = 800.0
 # Light with saturation, blooming and halo at one end, less than the dark emission at the other;
 # photoelectrons.
@@ -53,7 +51,7 @@ class Scene:
     number: int
     kind: str
     camera: CameraModel
-    image_pe: Image
+    image_pe: Array
     conditions: Conditions
     tolerance: float
 
@@ -125,9 +123,9 @@ def _drawn(sensor: Camera, rng: np.random.Generator) -> dict[str, float]:
     return values
 
 
-def random_picture(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[str, Image]:
+def random_picture(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[str, Array]:
     """Return a picture and what it shows."""
-    kinds: dict[str, Callable[[np.random.Generator, tuple[int, int]], Image]] = {
+    kinds: dict[str, Callable[[np.random.Generator, tuple[int, int]], Array]] = {
         "dark": _dark,
         "flat": _flat,
         "gradient": _gradient,
@@ -154,15 +152,15 @@ def _level(rng: np.random.Generator) -> float:
     return _between(rng, *LEVELS_PE)
 
 
-def _dark(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
+def _dark(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     return np.zeros(shape)
 
 
-def _flat(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
+def _flat(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     return np.full(shape, _level(rng))
 
 
-def _along(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
+def _along(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     """Distance from a random place in a random direction, pixels."""
     row, col = np.mgrid[: shape[0], : shape[1]]
     angle = rng.uniform(0.0, 2.0 * np.pi)
@@ -171,23 +169,23 @@ def _along(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     ) * np.cos(angle)
 
 
-def _gradient(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
+def _gradient(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     along = _along(rng, shape)
     return _level(rng) * (1.0 + rng.uniform(0.0, 1.0) * along / np.abs(along).max())
 
 
-def _smooth(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
+def _smooth(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     from scipy.ndimage import gaussian_filter
 
     field = gaussian_filter(rng.standard_normal(shape), _between(rng, 2.0, 40.0), mode="reflect")
     return _level(rng) * np.exp(rng.uniform(0.0, 1.5) * field / field.std())
 
 
-def _edge(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
+def _edge(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     return np.where(_along(rng, shape) > 0.0, _level(rng), _level(rng))
 
 
-def _bars(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
+def _bars(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     period = _between(rng, 2.0, 60.0)
     return np.where(
         np.sin(2.0 * np.pi * _along(rng, shape) / period) > 0.0, _level(rng), _level(rng)

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata import Conditions
 from simulate.camera import CameraModel, StageImage
@@ -22,7 +21,7 @@ def drawn_by(
     *,
     seed: int,
     **more: Any,
-) -> Iterator[NDArray[np.unsignedinteger]]:
+) -> Iterator[np.ndarray]:
     """Yield frames stage by stage, by the fast sampler, or by it with a normal law of sums."""
     if sampler == "chain":
         return camera.chain_frames(light, conditions, seed=seed, **more)

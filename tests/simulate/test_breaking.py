@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from labdata import BadInput, Camera, Conditions, Target, load_camera
+from labdata import Array, BadInput, Camera, Conditions, Target, load_camera
 from simulate import LabBench
 from simulate.camera import (
     CameraModel,
@@ -35,7 +34,7 @@ NAMES = ["pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512"]
 
 def codes_of(
     camera: Any,
-    picture_pe: float | NDArray[Any],
+    picture_pe: float | Array,
     conditions: Conditions,
     seed: int,
     frames: int = FRAMES,
@@ -48,7 +47,7 @@ def codes_of(
     )
 
 
-def checked(codes: NDArray[Any], camera: Any) -> NDArray[np.floating]:
+def checked(codes: Array, camera: Any) -> Array:
     """The codes, which are whole numbers of the digitiser."""
     assert codes.dtype in (np.uint8, np.uint16)
     assert codes.max() <= 2**camera.description.video.bit_depth - 1
@@ -63,7 +62,7 @@ def sentence(refusal: BaseException) -> str:
     return words
 
 
-def with_error(codes: NDArray[np.floating]) -> tuple[float, float]:
+def with_error(codes: Array) -> tuple[float, float]:
     """Mean and its standard error from the scatter of frames, widened for what fields share through
     the glow.
     """

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from labdata import BadInput, Camera, Conditions
+from labdata import Array, BadInput, Camera, Conditions, Mask
 from simulate import EffectSelection, OptionalEffect, select_effects
 from simulate.camera import (
     CameraModel,
@@ -34,7 +33,6 @@ from simulate.camera import (
 from tests.simulate.random_scenes import random_scene
 from tests.simulate.samplers import drawn_by
 
-Map = NDArray[np.float64]
 SHAPE = (72, 96)
 SCENES = 12
 DRAWN = (15, 30)
@@ -135,7 +133,7 @@ class Pair:
     def of(
         cls,
         camera: CameraModel,
-        image: NDArray[np.floating],
+        image: Array,
         conditions: Conditions,
         tolerance: float,
     ) -> "Pair":
@@ -146,7 +144,7 @@ class Pair:
         return cls(camera, thin, plan, conditions, light)
 
     @cached_property
-    def means(self) -> tuple[Map, Map]:
+    def means(self) -> tuple[Array, Array]:
         """Mean frames of both, DN, as the digitiser ends them."""
         top = 2**self.whole.description.video.bit_depth - 1
         whole, thin = (
@@ -155,7 +153,7 @@ class Pair:
         return np.clip(whole, 0.0, top), np.clip(thin, 0.0, top)
 
     @cached_property
-    def variances(self) -> tuple[Map, Map]:
+    def variances(self) -> tuple[Array, Array]:
         """Temporal variance of both, DN^2."""
         whole, thin = (
             temporal_variance(camera, light, self.conditions) for camera, light in self._both
@@ -163,7 +161,7 @@ class Pair:
         return whole, thin
 
     @property
-    def noise(self) -> Map:
+    def noise(self) -> Array:
         """Temporal noise of the camera with everything, DN."""
         return np.sqrt(self.variances[0])
 
@@ -173,7 +171,7 @@ class Pair:
     ) -> tuple[tuple[CameraModel, StageImage], tuple[CameraModel, StageImage]]:
         return (self.whole, self.at_mcp[0]), (self.thin, self.at_mcp[1])
 
-    def frames(self, count: int, seed: int) -> Iterator[Map]:
+    def frames(self, count: int, seed: int) -> Iterator[Array]:
         """Frames of both, the whole one by the exact law of pulses, from the same random numbers,
         (frame, row, col).
         """
@@ -181,7 +179,7 @@ class Pair:
             drawn = drawn_by(tier, camera, light, self.conditions, seed=seed)
             yield np.stack([frame.astype(float) for frame in islice(drawn, count)])
 
-    def in_scale(self) -> NDArray[np.bool_]:
+    def in_scale(self) -> Mask:
         """Pixels whose noise neither wells nor the digitiser cut off."""
         video, ccd = self.whole.description.video, self.whole.description.ccd
         well = float(ccd.full_well_e) * float(video.conversion_gain_dn_per_e)
@@ -189,7 +187,7 @@ class Pair:
         return self.means[0] + 6.0 * self.noise < top
 
 
-def temporal_variance(camera: CameraModel, at_mcp: StageImage, conditions: Conditions) -> Map:
+def temporal_variance(camera: CameraModel, at_mcp: StageImage, conditions: Conditions) -> Array:
     """Temporal variance of every pixel, DN^2, rounding included, wells and digitiser without end,
     shape (row, col).
 
@@ -231,7 +229,7 @@ def temporal_variance(camera: CameraModel, at_mcp: StageImage, conditions: Condi
 
 
 @lru_cache(maxsize=8)
-def _read_of_a_pulse(owed: Any, grid: Any, height: int, taps: tuple[float, ...]) -> Map:
+def _read_of_a_pulse(owed: Any, grid: Any, height: int, taps: tuple[float, ...]) -> Array:
     """Share of a pulse in a cell that a pixel reads, by the cell's place before it, shape of the
     grid.
     """
@@ -249,13 +247,15 @@ def small(sensor: Camera, shape: tuple[int, int] = SHAPE) -> Camera:
     return replace(sensor, ccd=replace(sensor.ccd, rows=shape[0], columns=shape[1]))
 
 
-def dim_picture(shape: tuple[int, int] = SHAPE) -> Map:
+def dim_picture(shape: tuple[int, int] = SHAPE) -> Array:
     """Hills under starlight: soft, about one photoelectron a pixel."""
     row, col = np.mgrid[: shape[0], : shape[1]]
     return 1.0 + 0.2 * np.sin(2.0 * np.pi * col / 180.0) + 0.15 * np.cos(2.0 * np.pi * row / 150.0)
 
 
-def by_blocks(statistic: Callable[[Map, Map], Map], one: Map, other: Map) -> tuple[Map, Map]:
+def by_blocks(
+    statistic: Callable[[Array, Array], Array], one: Array, other: Array
+) -> tuple[Array, Array]:
     """A statistic of two runs of frames and its standard error, by leaving out blocks of frames."""
     block = np.arange(len(one)) * BLOCKS // len(one)
     without = np.stack([statistic(one[block != b], other[block != b]) for b in range(BLOCKS)])
@@ -263,7 +263,7 @@ def by_blocks(statistic: Callable[[Map, Map], Map], one: Map, other: Map) -> tup
     return statistic(one, other), np.sqrt(scatter * (BLOCKS - 1) / BLOCKS)
 
 
-def measured(noise: Map, groups: list[NDArray[np.bool_]]) -> Map:
+def measured(noise: Array, groups: list[Mask]) -> Array:
     """What a lab measures of noise, (frame, row, col), over its unit: sd by group, 99.9 % level,
     correlations.
     """
@@ -303,7 +303,7 @@ def test_a_dim_scene_is_simulated_without_halo_overflow_and_smear_and_nothing_me
     groups = [(whole >= low) & (whole <= high) for low, high in pairwise(borders)]
     first, second = pair.frames(640, seed=3)
 
-    def change(one: Map, other: Map) -> Map:
+    def change(one: Array, other: Array) -> Array:
         moved = np.mean(other - one, axis=0) / noise
         group = [float(moved[group].mean()) for group in groups]
         of_one, of_other = (measured((frames - whole) / noise, groups) for frames in (one, other))
@@ -413,7 +413,7 @@ def test_drawn_frames_of_random_scenes_keep_their_spread_and_their_rarest_level(
     assert inside.sum() > 1000
     first, second = pair.frames(48, seed=4)
 
-    def change(one: Map, other: Map) -> Map:
+    def change(one: Array, other: Array) -> Array:
         first, second = (
             ((f - mean) / pair.noise)[:, inside]
             for f, mean in zip((one, other), pair.means, strict=True)

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from labdata import Conditions, Target
+from labdata import Array, Conditions, Target
 from simulate import LabBench
 from simulate.camera import (
     true_quantities,
@@ -41,7 +40,7 @@ GATE_SHARE = 0.01
 WINDOW_ROWS, WINDOW_COLUMNS = 7, 13
 
 
-def _events(field: NDArray[np.floating], candidate: float) -> NDArray[np.floating]:
+def _events(field: Array, candidate: float) -> Array:
     """Sums of windows round the peaks of a field that stand alone and away from its borders, e-."""
     from scipy.ndimage import maximum_filter, uniform_filter
 

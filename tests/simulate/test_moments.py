@@ -9,13 +9,11 @@ multiplies the samples.
 import os
 from collections.abc import Iterator
 from itertools import islice
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from labdata import Camera, Conditions
+from labdata import Array, Camera, Conditions
 from simulate.camera import CameraModel, StageImage
 from tests.simulate import pulse_theory
 from tests.simulate.samplers import Sampler, drawn_by
@@ -53,7 +51,7 @@ CASES = [
 
 def drawn(
     sensor: Camera, at_mcp: StageImage, frames: int, seed: int, tier: Sampler
-) -> Iterator[NDArray[Any]]:
+) -> Iterator[Array]:
     """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape
     (frame, row, col).
     """
@@ -66,7 +64,7 @@ def drawn(
 
 def flat_frames(
     sensor: Camera, photoelectrons_per_pixel: float, frames: int, seed: int, tier: Sampler
-) -> Iterator[NDArray[Any]]:
+) -> Iterator[Array]:
     """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame,
     row, col).
     """
@@ -147,7 +145,7 @@ STRIPES: dict[Sampler, float] = {"fast": 0.015, "chain": 5e-3}
 PERIOD_PX, STRIPES_PE = 8, 6.0
 
 
-def stripes(x_px: NDArray[Any]) -> NDArray[Any]:
+def stripes(x_px: Array) -> Array:
     return STRIPES_PE * (1.0 + 0.9 * np.sin(2.0 * np.pi * x_px / PERIOD_PX))
 
 
@@ -174,7 +172,7 @@ def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, seed):
         assert np.all(error < 0.015)
 
 
-def _by_phase(frames: NDArray[Any], period: int, power: int) -> tuple[NDArray[Any], NDArray[Any]]:
+def _by_phase(frames: Array, period: int, power: int) -> tuple[Array, Array]:
     """Mean or variance of each column of the stripes' period, and its error by blocks of frames."""
     columns = frames.reshape(*frames.shape[:2], -1, period)
     if power == 2:

@@ -16,14 +16,13 @@ from benchmarks.studies.registry import STUDIES, methods_of
 from benchmarks.studies.stability import stability
 from charact.method import Context, Method, registry
 from labdata import BadInput, Result, make_measurement, make_refusal, measurement_from_sd
-from tests.truth.blur import TrueBlur
+from tests.truth import EdgeScene, TrueBlur
 from tests.truth.cases import bars as bar_cases
 from tests.truth.cases import bloom as bloom_cases
 from tests.truth.cases import edge as edge_cases
 from tests.truth.cases import point as point_cases
 from tests.truth.cases.case import Case
 from tests.truth.cases.edge import chart_cases
-from tests.truth.edge import EdgeScene
 
 TRUTH = TrueBlur().mtf50(5.0)
 

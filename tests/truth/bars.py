@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata import BadInput, FrameStack
-from tests.truth.blur import TrueBlur
+from tests.truth.blur import Array, TrueBlur
 from tests.truth.camera_effects import TargetScene, boost, correlate_noise
 
 # The pattern repeats after this many pixels, and spectra this many sampling frequencies away still
@@ -31,7 +30,7 @@ def _bars_image(
     angle_deg: float,
     row_px: float,
     col_px: float,
-) -> NDArray[np.floating]:
+) -> Array:
     """Blurred bars sampled at whole pixels, 1 on a wide bar, shape (PERIOD_PX, PERIOD_PX), centred
     on its middle.
 
@@ -57,9 +56,7 @@ def _bars_image(
     return np.fft.fftshift(np.asarray(irfft2(spectrum, (PERIOD_PX, PERIOD_PX))))
 
 
-def spectrum_of_bars(
-    bars: int, frequency: float, angle_deg: float, fx: NDArray, fy: NDArray
-) -> NDArray[np.floating]:
+def spectrum_of_bars(bars: int, frequency: float, angle_deg: float, fx: Array, fy: Array) -> Array:
     """Spectrum of the bars themselves, px^2."""
     angle, width = np.deg2rad(angle_deg), 0.5 / frequency
     across, along = fx * np.cos(angle) + fy * np.sin(angle), fy * np.cos(angle) - fx * np.sin(angle)
@@ -108,7 +105,7 @@ class BarScene(TargetScene):
         plain = self.blur.mtf(self.frequency_cy_per_px, self.angle_deg)
         return float(plain * boost(self.frequency_cy_per_px, self.sharpening))
 
-    def _target(self, along_px: float, frequency: float, motion_px: float) -> NDArray[np.floating]:
+    def _target(self, along_px: float, frequency: float, motion_px: float) -> Array:
         """Light of one target from 0 to about 1, moved along its bars, shape (row, col)."""
         angle = np.deg2rad(self.angle_deg)
         row = self.row_px + along_px * np.cos(angle) - 0.5 * ((self.rows + 1) % 2)
@@ -122,7 +119,7 @@ class BarScene(TargetScene):
         )
         return image[first_row : first_row + self.rows, first_col : first_col + self.cols]
 
-    def _light(self, motion_px: float) -> NDArray[np.floating]:
+    def _light(self, motion_px: float) -> Array:
         light = self._target(0.0, self.frequency_cy_per_px, motion_px)
         if np.isfinite(self.neighbour_px):
             other = 0.75 * self.frequency_cy_per_px
@@ -130,7 +127,7 @@ class BarScene(TargetScene):
             light = light + self._target(distance_px, other, motion_px)
         return light
 
-    def light(self, moved_px: float = 0.0) -> NDArray[np.floating]:
+    def light(self, moved_px: float = 0.0) -> Array:
         """Noiseless light signal over black, DN of a straight response, shape (row, col).
 
         `moved_px`: horizontal displacement of the target, px.
@@ -154,7 +151,7 @@ class BarScene(TargetScene):
 
 
 @lru_cache(maxsize=64)
-def _profile(blur: TrueBlur, bars: int, frequency: float, angle_deg: float) -> NDArray[np.floating]:
+def _profile(blur: TrueBlur, bars: int, frequency: float, angle_deg: float) -> Array:
     """Blurred profile across the bars, 1 on a wide bar, every `STEP_PX`, centred."""
     v = np.arange(HIGHEST * PROFILE_PX) / PROFILE_PX
     width = 0.5 / frequency
@@ -197,7 +194,7 @@ class StripScene:
         """MTF at the bars' frequency across them, pixel included, dimensionless."""
         return float(self.blur.mtf(self.frequency_cy_per_px, self.angle_deg))
 
-    def light(self) -> NDArray[np.floating]:
+    def light(self) -> Array:
         """Noiseless picture, 1 on a wide bar, shape (row, col) before it is turned."""
         cols = int(np.ceil(self.bars / self.frequency_cy_per_px)) + 2 * self.reach_px
         row, col = np.mgrid[: self.rows, :cols]

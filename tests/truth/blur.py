@@ -7,6 +7,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.floating]
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrueBlur:
@@ -36,9 +38,7 @@ class TrueBlur:
     halo_share: float = 0.0
     halo_px: float = 30.0
 
-    def mtf(
-        self, frequency_cy_per_px: NDArray[np.floating] | float, angle_deg: float
-    ) -> NDArray[np.floating]:
+    def mtf(self, frequency_cy_per_px: Array | float, angle_deg: float) -> Array:
         """MTF along the normal of an edge whose normal stands at an angle to the rows, pixel
         included.
 
@@ -49,13 +49,11 @@ class TrueBlur:
         angle = np.deg2rad(angle_deg)
         return self.transfer(f * np.cos(angle), f * np.sin(angle))
 
-    def transfer(
-        self, fx: NDArray[np.floating] | float, fy: NDArray[np.floating] | float
-    ) -> NDArray[np.floating]:
+    def transfer(self, fx: Array | float, fy: Array | float) -> Array:
         """MTF at frequencies along rows and columns, cycles per pixel, pixel included."""
         return self.before_pixel(np.hypot(fx, fy)) * np.sinc(fx) * np.sinc(fy)
 
-    def before_pixel(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
+    def before_pixel(self, f: Array) -> Array:
         """MTF at frequencies in any direction, cycles per pixel, without the pixel."""
         core = {
             "gaussian": self._gaussian,
@@ -69,13 +67,13 @@ class TrueBlur:
         x = np.maximum(np.pi * self.halo_px * f, 1e-9)
         return core * (1 - self.halo_share + self.halo_share * 2 * j1(x) / x)
 
-    def _gaussian(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
+    def _gaussian(self, f: Array) -> Array:
         return np.exp(-2 * (np.pi * f * self.sigma_px) ** 2)
 
-    def _exponential(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
+    def _exponential(self, f: Array) -> Array:
         return np.exp(-((f / self.frequency_cy_per_px) ** self.exponent))
 
-    def _moffat(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
+    def _moffat(self, f: Array) -> Array:
         """The two-dimensional transform is 2^(2-b)/Gamma(b-1) x^(b-1) K_(b-1)(x), x = 2 pi a f."""
         from scipy.special import gamma, kv
 
@@ -96,7 +94,7 @@ class BlurOf(TrueBlur):
 
     of: Callable[[Any], Any]
 
-    def before_pixel(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
+    def before_pixel(self, f: Array) -> Array:
         return self.of(f)
 
 

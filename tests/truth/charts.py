@@ -5,9 +5,8 @@ one frame.
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tests.truth.blur import TrueBlur
+from tests.truth.blur import Array, TrueBlur
 from tests.truth.camera_effects import correlate_noise
 from tests.truth.edge import edge_spread
 
@@ -50,7 +49,7 @@ class TiltedSquares:
                 edges.append((*middle, float(np.rad2deg(angle)) % 180.0))
         return edges
 
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Array:
         """Return the noiseless frame, DN, shape (row, col)."""
         covered = np.zeros((self.rows, self.cols))
         row, col = np.mgrid[: self.rows, : self.cols].astype(float)
@@ -61,7 +60,7 @@ class TiltedSquares:
             covered += self._slab(x, self.tilt_deg) * self._slab(y, self.tilt_deg + 90.0)
         return self.bright_dn - (self.bright_dn - self.dark_dn) * covered
 
-    def _slab(self, distance: NDArray, angle_deg: float) -> NDArray:
+    def _slab(self, distance: Array, angle_deg: float) -> Array:
         """Return a blurred strip of the square's width."""
         half = self.side_px / 2
         return edge_spread(self.blur, distance + half, angle_deg) - edge_spread(
@@ -70,13 +69,13 @@ class TiltedSquares:
 
 
 def noisy(
-    mean: NDArray,
+    mean: Array,
     rng: np.random.Generator,
     *,
     sd_dn: float,
     shot_share: float = 0.0,
     blur_px: float = 0.0,
-) -> NDArray[np.uint16]:
+) -> np.ndarray:
     """Return one frame with noise of a standard deviation half way up, a share of its variance
     growing with light.
     """
@@ -111,7 +110,7 @@ class BarChart:
     dark_dn: float = 300.0
     bright_dn: float = 2300.0
 
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Array:
         """Return the noiseless frame, DN, shape (row, col)."""
         light = np.zeros((self.rows, self.cols))
         for group in self.groups:
@@ -138,6 +137,6 @@ class BarChart:
                 part += self._slab(across - centre, group.angle_deg, width) * strip
         return self.dark_dn + (self.bright_dn - self.dark_dn) * light
 
-    def _slab(self, distance: NDArray, angle_deg: float, width: float) -> NDArray:
+    def _slab(self, distance: Array, angle_deg: float, width: float) -> Array:
         ends = (edge_spread(self.blur, distance + sign * width / 2, angle_deg) for sign in (1, -1))
         return next(ends) - next(ends)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata import BadInput
-from tests.truth.blur import TrueBlur, level_crossing
+from tests.truth.blur import Array, TrueBlur, level_crossing
 from tests.truth.camera_effects import TargetScene, boost
 
 # Places of a rough edge's course to a px.
@@ -20,9 +19,7 @@ SAMPLES = 1 << 19
 
 
 @lru_cache(maxsize=64)
-def _edge_spread(
-    blur: TrueBlur, angle_deg: float
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _edge_spread(blur: TrueBlur, angle_deg: float) -> tuple[Array, Array]:
     """Distance, px, and edge spread from 0 to 1: running sum of the line spread over cells of exact
     integral.
     """
@@ -36,9 +33,7 @@ def _edge_spread(
     return distance[central], (np.cumsum(line_spread) * STEP_PX)[central]
 
 
-def edge_spread(
-    blur: TrueBlur, distance_px: NDArray[np.floating], angle_deg: float
-) -> NDArray[np.floating]:
+def edge_spread(blur: TrueBlur, distance_px: Array, angle_deg: float) -> Array:
     """Edge spread, 0 on the dark and 1 on the bright side, at signed distances from the edge.
 
     `distance_px`: distance along the normal, px, any shape; `angle_deg`: angle of the normal to the
@@ -49,14 +44,14 @@ def edge_spread(
 
 
 def distance_across(
-    row: NDArray[np.floating],
-    col: NDArray[np.floating],
+    row: Array,
+    col: Array,
     size: tuple[int, int],
     *,
     angle_deg: float,
-    moved_px: NDArray[np.floating] | float,
+    moved_px: Array | float,
     sagitta_px: float,
-) -> NDArray[np.floating]:
+) -> Array:
     """Signed distance along its normal from an edge through the middle of a frame, px.
 
     `row`, `col`: places from the middle, shapes (row, 1) and (1, col), px; `size`: rows and columns
@@ -112,9 +107,7 @@ class EdgeScene(TargetScene):
             lambda f: self.blur.mtf(f, self.angle_deg) * boost(f, self.sharpening), 0.5
         )
 
-    def light(
-        self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0
-    ) -> NDArray[np.floating]:
+    def light(self, moved_px: float = 0.0, course_px: Array | float = 0.0) -> Array:
         """Noiseless light signal over black, DN of a straight response, shape (row, col).
 
         `moved_px`: horizontal displacement of the edge, px; `course_px`: how far the edge lies off
@@ -144,7 +137,7 @@ class EdgeScene(TargetScene):
             light = light * room / (self.bright_dn - self.black_dn - self.clip_share * step)
         return light
 
-    def _frames_light(self, rng: np.random.Generator) -> NDArray[np.floating]:
+    def _frames_light(self, rng: np.random.Generator) -> Array:
         """Light of every frame, or of all of them where nothing moves."""
         course = self._course(rng) if self.roughness_px else 0.0
         if not self.jitter_px:
@@ -152,7 +145,7 @@ class EdgeScene(TargetScene):
         offsets_px = self.jitter_px * rng.standard_normal(self.frames)
         return np.stack([self.light(offset_px, course) for offset_px in offsets_px])
 
-    def _course(self, rng: np.random.Generator) -> NDArray[np.floating]:
+    def _course(self, rng: np.random.Generator) -> Array:
         """How far a rough edge lies off its line, seen from each pixel, px."""
         from scipy.ndimage import gaussian_filter1d
 

@@ -5,9 +5,8 @@ simulator.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labdata import FrameStack, Kind, Session, StackEntry
+from labdata import Array, FrameStack, Kind, Session, StackEntry
 from tests.truth.sessions import session_in_memory, tube_stack
 
 
@@ -71,7 +70,7 @@ class FlatScene:
         )
         return tube_stack(kind, f"{kind}-{number}", stack, 1e-6 * level)
 
-    def _light(self, level: float, rng: np.random.Generator) -> NDArray[np.floating]:
+    def _light(self, level: float, rng: np.random.Generator) -> Array:
         """Light signal, DN, shape (frame, row, col): pulses, blur after the gain, then
         electrons.
         """
@@ -92,7 +91,7 @@ class FlatScene:
         return self.electron_gain_dn * rng.poisson(np.maximum(lagged, 0) / self.electron_gain_dn)
 
 
-def _with_wings(pulses: NDArray[np.floating], frequency_cy_per_px: float) -> NDArray[np.floating]:
+def _with_wings(pulses: Array, frequency_cy_per_px: float) -> Array:
     """Blur by exp(-(f/fc)^1.2), as image tubes do."""
     from scipy.fft import irfft2, rfft2
 
@@ -103,9 +102,7 @@ def _with_wings(pulses: NDArray[np.floating], frequency_cy_per_px: float) -> NDA
     )
 
 
-def _pulse_heights(
-    counts: NDArray, factor: float, rng: np.random.Generator
-) -> NDArray[np.floating]:
+def _pulse_heights(counts: Array, factor: float, rng: np.random.Generator) -> Array:
     """Summed heights of pulses of mean 1: a sum of n gamma heights of shape m is gamma of shape n
     m.
     """

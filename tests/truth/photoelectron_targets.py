@@ -8,21 +8,17 @@ measured.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labdata import BadInput, FrameStack
 from tests.truth.bars import spectrum_of_bars
-from tests.truth.blur import TrueBlur, level_crossing
-from tests.truth.camera_effects import boost, correlate_noise, digitised, sharpen_images
+from tests.truth.blur import Array, TrueBlur
+from tests.truth.camera_effects import PulsedTarget, correlate_noise
 from tests.truth.edge import distance_across, edge_spread
-
-Array = NDArray[np.floating]
 
 # Places of pulses in a pixel, along each axis, and pixels around the frame whose pulses reach into
 # it.
@@ -32,42 +28,23 @@ PATTERN_PX = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotoelectronTarget(ABC):
+class PhotoelectronTarget(PulsedTarget, ABC):
     """A target before an intensified camera, with one knob for each way in which methods break
     whatever the target.
 
     Parameters
     ----------
-    blur
-        The blur before the gain.
-    pulse_px
-        Standard deviation of a photoelectron's Gaussian pulse, the blur behind the gain, px.
     photoelectrons
         Mean number on a pixel of the bright side in a frame.
     bright_dn
         Level of the bright side over black, DN.
     dark_share
         Light of the dark side over that of the bright one.
-    gain_spread
-        Relative variance of the pulses' heights: 1 is exponential, 0 has none.
-    read_dn, row_noise_dn
-        Standard deviations of white read noise and of an offset that each row of each frame has for
-        itself, DN.
-    rows, cols, frames
-        Size of the stack.
-    angle_deg
-        Direction across the target's lines from the row direction, degrees: 0 is a vertical line.
-    gradient
-        Illumination at the right border over that at the left, minus 1.
     vignetting
         Share of the light that the corners lose, growing with the square of the distance from the
         middle.
-    interlaced, motion_px
-        Whether odd rows are exposed in a later field, and the displacement along the rows until
-        then, px.
-    drift_px, jitter_px
-        Displacement along the rows from the first frame to the last, and standard deviation of one
-        that each frame has for itself, px.
+    interlaced
+        Whether odd rows are exposed in a later field, as they are where `motion_px` displaces them.
     flicker
         Relative standard deviation of the light from exposure to exposure.
     lag
@@ -76,57 +53,18 @@ class PhotoelectronTarget(ABC):
         Share of the pulses that an ion makes, and how many photoelectrons' light such a one has.
     pattern
         Relative standard deviation of a gain that each place keeps in all frames.
-    gamma
-        Exponent of the response, on a scale from black to full scale.
-    hot_share
-        Share of pixels stuck at full scale.
-    sharpening
-        Share by which the camera raises fine detail, see `tests.truth.camera_effects`.
-    black_dn, full_scale_dn
-        Codes at no light and at the top, DN; what read noise takes below code 0 is lost.
     """
 
-    blur: TrueBlur = field(default_factory=TrueBlur)
-    pulse_px: float = 0.6
-    photoelectrons: float = 1.0
     bright_dn: float = 120.0
     dark_share: float = 0.2
-    gain_spread: float = 0.6
-    read_dn: float = 1.0
-    row_noise_dn: float = 0.0
-    rows: int = 100
-    cols: int = 100
     frames: int = 16
-    angle_deg: float = 5.0
-    gradient: float = 0.0
     vignetting: float = 0.0
     interlaced: bool = False
-    motion_px: float = 0.0
-    drift_px: float = 0.0
-    jitter_px: float = 0.0
     flicker: float = 0.0
     lag: float = 0.0
     ion_share: float = 0.0
     ion_photoelectrons: float = 20.0
     pattern: float = 0.0
-    gamma: float = 1.0
-    hot_share: float = 0.0
-    sharpening: float = 0.0
-    black_dn: float = 12.0
-    full_scale_dn: float = 255.0
-
-    def __post_init__(self) -> None:
-        if not (self.photoelectrons > 0 and self.pulse_px > 0):
-            raise BadInput(
-                f"photoelectrons and pulse_px must be positive, got {self.photoelectrons:g} and "
-                f"{self.pulse_px:g}"
-            )
-
-    def mtf(self, frequency_cy_per_px: Array | float) -> Array:
-        """MTF across the lines of the camera at rest, pixel and sharpening included."""
-        pulse = np.exp(-2 * (np.pi * np.asarray(frequency_cy_per_px, float) * self.pulse_px) ** 2)
-        boosted = boost(frequency_cy_per_px, self.sharpening)
-        return self.blur.mtf(frequency_cy_per_px, self.angle_deg) * pulse * boosted
 
     @property
     def gain_dn(self) -> float:
@@ -144,27 +82,14 @@ class PhotoelectronTarget(ABC):
         variance = (1.0 + self.gain_spread) * self.gain_dn * light * line**2 + self.read_dn**2
         return self.bright_dn * (1.0 - self.dark_share) / float(np.sqrt(variance / self.frames))
 
-    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: Poisson pulses of random height, fixed pattern, response, read noise,
-        digitised, clipped.
-        """
-        light = np.stack(self._light(rng))
+    def _light(self, rng: np.random.Generator) -> Array:
+        light = np.stack(self._frames_light(rng))
         if self.pattern:
-            light = light * (
-                1.0
-                + self.pattern
-                * correlate_noise(rng.standard_normal((1, *light.shape[1:])), PATTERN_PX)
-            )
-        room = self.full_scale_dn - self.black_dn
-        signal = self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
-        signal += self.read_dn * rng.standard_normal(signal.shape)
-        if self.row_noise_dn:
-            signal += self.row_noise_dn * rng.standard_normal((*signal.shape[:2], 1))
-        stuck = rng.random((self.rows, self.cols)) < self.hot_share
-        signal = sharpen_images(signal, self.sharpening)
-        return digitised(signal, stuck, black_dn=self.black_dn, full_scale_dn=self.full_scale_dn)
+            gains = correlate_noise(rng.standard_normal((1, *light.shape[1:])), PATTERN_PX)
+            light = light * (1.0 + self.pattern * gains)
+        return light
 
-    def _light(self, rng: np.random.Generator) -> Sequence[Array]:
+    def _frames_light(self, rng: np.random.Generator) -> Sequence[Array]:
         """Light of each frame over black, DN; of interlaced ones each field has an exposure of its
         own.
         """
@@ -284,11 +209,6 @@ class PulseEdge(PhotoelectronTarget):
 
     offset_px: float = 0.0
     sagitta_px: float = 0.0
-
-    @property
-    def truth_mtf50(self) -> float:
-        """MTF50 along the edge's normal of the camera at rest, cycles per pixel."""
-        return level_crossing(self.mtf, 0.5)
 
     def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
         distance = distance_across(

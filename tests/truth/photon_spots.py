@@ -9,14 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from labdata import FrameStack
-from tests.truth.blur import level_crossing
+from tests.truth.blur import Array, level_crossing
 from tests.truth.camera_effects import correlate_noise
-
-Array = NDArray[np.float64]
 
 # Frequencies, cycles per px: copies of the spot stand 1/step apart and turn their sign.
 STEP, TOP = 1.0 / 256.0, 2.0

@@ -6,19 +6,18 @@ MTF (Gaussian, or the stable law of exp(-(f/fc)^n)), and pulses are integrated o
 closed form.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labdata import BadInput, FrameStack
-from tests.truth.blur import TrueBlur, level_crossing
-from tests.truth.camera_effects import boost, digitised, sharpen_images
+from labdata import BadInput
+from tests.truth.blur import Array, TrueBlur
+from tests.truth.camera_effects import PulsedTarget
 
 SPARED_PX = 12.0
 
 
-def landing_places(blur: TrueBlur, count: int, rng: np.random.Generator) -> NDArray[np.floating]:
+def landing_places(blur: TrueBlur, count: int, rng: np.random.Generator) -> Array:
     """Draw where a point's photoelectrons land, px, shape (count, 2).
 
     Notes
@@ -48,74 +47,47 @@ def landing_places(blur: TrueBlur, count: int, rng: np.random.Generator) -> NDAr
     return scale * np.sqrt(positive)[:, None] * normal
 
 
-def _disc(diameter_px: float, count: int, rng: np.random.Generator) -> NDArray[np.floating]:
+def _disc(diameter_px: float, count: int, rng: np.random.Generator) -> Array:
     """Draw places evenly over a disc, px, shape (count, 2)."""
     radius, turn = 0.5 * diameter_px * np.sqrt(rng.random(count)), 2 * np.pi * rng.random(count)
     return radius[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointScene:
+class PointScene(PulsedTarget):
     """A point source as a camera would digitise it, with one knob for each way in which point
-    methods break.
+    methods break. `gradient` is that of the background; the MTF is that along the rows.
+
+    Parameters
+    ----------
+    pulse_px
+        Standard deviation of a photoelectron's Gaussian pulse, px; 0: an ordinary camera.
+    photoelectrons
+        Mean number of a frame.
+    peak_dn
+        Height of the brightest pixel over the background, DN.
+    background
+        Photoelectrons of a pixel and frame without the source.
+    row_px, col_px
+        Where the source stands off the middle of the frame, px.
+    neighbour_px, neighbour_share
+        Distance of another source along the rows, px, and its light; infinite: none.
+    pinhole_px
+        Diameter of the source, px; its own transfer is not the camera's.
     """
 
-    blur: TrueBlur = field(default_factory=TrueBlur)  # The blur before the gain
-    # Standard deviation of a photoelectron's Gaussian pulse, the blur behind the gain, px; 0: an
-    # ordinary camera
-    pulse_px: float = 0.6
-    photoelectrons: float = 3000.0  # Mean number of a frame
-    peak_dn: float = 150.0  # Height of the brightest pixel over the background, DN
-    background: float = 0.02  # Photoelectrons of a pixel and frame without the source
-    # rows, cols, frames: size of the stack
+    photoelectrons: float = 3000.0
+    peak_dn: float = 150.0
+    background: float = 0.02
     rows: int = 96
     cols: int = 96
     frames: int = 8
-    # row_px, col_px: where the source stands off the middle of the frame, px
+    angle_deg: float = 0.0
     row_px: float = 0.0
     col_px: float = 0.0
-    read_dn: float = 1.0  # Standard deviation of white read noise, DN
-    # Relative variance of the pulses' heights: 1 is exponential, 0 has none
-    gain_spread: float = 0.6
-    gamma: float = 1.0  # Exponent of the response, on a scale from black to full scale
-    gradient: float = 0.0  # Background at the right border over that at the left, minus 1
-    motion_px: float = 0.0  # Horizontal displacement of odd rows, exposed in the later field, px
-    # drift_px, jitter_px: horizontal displacement from the first frame to the last, and standard
-    # deviation of one that each frame has for itself, px
-    drift_px: float = 0.0
-    jitter_px: float = 0.0
-    # neighbour_px, neighbour_share: distance of another source along the rows, px, and its light;
-    # infinite: none
     neighbour_px: float = np.inf
     neighbour_share: float = 0.5
-    pinhole_px: float = 0.0  # Diameter of the source, px
-    hot_share: float = 0.0  # Share of pixels stuck at full scale
-    # Share by which the camera raises fine detail, see `tests.truth.camera_effects`
-    sharpening: float = 0.0
-    # black_dn, full_scale_dn: codes at no light and at the top, DN
-    black_dn: float = 12.0
-    full_scale_dn: float = 255.0
-
-    def __post_init__(self) -> None:
-        if self.photoelectrons < 0 or self.pulse_px < 0:
-            raise BadInput(
-                f"photoelectrons and pulse_px must not be negative, got {self.photoelectrons:g} "
-                f"and {self.pulse_px:g}"
-            )
-
-    def mtf(self, frequency_cy_per_px: NDArray[np.floating] | float) -> NDArray[np.floating]:
-        """MTF along the rows, pixel included; a pinhole's own transfer is not the camera's."""
-        pulse = np.exp(-2 * (np.pi * np.asarray(frequency_cy_per_px, float) * self.pulse_px) ** 2)
-        return (
-            self.blur.mtf(frequency_cy_per_px, 0.0)
-            * pulse
-            * boost(frequency_cy_per_px, self.sharpening)
-        )
-
-    @property
-    def truth_mtf50(self) -> float:
-        """MTF50 along the rows, cycles per pixel."""
-        return level_crossing(self.mtf, 0.5)
+    pinhole_px: float = 0.0
 
     @property
     def gain_dn(self) -> float:
@@ -127,29 +99,17 @@ class PointScene:
         peak = float(np.sum(2 * np.pi * f * self.mtf(f)) / 400)
         return self.peak_dn / (max(self.photoelectrons, 1.0) * peak)
 
-    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: Poisson photoelectrons, pulses of random height, read noise, digitised
-        and clipped.
-        """
+    def _light(self, rng: np.random.Generator) -> Array:
         jitter = (
             self.jitter_px * rng.standard_normal(self.frames)
             if self.jitter_px
             else np.zeros(self.frames)
         )
-        light = np.stack(
+        return np.stack(
             [self._frame(number, float(jitter[number]), rng) for number in range(self.frames)]
         )
-        room = self.full_scale_dn - self.black_dn
-        signal = self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
-        signal = sharpen_images(
-            signal + self.read_dn * rng.standard_normal(signal.shape), self.sharpening
-        )
-        stuck = rng.random((self.rows, self.cols)) < self.hot_share
-        return digitised(signal, stuck, black_dn=self.black_dn, full_scale_dn=self.full_scale_dn)
 
-    def _frame(
-        self, number: int, jitter_px: float, rng: np.random.Generator
-    ) -> NDArray[np.floating]:
+    def _frame(self, number: int, jitter_px: float, rng: np.random.Generator) -> Array:
         """Light of one frame over black, DN."""
         displaced = self.drift_px * (number / max(self.frames - 1, 1) - 0.5) + jitter_px
         centre = np.array(
@@ -173,15 +133,13 @@ class PointScene:
         )
         return np.where(odd, self._pulses(displaced, heights), self._pulses(landings, heights))
 
-    def _photoelectron_positions(
-        self, mean: float, rng: np.random.Generator
-    ) -> NDArray[np.floating]:
+    def _photoelectron_positions(self, mean: float, rng: np.random.Generator) -> Array:
         """Places of one source's photoelectrons about its middle."""
         count = int(rng.poisson(mean))
         disc = _disc(self.pinhole_px, count, rng)
         return landing_places(self.blur, count, rng) + disc
 
-    def _background(self, rng: np.random.Generator) -> NDArray[np.floating]:
+    def _background(self, rng: np.random.Generator) -> Array:
         """Places of the photoelectrons that no source sent."""
         tilt = abs(self.gradient)
         count = int(rng.poisson(self.background * self.rows * self.cols * (1 + tilt)))
@@ -189,9 +147,7 @@ class PointScene:
         keep = chance < 1 + self.gradient * (col / self.cols) if self.gradient else chance < 1
         return np.stack([row, col], axis=1)[keep] - 0.5
 
-    def _pulses(
-        self, landings: NDArray[np.floating], heights: NDArray[np.floating]
-    ) -> NDArray[np.floating]:
+    def _pulses(self, landings: Array, heights: Array) -> Array:
         """Pixels of pulses at places (pulse, 2), each integrated over square pixels."""
         on_frame = np.all(
             (landings > -SPARED_PX) & (landings < np.array([self.rows, self.cols]) + SPARED_PX),
@@ -208,9 +164,7 @@ class PointScene:
         return (down * heights[:, None]).T @ along
 
 
-def _pixel_fractions(
-    size: int, centre: NDArray[np.floating], sigma_px: float
-) -> NDArray[np.floating]:
+def _pixel_fractions(size: int, centre: Array, sigma_px: float) -> Array:
     """Share of Gaussians in each pixel of a line, shape (gaussian, pixel)."""
     from scipy.special import erf
 
@@ -218,6 +172,6 @@ def _pixel_fractions(
     return 0.5 * np.diff(erf((borders - centre[:, None]) / (sigma_px * np.sqrt(2.0))), axis=1)
 
 
-def _heights(count: int, spread: float, rng: np.random.Generator) -> NDArray[np.floating]:
+def _heights(count: int, spread: float, rng: np.random.Generator) -> Array:
     """Pulse heights of mean 1 and a relative variance."""
     return np.ones(count) if spread <= 0 else rng.standard_gamma(1 / spread, count) * spread

@@ -13,12 +13,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labdata import FrameStack, Kind, Session, StackEntry
+from labdata import Array, FrameStack, Kind, Session, StackEntry
 from tests.truth.sessions import session_in_memory, tube_stack
-
-Array = NDArray[np.floating]
 
 # Places of pulses in a pixel, along each axis.
 FINER = 4

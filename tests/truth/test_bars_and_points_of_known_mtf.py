@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from tests.truth.bars import BarScene
-from tests.truth.blur import TrueBlur
+from tests.truth import BarScene, TrueBlur
 from tests.truth.point import PointScene, landing_places
 
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene, edge_spread
+from tests.truth import EdgeScene, TrueBlur, edge_spread
 
 
 def test_mtf50_of_a_pixel_behind_a_unit_gaussian_is_the_published_one():

@@ -6,8 +6,7 @@ import pytest
 import charact
 from labdata import FrameStack, measurement_from_sd
 from tests.charact.cli.runner import small_camera
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 SCENE = EdgeScene(
     blur=TrueBlur(sigma_px=1.06),

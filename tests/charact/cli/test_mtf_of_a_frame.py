@@ -19,8 +19,7 @@ from charact.reporting import (
 from labdata import BadInput, FrameStack, load_camera, make_measurement, make_refusal
 from labdata import Result as Measured
 from tests.charact.cli.runner import assert_one_sentence, charact, json_of
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 
 @pytest.fixture(scope="module")

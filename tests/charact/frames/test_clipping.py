@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from charact.frames import is_clipped
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 EDGE = EdgeScene(dark_dn=60.3, bright_dn=210.3, frames=4, shot_share=0.5)
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from charact.live import SourceFrame
 from charact.method import Context
 from labdata.capture import Frame
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 
 def seen(

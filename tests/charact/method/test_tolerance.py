@@ -9,9 +9,7 @@ from charact.estimators import mtf
 from charact.method import Context, registry
 from charact.method.registry import beyond_note, meets
 from labdata import make_measurement, make_refusal
-from tests.truth.bars import BarScene
-from tests.truth.edge import EdgeScene
-from tests.truth.point import PointScene
+from tests.truth import BarScene, EdgeScene, PointScene
 
 QUICK = Context(quick=True)
 

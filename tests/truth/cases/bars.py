@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.truth.bars import BarScene, StripScene
-from tests.truth.blur import TrueBlur
+from tests.truth import BarScene, StripScene, TrueBlur
 from tests.truth.cases.case import Axes, AxisPosition, Case, cases_along_axes, cases_in_scope
 
 # Axis: unit, positions, and the first and last position inside the scope that bar methods declare.

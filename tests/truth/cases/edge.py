@@ -4,7 +4,7 @@ breaking point.
 
 import numpy as np
 
-from tests.truth.blur import TrueBlur
+from tests.truth import EdgeScene, TrueBlur
 from tests.truth.cases.case import (
     Axes,
     AxisPosition,
@@ -13,7 +13,6 @@ from tests.truth.cases.case import (
     cases_in_scope,
     scene_at,
 )
-from tests.truth.edge import EdgeScene
 
 # Bounds of the scope follow the failure table of the slanted edge: biases under a percent or two.
 AXES: Axes = {

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.truth.blur import TrueBlur
+from tests.truth import PointScene, TrueBlur
 from tests.truth.cases.case import Axes, AxisPosition, Case, cases_along_axes, cases_in_scope
-from tests.truth.point import PointScene
 
 # Axis: unit, positions, and the first and last position inside the scope that point methods
 # declare.

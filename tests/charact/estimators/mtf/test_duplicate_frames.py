@@ -7,10 +7,7 @@ from charact.estimators import mtf
 from charact.estimators.mtf import drop_duplicate_frames
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth.bars import BarScene
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
-from tests.truth.point import PointScene
+from tests.truth import BarScene, EdgeScene, PointScene, TrueBlur
 
 QUICK = Context(quick=True)
 TARGETS = {

@@ -11,9 +11,7 @@ from scipy.ndimage import gaussian_filter, median_filter
 from charact.estimators import mtf
 from charact.estimators.mtf import edge_findings, prepare_edge
 from charact.method import Context
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
-from tests.truth.photoelectron_targets import PulseEdge
+from tests.truth import EdgeScene, PulseEdge, TrueBlur
 
 QUICK = Context(quick=True)
 EDGE = EdgeScene(frames=8, snr=25.0, rows=90, cols=90)

@@ -8,11 +8,7 @@ import pytest
 from charact.estimators import mtf
 from charact.estimators.mtf import TargetMotion, measure_target_motion, prepare_edge, thresholds
 from charact.method import Context
-from tests.truth.bars import BarScene
-from tests.truth.blur import TrueBlur, level_crossing
-from tests.truth.edge import EdgeScene
-from tests.truth.photoelectron_targets import PulseEdge
-from tests.truth.point import PointScene
+from tests.truth import BarScene, EdgeScene, PointScene, PulseEdge, TrueBlur, level_crossing
 
 QUICK = Context(quick=True)
 PULSES = PulseEdge(

@@ -6,23 +6,19 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from charact.estimators.mtf import measure
 from charact.method import Context
-from labdata import FrameStack
-from tests.truth.bars import BarScene
-from tests.truth.blur import TrueBlur
+from labdata import Array, FrameStack
+from tests.truth import BarScene, TrueBlur
 
 SHAPE = (96, 112)
 PEDESTAL_DN = 12.0
 
 
-def blurred_bars(
-    frequency: float, angle_deg: float, sigma_px: float, *, bars: int = 4
-) -> NDArray[np.float64]:
+def blurred_bars(frequency: float, angle_deg: float, sigma_px: float, *, bars: int = 4) -> Array:
     """Bars seven times as long as wide under a Gaussian blur, a little off the middle; 1 on a wide
     bar.
     """
@@ -46,7 +42,7 @@ def mtf_of(frequency: float, angle_deg: float, sigma_px: float) -> float:
 
 
 def frames_of(
-    image: NDArray,
+    image: Array,
     rng: np.random.Generator,
     *,
     frames: int = 12,
@@ -195,22 +191,22 @@ def test_bars_of_another_frequency_say_so() -> None:
     assert found.value == pytest.approx(mtf_of(0.15 * 1.03, 4.0, 0.8), rel=0.015)
 
 
-def edge_image() -> NDArray[np.float64]:
+def edge_image() -> Array:
     row, col = np.mgrid[: SHAPE[0], : SHAPE[1]]
     return 0.5 * (1.0 + erf((col - SHAPE[1] / 2 - 0.1 * row) / 1.5))
 
 
-def spot_image() -> NDArray[np.float64]:
+def spot_image() -> Array:
     row, col = np.mgrid[: SHAPE[0], : SHAPE[1]]
     return np.exp(-((row - SHAPE[0] / 2) ** 2 + (col - SHAPE[1] / 2) ** 2) / (2 * 2.0**2))
 
 
-def nine_bars() -> NDArray[np.float64]:
+def nine_bars() -> Array:
     return blurred_bars(0.12, 4.0, 0.8, bars=9)
 
 
 @pytest.mark.parametrize("picture", [edge_image, spot_image, nine_bars])
-def test_another_object_is_never_four_bars(picture: Callable[[], NDArray], seed: int) -> None:
+def test_another_object_is_never_four_bars(picture: Callable[[], Array], seed: int) -> None:
     stack = frames_of(picture(), np.random.default_rng(seed))
     assert all(mtf_at(stack, frequency).status != "ok" for frequency in (0.1, 0.2))
 

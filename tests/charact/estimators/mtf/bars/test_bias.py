@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from charact.estimators.mtf.bars import bar_image_model, detection, fit, noise
-from tests.truth.bars import StripScene
-from tests.truth.blur import TrueBlur
-from tests.truth.camera_effects import correlate_noise
+from tests.truth import StripScene, TrueBlur, correlate_noise
 
 STEP_DN, SNR, PAIRS = 1000.0, 10.0, 80
 

@@ -11,9 +11,7 @@ from charact.estimators.mtf import fit_group_curve, frame_curves, session_curves
 from charact.method import Context
 from labdata import BadInput, FrameStack, Measurement, Result, load_sensor, measurement_from_sd
 from tests.charact.estimators.mtf.bars.test_strip import read
-from tests.truth.bars import StripScene
-from tests.truth.blur import TrueBlur
-from tests.truth.charts import BarChart, Bars, noisy
+from tests.truth import BarChart, Bars, StripScene, TrueBlur, noisy
 
 QUICK = Context(seed=1, quick=True)
 CAMERA = load_sensor("pulnix-ag5745ef3")

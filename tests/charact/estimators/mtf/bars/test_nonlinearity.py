@@ -11,9 +11,7 @@ from charact.estimators.mtf import measure
 from charact.estimators.mtf.bars import bar_measurement, nonlinearity
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth.bars import BarScene
-from tests.truth.blur import TrueBlur
-from tests.truth.photoelectron_targets import PulsedBars
+from tests.truth import BarScene, PulsedBars, TrueBlur
 
 FINE = PulsedBars(
     blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3),

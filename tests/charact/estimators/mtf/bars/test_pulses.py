@@ -7,9 +7,7 @@ import pytest
 
 from charact.estimators.mtf import measure
 from charact.method import Context
-from tests.truth.bars import BarScene
-from tests.truth.blur import TrueBlur
-from tests.truth.photoelectron_targets import PulsedBars
+from tests.truth import BarScene, PulsedBars, TrueBlur
 
 BRIGHT = {
     "photoelectrons": 1e5,

@@ -11,8 +11,7 @@ from benchmarks.studies.harness import CaseTimer
 from charact.estimators.mtf import measure
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth.bars import StripScene
-from tests.truth.blur import TrueBlur
+from tests.truth import StripScene, TrueBlur
 from tests.truth.counted_pulses import errors
 
 CORES = {

@@ -19,8 +19,7 @@ from charact.estimators.mtf.edge.pixels import profile
 from charact.method import Context
 from charact.transfer import BlurModel
 from labdata import measurement_from_draws
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
 PLAIN = EdgeScene(

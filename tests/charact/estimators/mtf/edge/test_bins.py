@@ -9,8 +9,7 @@ from charact.estimators.mtf import PreparedEdge, edge_parametric, prepare_edge
 from charact.estimators.mtf.edge import thresholds
 from charact.estimators.mtf.edge.pixels import profile
 from charact.method import Context
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
 SCENE = EdgeScene(

@@ -10,8 +10,7 @@ import pytest
 from charact.estimators.mtf import PreparedEdge, edge_gradient, edge_parametric, prepare_edge
 from charact.estimators.mtf.edge import checks
 from charact.method import Context
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 INTERLACED = Context(quick=True, interlaced=True)
 SCENE = EdgeScene(

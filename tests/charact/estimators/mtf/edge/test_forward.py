@@ -10,10 +10,8 @@ import pytest
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import FrameStack, Result
-from tests.truth.blur import TrueBlur
-from tests.truth.camera_effects import correlate_noise
+from tests.truth import EdgeScene, TrueBlur, correlate_noise
 from tests.truth.cases.edge import chart_cases
-from tests.truth.edge import EdgeScene
 
 QUICK = Context(quick=True)
 STEP = 1500.0

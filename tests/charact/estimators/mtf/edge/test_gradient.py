@@ -10,8 +10,7 @@ from benchmarks.studies.edge_peers import answers
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
 

@@ -10,8 +10,7 @@ from charact.estimators.mtf import prepare_edge
 from charact.estimators.mtf.edge.pixels import profile as edge_profile
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth.blur import BlurOf, TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import BlurOf, EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
 

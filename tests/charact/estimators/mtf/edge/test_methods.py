@@ -15,8 +15,7 @@ from charact.estimators.mtf.edge import parametric as edge_parametric
 from charact.estimators.mtf.edge import thresholds
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
 

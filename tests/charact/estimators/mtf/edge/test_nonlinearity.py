@@ -13,8 +13,7 @@ from charact.estimators.mtf import edge_parametric
 from charact.estimators.mtf.edge import nonlinearity as edge_response
 from charact.estimators.mtf.edge.pixels import plateau_noise
 from charact.method import Context
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 DRAWS = 40_000
 

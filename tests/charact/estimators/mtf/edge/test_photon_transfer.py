@@ -9,9 +9,7 @@ from charact.estimators.mtf import prepare_edge
 from charact.estimators.mtf.edge import nonlinearity
 from charact.estimators.mtf.edge.pixels import plateau_noise
 from charact.method import Context
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
-from tests.truth.photoelectron_targets import PulseEdge
+from tests.truth import EdgeScene, PulseEdge, TrueBlur
 
 STRAIGHT = EdgeScene(
     blur=TrueBlur(sigma_px=1.0),

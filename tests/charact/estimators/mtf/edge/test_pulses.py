@@ -8,8 +8,7 @@ import pytest
 from charact.estimators import mtf
 from charact.estimators.mtf.edge import checks
 from charact.method import Context
-from tests.truth.blur import TrueBlur
-from tests.truth.photoelectron_targets import PulseEdge
+from tests.truth import PulseEdge, TrueBlur
 
 
 @pytest.mark.parametrize("seed_of_scene", range(3))

@@ -10,9 +10,7 @@ import pytest
 from charact.estimators import mtf
 from charact.estimators.mtf import prepare_edge
 from charact.method import Context
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
-from tests.truth.photoelectron_targets import PulseEdge
+from tests.truth import EdgeScene, PulseEdge, TrueBlur
 
 QUICK = Context(quick=True)
 ROUGH = EdgeScene(blur=TrueBlur(sigma_px=1.3), frames=4, snr=25.0, roughness_px=0.7)

@@ -10,8 +10,7 @@ import pytest
 from charact.estimators import mtf
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 PLAIN = EdgeScene(
     blur=TrueBlur(sigma_px=0.9),

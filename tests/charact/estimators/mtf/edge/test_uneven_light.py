@@ -9,8 +9,7 @@ import pytest
 
 from charact.estimators.mtf import edge_parametric, usable_black_level
 from charact.method import Context
-from tests.truth.blur import TrueBlur
-from tests.truth.edge import EdgeScene
+from tests.truth import EdgeScene, TrueBlur
 
 DARK, BRIGHT, BLACK = 900.0, 2400.0, 200.0
 

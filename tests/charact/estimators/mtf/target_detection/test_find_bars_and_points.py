@@ -10,10 +10,7 @@ from charact.estimators.mtf import find_bar_groups, find_pinholes
 from charact.estimators.mtf.point import source
 from charact.method import Context
 from labdata import BadInput
-from tests.truth.blur import TrueBlur
-from tests.truth.charts import BarChart, Bars, noisy
-from tests.truth.edge import edge_spread
-from tests.truth.point import PointScene
+from tests.truth import BarChart, Bars, PointScene, TrueBlur, edge_spread, noisy
 
 FREQUENCIES, FEW = (0.06, 0.09, 0.14, 0.2, 0.27), (0.06, 0.14, 0.27)
 

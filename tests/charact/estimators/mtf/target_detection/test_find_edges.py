@@ -12,9 +12,7 @@ from charact.estimators import mtf
 from charact.estimators.mtf import DetectedEdge, find_edges
 from charact.method import Context
 from labdata import FrameStack
-from tests.truth.blur import TrueBlur
-from tests.truth.charts import BarChart, Bars, TiltedSquares, noisy
-from tests.truth.edge import EdgeScene
+from tests.truth import BarChart, Bars, EdgeScene, TiltedSquares, TrueBlur, noisy
 
 CHART = TiltedSquares()
 STEP_DN = CHART.bright_dn - CHART.dark_dn
