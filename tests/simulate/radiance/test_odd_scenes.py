@@ -1,16 +1,23 @@
-"""Scenes at the border of what makes sense are rendered without a warning, and a camera takes what
-comes out.
-"""
+"""Scenes at the border of what makes sense are rendered; the schema holds for those that ship."""
 
+import json
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from labdata import Conditions, load_camera
+from charact.cli.application import app
+from labdata import Conditions, load_camera, read_toml
 from simulate import OutdoorRendering
 from simulate.camera import camera_from_description, photoelectrons_from_radiance
 from simulate.radiance import load_scene
+from tests.labdata.test_serialiser import keeps
+
+# Scenes at the border of what makes sense are rendered without a warning, and a camera takes what
+# comes out.
+
 
 HEAD = 'name = "odd"\n'
 CAMERA = "camera = { position_m = [0, -9, 1.5], look_at_m = [0, 0, 1] }\n"
@@ -67,3 +74,26 @@ def test_an_odd_scene_is_rendered_without_a_warning_and_finite_for_a_camera(tmp_
         photoelectrons_from_radiance(camera, seen.picture.cube, Conditions()).values
     ).all()
     assert seen.notes and seen.document()
+
+
+# `charact schema scene`: it holds for the scenes that ship, and knows no key that they may not
+# have.
+
+
+def schema(kind):
+    done = CliRunner().invoke(app, ["schema", kind])
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("road", "scene"), ("hangar", "scene"), ("airfield", "scene"), ("bench", "bench")],
+)
+def test_the_schema_holds_for_a_scene_that_ships(name, kind):
+    scene = read_toml(resources.files("simulate") / "scenes" / f"{name}.toml")
+    if "place" in scene:
+        scene["place"]["time"] = scene["place"]["time"].isoformat()
+    whole = schema(kind)
+    assert keeps(scene, whole, whole["$defs"])
+    assert not keeps(scene | {"folder": "."}, whole, whole["$defs"])

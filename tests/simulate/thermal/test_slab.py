@@ -1,13 +1,24 @@
-"""Slabs against exact solutions of conduction, and their periodic start and kernels against long
-runs.
-"""
+"""Black bodies, convection and slabs against tables and closed forms."""
 
 import numpy as np
 import pytest
 from scipy.special import erfc
 
-from simulate.radiance import STEFAN_BOLTZMANN
-from simulate.thermal import Columns, kernels, march, periodic_start, thresholds, vapour_pressure_pa
+from simulate.radiance import (
+    STEFAN_BOLTZMANN,
+    band_photon_radiance,
+    band_radiance,
+    band_radiance_slope,
+)
+from simulate.thermal import (
+    Columns,
+    Exchange,
+    kernels,
+    march,
+    periodic_start,
+    thresholds,
+    vapour_pressure_pa,
+)
 from tests.simulate.thermal.slabs import (
     ASPHALT,
     CONCRETE,
@@ -19,6 +30,114 @@ from tests.simulate.thermal.slabs import (
     reference_day,
     slab_of,
 )
+
+# Band radiances of a black body against a table of six digits, and the laws that tie them
+# together.
+
+
+# Temperature, band, radiance, derivative, photon radiance: by quadrature and by series, CODATA
+# 2018.
+TABLE = (
+    (273.15, (3.0, 5.0), 0.644266, 0.0278635, 1.45943e19),
+    (273.15, (8.0, 12.0), 23.8219, 0.465701, 1.20516e21),
+    (273.15, (8.0, 14.0), 35.1520, 0.637354, 1.94537e21),
+    (300.0, (3.0, 5.0), 1.86596, 0.0676983, 4.18311e19),
+    (300.0, (3.4, 4.1), 0.331898, 0.0138860, 6.40040e18),
+    (300.0, (7.5, 13.5), 55.4916, 0.882489, 2.91534e21),
+    (300.0, (8.0, 12.0), 38.5004, 0.629704, 1.93596e21),
+    (300.0, (8.0, 14.0), 54.9335, 0.837821, 3.00884e21),
+    (310.0, (3.0, 5.0), 2.65284, 0.0905267, 5.92467e19),
+    (310.0, (8.0, 12.0), 45.1149, 0.693357, 2.26403e21),
+    (310.0, (8.0, 14.0), 63.6944, 0.914474, 3.47678e21),
+)
+
+
+@pytest.mark.parametrize(("kelvin", "band", "radiance", "slope", "photons"), TABLE)
+def test_band_radiances_have_the_digits_of_the_table(kelvin, band, radiance, slope, photons):
+    for found, exact in (
+        (band_radiance(*band, kelvin), radiance),
+        (band_radiance_slope(*band, kelvin), slope),
+        (band_photon_radiance(*band, kelvin), photons),
+    ):
+        # Half a unit of the sixth digit, and for numbers whose last digit is a zero no more.
+        assert float(found) == pytest.approx(exact, rel=5.1e-6 / float(f"{exact:.9e}"[:8]))
+
+
+def test_all_bands_together_are_the_law_of_stefan_and_boltzmann():
+    edges = np.geomspace(2.0, 90.0, 40)
+    total = band_radiance(edges[:-1], edges[1:], 300.0).sum()
+    assert total == pytest.approx(band_radiance(2.0, 90.0, 300.0), rel=1e-12)
+    # Textbook tables of the fraction below 27,000 um K.
+    assert total == pytest.approx(0.9937 * STEFAN_BOLTZMANN * 300.0**4 / np.pi, rel=2e-4)
+
+
+def test_the_slope_is_that_of_the_radiance():
+    kelvin = np.array([180.0, 250.0, 300.0, 600.0, 1500.0])
+    step = 1e-3
+    difference = (
+        band_radiance(8.0, 12.0, kelvin + step) - band_radiance(8.0, 12.0, kelvin - step)
+    ) / (2.0 * step)
+    assert band_radiance_slope(8.0, 12.0, kelvin) == pytest.approx(difference, rel=1e-7)
+
+
+# Laws of convection against their tables, and plates on which dew forms.
+
+
+AIR, DIFFERENCE = np.array([285.0]), np.array([2.0, 5.0, 10.0])
+
+
+def coefficient(law, *, upward=1.0, excess=DIFFERENCE, wind=0.0, constant=0.0):
+    exchange = Exchange(
+        law=law,
+        constant_w_m2_k=constant,
+        wind_coefficient=np.full(3, 5.0),
+        upward=np.full(3, float(upward)),
+        condensation=False,
+    )
+    dry = np.zeros(1), np.full(1, 1013.0)
+    flux, slope = exchange.loss(AIR + excess, AIR, np.array([float(wind)]), *dry)
+    step = 1e-5
+    further, _ = exchange.loss(AIR + excess + step, AIR, np.array([float(wind)]), *dry)
+    assert slope == pytest.approx((further - flux) / step, rel=1e-4)
+    return flux / excess
+
+
+@pytest.mark.parametrize(
+    ("upward", "sign", "h"),
+    [
+        (1.0, -1.0, (0.96, 1.30, 1.64)),
+        (1.0, 1.0, (1.92, 2.60, 3.27)),
+        (-1.0, -1.0, (1.92, 2.60, 3.27)),
+        (-1.0, 1.0, (0.96, 1.30, 1.64)),
+        (0.0, 1.0, (1.65, 2.24, 2.82)),
+    ],
+)
+def test_natural_convection_is_weak_where_air_is_stable(upward, sign, h):
+    assert coefficient("buoyant", upward=upward, excess=sign * DIFFERENCE) == pytest.approx(
+        h, rel=0.01
+    )
+
+
+def test_wind_adds_by_each_law():
+    assert coefficient("mcadams", wind=2.0) == pytest.approx(13.3)
+    assert coefficient("watmuff", wind=2.0) == pytest.approx(8.8)
+    assert coefficient("constant", wind=2.0, constant=4.0) == pytest.approx(4.0)
+    assert coefficient("buoyant", wind=2.0) - coefficient("buoyant") == pytest.approx(10.0)
+
+
+# Air at 12.2 C, dew point 10 C, sky of emissivity .774: temperatures dry and with condensation.
+@pytest.mark.parametrize(("h", "dry", "wet"), [(13.3, 7.9, 8.9), (6.0, 5.0, 7.0), (3.0, 2.0, 4.4)])
+def test_dew_warms_an_insulated_plate(h, dry, wet):
+    flux = np.full((288, 1), 0.9 * 0.7743 * STEFAN_BOLTZMANN * 285.35**4)
+    for vapour, celsius in ((0.0, dry), (float(vapour_pressure_pa(283.15)), wet)):
+        forcing = forcing_of(flux, 285.35, emissivity=0.9, h=h, vapour_pa=vapour)
+        face, _ = periodic_start(Columns.of([slab_of(STEEL)]), forcing)
+        assert face[-1, 0] - 273.15 == pytest.approx(celsius, abs=0.1)
+
+
+# Slabs against exact solutions of conduction, and their periodic start and kernels against long
+# runs.
+
 
 LAYERS = (CONCRETE, ASPHALT, DRY_SOIL)
 GROUND = Columns.of([slab_of(layer) for layer in LAYERS])
