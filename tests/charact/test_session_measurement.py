@@ -1,12 +1,14 @@
-"""What one target of a session tells is known when the next is measured."""
+"""A session is measured whole: what each method gets, and in how many threads."""
 
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from charact.method import Context
+from charact.method import METHODS, Context, register
+from charact.method.registry import single_blas_thread
 from charact.session_measurement import _best_point, _with_measured_gap, measure, with_inputs
 from labdata import (
     BadInput,
@@ -20,6 +22,8 @@ from labdata import (
     sha256_of,
 )
 from tests.truth import EdgeScene, session_in_memory, stack_in_memory
+
+# What one target of a session tells is known when the next is measured.
 
 
 @pytest.fixture
@@ -222,3 +226,38 @@ def test_a_session_that_no_analysis_can_use_is_bad_input(tmp_path: Path, seed: i
     (tmp_path / "edge.npy").write_bytes(b"no array")
     with pytest.raises(BadInput):
         measure(tmp_path, quick=True)
+
+
+# A method works on one thread of the linear algebra library, whatever the process had, and gives
+# the others back.
+
+
+def threads() -> set[int]:
+    return {
+        library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
+
+
+@pytest.fixture
+def two_threads():
+    with threadpool_limits(limits=2, user_api="blas"):
+        yield
+
+
+def test_a_method_that_fails_gives_the_threads_back(two_threads):
+    @single_blas_thread()
+    def failing() -> None:
+        raise ValueError("on purpose")
+
+    with pytest.raises(ValueError, match="on purpose"):
+        failing()
+    assert threads() == {2}
+
+
+def test_a_registered_method_works_so(two_threads):
+    register("kind of this test", "counting", quantities=("mtf50",), scope="Counts threads.")(
+        lambda: Result(evidence={"threads": {"counts": threads()}})
+    )
+    method = METHODS.pop(("kind of this test", "counting"))
+    assert method.function().evidence["threads"]["counts"] == {1}
+    assert threads() == {2}

@@ -1,6 +1,4 @@
-"""The study harness tells lies from refusals, and its table makes `auto` take the cheaper of the
-good methods.
-"""
+"""The harness of studies, and cases that it holds out."""
 
 import json
 import time
@@ -12,17 +10,30 @@ from scipy.stats import binom
 
 from benchmarks.studies.chart import chart
 from benchmarks.studies.harness import percentile_limit, run, summary
-from benchmarks.studies.registry import STUDIES, methods_of
+from benchmarks.studies.held_out_cases import SEED, TABLE, check_held_out_choices
+from benchmarks.studies.registry import POINT, STUDIES, methods_of
 from benchmarks.studies.stability import stability
-from charact.method import Context, Method, registry
-from labdata import BadInput, Result, make_measurement, make_refusal, measurement_from_sd
+from charact.method import Context, Method, choose, registry
+from charact.method.registry import chart_table
+from labdata import (
+    BadInput,
+    FrameStack,
+    Result,
+    make_measurement,
+    make_refusal,
+    measurement_from_sd,
+)
 from tests.truth import EdgeScene, TrueBlur
 from tests.truth.cases import bars as bar_cases
 from tests.truth.cases import bloom as bloom_cases
 from tests.truth.cases import edge as edge_cases
 from tests.truth.cases import point as point_cases
 from tests.truth.cases.case import Case
-from tests.truth.cases.edge import chart_cases
+from tests.truth.cases.point import chart_cases
+
+# The study harness tells lies from refusals, and its table makes `auto` take the cheaper of the
+# good methods.
+
 
 TRUTH = TrueBlur().mtf50(5.0)
 
@@ -164,7 +175,7 @@ def test_auto_takes_the_cheaper_method_within_tolerance(tmp_path, monkeypatch):
 
 def _exact(relative_error: float, seconds: float):
     """A method that knows the truth of the charted cases, up to an error of its own."""
-    truth = {case.seed: case.truth for case in chart_cases(1, 4)}
+    truth = {case.seed: case.truth for case in edge_cases.chart_cases(1, 4)}
 
     def function(stack, *, context, **arguments):
         return _answering((truth[context.seed] or 0) * (1 + relative_error), 0.01, seconds=seconds)(
@@ -233,3 +244,101 @@ def test_every_registered_method_is_charted_on_the_same_cases_of_its_kind():
         assert own == {(row.case, row.seed) for row in found.rows if row.kind == method.kind}
         assert len(own) == 1
     assert all(row.status != "crashed" for row in found.rows), [row.reason for row in found.rows]
+
+
+# `auto` keeps its word on cases that no chart was drawn from: right, or told that it may not be.
+
+
+def least(cases: int) -> float:
+    """Three standard errors under 95 of 100."""
+    return 0.95 - 3 * np.sqrt(0.95 * 0.05 / cases)
+
+
+def test_edges_measured_by_auto_are_within_two_percent(seed):
+    """Right in 95 of 100, within 3 standard errors."""
+    (found,) = check_held_out_choices(
+        "mtf50", cases=8, seed=seed + 5000, tolerances=(2.0,), kinds=("edge",)
+    )
+    assert found.cases == 8
+    assert found.right / found.cases >= least(8)
+
+
+def test_points_measured_by_auto_are_within_the_tolerance_or_say_that_they_may_not_be(seed):
+    """At 1 % the light of one case in four is too little, and that it may be must be told."""
+    (found,) = check_held_out_choices(
+        "mtf50", cases=4, seed=seed + 5000, tolerances=(1.0,), kinds=("point",)
+    )
+    assert (found.right + found.told) / 4 >= least(4)
+
+
+@pytest.mark.parametrize(
+    ("value", "interval95", "flags", "told"),
+    [
+        (0.206, (0.204, 0.208), (), 0),
+        (0.206, (0.195, 0.208), (), 1),
+        (0.206, (0.204, 0.220), (), 1),
+        (0.206, (0.204, 0.208), ("low-signal",), 1),
+        (0.201, (0.150, 0.250), (), 0),
+    ],
+    ids=["narrow", "low end", "high end", "flagged", "right"],
+)
+def test_what_is_off_is_told_by_a_flag_or_by_an_interval_beyond_the_tolerance(
+    value, interval95, flags, told, monkeypatch
+):
+    """Truth 0.2; asked for 2 %."""
+
+    def function(stack, *, context, **arguments):
+        found = make_measurement(
+            "mtf50", "cy/px", value, interval95, interval95, method="fake", flags=flags
+        )
+        return Result(measurements=(found,))
+
+    fake = Method(kind="point", name="fake", quantities=("mtf50",), scope="none", function=function)
+    nothing = FrameStack(data=np.zeros((1, 4, 4)))
+    case = replace(chart_cases(1, 1)[0], truth=0.2, draw=lambda rng: nothing)
+    monkeypatch.setattr("benchmarks.studies.held_out_cases.choose", lambda *asked, **more: fake)
+    monkeypatch.setattr(
+        "benchmarks.studies.held_out_cases.studies_of",
+        lambda _: (replace(POINT, chart_cases=lambda seed, count: (case,)),),
+    )
+    (found,) = check_held_out_choices("mtf50", cases=1, tolerances=(2.0,), kinds=("point",))
+    assert (found.right, found.told) == (int(abs(value / 0.2 - 1) <= 0.02), told)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "kind", "within"),
+    [
+        ("mtf50", "edge", 2.0),
+        ("mtf50", "edge", 5.0),
+        ("covariance_gain", "flats", 5.0),
+        ("covariance_gain", "flats", 10.0),
+        ("covariance_gain", "flats", 20.0),
+    ],
+)
+def test_the_committed_study_keeps_it_too(quantity, kind, within):
+    table = json.loads(TABLE.read_text())
+    assert table["seed"] == SEED
+    (row,) = [
+        one for one in table[quantity] if one["kind"] == kind and one["within_percent"] == within
+    ]
+    assert row["right"] / row["cases"] >= least(row["cases"])
+
+
+def test_every_number_of_the_committed_study_is_right_or_told():
+    table = json.loads(TABLE.read_text())
+    rows = [row for quantity in ("mtf50", "mtf") for row in table[quantity]]
+    assert {row["kind"] for row in rows} == {"edge", "point", "bars"}
+    for row in rows:
+        assert (row["right"] + row["told"]) / row["cases"] >= least(row["cases"]), row
+
+
+def test_auto_takes_the_covariance_sum_for_a_gain_at_any_tolerance():
+    """It is the only estimator of a covariance gain; asked for more than it gives, it is taken all
+    the same.
+    """
+    rows = {row["method"]: row for row in chart_table("covariance_gain")}
+    assert set(rows) == {"covariance-sum"}
+    assert {choose("flats", within_percent=within).name for within in (1.0, 5.0, 20.0)} == {
+        "covariance-sum"
+    }
+    assert sum(row["silent"] for row in rows.values()) == 0

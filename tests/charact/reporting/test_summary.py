@@ -1,14 +1,45 @@
-"""What people read: the summary of any result fits one screen and hides no doubt; of a session
-every number, of a picture a line for each target and one for all together.
-"""
+"""The summary of a session, its front page, and the sheet of EMVA 1288."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
 import pytest
 
 from charact.cli.demo_loop import lines
 from charact.cli.output import print_result
-from charact.reporting import compare_with_truth, rows_of_file, sparkline, summary_of
+from charact.reporting import (
+    compare_with_truth,
+    emva_summary,
+    emva_xml,
+    fragment,
+    in_standard_unit,
+    is_tube,
+    leading,
+    rows_of_file,
+    sheet,
+    sheet_rows,
+    sparkline,
+    summary_of,
+    verdict,
+)
 from charact.verdict import Finding, judge
-from labdata import QUANTITIES, Measurement, Result, make_refusal, measurement_from_sd
+from labdata import (
+    QUANTITIES,
+    Measurement,
+    Result,
+    load_sensor,
+    make_refusal,
+    measurement_from_sd,
+    result_io,
+)
+from tests.truth.sessions import session_in_memory
+
+# What people read: the summary of any result fits one screen and hides no doubt; of a session
+# every number, of a picture a line for each target and one for all together.
+
 
 LONG = (
     "the light on the flats is unknown: illuminance_lux or photons_per_px of every flat is "
@@ -175,3 +206,174 @@ def test_a_bound_that_widens_an_interval_is_the_first_note():
     lines = text.splitlines()
     assert lines[1].endswith("ok")
     assert lines[2].startswith("note: gamma: not seen: at most 0.02 cy/px too high, by which")
+
+
+# The first page says no more than the numbers do.
+
+
+SESSION = session_in_memory(())
+NOTHING = Result(measurements=(make_refusal("mtf50", "cy/px", "no edge", method="m"),))
+UNITS = {"mtf50": "cy/px", "system_gain": "DN/e-", "read_noise": "DN", "prnu": "%"}
+
+
+def numbers(**flags: tuple[str, ...]) -> Result:
+    """Four quantities of a plain camera, with flags by quantity."""
+    made = [
+        measurement_from_sd(name, unit, 0.2, 0.01, method="m", flags=flags.get(name, ()))
+        for name, unit in UNITS.items()
+    ]
+    return Result(measurements=tuple(made))
+
+
+def outcome(passed: bool) -> Any:
+    """A validation of one statistic."""
+    return SimpleNamespace(
+        passed=passed, statistics=(SimpleNamespace(title="blur", passed=passed),), controls=()
+    )
+
+
+@pytest.mark.parametrize(
+    ("result", "validation", "status", "words"),
+    [
+        (numbers(), None, "ok", "all 4 leading numbers are ok"),
+        (numbers(), outcome(True), "ok", "simulated frames agree"),
+        (numbers(), outcome(False), "refused", "Do not trust the fitted sensor"),
+        (numbers(prnu=("drift",)), None, "suspect", "Look at 1 of 4"),
+        (numbers(prnu=("clipped",), mtf50=("saturated",)), None, "refused", "Do not trust: 2 of 4"),
+        (numbers(**dict.fromkeys(UNITS, ("drift",))), None, "refused", "Do not trust: 4 of 4"),
+        (NOTHING, None, "refused", "Nothing could"),
+    ],
+)
+def test_the_verdict_is_no_better_than_the_numbers(result, validation, status, words):
+    found = verdict(SESSION, result, validation)
+    assert found.status == status and words in found.heading
+
+
+def test_a_validation_that_fails_by_its_controls_names_the_null_control_alone():
+    def control(name: str, *noticed: str, passed: bool) -> SimpleNamespace:
+        return SimpleNamespace(name=name, title=f"{name} frames", passed=passed, noticed_by=noticed)
+
+    statistics = (SimpleNamespace(title="blur", passed=True),)
+    # A negative control that nothing notices is a limit of the validation, no failure.
+    unnoticed = control("negative", passed=False)
+    failed = SimpleNamespace(
+        passed=False,
+        statistics=statistics,
+        controls=(control("null", "point", passed=False), unnoticed),
+    )
+    assert verdict(SESSION, numbers(), failed).reasons == (
+        "a null control did not hold in point: null frames",
+    )
+    blind = SimpleNamespace(
+        passed=False, statistics=statistics, controls=(control("null", passed=True), unnoticed)
+    )
+    assert verdict(SESSION, numbers(), blind).reasons == ("no negative control was noticed",)
+
+
+def test_a_reason_names_quantity_finding_and_flag():
+    noted = (
+        numbers(prnu=("drift",))
+        .measurements[-1]
+        .with_(notes=("drift: 3 DN a frame; what settles it: a lamp",))
+    )
+    (reason,) = verdict(
+        SESSION, Result(measurements=(*numbers().measurements[:3], noted)), None
+    ).reasons
+    assert reason == "prnu: 3 DN a frame; what settles it: a lamp (drift)"
+
+
+def test_the_sheet_of_a_described_tube_is_in_its_units_and_an_ok_value_leads():
+    tube = replace(SESSION, camera=load_sensor("gen3-digital-iccd"))
+    doubtful, good = (
+        measurement_from_sd("mtf50", "cy/px", value, 0.01, method="m", stack=name, flags=flags)
+        for value, name, flags in ((0.1, "a", ("drift",)), (0.2, "b", ()))
+    )
+    assert leading(tube, Result(measurements=(doubtful, good))) == (good,)
+    assert sheet(tube, Result(measurements=(good,)))[0].value.endswith("lp/mm at cathode")
+
+
+def test_correlated_noise_makes_a_tube_of_an_unknown_camera():
+    covariance = measurement_from_sd("covariance_gain", "DN", 12.0, 0.1, method="m")
+    refused: Measurement = make_refusal("system_gain", "DN/e-", "correlated", method="m")
+    assert is_tube(SESSION, Result(measurements=(covariance, refused)))
+    assert not is_tube(SESSION, numbers())
+
+
+def test_the_result_of_one_analysis_replaces_its_quantities_only(tmp_path):
+    result_io.save(numbers(), tmp_path)
+    again = measurement_from_sd("prnu", "%", 0.5, 0.01, method="m")
+    result_io.save_into(Result(measurements=(again,)), tmp_path)
+    kept = result_io.load(tmp_path)
+    assert kept is not None and {m.quantity: m.value for m in kept.measurements} == {
+        "mtf50": 0.2,
+        "system_gain": 0.2,
+        "read_noise": 0.2,
+        "prnu": 0.5,
+    }
+
+
+# The EMVA 1288 summary stands for a camera of white noise, and says for any other why it does not.
+
+
+PLAIN = {"method": "variance"}
+
+
+def white(**more):
+    return (
+        measurement_from_sd("system_gain", "DN/e-", 0.28, 0.001, **PLAIN, **more),
+        measurement_from_sd("quantum_efficiency", "%", 45.2, 0.3, **PLAIN),
+        measurement_from_sd("read_noise", "DN", 3.1, 0.01, **PLAIN),
+        make_refusal("snr_max", "1", "no flat reaches saturation", **PLAIN),
+    )
+
+
+def test_figures_stand_under_the_standards_names_and_what_is_missing_is_named():
+    found = emva_summary(Result(measurements=white()))
+    assert found is not None and not found["reason"]
+    assert [(entry.symbol, entry.clause) for entry, *_ in found["rows"]] == [
+        ("η", "eq. 52"),
+        ("K", "eq. 50"),
+        ("1/K", "eq. 50"),
+        ("σ_y.dark", "eq. 53"),
+    ]
+    assert found["rows"][1][1].startswith("0.28")
+    assert "Largest signal-to-noise ratio" in found["left_out"]
+
+
+def test_a_ratio_in_decibels_and_the_inverse_gain_carry_their_intervals():
+    entries = {entry.symbol: entry for entry in sheet_rows()}
+    ratio = measurement_from_sd("snr_max", "1", 100.0, 5.0, **PLAIN)
+    shown = in_standard_unit(entries["SNR_max.dB"], ratio)
+    assert shown.value == 40.0 and shown.unit == "dB"
+    assert np.allclose(shown.interval95, 20 * np.log10(ratio.interval95))
+    gain = measurement_from_sd("system_gain", "DN/e-", 0.25, 0.01, **PLAIN)
+    inverse = in_standard_unit(entries["1/K"], gain)
+    assert inverse.value == 4.0
+    assert np.allclose(sorted(1.0 / np.array(gain.interval95)), inverse.interval95)
+
+
+def test_the_xml_states_symbol_clause_and_what_is_not_to_standard():
+    measurements = (*white(), measurement_from_sd("prnu", "%", 1.0, 0.01, **PLAIN))
+    sheet = ElementTree.fromstring(emva_xml(Result(measurements=measurements), "day"))
+    assert sheet.attrib["release"] == "4.0 Linear"
+    assert sheet.find("sensitivity/K").attrib["symbol"] == "K"
+    assert "high-pass" in sheet.find("spatial/PRNU1288").attrib["not_to_standard"]
+    assert "not_to_standard" not in sheet.find("sensitivity/QE").attrib
+
+
+def test_an_intensified_camera_gets_a_reason_and_no_figure():
+    """Either method: the variance's gain with its flag, or only the covariance gain."""
+    gain = measurement_from_sd("covariance_gain", "DN", 40.0, 0.3, method="covariance-sum")
+    for measurements in (white(flags=("correlated-noise",)), (gain,)):
+        found = emva_summary(Result(measurements=measurements))
+        assert found is not None and "rows" not in found and "blur factor" in found["reason"]
+
+
+def test_without_a_gain_there_is_nothing_to_say():
+    assert (
+        emva_summary(
+            Result(measurements=(make_refusal("system_gain", "DN/e-", "no flats", **PLAIN),))
+        )
+        is None
+    )
+    assert "EMVA" not in fragment(Result(measurements=white()))
