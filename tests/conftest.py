@@ -2,6 +2,8 @@
 
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -62,6 +64,19 @@ def test_seed() -> int:
 
 
 test_seed.__test__ = False
+
+
+@pytest.fixture(scope="session", autouse=True)
+def bench_servers() -> Iterator[None]:
+    """End the bench servers that still stand guard over instruments of a test that failed."""
+    run = f"CHARACT_TEST_RUN={os.getpid()}"
+    os.environ.update([run.split("=")])
+    yield
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            is_server = b"drivers.bench.server" in (process / "cmdline").read_bytes()
+            if is_server and run.encode() in (process / "environ").read_bytes().split(b"\0"):
+                os.kill(int(process.name), signal.SIGTERM)
 
 
 @pytest.fixture(scope="session")

@@ -197,7 +197,9 @@ class BenchServer:
         if leaving:
             self._client.send(Reply(number=leaving, value=(report, unwritten)))
         self._over.set()
-        if report is not None and not report.whole:
+        # A bench that could not be opened was not switched on here, and its ports must be free for
+        # the next run, unless a voltage is seen.
+        if report is not None and not report.whole and (self._is_open or report.residual_v):
             self._stand_guard()
         self._log("end", reason=reason, longest_silence_s=round(self._longest_silence_s, 3))
 

@@ -27,6 +27,11 @@ def log(tmp_path):
     return tmp_path / "safety.jsonl"
 
 
+def ends(server) -> bool:
+    """Whether a bench server ends by itself, so that the next run finds its ports free."""
+    return server.process.wait(20.0) == 0
+
+
 @pytest.fixture
 def bench(virtual, log):
     return open_bench(
@@ -50,6 +55,7 @@ def test_a_port_that_is_missing_is_told_at_once(virtual, log):
         bench,
     ):
         pass
+    assert ends(bench)
 
 
 def test_a_port_in_use_is_told_at_once(bench, virtual, log, tmp_path):
@@ -85,6 +91,7 @@ def test_swapped_cables_are_noticed_before_anything_is_switched_on(virtual, log)
     with pytest.raises(BenchError), bench:
         pass
     assert read_outputs(virtual.folder).mcp_v == 0
+    assert ends(bench)
 
 
 def test_a_client_that_talks_nonsense_to_its_server_loses_it_with_the_tube_safe(
