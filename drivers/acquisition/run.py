@@ -35,10 +35,10 @@ SAME, SAME_LIGHT = 1e-3, 0.02
 # Measured conditions without set-point; they may differ between runs
 OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")
 
-# Fraction of read noise that a video filter leaves, and number of pixels that rounding must let
-# deviate by it before no two frames are taken to be equal; where noise is unknown, the fraction of
-# pixels off the median that shows it (hot pixels are fewer)
-NOISE_LEFT, VARYING_PIXELS, VISIBLE_PIXELS = 0.5, 20.0, 0.01
+# Logarithm of the chance below which repeated pictures are no accident, and fraction of read noise
+# that a video filter leaves; where noise is unknown, the fraction of pixels off the median that
+# shows it (hot pixels are fewer)
+LOG_CHANCE, NOISE_LEFT, VISIBLE_PIXELS = -14.0, 0.5, 0.01
 VISIBLE_DN = 1.0  # Predicted level above black from which light has noise to be seen, DN
 # Factor by which a level above black may exceed the one that the description predicts (specimens
 # are within 2.5), and fraction of full scale by which it may exceed it in any case
@@ -405,25 +405,37 @@ class Run:
 class Freshness:
     """Notices frames of a stack that equal an earlier one under another number.
 
-    Noise makes every frame new. A camera that repeats its pictures shows no light of the room, so
-    that the second repeat ends the run; a dark without noise is noted alone. `pictures`: numbers of
-    the frames of the run so far, by their digests; `is_bright`: whether the light of the step must
-    show noise; `noise_dn`: read noise by the camera's description, DN; None if unknown.
+    Noise makes every frame new, and a camera that repeats its pictures shows no light of the room.
+    Where v pixels vary from picture to picture, two are equal by a chance of exp(-v), and k repeats
+    among n frames and m pictures happen by one of at most (n m exp(-v))^k: repeats that chance does
+    not explain end the run, and others are noted. `pictures`: numbers of the frames of the run so
+    far, by their digests; `is_bright`: whether the light of the step must show noise; `noise_dn`:
+    read noise by the camera's description, DN; None if unknown.
     """
 
     def __init__(
         self, pictures: dict[int, int], *, is_bright: bool, noise_dn: float | None
     ) -> None:
         self._is_bright, self._noise_dn = is_bright, noise_dn
-        self._pictures, self._repeats = pictures, 0
+        self._pictures, self._frames, self._repeats = pictures, 0, 0
+        self._newest: NDArray | None = None
+        self._fewest_differing = math.inf  # Smallest number of pixels between two new pictures
 
     def see(self, frame: Frame) -> None:
-        """Take a frame; the second repeat is BenchError where noise must show."""
+        """Take a frame; repeats that chance does not explain are BenchError."""
         rows = frame.pixels[:: max(1, frame.pixels.nbytes // DIGEST_BYTES)]
         first = self._pictures.get(digest := hash(rows.tobytes()))
         self._pictures[digest] = frame.number
-        self._repeats += first is not None
-        if first is not None and self._repeats > 1 and self._must_vary(rows):
+        self._frames += 1
+        if first is None:
+            if self._newest is not None:
+                differing = np.count_nonzero(rows != self._newest)
+                self._fewest_differing = min(self._fewest_differing, differing)
+            self._newest = rows
+            return
+        self._repeats += 1
+        log_chance = math.log(self._frames * len(self._pictures)) - self._varying_pixels(rows)
+        if self._repeats * log_chance < LOG_CHANCE:
             raise BenchError.of(
                 "camera",
                 "send a new picture under each number",
@@ -434,13 +446,17 @@ class Freshness:
         """Return a sentence on repeated frames, or None."""
         return f"{self._repeats} frames equal an earlier one" if self._repeats else None
 
-    def _must_vary(self, pixels: NDArray) -> bool:
-        if self._is_bright:
-            return True
-        if self._noise_dn is not None:
-            deviates = math.erfc(0.5 / (math.sqrt(2.0) * NOISE_LEFT * (self._noise_dn or 1e-9)))
-            return deviates * pixels.size > VARYING_PIXELS
-        return bool(np.count_nonzero(pixels != np.median(pixels)) > VISIBLE_PIXELS * pixels.size)
+    def _varying_pixels(self, pixels: NDArray) -> float:
+        """Return the number of pixels that vary: between new pictures, else by light or noise."""
+        if self._fewest_differing < math.inf or self._is_bright:
+            return self._fewest_differing
+        off_median = int(np.count_nonzero(pixels != np.median(pixels)))
+        if self._noise_dn is None:
+            return math.inf if off_median > VISIBLE_PIXELS * pixels.size else 0.0
+        # Pixels of one level deviate by half a code; those of several lie at any part of one.
+        noise_dn = max(NOISE_LEFT * self._noise_dn, 1e-9)
+        deviating = math.erfc(0.5 / (math.sqrt(2.0) * noise_dn)) * pixels.size
+        return deviating + min(1.0, noise_dn) * off_median
 
 
 class _Unwatched:

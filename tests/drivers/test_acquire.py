@@ -247,7 +247,7 @@ def spotted(number, size):
 
 
 @pytest.mark.parametrize(
-    ("first", "picture"), [(4, lambda n: 0), (4, lambda n: 90 + n // 99), (11, lambda n: n % 8)]
+    ("first", "picture"), [(3, lambda n: 0), (3, lambda n: 90 + n // 99), (10, lambda n: n % 8)]
 )
 def test_pictures_that_come_again_under_new_numbers_end_the_run(tmp_path, first, picture):
     rig = FakeRig()
@@ -262,6 +262,27 @@ def test_pictures_that_come_again_under_new_numbers_end_the_run(tmp_path, first,
     rig.picture = lambda number: np.full(fake_rig.SIZE, 12, np.uint8)
     session = take(rig, tmp_path / "dark", dark)
     assert "3 frames equal an earlier one" in session.stack("dark").notes
+
+
+def test_a_dark_whose_pictures_differed_may_not_repeat_one(tmp_path):
+    """Pictures that differ in two pixels repeat by chance, those that differ in all do not."""
+    dark = replace(PLAN, steps=(replace(PLAN.steps[0], frames=9),))
+    for changed, is_chance in ((2, True), (None, False)):
+        rig = FakeRig()
+
+        def picture(number, changed=changed):
+            pixels = np.full(fake_rig.SIZE, 12, np.uint8)
+            pixels.flat[:changed] += number % 3
+            return pixels
+
+        rig.picture = picture
+        if is_chance:
+            notes = take(rig, tmp_path / "few", dark).stack("dark").notes
+            assert "6 frames equal an earlier one" in notes
+        else:
+            with pytest.raises(BenchError, match="a new picture under each number"):
+                take(rig, tmp_path / "all", dark)
+            assert rig.frames_sent == 4
 
 
 @pytest.mark.parametrize(

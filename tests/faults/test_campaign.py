@@ -29,6 +29,7 @@ ENDS = {
     "power of an instrument gone": "must stay on",
     "trip of the supply": "the high-voltage supply must stay on",
     "camera stalls": "has sent no frame for",
+    "pictures come again": "a new picture under each number",
     "client killed": "SIGKILL",
     "client stopped": "SIGKILL",
     "client killed, supply silent": "SIGKILL",

@@ -432,6 +432,9 @@ KINDS: dict[str, Draw] = {
         lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3))), limit_s=5.0
     ),
     "camera stalls": _seen(lambda rng: Faults(stalled=True), silence_s=SILENCE_S, ends_run=True),
+    "pictures come again": _seen(
+        lambda rng: Faults(repeated_pictures=int(rng.integers(1, 9))), ends_run=True
+    ),
     "clocks jump": _clock_jump,
     KILL_CLIENT: _struck("client", KILL),
     "client stopped": _struck("client", STOP),
