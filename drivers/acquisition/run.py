@@ -39,6 +39,7 @@ OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "
 # that a video filter leaves; where noise is unknown, the fraction of pixels off the median that
 # shows it (hot pixels are fewer)
 LOG_CHANCE, NOISE_LEFT, VISIBLE_PIXELS = -14.0, 0.5, 0.01
+BLOCK_PX = 8  # Side of the blocks in which pictures differ independently, px
 VISIBLE_DN = 1.0  # Predicted level above black from which light has noise to be seen, DN
 # Factor by which a level above black may exceed the one that the description predicts (specimens
 # are within 2.5), and fraction of full scale by which it may exceed it in any case
@@ -406,11 +407,12 @@ class Freshness:
     """Notices frames of a stack that equal an earlier one under another number.
 
     Noise makes every frame new, and a camera that repeats its pictures shows no light of the room.
-    Where v pixels vary from picture to picture, two are equal by a chance of exp(-v), and k repeats
+    Where v parts vary from picture to picture, two are equal by a chance of exp(-v), and k repeats
     among n frames and m pictures happen by one of at most (n m exp(-v))^k: repeats that chance does
-    not explain end the run, and others are noted. `pictures`: numbers of the frames of the run so
-    far, by their digests; `is_bright`: whether the light of the step must show noise; `noise_dn`:
-    read noise by the camera's description, DN; None if unknown.
+    not explain end the run, and others are noted. Parts are blocks of pixels, since an ion or a
+    photoelectron shows in several. `pictures`: numbers of the frames of the run so far, by their
+    digests; `is_bright`: whether the light of the step must show noise; `noise_dn`: read noise by
+    the camera's description, DN; None if unknown.
     """
 
     def __init__(
@@ -419,7 +421,7 @@ class Freshness:
         self._is_bright, self._noise_dn = is_bright, noise_dn
         self._pictures, self._frames, self._repeats = pictures, 0, 0
         self._newest: NDArray | None = None
-        self._fewest_differing = math.inf  # Smallest number of pixels between two new pictures
+        self._fewest_differing = math.inf  # Parts between two new pictures
 
     def see(self, frame: Frame) -> None:
         """Take a frame; repeats that chance does not explain are BenchError."""
@@ -429,27 +431,29 @@ class Freshness:
         self._frames += 1
         if first is None:
             if self._newest is not None:
-                differing = np.count_nonzero(rows != self._newest)
+                differing = _differing_blocks(rows, self._newest)
                 self._fewest_differing = min(self._fewest_differing, differing)
             self._newest = rows
             return
         self._repeats += 1
-        log_chance = math.log(self._frames * len(self._pictures)) - self._varying_pixels(rows)
+        log_chance = math.log(self._frames * len(self._pictures)) - self._varying_parts(rows)
         if self._repeats * log_chance < LOG_CHANCE:
             raise BenchError.of(
                 "camera",
                 "send a new picture under each number",
                 f"frame {frame.number} equal to frame {first}: restart the camera",
             )
+        if log_chance >= 0.0:  # a quiet camera, whatever a later event shows
+            self._fewest_differing = 0
 
     def complaint(self) -> str | None:
         """Return a sentence on repeated frames, or None."""
         return f"{self._repeats} frames equal an earlier one" if self._repeats else None
 
-    def _varying_pixels(self, pixels: NDArray) -> float:
-        """Return the number of pixels that vary: between new pictures, else by light or noise."""
-        if self._fewest_differing < math.inf or self._is_bright:
-            return self._fewest_differing
+    def _varying_parts(self, pixels: NDArray) -> float:
+        """Return how many parts vary: by light, between new pictures, else by the read noise."""
+        if self._is_bright or self._fewest_differing < math.inf:
+            return math.inf if self._is_bright else self._fewest_differing
         off_median = int(np.count_nonzero(pixels != np.median(pixels)))
         if self._noise_dn is None:
             return math.inf if off_median > VISIBLE_PIXELS * pixels.size else 0.0
@@ -457,6 +461,14 @@ class Freshness:
         noise_dn = max(NOISE_LEFT * self._noise_dn, 1e-9)
         deviating = math.erfc(0.5 / (math.sqrt(2.0) * noise_dn)) * pixels.size
         return deviating + min(1.0, noise_dn) * off_median
+
+
+def _differing_blocks(first: NDArray, second: NDArray) -> int:
+    """Return the number of blocks in which two pictures differ."""
+    differs = first != second
+    for axis, size in enumerate(differs.shape):
+        differs = np.logical_or.reduceat(differs, range(0, size, BLOCK_PX), axis=axis)
+    return int(np.count_nonzero(differs))
 
 
 class _Unwatched:

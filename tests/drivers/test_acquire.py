@@ -9,11 +9,13 @@ import pytest
 
 from drivers import acquire
 from drivers.acquisition.plan_check import bytes_of, check_plan, picture_of
+from drivers.acquisition.run import Freshness
 from drivers.errors import BenchError, CameraError, InstrumentTripped
 from labdata import (
     BadInput,
     CameraSettings,
     Conditions,
+    Frame,
     FrameFormat,
     InstrumentConfig,
     Plan,
@@ -264,25 +266,21 @@ def test_pictures_that_come_again_under_new_numbers_end_the_run(tmp_path, first,
     assert "3 frames equal an earlier one" in session.stack("dark").notes
 
 
-def test_a_dark_whose_pictures_differed_may_not_repeat_one(tmp_path):
-    """Pictures that differ in two pixels repeat by chance, those that differ in all do not."""
-    dark = replace(PLAN, steps=(replace(PLAN.steps[0], frames=9),))
-    for changed, is_chance in ((2, True), (None, False)):
-        rig = FakeRig()
-
-        def picture(number, changed=changed):
-            pixels = np.full(fake_rig.SIZE, 12, np.uint8)
-            pixels.flat[:changed] += number % 3
-            return pixels
-
-        rig.picture = picture
-        if is_chance:
-            notes = take(rig, tmp_path / "few", dark).stack("dark").notes
-            assert "6 frames equal an earlier one" in notes
-        else:
+@pytest.mark.parametrize(("side", "ends_at"), [(8, None), (64, 4)])
+def test_a_dark_whose_pictures_differ_everywhere_may_not_repeat_one(side, ends_at):
+    """Pictures that differ in one spot repeat by chance, those that differ in 64 do not."""
+    pictures: dict[int, int] = {}
+    fresh = Freshness(pictures, is_bright=False, noise_dn=0.1)
+    for number in range(1, 10):
+        pixels = np.full((64, 64), 12, np.uint8)
+        pixels[:side, :side] += number % 3
+        frame = Frame(pixels=pixels, number=number, time_s=0.0)
+        if number == ends_at:
             with pytest.raises(BenchError, match="a new picture under each number"):
-                take(rig, tmp_path / "all", dark)
-            assert rig.frames_sent == 4
+                fresh.see(frame)
+            return
+        fresh.see(frame)
+    assert fresh.complaint() == "6 frames equal an earlier one"
 
 
 @pytest.mark.parametrize(
