@@ -19,12 +19,7 @@ from charact.transfer.pupil import (
     pupils_from_table,
 )
 from charact.transfer.stages import clear_pupil
-from charact.transfer.tables import (
-    MOFFAT_EXPONENT,
-    ln_bessel_transfer,
-    moffat_grid,
-    moffat_table,
-)
+from charact.transfer.tables import ln_bessel_transfer, moffat_grid, moffat_table
 from labdata import Array
 
 # Half frequency of a clear pupil in focus over its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
@@ -89,15 +84,7 @@ class Moffat(Core):
     """
 
     name = "moffat"
-    shape = (
-        Parameter(
-            name="moffat_exponent",
-            unit="1",
-            low=MOFFAT_EXPONENT[0],
-            high=MOFFAT_EXPONENT[1],
-            start=2.5,
-        ),
-    )
+    shape = (Parameter(name="moffat_exponent", unit="1", low=1.2, high=8.0, start=2.5),)
 
     def attenuation(self, x: Array, shape: Sequence[float]) -> Array:
         """As of `Core`, x as in the equation."""

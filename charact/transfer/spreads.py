@@ -8,14 +8,12 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.transfer.form import MIN_LN
 from charact.transfer.stages import image_tube
-from charact.transfer.tables import disc, ln_bessel_transfer, sine_integral
+from charact.transfer.tables import disc, moffat_table, sine_integral
 
 Array = NDArray[np.float64]
 
-# Logarithmic arguments and orders of the Moffat table.
-ARGUMENTS = np.linspace(-10.0, 4.0, 1400)
-ORDERS = np.linspace(0.02, 3.2, 160)
 # Fractions of the halo's light with the densities 1/sqrt(1 - x^2) (rim), arccos(x)/x (central
 # peak), x^2 and x^12 (rim of finite width), with x the radius over the disc's radius; half of the
 # highest power.
@@ -48,19 +46,19 @@ def tube(frequency: Array, cut_off: Array, exponent: Array) -> Array:
 
 
 def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
-    """Transform of (1 + (r/a)^2)^-b, 2^(2-b)/Gamma(b-1) u^(b-1) K_(b-1)(u), u = 2 pi a f;
-    tabulated.
-    """
-    with np.errstate(divide="ignore"):
-        log_argument = np.log(2.0 * np.pi * radius_px[:, None] * frequency)
-    row, weight = _four(ORDERS, exponent - 1.0)
-    lines = np.einsum("dr,dra->da", weight, _moffat_table()[row])
-    positions, weights = _four(ARGUMENTS, np.clip(log_argument, ARGUMENTS[0], ARGUMENTS[-1]))
+    """Transform of (1 + (r/a)^2)^-b, see `charact.transfer.cores.Moffat`; frequencies from 0 on."""
+    ln_ratios, inverse, ln, scales = moffat_table()
+    row, weight = _four(inverse, 1.0 / exponent)
+    lines = np.einsum("dr,dra->da", weight, ln[row])
+    ln_half = np.log(2.0) + np.sum(weight * scales[row], axis=1) / (exponent - 1.0)
+    ln_scale = np.log(2.0 * np.pi * radius_px) - ln_half
+    ln_ratio = ln_scale[:, None] + np.log(np.maximum(frequency, LEAST_CY_PER_PX))
+    positions, weights = _four(ln_ratios, np.clip(ln_ratio, ln_ratios[0], ln_ratios[-1]))
     out = sum(
         weights[..., node] * np.take_along_axis(lines, positions[..., node], axis=1)
         for node in range(4)
     )
-    return np.where(log_argument < ARGUMENTS[-1], out, 0.0)
+    return np.where(frequency > 0.0, np.exp(np.maximum(out, MIN_LN)), 1.0)
 
 
 def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
@@ -112,11 +110,6 @@ def _power_table() -> tuple[Array, ...]:
         return (n + 1) * (weight @ np.array(sonine[: n + 1]))
 
     return power(1), power(RIM)
-
-
-@lru_cache(maxsize=1)
-def _moffat_table() -> Array:
-    return np.exp(ln_bessel_transfer(np.exp(ARGUMENTS), ORDERS[:, None]))
 
 
 def _four(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
