@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 from charact.estimators.bloom.defects import with_sound_pixels
-from charact.estimators.bloom.extent_measurements import add_findings
 from charact.method import Context, choose
 from labdata import BadInput, Result, Session
 from labdata.lazy_names import import_on_first_use
@@ -57,7 +56,7 @@ def measure(
     if method == EXTENDED or (
         method == "auto" and session.of_kind("edge") and not session.of_kind("point")
     ):
-        return _with_findings(choose(EXTENDED).function(session, context=context))
+        return choose(EXTENDED).function(session, context=context)
     session, bad = with_sound_pixels(session)
     chosen = choose("bloom", method, within_percent=within_percent)
     if not session.of_kind("point"):
@@ -65,24 +64,7 @@ def measure(
             "blooming needs stacks of kind point, got only "
             f"{sorted({s.kind for s in session.stacks})}"
         )
-    notes = (
-        (f"{bad} stuck, hot or hit pixels are excluded or replaced by their neighbours' mean",)
-        if bad
-        else ()
-    )
-    return _with_findings(chosen.function(session, context=context), notes)
-
-
-def _with_findings(result: Result, notes: tuple[str, ...] = ()) -> Result:
-    """Add the effect and the remedy of each flag to a result."""
-    forms = result.evidence.get("bloom-forms", {}).get("table", [])
-    effects = (
-        {"model-misfit": f"rings deviate by {forms[0]['off_percent']:.2g} % of their signal"}
-        if forms
-        else {}
-    )
-    out = (
-        add_findings(measurement.with_(notes=(*measurement.notes, *notes)), effects)
-        for measurement in result.measurements
-    )
-    return replace(result, measurements=tuple(out))
+    result = chosen.function(session, context=context)
+    note = f"{bad} stuck, hot or hit pixels are excluded or replaced by their neighbours' mean"
+    noted = (m.with_(notes=(*m.notes, note)) if bad else m for m in result.measurements)
+    return replace(result, measurements=tuple(noted))

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import PointStack
 from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
 from charact.frames.rounding import QUANTISATION_DN2
 from charact.method import Context
+from charact.verdict import judge
 from labdata import Array, Mask
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
@@ -371,8 +373,13 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
         names = (("streak_length", "px"), ("streak_level", "DN"))
         return [make_refusal(name, unit, reason, **common) for name, unit in names]
     streak = streak_of(spot, context)
-    flags = ("window-too-small",) if streak.meets_border or spot.touches_border else ()
-    flags += ("several-targets",) if streak.uneven else ()
+    findings = []
+    if streak.meets_border or spot.touches_border:
+        findings.append(finding("window-too-small"))
+    if streak.uneven:
+        findings.append(
+            finding("several-targets", "the streak is longer on one side, unlike overflow")
+        )
     if streak.length_px < 0.5:
         reason = f"the source stays below half of full scale, {half:.4g} DN"
         length = make_refusal("streak_length", "px", reason, refusal="not-applicable", **common)
@@ -383,9 +390,8 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
             column = spot.image[:, int(np.clip(round(spot.col), 0, spot.image.shape[1] - 1))]
             lower = float((column >= 0.5 * spot.full_scale_dn).sum()) - spot.streak_px
             sd = float(np.hypot(sd, lower / 1.96))
-        length = measurement_from_sd(
-            "streak_length", "px", streak.length_px, sd, flags=flags, **common
-        )
+        number = measurement_from_sd("streak_length", "px", streak.length_px, sd, **common)
+        length = judge(number, findings)
     reason = ""
     if not streak.overflows:
         reason = (
@@ -397,17 +403,9 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
             "alike there"
         )
     elif streak.clipped:
-        flags += ("clipped",)
-        common["notes"] = (
-            *common.get("notes", ()),
-            "lower limit of the full well: the streak is at full scale",
-        )
+        findings.append(finding("clipped"))
     if reason:
         kind = "failed" if streak.overflows else "not-applicable"
         return [length, make_refusal("streak_level", "DN", reason, refusal=kind, **common)]
-    return [
-        length,
-        measurement_from_sd(
-            "streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common
-        ),
-    ]
+    level = measurement_from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, **common)
+    return [length, judge(level, findings)]

@@ -1,8 +1,5 @@
-"""Measurements of every stack: bloom diameters, axis ratio, saturated area, streak; flags with
-their findings.
-"""
+"""Measurements of every stack: bloom diameters, axis ratio, saturated area, streak."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,19 +7,17 @@ import numpy as np
 
 from charact.estimators.bloom.column_artefacts import streak_measurements
 from charact.estimators.bloom.extent import Extent
+from charact.estimators.bloom.findings import finding, judge_region
 from charact.estimators.bloom.point_stack import DETECTED, PointStack
-from charact.estimators.bloom.series_consistency import check_consistency
-from charact.estimators.bloom.smear import smear_measurement
 from charact.estimators.bloom.source_view import SECTORS
 from charact.method import Context
-from charact.verdict import Finding, judge
-from labdata import Camera, Session, has_tube
+from charact.verdict import Finding
+from labdata import Camera, has_tube
 from labdata.measurement import (
     Interval,
     Measurement,
     Provenance,
     Refusal,
-    Result,
     make_measurement,
     make_refusal,
     measurement_from_draws,
@@ -95,64 +90,58 @@ def bloom_measurements(
     return out
 
 
-def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
-    """Return the quality flags of a bloom extent."""
-    flags = quantisation_flags(spot)
-    flags += ("window-too-small",) if extent.touches_border else ()
-    is_uncertain = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(
-        3.0, 0.3 * extent.diameter_px
-    )
-    flags += ("low-signal",) if is_uncertain or not (extent.has_contour or extent.pulled) else ()
+def findings_of(spot: PointStack, extent: Extent) -> list[Finding]:
+    """Return the findings of a bloom extent."""
+    interval_px = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0])
+    is_uncertain = interval_px > max(3.0, 0.3 * extent.diameter_px)
     rows, cols = extent.region.shape
-    source_pixels = [(round(source.row), round(source.col)) for source in spot.other_sources]
-    contains_source = [
-        extent.region[row, col] for row, col in source_pixels if row < rows and col < cols
-    ]
-    flags += ("several-targets",) if any(contains_source) else ()
+    pixels = [(round(source.row), round(source.col)) for source in spot.other_sources]
     # A background below the dark level indicates different conditions.
     is_below_dark = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)
-    return flags + (("unlike-conditions",) if is_below_dark else ())
+    checks = {
+        "quantised": is_quantised(spot),
+        "window-too-small": extent.touches_border,
+        "low-signal": is_uncertain or not (extent.has_contour or extent.pulled),
+        "several-targets": any(
+            extent.region[row, col] for row, col in pixels if row < rows and col < cols
+        ),
+        "unlike-conditions": is_below_dark,
+    }
+    return [finding(flag) for flag, is_raised in checks.items() if is_raised]
 
 
-def quantisation_flags(spot: PointStack) -> tuple[str, ...]:
-    """Flag stacks whose few grey values shift threshold crossings and hide faint signal."""
-    return ("quantised",) if spot.full_scale_dn - spot.dark_dn < 20 else ()
-
-
-def _reason(spot: PointStack, name: str) -> str:
-    """Refusal reason of a stack without a region at a threshold."""
-    if reason := spot.why_undetected:
-        return reason
-    level = {"bloom_diameter": spot.half_dn, "bloom_diameter_clip": spot.full_scale_dn}.get(name)
-    if level is not None:
-        return f"the source stays below {LEVELS[name]}, {level:.4g} DN"
-    if not spot.dark_known:
-        return "the dark level and the background above it are unknown: a dark frame is needed"
-    if not spot.light.is_uniform:
-        return "the signal still falls at the border of the frame: the background is not visible"
-    if not spot.light.is_illuminated:
-        return f"no measurable background: {spot.light.level_dn:.2g} DN above dark"
-    return f"the source stays below {LEVELS[name]}, {spot.dark_dn + 2 * spot.light.level_dn:.4g} DN"
-
-
-def _refusal(spot: PointStack, name: str) -> Refusal:
-    """Return the kind of refusal: a detected source that stays below a level has no extent at that
-    level.
-    """
-    if spot.why_undetected:
-        return "failed"
-    if name in ("bloom_diameter", "bloom_diameter_clip"):
-        return "not-applicable"
-    if not spot.dark_known:
-        return "missing"
-    return "not-applicable" if spot.light.is_uniform else "failed"
+def is_quantised(spot: PointStack) -> bool:
+    """Return whether few grey values shift threshold crossings and hide faint signal."""
+    return spot.full_scale_dn - spot.dark_dn < 20
 
 
 def _below_level(
     quantity: str, unit: str, spot: PointStack, name: str, **common: Any
 ) -> Measurement:
     """Refuse a quantity of the region at a level that the source does not reach."""
-    return make_refusal(quantity, unit, _reason(spot, name), refusal=_refusal(spot, name), **common)
+    levels = {
+        "bloom_diameter": spot.half_dn,
+        "bloom_diameter_clip": spot.full_scale_dn,
+        "bloom_diameter_background": spot.dark_dn + 2 * spot.light.level_dn,
+    }
+    reason = f"the source stays below {LEVELS[name]}, {levels[name]:.4g} DN"
+    kind: Refusal = "not-applicable"
+    if spot.why_undetected:
+        reason, kind = spot.why_undetected, "failed"
+    elif name == "bloom_diameter_background":
+        if not spot.dark_known:
+            reason, kind = (
+                "the dark level and the background above it are unknown: a dark frame is needed",
+                "missing",
+            )
+        elif not spot.light.is_uniform:
+            reason, kind = (
+                "the signal still falls at the border of the frame: the background is not visible",
+                "failed",
+            )
+        elif not spot.light.is_illuminated:
+            reason = f"no measurable background: {spot.light.level_dn:.2g} DN above dark"
+    return make_refusal(quantity, unit, reason, refusal=kind, **common)
 
 
 def _diameter(name: str, spot: PointStack, extent: Extent | None, **common: Any) -> Measurement:
@@ -162,9 +151,8 @@ def _diameter(name: str, spot: PointStack, extent: Extent | None, **common: Any)
         return make_refusal(
             name, "px", f"the complete frame is at or above {LEVELS[name]}", **common
         )
-    return _measurement_around(
-        name, "px", extent.diameter_px, extent.draws, flags=flags_of(spot, extent), **common
-    )
+    number = _measurement_around(name, "px", extent.diameter_px, extent.draws, **common)
+    return judge_region(number, findings_of(spot, extent))
 
 
 def _measurement_around(
@@ -173,9 +161,8 @@ def _measurement_around(
     """Measurement with the quantiles of its draws; the intervals include the value."""
     drawn = measurement_from_draws(name, unit, draws, **common)
     ends = (drawn.interval68 or (value, value), drawn.interval95 or (value, value))
-    return make_measurement(
-        name, unit, value, *((min(low, value), max(high, value)) for low, high in ends), **common
-    )
+    around68, around95 = ((min(low, value), max(high, value)) for low, high in ends)
+    return replace(drawn, value=value, interval68=around68, interval95=around95)
 
 
 def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
@@ -194,9 +181,8 @@ def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
             refusal="not-applicable",
             **common,
         )
-    return make_measurement(
-        "bloom_ellipticity", "1", *estimate, flags=flags_of(spot, spot.half), **common
-    )
+    number = make_measurement("bloom_ellipticity", "1", *estimate, **common)
+    return judge_region(number, findings_of(spot, spot.half))
 
 
 def _areas_at_full_scale(
@@ -228,15 +214,13 @@ def _areas_at_full_scale(
     pixel_count_error = (
         0.84 * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
     )
-    flags = flags_of(spot, spot.clip)
+    draws = np.maximum(draws + pixel_count_error, 0.0)
     return [
-        _measurement_around(
-            "saturated_area",
-            unit,
-            value * pixel_area,
-            np.maximum(draws + pixel_count_error, 0.0) * pixel_area,
-            flags=flags,
-            **common,
+        judge_region(
+            _measurement_around(
+                "saturated_area", unit, value * pixel_area, draws * pixel_area, **common
+            ),
+            findings_of(spot, spot.clip),
         )
         for unit, pixel_area in units.items()
     ]
@@ -299,81 +283,3 @@ def series_evidence(
             for name in ("significance", "dark_dn", "full_scale_dn")
         },
     }
-
-
-def add_common_measurements(
-    session: Session,
-    spots: tuple[PointStack, ...],
-    of_series: list[Measurement],
-    evidence: dict[str, Any],
-    *,
-    context: Context,
-    **fields: Any,
-) -> Result:
-    """Add extents, streaks, background depressions and consistency flags to the measurements of a
-    series.
-
-    `of_series`, `evidence`: measurements of the method, common or with their stack's label, and
-    figure data.
-    """
-    steady = check_consistency(session, spots, context, **fields)
-    smear, of_smear = smear_measurement(spots, context, **fields)
-    extents = bloom_measurements(
-        spots, square=not has_tube(context.camera), sensor=context.camera, **fields
-    )
-    flagged = [
-        measurement
-        if measurement.status == "refused"
-        else measurement.with_(flags=steady.flags.get(measurement.stack or "", steady.halo_flags))
-        for measurement in (*of_series, smear, *extents)
-    ]
-    halo_evidence = evidence.get("halo-constancy")
-    halos = (
-        dict(zip(halo_evidence["label"], halo_evidence["halo_diameter_px"], strict=True))
-        if halo_evidence
-        else {}
-    )
-    drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
-    return Result(measurements=(*flagged, *steady.measurements), evidence=drawn)
-
-
-# Remedy of each flag of this package.
-REMEDIES = {
-    "model-misfit": "a frame with a single round source, and a stack between those that differ",
-    "prior-bound": "a stack with an unclipped core",
-    "window-too-small": "a larger frame, or the source closer to its centre",
-    "several-targets": "one source in the frame, or `roi` around one of them",
-    "quantised": "a higher camera gain or more bits, so that noise exceeds 1 DN",
-    "low-signal": "more frames, or more light",
-    "unlike-conditions": "darks and point stacks taken at the same gain, gate and exposure",
-    "agc": "automatic gain and brightness control switched off",
-    "drift": "a stationary source and a stable lamp, or fewer frames per stack",
-    "lag": "a pause after switch-off, and stacks of a constant source",
-    "dark-mismatch": "dark frames taken with the point stacks, at the same gain, gate and exposure",
-    "clipped": "a stack whose streak stays below full scale",
-    "extrapolated": "a second stack with smear",
-    "nonlinear": "stated illuminance proportional to the lamp's",
-    "gradient": "a mask without leaks, or a frame of the mask with its pinhole closed",
-    "not-converged": "another `seed`, or more frames",
-}
-
-
-def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = None) -> Measurement:
-    """Add effect and remedy of each flag to a measurement; a refused one is returned unchanged.
-
-    `effects`: effect size by flag, where measured; otherwise the interval gives the scale.
-    """
-    value = measurement.value
-    if measurement.status == "refused" or value is None:
-        return measurement
-    low, high = measurement.interval95 or (value, value)
-    unit = "" if measurement.unit == "1" else f" {measurement.unit}"
-    half = (
-        f"{measurement.quantity} may be wrong by more than its half interval of "
-        f"{0.5 * (high - low):.3g}{unit}"
-    )
-    findings = [
-        Finding(flag=flag, effect=(effects or {}).get(flag, half), remedy=REMEDIES[flag])
-        for flag in measurement.flags
-    ]
-    return judge(measurement, findings)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.bloom.extent_measurements import provenance
+from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.lit_edge_profile import LitEdgeLine, Strips, edge_line, strips_of
 from charact.estimators.bloom.series.halo_models import (
     LEAST_DIAMETER_PX,
@@ -21,6 +22,7 @@ from charact.inference import importance_sample, laplace
 from charact.method import Context, register
 from charact.transfer import spreads
 from charact.transfer.form import Parameter
+from charact.verdict import judge
 from labdata import (
     Array,
     BadInput,
@@ -330,21 +332,25 @@ def _measure(
             "the halo diameter is uncertain by more than 10 %: a fainter, unclipped stack would "
             "locate the edge"
         )
-    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(best)
+    findings = [finding(flag) for flag in posterior.flags if flag != "prior-bound"]
+    if _is_misfit(best):
+        findings.append(finding("model-misfit", "the strips deviate from the model beyond noise"))
     # Maximum halo radius over the distance to the border.
-    flags += ("window-too-small",) if float(np.median(diameter)) > 2 * 0.85 * line.dark_px else ()
+    if float(np.median(diameter)) > 2 * 0.85 * line.dark_px:
+        findings.append(finding("window-too-small"))
     notes = (
         () if has_tube(context.camera) else ("the row pitch is unknown: pixels are assumed square",)
     )
     notes += (
         () if session.of_kind("dark") else ("the black level is estimated from the darkest pixels",)
     )
-    common = {"flags": flags, "notes": notes, "posterior": posterior, **fields}
-    out = [measurement_from_draws("halo_diameter", "px", diameter, **common)]
+    common = {"notes": notes, "posterior": posterior, **fields}
+    out = [judge(measurement_from_draws("halo_diameter", "px", diameter, **common), findings)]
     if all(stack_strips.cut for stack_strips in strips):
         reason = "every stack is clipped: the signal of the bright side is unknown"
         return [*out, make_refusal("halo_fraction", "1", reason, **fields)]
-    return [*out, measurement_from_draws("halo_fraction", "1", fraction, **common)]
+    number = measurement_from_draws("halo_fraction", "1", fraction, **common)
+    return [*out, judge(number, findings)]
 
 
 def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Strips, ...]]:
@@ -434,7 +440,8 @@ def _average_models(
     return draws[:, 0], draws[:, 1]
 
 
-def _misfit(best: EdgeHaloOptimum) -> tuple[str, ...]:
+def _is_misfit(best: EdgeHaloOptimum) -> bool:
+    """Return whether the strips deviate from the model by more than noise."""
     from scipy.special import chdtrc
 
     problem, point = best.problem, best.point[None]
@@ -443,7 +450,7 @@ def _misfit(best: EdgeHaloOptimum) -> tuple[str, ...]:
         for number in range(len(problem.strips))
     )
     freedom = sum(int(strips.unclipped.sum()) - 2 for strips in problem.strips) - len(best.point)
-    return ("model-misfit",) if chdtrc(max(freedom, 1), total) < 1e-4 else ()
+    return bool(chdtrc(max(freedom, 1), total) < 1e-4)
 
 
 def _evidence(best: EdgeHaloOptimum) -> dict[str, Any]:

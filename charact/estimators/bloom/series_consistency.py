@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from charact.estimators.bloom.findings import finding, judge_region
 from charact.estimators.bloom.over_time import (
     FrameSeries,
     drift_of,
@@ -16,6 +17,7 @@ from charact.estimators.bloom.over_time import (
 )
 from charact.estimators.bloom.point_stack import DETECTED, PointStack, has_same_settings
 from charact.method import Context
+from charact.verdict import Finding
 from labdata import Array, Measurement, Session, make_refusal, measurement_from_sd
 
 # Standard errors at which a fall of the background, or a dark mismatch, is significant.
@@ -28,18 +30,24 @@ DECIBEL = 20.0 / np.log(10.0)
 class SeriesConsistency:
     """Inconsistencies of a series.
 
-    `flags`: flags of each stack's measurements, by label; `measurements`: background depression of
-    every stack but the faintest, and recovery times; `evidence`: figure data.
+    `findings`: those of each stack's measurements, by label; `measurements`: background depression
+    of every stack but the faintest, and recovery times; `evidence`: figure data.
     """
 
-    flags: dict[str, tuple[str, ...]]
+    findings: dict[str, list[Finding]]
     measurements: tuple[Measurement, ...]
     evidence: dict[str, dict[str, Any]]
 
-    @property
-    def halo_flags(self) -> tuple[str, ...]:
-        """Flags of the quantities common to all stacks."""
-        return tuple(sorted({flag for flags in self.flags.values() for flag in flags}))
+    def judge(self, measurement: Measurement) -> Measurement:
+        """Judge a measurement by the findings of its stack, or a common one by those of all; a
+        refusal is none of theirs.
+        """
+        if measurement.value is None:
+            return measurement
+        if measurement.stack in self.findings:
+            return judge_region(measurement, self.findings[measurement.stack])
+        flags = {check.flag for checks in self.findings.values() for check in checks}
+        return judge_region(measurement, map(finding, sorted(flags)))
 
 
 def check_consistency(
@@ -48,7 +56,7 @@ def check_consistency(
     """Check a series from stack to stack and from frame to frame; `fields` are common to its
     measurements.
 
-    Flags: `agc` where the background falls below that of the faintest stack at the same settings;
+    `agc` where the background falls below that of the faintest stack at the same settings;
     `drift` where the source moves, or its signal or the background drifts; `lag` where the source
     is switched off and decays; `dark-mismatch` where noise contradicts the dark level, or the
     background lies below it. Decay of a constant source changes no mean and is not flagged.
@@ -59,18 +67,21 @@ def check_consistency(
     watched = tuple(
         frame_series(spot, session.stack(spot.label).read(), context.pitch_ratio) for spot in shown
     )
-    flags = {spot.label: () for spot in spots} | {
-        series.spot.label: _in_time(series) for series in watched
-    }
-    for label, own_flags in _between(watched, flags, _dark_variance(session)).items():
-        flags[label] += own_flags
+    findings: dict[str, list[Finding]] = {spot.label: [] for spot in spots}
+    findings |= {series.spot.label: _in_time(series) for series in watched}
     # A source that moves away has not been switched off.
-    still = tuple(series for series in watched if "lag" in flags[series.spot.label])
-    out = [*_depressions(watched, flags, **fields), *recoveries(still, context.seed, **fields)]
+    still = tuple(
+        series
+        for series in watched
+        if any(check.flag == "lag" for check in findings[series.spot.label])
+    )
+    for label, checks in _between(watched, findings, _dark_variance(session)).items():
+        findings[label] += checks
+    out = [*_depressions(watched, findings, **fields), *recoveries(still, context.seed, **fields)]
     evidence = {
         "figure": "bloom-constancy",
         "label": [series.spot.label for series in watched],
-        "flags": [list(flags[series.spot.label]) for series in watched],
+        "flags": [[check.flag for check in findings[series.spot.label]] for series in watched],
         "background_dn": [series.background_dn for series in watched],
         "background_sd_dn": [series.background_sd_dn for series in watched],
         "time_s": [series.time_s.tolist() for series in watched],
@@ -79,7 +90,7 @@ def check_consistency(
         "light": [_finite_or_none(series.light_by_frame) for series in watched],
     }
     return SeriesConsistency(
-        flags=flags, measurements=tuple(out), evidence={"bloom-constancy": evidence}
+        findings=findings, measurements=tuple(out), evidence={"bloom-constancy": evidence}
     )
 
 
@@ -87,26 +98,39 @@ def _finite_or_none(values: Array) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def _in_time(watched: FrameSeries) -> tuple[str, ...]:
-    """Flags of one stack from its own frames."""
-    travel, change = drift_of(watched)
-    if travel == 0 and frames_before_switch_off(watched) is not None:
-        return ("lag",)
-    return ("drift",) if travel > 0 or change > 0 else ()
+def _in_time(watched: FrameSeries) -> list[Finding]:
+    """Findings of one stack from its own frames.
+
+    Where every frame of a source that moves by t is at or above a threshold, or below it, so is
+    their mean. Between both lies an area of up to t d at a bloom of diameter d: d changes by up to
+    2 t / pi.
+    """
+    travel_px, change = drift_of(watched)
+    if travel_px == 0 and frames_before_switch_off(watched) is not None:
+        return [finding("lag")]
+    if change > 0:
+        effect = f"light or background change by {100 * change:.2g} % through the stack"
+        return [finding("drift", effect)]
+    effect = f"the source moves by {travel_px:.2g} px through the stack"
+    return [finding("drift", effect, 2.0 * travel_px / np.pi)] if travel_px > 0 else []
 
 
 def _between(
-    watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], dark_variance: float | None
-) -> dict[str, tuple[str, ...]]:
-    """Flags of each stack by comparison with the others."""
-    out: dict[str, tuple[str, ...]] = {}
+    watched: tuple[FrameSeries, ...],
+    findings: dict[str, list[Finding]],
+    dark_variance: float | None,
+) -> dict[str, list[Finding]]:
+    """Findings of each stack by comparison with the others."""
+    out: dict[str, list[Finding]] = {}
     # Motion in one stack may occur less clearly in others, and varies like noise.
-    is_steady = not any("drift" in own_flags for own_flags in flags.values())
+    is_steady = not any(check.flag == "drift" for checks in findings.values() for check in checks)
     for stack in watched:
         reference = _faintest(watched, stack)
         # Stacks with the same dark level have the same error.
         same = tuple(
-            o for o in watched if o.spot.dark_dn == stack.spot.dark_dn and not flags[o.spot.label]
+            other
+            for other in watched
+            if other.spot.dark_dn == stack.spot.dark_dn and not findings[other.spot.label]
         )
         misfit = (
             dark_level_error(same, dark_variance) if stack.spot.dark_known and is_steady else None
@@ -119,10 +143,11 @@ def _between(
             is_dark_wrong |= abs(misfit[0]) > max(
                 SEEN * misfit[1], 0.3, 0.1 * abs(reference.background_dn)
             )
-        fallen = _has_background_fallen(reference, stack)
-        out[stack.spot.label] = (("agc",) if fallen else ()) + (
-            ("dark-mismatch",) if is_dark_wrong else ()
-        )
+        checks = {
+            "agc": _has_background_fallen(reference, stack),
+            "dark-mismatch": is_dark_wrong,
+        }
+        out[stack.spot.label] = [finding(flag) for flag, is_raised in checks.items() if is_raised]
     return out
 
 
@@ -145,7 +170,7 @@ def _has_background_fallen(reference: FrameSeries, stack: FrameSeries) -> bool:
 
 
 def _depressions(
-    watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], **fields: Any
+    watched: tuple[FrameSeries, ...], findings: dict[str, list[Finding]], **fields: Any
 ) -> list[Measurement]:
     """Return the fall of each stack's background below that of the faintest stack at the same
     settings, dB.
@@ -187,12 +212,12 @@ def _depressions(
         relative = [series.background_sd_dn / series.background_dn for series in (reference, stack)]
         sd = DECIBEL * float(np.hypot(relative[0], relative[1]))
         # This quantity measures the fall itself, which is no reason to flag it.
-        own_flags = tuple(flag for flag in flags.get(stack.spot.label, ()) if flag != "agc")
-        own_flags += () if stack.spot.dark_known else ("no-darks",)
+        checks = [check for check in findings[stack.spot.label] if check.flag != "agc"]
+        if not stack.spot.dark_known:
+            checks.append(finding("no-darks"))
         common["notes"] = (*common.get("notes", ()), BOUND)
-        out.append(
-            measurement_from_sd("background_depression", "dB", value, sd, flags=own_flags, **common)
-        )
+        number = measurement_from_sd("background_depression", "dB", value, sd, **common)
+        out.append(judge_region(number, checks))
     return out
 
 

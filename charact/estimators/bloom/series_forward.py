@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 
 from charact.estimators.bloom.extent_measurements import (
-    add_common_measurements,
+    bloom_measurements,
+    is_quantised,
     provenance,
-    quantisation_flags,
+    series_evidence,
 )
+from charact.estimators.bloom.findings import DIAMETERS, finding
 from charact.estimators.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
 from charact.estimators.bloom.point_stack import DETECTED, PointStack, read_point_stacks
-from charact.estimators.bloom.series.extent_comparison import MISFIT, compare_extents
+from charact.estimators.bloom.series.extent_comparison import compare_extents
 from charact.estimators.bloom.series.likelihood import select_levels
 from charact.estimators.bloom.series.model_selection import (
     MISFIT_SHARE,
@@ -36,9 +38,12 @@ from charact.estimators.bloom.series.series_measurements import (
     mcp_saturation_measurements,
     nearest_px,
 )
+from charact.estimators.bloom.series_consistency import check_consistency
+from charact.estimators.bloom.smear import smear_measurement
 from charact.estimators.bloom.thresholds import CUT_SD, Unmeasurable
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
+from charact.verdict import Finding, judge
 from labdata import Array, Measurement, Posterior, Result, Session, has_tube, make_refusal
 
 
@@ -151,7 +156,6 @@ def cross_validate(candidate: FittedHaloModel) -> float | None:
 
 
 METHOD = "series-forward"
-EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 
 
 @register("bloom", METHOD)
@@ -175,35 +179,42 @@ def series_forward(session: Session, *, context: Context) -> Result:
     """
     spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    fit, measurements, evidence = None, [], {}
+    evidence: dict[str, dict[str, Any]] = {}
+    extents = bloom_measurements(
+        spots, square=not has_tube(context.camera), sensor=context.camera, **fields
+    )
     try:
         fit = _fit_series(session, spots, context, fields)
-        measurements = (
+        measured = (
             halo_measurements(fit) if fit.reason is None else _refuse_halo(fit.reason, fields)
         )
-        measurements += energy_radius_measurements(fit) + glare_measurements(fit)
-        measurements += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
+        measured += energy_radius_measurements(fit) + glare_measurements(fit)
+        measured += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
         evidence = profile_evidence(fit) | forms_evidence(fit.forms, quick=context.quick)
+        # Measured extents are compared with the fitted signal, or flagged where the fit is poor.
+        if misfit := misfit_findings(fit.best):
+            labels = {spot.label for spot in fit.group}
+            extents = [
+                judge(extent, misfit)
+                if extent.quantity in DIAMETERS and extent.stack in labels
+                else extent
+                for extent in extents
+            ]
+        else:
+            extents = compare_extents(fit.best, fit.group, extents)
     except Unmeasurable as refusal:
-        measurements = _refuse_halo(str(refusal), fields)
-    result = add_common_measurements(
-        session, spots, measurements, evidence, context=context, **fields
+        measured = _refuse_halo(str(refusal), fields)
+    smear, of_smear = smear_measurement(spots, context, **fields)
+    steady = check_consistency(session, spots, context, **fields)
+    halo = evidence.get("halo-constancy", {"label": (), "halo_diameter_px": ()})
+    halos = dict(zip(halo["label"], halo["halo_diameter_px"], strict=True))
+    return Result(
+        measurements=(*map(steady.judge, (*measured, smear, *extents)), *steady.measurements),
+        evidence={"bloom-series": series_evidence(spots, halos)}
+        | evidence
+        | of_smear
+        | steady.evidence,
     )
-    if fit is None:
-        return result
-    # Measured extents are compared with the fitted signal, or flagged where the fit is poor.
-    if fit.best.problem.misfit.outer <= MISFIT_SHARE and not is_uneven(fit.best.problem.series):
-        return replace(
-            result, measurements=compare_extents(fit.best, fit.group, result.measurements)
-        )
-    labels = {spot.label for spot in fit.group}
-    flagged = (
-        measurement.with_(flags=MISFIT)
-        if measurement.quantity in EXTENTS and measurement.stack in labels
-        else measurement
-        for measurement in result.measurements
-    )
-    return replace(result, measurements=tuple(flagged))
 
 
 def _has_tube(group: tuple[PointStack, ...], context: Context) -> bool:
@@ -237,15 +248,16 @@ def _fit_series(
     posterior = _posterior(forms[0], context)
     reason = halo_refusal_reason(forms)
     stack_diameters = own_diameters(forms[0]) if reason is None else None
-    flags = _flags(forms[0], posterior, stack_diameters)
-    flags += quantisation_flags(min(group, key=lambda spot: spot.full_scale_dn - spot.dark_dn))
+    findings = _findings(forms[0], posterior, stack_diameters)
+    if is_quantised(min(group, key=lambda spot: spot.full_scale_dn - spot.dark_dn)):
+        findings.append(finding("quantised"))
     return FittedSeries(
         forms=forms,
         reason=reason,
         posterior=posterior,
         stack_diameters=stack_diameters,
         group=group,
-        flags=flags,
+        findings=findings,
         notes=_notes(context, group, spots),
         fields=fields,
     )
@@ -283,23 +295,32 @@ def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
     return abs(diameter_offset) > CUT_SD * float(np.std(diameter))
 
 
-def _flags(
+def misfit_findings(best: FittedHaloModel) -> list[Finding]:
+    """Return the finding of rings that no round source has, or that no model describes."""
+    if best.problem.misfit.outer <= MISFIT_SHARE and not is_uneven(best.problem.series):
+        return []
+    deviation = f"rings deviate by {100.0 * best.problem.misfit.outer:.2g} % of their signal"
+    return [finding("model-misfit", deviation)]
+
+
+def _findings(
     best: FittedHaloModel, posterior: Posterior, stack_diameters: tuple[Array, Array, Array] | None
-) -> tuple[str, ...]:
-    """Flags of the series; bounds of nuisance parameters are ignored."""
+) -> list[Finding]:
+    """Findings of the series; bounds of nuisance parameters are ignored."""
     from scipy.special import chdtrc
 
-    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
-    series = best.problem.series
-    if best.problem.misfit.outer > MISFIT_SHARE or is_uneven(series):
-        flags += ("model-misfit",)
+    findings = [finding(flag) for flag in posterior.flags if flag != "prior-bound"]
+    findings += misfit_findings(best)
     if stack_diameters is None:
-        return flags
+        return findings
     diameter = float(np.median(posterior["halo_diameter"]))
-    if diameter / 2.0 > 0.92 * series.radius_px[-1]:
-        flags += ("window-too-small",)
+    if diameter / 2.0 > 0.92 * best.problem.series.radius_px[-1]:
+        findings.append(finding("window-too-small"))
     chi2, freedom = levels_apart(stack_diameters)
-    return flags + (("model-misfit",) if freedom and chdtrc(freedom, chi2) < 1e-4 else ())
+    if freedom and chdtrc(freedom, chi2) < 1e-4:
+        effect = "the stacks have halos of different diameters"
+        findings.append(finding("model-misfit", effect))
+    return findings
 
 
 def _notes(

@@ -10,11 +10,11 @@ import numpy as np
 from charact.estimators.bloom.defects import with_sound_pixels
 from charact.estimators.bloom.extent import DRAWS
 from charact.estimators.bloom.extent_measurements import (
-    add_findings,
     bloom_measurements,
     provenance,
     series_evidence,
 )
+from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
 from charact.estimators.bloom.point_stack import (
     DETECTED,
@@ -29,6 +29,7 @@ from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from charact.verdict import judge
 from labdata import (
     Array,
     Conditions,
@@ -207,7 +208,7 @@ def measure_frame(session: Session, *, context: Context) -> Result:
         second = replace(spot_of(entry, stack, dark, other, context, []), other_sources=(first,))
         out += [m.with_(region=_box(second)) for m in extents((second,))]
     return Result(
-        measurements=tuple(add_findings(measurement) for measurement in out),
+        measurements=tuple(out),
         evidence={"bloom-series": series_evidence((spot,))},
     )
 
@@ -238,10 +239,10 @@ def _energy_radii(
     reach_px = min(
         REACH_PX, spot.row * ratio, (rows - 1 - spot.row) * ratio, spot.col, cols - 1 - spot.col
     )
-    radius_fields = {"flags": ("several-targets",) if spot.other_sources else (), **common}
-    radius_fields["notes"] = (f"the total signal is that within {reach_px:.0f} px of the source",)
+    common["notes"] = (f"the total signal is that within {reach_px:.0f} px of the source",)
+    findings = [finding("several-targets")] if spot.other_sources else []
     return [
-        measurement_from_draws(name, "px", radii[fraction], **radius_fields)
+        judge(measurement_from_draws(name, "px", radii[fraction], **common), findings)
         for name, fraction in zip(names, SHARES, strict=True)
     ]
 

@@ -12,10 +12,12 @@ from charact.estimators.bloom.column_artefacts import (
     compare_columns,
     mean_frame_noise,
 )
+from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import DETECTED, PointStack
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.robust import robust_sd
 from charact.method import Context
+from charact.verdict import judge
 from labdata import Array, Mask
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
@@ -266,14 +268,17 @@ def _fraction(smears: list[Smear], core: Core, rows: int, **fields: Any) -> Meas
             f"light is as stated"
         )
         return make_refusal("smear_fraction", "1", reason, refusal="not-applicable", **fields)
-    flags = ()
-    if light[is_visible].max() < LEAST_RATIO * light[is_visible].min():
-        flags += ("extrapolated",)
-    if _bends(light[is_visible], fraction[is_visible], sd[is_visible]):
-        flags += ("nonlinear",)
-    if any(smear.uneven for smear, visible in zip(smears, is_visible, strict=True) if visible):
-        flags += ("model-misfit",)
-    return measurement_from_sd("smear_fraction", "1", mean, total, flags=flags, **fields)
+    checks = (
+        ("extrapolated", light[is_visible].max() < LEAST_RATIO * light[is_visible].min(), None),
+        ("nonlinear", _bends(light[is_visible], fraction[is_visible], sd[is_visible]), None),
+        (
+            "model-misfit",
+            any(smear.uneven for smear, visible in zip(smears, is_visible, strict=True) if visible),
+            "the columns are brighter on one side of the source, unlike smear",
+        ),
+    )
+    number = measurement_from_sd("smear_fraction", "1", mean, total, **fields)
+    return judge(number, [finding(flag, effect) for flag, raised, effect in checks if raised])
 
 
 def _between(fraction: Array, sd: Array) -> float:

@@ -7,11 +7,12 @@ from typing import cast
 import numpy as np
 
 from charact.estimators.bloom.extent import Extent
+from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import HALF_STEP_DN, PointStack
 from charact.estimators.bloom.series.model_selection import FittedHaloModel
+from charact.verdict import judge
 from labdata import Array, Measurement
 
-MISFIT = ("model-misfit",)
 # Relative uncertainty of the fitted signal.
 LIGHT_SHARE = 0.03
 # Thresholds and measured extents that the fitted model predicts, and the extents that it may
@@ -35,8 +36,8 @@ SHORT = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_back
 
 
 def compare_extents(
-    best: FittedHaloModel, group: tuple[PointStack, ...], extents: tuple[Measurement, ...]
-) -> tuple[Measurement, ...]:
+    best: FittedHaloModel, group: tuple[PointStack, ...], extents: list[Measurement]
+) -> list[Measurement]:
     """Combine measured diameters with those of the fitted model; differences widen the intervals.
 
     `best`: model fitted to the stacks; `group`: stacks in the order of the series; `extents`:
@@ -72,18 +73,19 @@ def compare_extents(
                     (cast(float, extent.value) - diameter) / np.hypot(_sd(extent), 0.02)
                 )
             extent = _combine_diameters(extent, diameter, alone=alone, frames=spot.frames)
-            extent = (
-                extent.with_(flags=MISFIT) if off and extent.quantity in CONTRADICTED else extent
-            )
+            if off and extent.quantity in CONTRADICTED:
+                effect = "the fitted spread crosses the threshold outside the interval"
+                extent = judge(extent, [finding("model-misfit", effect)])
         out.append(extent)
     # Normalised differences between contours and model over the stacks exceed noise.
     differ = chdtrc(max(len(differences), 1), np.sum(np.square(differences))) < 1e-4
-    return tuple(
-        extent.with_(flags=MISFIT)
+    misfit = finding("model-misfit", "measured and fitted diameters differ beyond noise")
+    return [
+        judge(extent, [misfit])
         if differ and extent.quantity == JUDGED and extent.status != "refused"
         else extent
         for extent in out
-    )
+    ]
 
 
 def _sd(extent: Measurement) -> float:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of, profile_of
 from charact.estimators.bloom.series.likelihood import AmplitudeSolution
@@ -184,11 +185,6 @@ def nearest_px(group: tuple[PointStack, ...]) -> float:
     return min(distances, default=np.inf)
 
 
-def several_flag(group: tuple[PointStack, ...]) -> tuple[str, ...]:
-    """Flag of quantities that another source's light affects."""
-    return ("several-targets",) if np.isfinite(nearest_px(group)) else ()
-
-
 def levels_apart(stack_diameters: tuple[Array, Array, Array]) -> tuple[float, int]:
     """Chi squared of the stacks' own diameters about their mean, and its degrees of freedom.
 
@@ -209,7 +205,7 @@ class FittedSeries:
 
     `reason`: why no halo is reported, or None; `posterior`: draws of the best model's parameters;
     `stack_diameters`: each stack's own diameter, its error and significance, None without a halo;
-    `group`: the stacks; `flags`, `notes`, `fields`: of its measurements.
+    `group`: the stacks; `findings`, `notes`, `fields`: of its measurements.
     """
 
     forms: list[FittedHaloModel]
@@ -217,7 +213,7 @@ class FittedSeries:
     posterior: Posterior
     stack_diameters: tuple[Array, Array, Array] | None
     group: tuple[PointStack, ...]
-    flags: tuple[str, ...]
+    findings: list[Finding]
     notes: tuple[str, ...]
     fields: dict[str, Any]
 
@@ -227,9 +223,16 @@ class FittedSeries:
         return self.forms[0]
 
     @property
-    def light_flags(self) -> tuple[str, ...]:
-        """Flags of quantities that another source's light affects."""
-        return self.flags + several_flag(self.group)
+    def light_findings(self) -> list[Finding]:
+        """Findings of quantities that another source's light affects."""
+        several = [finding("several-targets")] if np.isfinite(nearest_px(self.group)) else []
+        return self.findings + several
+
+    @property
+    def core_findings(self) -> list[Finding]:
+        """Findings of quantities relative to the source's total signal."""
+        blind = [] if shows_core(self.best, self.posterior) else [finding("prior-bound")]
+        return self.light_findings + blind
 
 
 def halo_measurements(fit: FittedSeries) -> list[Measurement]:
@@ -238,15 +241,13 @@ def halo_measurements(fit: FittedSeries) -> list[Measurement]:
 
     Light of another source contaminates the rings, but not the position of the edge.
     """
-    best, posterior, stack_diameters, group, flags = (
+    best, posterior, stack_diameters, group = (
         fit.best,
         fit.posterior,
         fit.stack_diameters,
         fit.group,
-        fit.flags,
     )
     assert stack_diameters is not None
-    several = several_flag(group)
     middle = float(np.median(posterior["halo_diameter"]))
     chi2, freedom = levels_apart(stack_diameters)
     wider = np.sqrt(max(1.0, chi2 / freedom)) if freedom else 1.0
@@ -266,24 +267,16 @@ def halo_measurements(fit: FittedSeries) -> list[Measurement]:
         name: values * _model_error_factors(best, name, len(values), posterior)
         for name, values in of_light.items()
     }
-    blind = () if shows_core(best, posterior) else ("prior-bound",)
-    flags_of = {
-        "halo_diameter": flags,
-        "halo_fraction": flags + several + blind,
-        "halo_plateau": flags + several + blind,
-        "halo_rim": flags + several,
+    findings = {
+        "halo_diameter": fit.findings,
+        "halo_fraction": fit.core_findings,
+        "halo_plateau": fit.core_findings,
+        "halo_rim": fit.light_findings,
     }
+    common = {"notes": fit.notes, "posterior": posterior, **fit.fields}
     return [
-        measurement_from_draws(
-            quantity,
-            unit,
-            draws[quantity],
-            flags=flags_of[quantity],
-            notes=fit.notes,
-            posterior=posterior,
-            **fit.fields,
-        )
-        for quantity, unit in OF_THE_HALO
+        judge(measurement_from_draws(name, unit, draws[name], **common), findings[name])
+        for name, unit in OF_THE_HALO
     ]
 
 
@@ -326,10 +319,9 @@ def shows_core(best: FittedHaloModel, posterior: Posterior) -> bool:
 
 def energy_radius_measurements(fit: FittedSeries) -> list[Measurement]:
     """Return the radii that contain 50 and 90 % of the signal."""
-    best, posterior, flags = fit.best, fit.posterior, fit.light_flags
+    best, posterior = fit.best, fit.posterior
     reach_px = float(best.problem.series.radius_px[-1])
     radii = energy_radii(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach_px)
-    flags = flags if shows_core(best, posterior) else (*flags, "prior-bound")
     out = []
     for quantity, draws in zip(
         ("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True
@@ -341,11 +333,8 @@ def energy_radius_measurements(fit: FittedSeries) -> list[Measurement]:
             out.append(make_refusal(quantity, "px", reason, **fit.fields))
         else:
             draws = draws * _model_error_factors(best, quantity, len(draws), posterior)
-            out.append(
-                measurement_from_draws(
-                    quantity, "px", draws, flags=flags, notes=fit.notes, **fit.fields
-                )
-            )
+            number = measurement_from_draws(quantity, "px", draws, notes=fit.notes, **fit.fields)
+            out.append(judge(number, fit.core_findings))
     return out
 
 
@@ -390,9 +379,10 @@ def glare_measurements(fit: FittedSeries) -> list[Measurement]:
     light = np.median(solved.amplitudes[:, 0], axis=1)
     near_ratio = (float(np.median(ratio)), float(np.hypot(ratio.std(), np.median(known[:, 1]))))
     number = measurement_from_draws(
-        "veiling_glare", "%", draws, flags=fit.light_flags, notes=(*fit.notes, LEAKS), **fit.fields
+        "veiling_glare", "%", draws, notes=(*fit.notes, LEAKS), **fit.fields
     )
-    return [judge(number, find_leak(group, light, reach_px, area, near_ratio))]
+    leak = find_leak(group, light, reach_px, area, near_ratio)
+    return [judge(number, fit.light_findings + leak)]
 
 
 def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
@@ -401,7 +391,7 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     The densities of different core models differ by factors; their distance is a systematic
     uncertainty.
     """
-    best, posterior, flags = fit.best, fit.posterior, fit.light_flags
+    best, posterior, findings = fit.best, fit.posterior, fit.light_findings
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
         reason = "the cores are linear in all stacks: no MCP saturation is visible"
         return [
@@ -428,7 +418,9 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
         return [make_refusal("mcp_saturation_density", "DN", reason, **fit.fields)]
     load = best.form.names.index("plate_load")
     if crowds_at_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
-        flags = (*flags, "prior-bound")
+        findings.append(
+            finding("prior-bound", "the density lies at its bound, and may lie anywhere beyond")
+        )
     # For two equally likely cores, the error of either is their distance over root two.
     rng = np.random.default_rng([posterior.seed, 2])
     factors = np.exp(unlike / np.sqrt(2.0) * rng.standard_normal(len(posterior.draws)))
@@ -440,17 +432,15 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
     )
     out = [
         measurement_from_draws(
-            "mcp_saturation_density", "DN", density, flags=flags, notes=fit.notes, **fit.fields
+            "mcp_saturation_density", "DN", density, notes=fit.notes, **fit.fields
         )
     ]
     compression = best.problem.compression(points[:DERIVED])
     for label, draws in zip(best.problem.series.labels, compression, strict=True):
         out.append(
-            measurement_from_draws(
-                "core_compression", "1", draws, flags=flags, stack=label, **fit.fields
-            )
+            measurement_from_draws("core_compression", "1", draws, stack=label, **fit.fields)
         )
-    return out
+    return [judge(number, findings) for number in out]
 
 
 def _background_sd(solved: AmplitudeSolution) -> Array:
