@@ -7,8 +7,10 @@ import numpy as np
 
 from charact.estimators.infrared.levels import (
     WORST,
+    BlackbodyBackground,
     background_of,
     choose_levels,
+    finding,
     fit_findings,
     gain_findings,
     gradient_findings,
@@ -24,13 +26,7 @@ from charact.estimators.infrared.signal_transfer import (
     fit_signal_transfer,
 )
 from charact.estimators.infrared.thresholds import INFRARED
-from charact.estimators.noise.findings import (
-    Finding,
-    Unmeasurable,
-    fields_of,
-    flags_of,
-    notes_of,
-)
+from charact.estimators.noise.findings import Unmeasurable, fields_of
 from charact.estimators.noise.gain.series import read_levels
 from charact.estimators.noise.prepared_session import defect_pixels, prepare
 from charact.estimators.noise.three_dimensional import three_dimensional
@@ -39,6 +35,7 @@ from charact.frames.thresholds import CUBE
 from charact.method import Context
 from charact.method.registry import single_blas_thread
 from charact.method.stopwatch import with_timing
+from charact.verdict import Finding, judge
 from labdata import Array, Session, StackEntry
 from labdata.camera.description import is_thermal
 from labdata.measurement import (
@@ -46,7 +43,6 @@ from labdata.measurement import (
     Posterior,
     Result,
     intervals_of,
-    make_measurement,
     make_refusal,
     measurement_from_draws,
 )
@@ -132,30 +128,22 @@ class BlackbodySeries:
     levels: tuple[StackStatistics, ...]
     mean_sd_dn: Array  # standard error of each mean by temporal noise and rounding, shape (level,)
     transfer: SignalTransfer
+    notes: tuple[str, ...]
     findings: tuple[Finding, ...]
     band_um: tuple[float, float] | None
-    background: Finding  # note on the background temperature
+    background: BlackbodyBackground
     seed: int
 
     def sitf(self, context: Context, fields: dict[str, Any]) -> Measurement:
         """Return the SiTF at the background temperature."""
         draws = self.transfer.sitf
-        findings = [
-            self.background,
-            Finding(None, band_note(self.band_um, self.transfer)),
-            *self.findings,
-        ]
+        notes = [self.background.note, band_note(self.band_um, self.transfer), *self.notes]
         if np.median(draws) < 0:
-            draws, findings = (
-                -draws,
-                [*findings, Finding(None, "White is cold: the signal falls with temperature.")],
-            )
-        findings.append(
-            Finding(
-                None,
-                "Temperatures are taken as stated: emissivity of the black body and transmission "
-                "of a collimator or window are not corrected.",
-            )
+            draws = -draws
+            notes.append("White is cold: the signal falls with temperature.")
+        notes.append(
+            "Temperatures are taken as stated: emissivity of the black body and transmission "
+            "of a collimator or window are not corrected."
         )
         posterior = Posterior(
             names=("sitf",),
@@ -164,15 +152,10 @@ class BlackbodySeries:
             sampler="laplace",
             seed=self.seed,
         )
-        return measurement_from_draws(
-            "sitf",
-            "DN/K",
-            draws,
-            flags=flags_of(findings),
-            notes=notes_of(findings),
-            posterior=posterior,
-            **fields,
+        number = measurement_from_draws(
+            "sitf", "DN/K", draws, notes=tuple(notes), posterior=posterior, **fields
         )
+        return judge(number, [*self.background.findings_of(number), *self.findings])
 
     def netd(self, noise: Result, context: Context, fields: dict[str, Any]) -> Measurement:
         """Return the temporal NETD at the background temperature; `noise`: the 3-D noise of the
@@ -208,15 +191,13 @@ class BlackbodySeries:
             f"Temporal NETD, sigma_tvh / SiTF with quantisation, {standard}; the spatial one "
             f"is noise_vh in K."
         )
-        findings = [Finding(None, what), self.background, *self.findings]
         nearest = np.argsort(np.abs(kelvin - np.median(at)), kind="stable")[:2]
-        for m in (
-            m for i in nearest for m in noise.find("noise_tvh", stack=known[i].label) if m.flags
-        ):
-            findings += [
-                Finding(flag, f"{flag}: random noise of {m.stack}: {'; '.join(m.notes)}")
-                for flag in m.flags
-            ]
+        of_noise = [
+            finding(flag, f"random noise of {m.stack} is suspect", f"what settles its {flag}")
+            for i in nearest
+            for m in noise.find("noise_tvh", stack=known[i].label)
+            for flag in m.flags
+        ]
         posterior = Posterior(
             names=("sitf", "netd"),
             units=("DN/K", "mK"),
@@ -224,15 +205,11 @@ class BlackbodySeries:
             seed=self.seed,
             draws=np.column_stack([np.abs(transfer.sitf), draws]),
         )
-        return measurement_from_draws(
-            "netd",
-            "mK",
-            draws,
-            flags=flags_of(findings),
-            notes=notes_of(findings),
-            posterior=posterior,
-            **fields,
+        notes = (what, self.background.note, *self.notes)
+        number = measurement_from_draws(
+            "netd", "mK", draws, notes=notes, posterior=posterior, **fields
         )
+        return judge(number, [*self.background.findings_of(number), *self.findings, *of_noise])
 
     def in_kelvin(self, m: Measurement) -> Measurement | None:
         """Return a component of 3-D noise, DN, in K at its black body's temperature; None of an
@@ -254,19 +231,11 @@ class BlackbodySeries:
         around = [(min(low, value), max(high, value)) for low, high in intervals]
         if m.interval95[0] == 0.0:
             around[1] = (0.0, around[1][1])
-        same = {key: getattr(m, key) for key in ("method", "seconds", "stack", "provenance")}
-        notes = tuple(note for note in m.notes if not note.endswith(" DN")) + notes_of(
-            self.findings
+        notes = (*(note for note in m.notes if not note.endswith(" DN")), *self.notes)
+        number = replace(
+            m, unit="K", value=value, interval68=around[0], interval95=around[1], notes=notes
         )
-        return make_measurement(
-            m.quantity,
-            "K",
-            value,
-            *around,
-            flags=(*m.flags, *flags_of(self.findings)),
-            notes=notes,
-            **same,
-        )
+        return judge(number, self.findings)
 
     def figure_data(self) -> dict[str, Any]:
         """Return the figure data: levels, law and residuals."""
@@ -290,18 +259,22 @@ class BlackbodySeries:
 
 def _series(flats: list[StackStatistics], single: list[str], context: Context) -> BlackbodySeries:
     """Return the series of black-body levels; Unmeasurable if there is no signal transfer."""
-    chosen, notes = choose_levels(flats, single)
+    chosen, notes, saturated = choose_levels(flats, single)
+    if len(chosen) < INFRARED.advised_levels:
+        notes.append(
+            f"{len(chosen)} levels; {INFRARED.advised_levels} tell scatter, drift and bend apart."
+        )
     kelvin, mean = np.array([(kelvin_of(level), level.mean_dn) for level in chosen]).T
     sd = np.array([mean_sd_of(level) for level in chosen])
     require_order(kelvin, mean, sd)
-    background_k, background = background_of(chosen)
+    background = background_of(chosen)
     imager = context.camera
     band = (float(imager.band.short_um), float(imager.band.long_um)) if is_thermal(imager) else None
     transfer = fit_signal_transfer(
         kelvin,
         mean,
         sd,
-        background_k=background_k,
+        background_k=background.kelvin,
         band_um=band,
         rng=np.random.default_rng([context.seed, 42]),
     )
@@ -313,7 +286,7 @@ def _series(flats: list[StackStatistics], single: list[str], context: Context) -
             "black body fill the frame"
         )
     findings = [
-        *notes,
+        *saturated,
         *fit_findings(chosen, transfer),
         *gain_findings(chosen),
         *gradient_findings(chosen),
@@ -322,6 +295,7 @@ def _series(flats: list[StackStatistics], single: list[str], context: Context) -
         levels=tuple(chosen),
         mean_sd_dn=sd,
         transfer=transfer,
+        notes=tuple(notes),
         findings=tuple(findings),
         band_um=band,
         background=background,

@@ -1,16 +1,19 @@
 """Levels of a black body: which of them count, and what is found about them."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.special import chdtrc
 
 from charact.estimators.infrared.signal_transfer import ZERO_C, Response, SignalTransfer
 from charact.estimators.infrared.thresholds import INFRARED
-from charact.estimators.noise.findings import Finding, Unmeasurable, with_remedy
+from charact.estimators.noise.findings import Unmeasurable
 from charact.estimators.noise.gain.series import gain_of
 from charact.frames.components import shading
 from charact.frames.rounding import QUANTISED_DN2, rounding_sd
 from charact.frames.stack_statistics import StackStatistics
-from labdata import Array
+from charact.verdict import Finding
+from labdata import Array, Measurement
 from labdata.measurement import intervals_of
 
 ONE_WAY = (
@@ -38,87 +41,70 @@ def variance_draws(level: StackStatistics, name: str, rng: np.random.Generator) 
 
 def choose_levels(
     flats: list[StackStatistics], single: list[str]
-) -> tuple[list[StackStatistics], list[Finding]]:
-    """Return the levels of one setting in order of temperature, and notes on those left out.
+) -> tuple[list[StackStatistics], list[str], list[Finding]]:
+    """Return the levels of one setting in order of temperature, and notes and findings on those
+    left out.
 
     `single`: labels of stacks of one frame. Fewer than two temperatures are Unmeasurable.
     """
-    chosen, notes = _one_setting(flats)
-    if (
-        len(chosen) > 2
-        and np.all(steps := np.sign(np.diff([kelvin_of(level) for level in chosen])))
-        and np.ptp(steps) == 0
-    ):
-        notes.append(Finding(None, ONE_WAY))
-    chosen.sort(key=kelvin_of)
-    if single:
-        notes.append(Finding(None, f"excluded (single frame, no noise): {', '.join(single)}"))
-    chosen, saturated = _drop_saturated(chosen)
-    notes += saturated
+    settings: dict[tuple, list[StackStatistics]] = {}
+    for level in flats:
+        key = (*gain_of(level.conditions), level.conditions.exposure_s)
+        settings.setdefault(key, []).append(level)
+    # Of the gain and exposure with most temperatures.
+    of_setting = max(
+        settings.values(), key=lambda levels: len({kelvin_of(flat) for flat in levels}), default=[]
+    )
+    labels = {level.label for level in of_setting}
+    clipped = [level.label for level in of_setting if _is_clipped(level)]
+    exclusions = {
+        "other gain or exposure": [level.label for level in flats if level.label not in labels],
+        "single frame, no noise": single,
+        "values at 0 DN or full scale": clipped,
+    }
+    notes = [f"excluded ({why}): {', '.join(out)}" for why, out in exclusions.items() if out]
+    steps = np.sign(np.diff([kelvin_of(level) for level in of_setting]))
+    if len(of_setting) > 2 and np.all(steps) and np.ptp(steps) == 0:
+        notes.append(ONE_WAY)
+    chosen = sorted((level for level in of_setting if not _is_clipped(level)), key=kelvin_of)
+    saturated = _drop_saturated(chosen)
     if len(temperatures := sorted({kelvin_of(level) - ZERO_C for level in chosen})) < 2:
         known = f"one, at {temperatures[0]:.1f} °C" if temperatures else "none"
         other = f"{temperatures[0] + 5.0:.0f} °C" if temperatures else "20 and 30 °C"
-        exclusions = "".join(f"; {finding.note}" for finding in notes)
+        reasons = "".join(f"; {note}" for note in [*notes, *(check.note for check in saturated)])
         raise Unmeasurable(
             "SiTF needs two or more black-body levels (flats with blackbody_c, neither clipped "
-            f"nor single frames), got {known}{exclusions}: add 8 or more frames at {other}; "
+            f"nor single frames), got {known}{reasons}: add 8 or more frames at {other}; "
             f"{INFRARED.advised_levels} levels also show drift and bend"
         )
-    return chosen, notes
+    return chosen, notes, saturated
 
 
-def _one_setting(flats: list[StackStatistics]) -> tuple[list[StackStatistics], list[Finding]]:
-    """Return the levels of the gain and exposure with most temperatures, and a note on the
-    others.
-    """
-    settings: dict[tuple, list[StackStatistics]] = {}
-    for level in flats:
-        settings.setdefault((*gain_of(level.conditions), level.conditions.exposure_s), []).append(
-            level
-        )
-    chosen = max(
-        settings.values(), key=lambda levels: len({kelvin_of(flat) for flat in levels}), default=[]
-    )
-    chosen_labels = {level.label for level in chosen}
-    other = [level.label for level in flats if level.label not in chosen_labels]
-    return chosen, [
-        Finding(None, f"excluded (other gain or exposure): {', '.join(other)}")
-    ] if other else []
+def _is_clipped(level: StackStatistics) -> bool:
+    return max(level.low_fraction, level.high_fraction) > INFRARED.max_clipped_fraction
 
 
-def _drop_saturated(levels: list[StackStatistics]) -> tuple[list[StackStatistics], list[Finding]]:
-    """Return the levels without clipped values and without a collapse of noise at either end, and
-    what was left out.
-    """
-    unsaturated = [
-        level
-        for level in levels
-        if max(level.low_fraction, level.high_fraction) <= INFRARED.max_clipped_fraction
-    ]
-    out = [
-        level.label
-        for level in levels
-        if max(level.low_fraction, level.high_fraction) > INFRARED.max_clipped_fraction
-    ]
-    findings = (
-        [Finding(None, f"excluded (values at 0 DN or full scale): {', '.join(out)}")] if out else []
-    )
+def _drop_saturated(levels: list[StackStatistics]) -> list[Finding]:
+    """Take off the levels at either end whose noise collapses, and return the findings of that."""
+    findings = []
     for end, inner in ((-1, -2), (0, 1)):
         while (
-            len(unsaturated) > 2
-            and unsaturated[end].variance_dn2
-            < INFRARED.saturated_noise**2 * unsaturated[inner].variance_dn2
+            len(levels) > 2
+            and levels[end].variance_dn2 < INFRARED.saturated_noise**2 * levels[inner].variance_dn2
         ):
-            gone = unsaturated.pop(end)
-            ratio = np.sqrt(gone.variance_dn2 / unsaturated[end].variance_dn2)
+            gone = levels.pop(end)
+            ratio = np.sqrt(gone.variance_dn2 / levels[end].variance_dn2)
             effect = (
                 f"noise of {gone.label} falls to {ratio:.2g} of the next level's, so it was "
                 f"excluded"
             )
-            findings.append(
-                with_remedy("saturated", effect, "levels within the span of the camera")
-            )
-    return unsaturated, findings
+            findings.append(finding("saturated", effect, "levels within the span of the camera"))
+    return findings
+
+
+def finding(flag: str, effect: str, remedy: str) -> Finding:
+    """Return an unbounded finding."""
+    return Finding(flag=flag, effect=effect, remedy=remedy)
 
 
 def mean_sd_of(level: StackStatistics) -> float:
@@ -152,8 +138,33 @@ def require_order(kelvin: Array, mean: Array, sd: Array) -> None:
         )
 
 
-def background_of(levels: list[StackStatistics]) -> tuple[float | None, Finding]:
-    """Return the background temperature, K, None if unknown, and the finding on it."""
+@dataclass(frozen=True, kw_only=True)
+class BlackbodyBackground:
+    """Temperature at which SiTF and NETD are stated."""
+
+    kelvin: float | None  # None: unknown
+    note: str
+    span_k: float = 0.0  # range of the stated temperatures
+
+    def findings_of(self, measurement: Measurement) -> list[Finding]:
+        """Return the finding of backgrounds that differ by S: dL/dT of the steepest band at T + S/2
+        over that at T, less one.
+        """
+        if self.kelvin is None or self.span_k <= INFRARED.background_k:
+            return []
+        growth = WORST.derivative(self.kelvin + self.span_k / 2.0) / WORST.derivative(self.kelvin)
+        return [
+            Finding(
+                flag="unlike-conditions",
+                effect=f"stated backgrounds differ by {self.span_k:.2g} K",
+                remedy="levels of one background_c",
+                bound=abs(measurement.value or 0.0) * float(growth - 1.0),
+            )
+        ]
+
+
+def background_of(levels: list[StackStatistics]) -> BlackbodyBackground:
+    """Return the background of the levels."""
     stated = [
         level.conditions.background_c
         for level in levels
@@ -166,16 +177,13 @@ def background_of(levels: list[StackStatistics]) -> tuple[float | None, Finding]
             f"levels, {low:.1f} to {high:.1f} °C, and the interval holds all of them; "
             "background_c in session.toml narrows it."
         )
-        return None, Finding(None, sentence)
-    middle, span_k = float(np.mean(stated)), float(np.ptp(stated))
-    sentence = f"Background {middle:.1f} °C ({middle + ZERO_C:.1f} K)."
-    if span_k <= INFRARED.background_k:
-        return middle + ZERO_C, Finding(None, sentence)
-    effect = (
-        f"stated backgrounds differ by {span_k:.2g} K; the value holds at their mean, "
-        f"{middle:.1f} °C"
+        return BlackbodyBackground(kelvin=None, note=sentence)
+    middle = float(np.mean(stated))
+    return BlackbodyBackground(
+        kelvin=middle + ZERO_C,
+        note=f"Background {middle:.1f} °C ({middle + ZERO_C:.1f} K).",
+        span_k=float(np.ptp(stated)),
     )
-    return middle + ZERO_C, with_remedy("unlike-conditions", effect, "levels of one background_c")
 
 
 def fit_findings(levels: list[StackStatistics], transfer: SignalTransfer) -> list[Finding]:
@@ -198,7 +206,7 @@ def fit_findings(levels: list[StackStatistics], transfer: SignalTransfer) -> lis
                 f"{100.0 * transfer.parabola_slope:.2g} %"
             )
             out.append(
-                with_remedy(
+                finding(
                     "nonlinear",
                     effect,
                     "levels closer to the background, or the band of the sensor",
@@ -208,9 +216,7 @@ def fit_findings(levels: list[StackStatistics], transfer: SignalTransfer) -> lis
             remedy = (
                 "a shutter correction before every level, levels up and down, a settled black body"
             )
-            out.append(
-                with_remedy("drift", f"{departure}: the offset changed between them", remedy)
-            )
+            out.append(finding("drift", f"{departure}: the offset changed between them", remedy))
     drifts = [
         black_body.cube.means.drift_dn
         for black_body in levels
@@ -223,7 +229,7 @@ def fit_findings(levels: list[StackStatistics], transfer: SignalTransfer) -> lis
             f"which may change SiTF by {100.0 * drift_dn / middle / float(np.ptp(kelvin)):.2g} %"
         )
         out.append(
-            with_remedy("drift", effect, "levels up and down, or each after a shutter correction")
+            finding("drift", effect, "levels up and down, or each after a shutter correction")
         )
     distance = float(
         np.median(
@@ -235,17 +241,7 @@ def fit_findings(levels: list[StackStatistics], transfer: SignalTransfer) -> lis
             f"the background lies {distance:.1f} K beyond the levels, which span "
             f"{np.ptp(kelvin):.1f} K"
         )
-        out.append(with_remedy("extrapolated", effect, "levels around the background temperature"))
-    if len(levels) < INFRARED.advised_levels:
-        out.append(
-            Finding(
-                None,
-                (
-                    f"{len(levels)} levels; {INFRARED.advised_levels} tell scatter, drift and bend "
-                    f"apart."
-                ),
-            )
-        )
+        out.append(finding("extrapolated", effect, "levels around the background temperature"))
     return out
 
 
@@ -253,7 +249,7 @@ def gain_findings(levels: list[StackStatistics]) -> list[Finding]:
     """Return the finding of a gain that changed between levels, by condition or by their noise."""
     if any(level.conditions.automatic_gain for level in levels):
         return [
-            with_remedy(
+            finding(
                 "agc",
                 "automatic gain was on, so that levels may differ in gain",
                 "automatic gain off",
@@ -282,7 +278,7 @@ def gain_findings(levels: list[StackStatistics]) -> list[Finding]:
         f"{known[faint].label}, of which photons explain at most {allowed:.3g}: the gain changed "
         "between the levels"
     )
-    return [with_remedy("agc", effect, "automatic gain off, and one gain for all levels")]
+    return [finding("agc", effect, "automatic gain off, and one gain for all levels")]
 
 
 def gradient_findings(levels: list[StackStatistics]) -> list[Finding]:
@@ -300,7 +296,7 @@ def gradient_findings(levels: list[StackStatistics]) -> list[Finding]:
                 f"mean over the frame"
             )
             return [
-                with_remedy(
+                finding(
                     "gradient",
                     effect,
                     "a black body that fills the field of view, or frames cut to it",

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from charact.estimators.infrared.thresholds import INFRARED
 from charact.estimators.noise.findings import fields_of
 from charact.method import Context
+from charact.verdict import Finding, judge
 from labdata import (
     Array,
     Curve,
@@ -181,7 +182,11 @@ def _of_edge(
         *(note for note in netd.notes if note.startswith(("Background", "The background"))),
     )
     where = {"stack": edge.stack, "region": edge.region, "orientation_deg": edge.orientation_deg}
-    flags = (*netd.flags, *edge.flags)
+    findings = [
+        Finding(flag=flag, effect=f"the {name} is suspect", remedy=f"what settles it of the {name}")
+        for m, name in ((netd, "NETD"), (edge, "MTF"))
+        for flag in m.flags
+    ]
     for frequency in FREQUENCIES:
         labels = {**fields, **where, "frequency_cy_per_px": frequency}
         mtf = _mtf_draws(curve, frequency, len(netd_k), rng)
@@ -193,7 +198,8 @@ def _of_edge(
             yield make_refusal("mrtd", "K", reason, **labels)
             continue
         draws = mrtd(frequency, mtf, netd_k, frame_rate_hz=frame_rate_hz, footprint=footprint)
-        yield measurement_from_draws("mrtd", "K", draws, flags=flags, notes=notes, **labels)
+        number = measurement_from_draws("mrtd", "K", draws, notes=notes, **labels)
+        yield judge(number, findings)
 
 
 def _mtf_draws(curve: Curve, frequency: float, count: int, rng: np.random.Generator) -> Array:
