@@ -1,10 +1,12 @@
 """MTF curves and crossing frequencies from posterior draws."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from charact.verdict import Finding, widen_curve
 from labdata import Array
 from labdata.measurement import (
     QUANTILES,
@@ -15,12 +17,74 @@ from labdata.measurement import (
     measurement_from_draws,
 )
 
+# From frequencies, cy/px, and an MTF, shape (f,), to the MTF without an effect.
+Undo = Callable[[Array, Array], Array]
 # Frequencies of a reported curve, and the finer grid for crossing frequencies, cy/px.
 REPORTED = np.linspace(0.0, 0.5, 101)
 FINE = np.concatenate([[1e-6], np.geomspace(0.003, 1.5, 230)])
 # Frequencies at which the MTF is reported as a quantity of its own, cy/px.
 PINNED = (0.1, 0.2, 0.3)
 LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveFinding:
+    """A finding of a target, before it is one of a quantity.
+
+    Parameters
+    ----------
+    flag, effect, sign
+        As of `Finding`.
+    undo
+        From frequencies, cy/px, and the MTF, shape (f,), to the MTF without the largest effect;
+        None: the effect is unbounded.
+    """
+
+    flag: str
+    effect: str
+    undo: Undo | None = None
+    sign: int = 0
+
+    def of_number(
+        self, measurement: Measurement, frequency: Array, modulus: Array, remedy: str
+    ) -> Finding:
+        """Return the finding of MTF50, MTF10 or an MTF; `modulus`: the MTF at frequencies."""
+        bound = None
+        if self.undo is not None and measurement.value is not None:
+            both = np.stack([modulus, self.undo(frequency, modulus)])
+            level, at = LEVELS.get(measurement.quantity), measurement.frequency_cy_per_px or 0.0
+            before, after = (
+                [np.interp(at, frequency, line) for line in both]
+                if level is None
+                else crossing_frequency(frequency, both, level)
+            )
+            change = measurement.value * abs(after / max(before, 1e-12) - 1.0)
+            bound = float(change) if np.isfinite(change) else None
+        return Finding(
+            flag=self.flag, effect=self.effect, remedy=remedy, bound=bound, sign=self.sign
+        )
+
+
+def widen_by(
+    findings: Iterable[CurveFinding], curve: Curve, frequency: Array, modulus: Array
+) -> Curve:
+    """Return a curve whose intervals and draws hold the bounded effects, as its numbers do;
+    `modulus`: the MTF at frequencies, shape (f,).
+    """
+    bounds = [
+        (finding.sign, np.minimum(np.abs(finding.undo(frequency, modulus) - modulus), 1.0))
+        for finding in findings
+        if finding.undo is not None
+    ]
+    sides = [
+        np.interp(
+            curve.frequency_cy_per_px,
+            frequency,
+            sum((bound for of, bound in bounds if of != sign), np.zeros_like(modulus)),
+        )
+        for sign in (-1, 1)
+    ]
+    return widen_curve(curve, *sides) if bounds else curve
 
 
 def curve_of(frequency: Array, draws: Array) -> Curve:

@@ -43,15 +43,20 @@ class TargetMotion:
         """
         return 2.0 * (np.pi * frequency_cy_per_px * self.rms_px) ** 2
 
-    def max_lift(self, mtf: float, frequency_cy_per_px: float) -> float | None:
-        """Return the most by which an MTF without the motion is higher, M L/(1 - L), L = 2 (pi f
-        s)^2 for the largest s; None: unbounded.
+    def undo(self, frequency: Array, modulus: Array) -> Array:
+        """Return the largest MTF without the motion, M/(1 - L), L = 2 (pi f s)^2 for the largest s;
+        infinite where none is left.
 
         Displacements t of any distribution lower it by |E exp(2 pi i f t)| >= 1 - L, as cos x >= 1
         - x^2 / 2.
         """
-        loss = LIMITS.max_rms_ratio**2 * self.mtf_loss(frequency_cy_per_px)
-        return mtf * loss / (1.0 - loss) if loss < 1.0 else None
+        loss = 2.0 * (np.pi * frequency * LIMITS.max_rms_ratio * self.rms_px) ** 2
+        return np.where(loss < 1.0, modulus / np.maximum(1.0 - loss, 1e-12), np.inf)
+
+    def max_lift(self, mtf: float, frequency_cy_per_px: float) -> float | None:
+        """Return the most by which an MTF without the motion is higher; None: unbounded."""
+        lift = float(self.undo(np.float64(frequency_cy_per_px), np.float64(mtf))) - mtf
+        return lift if np.isfinite(lift) else None
 
 
 def measure_line_motion(

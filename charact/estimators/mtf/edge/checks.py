@@ -1,11 +1,11 @@
 """Checks of edges: what they find, the largest effect on the MTF, and its remedy."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from charact.estimators.mtf.curve import FINE, LEVELS, crossing_frequency
+from charact.estimators.mtf.curve import FINE, CurveFinding, Undo
 from charact.estimators.mtf.edge.pixels.line import field_displacement, is_significant
 from charact.estimators.mtf.edge.pixels.plateau_noise import noise_flags
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
@@ -41,62 +41,17 @@ class FittedProfile:
     free: int
 
 
-@dataclass(frozen=True, kw_only=True)
-class EdgeFinding:
-    """A finding of an edge, before it is one of a quantity.
-
-    Parameters
-    ----------
-    flag, effect, sign
-        As of `Finding`.
-    undo
-        From frequencies, cy/px, and the MTF, shape (f,), to the MTF without the largest effect;
-        None: the effect is unbounded.
-    """
-
-    flag: str
-    effect: str
-    undo: Callable[[Array, Array], Array] | None = None
-    sign: int = 0
+class EdgeFinding(CurveFinding):
+    """A finding of an edge, before it is one of a quantity."""
 
     def finding_of(self, measurement: Measurement, modulus: Array) -> Finding:
         """Return the finding of MTF50, MTF10 or an MTF; `modulus`: the MTF at `FINE`."""
-        bound = None
-        if self.undo is not None and measurement.value is not None:
-            both, level = np.stack([modulus, self.undo(FINE, modulus)]), measurement.quantity
-            before, after = (
-                crossing_frequency(FINE, both, LEVELS[level])
-                if level in LEVELS
-                else [
-                    np.interp(measurement.frequency_cy_per_px or 0.0, FINE, line) for line in both
-                ]
-            )
-            change = measurement.value * abs(after / max(before, 1e-12) - 1.0)
-            bound = float(change) if np.isfinite(change) else None
-        return Finding(
-            flag=self.flag,
-            effect=self.effect,
-            remedy=REMEDIES[self.flag],
-            bound=bound,
-            sign=self.sign,
-        )
+        return self.of_number(measurement, FINE, modulus, REMEDIES[self.flag])
 
 
-def stretched(fraction: float) -> Callable[[Array, Array], Array]:
+def stretched(fraction: float) -> Undo:
     """Return what makes an MTF one whose frequencies are higher by a fraction."""
     return lambda frequency, modulus: np.interp(frequency / (1.0 + fraction), frequency, modulus)
-
-
-def unblurred(rms_px: float) -> Callable[[Array, Array], Array]:
-    """Return what takes a blur by displacements off an MTF, see `TargetMotion.max_lift`; infinite
-    where none is left.
-    """
-
-    def undo(frequency: Array, modulus: Array) -> Array:
-        loss = 2.0 * (np.pi * frequency * LIMITS.max_rms_ratio * rms_px) ** 2
-        return np.where(loss < 1.0, modulus / np.maximum(1.0 - loss, 1e-12), np.inf)
-
-    return undo
 
 
 def edge_findings(
@@ -127,7 +82,9 @@ def edge_findings(
     if rough.moves or bow_px > 0.0:
         rms_px = max(rough.rms_px if rough.moves else 0.0, bow_px)
         effect = f"the edge deviates from a straight line by {rms_px:.2g} px rms beyond the noise"
-        yield EdgeFinding(flag="curved-edge", effect=effect, undo=unblurred(rms_px), sign=-1)
+        yield EdgeFinding(
+            flag="curved-edge", effect=effect, undo=TargetMotion(rms_px=rms_px).undo, sign=-1
+        )
     if is_significant(displacement_of_fields(edge)):
         yield plain("interlace-motion")
     if profile.defects:
@@ -151,7 +108,7 @@ def edge_findings(
     motion = TargetMotion() if len(picture.stack.data) < 2 else edge.target_motion
     if motion.moves:
         effect = f"the edge moves by {motion.rms_px:.2g} px rms"
-        yield EdgeFinding(flag="drift", effect=effect, undo=unblurred(motion.rms_px), sign=-1)
+        yield EdgeFinding(flag="drift", effect=effect, undo=motion.undo, sign=-1)
     # An edge that moves far leaves more on its slopes than rows that move in one piece.
     still = not motion.moves or motion.mtf_loss(half) < least_loss
     several = len(picture.stack.data) >= LIMITS.min_smoothing_frames

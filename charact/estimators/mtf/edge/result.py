@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 import charact
-from charact.estimators.mtf.curve import FINE, mtf_measurements
+from charact.estimators.mtf.curve import FINE, mtf_measurements, widen_by
 from charact.estimators.mtf.edge.checks import (
     EdgeFinding,
     FittedProfile,
@@ -25,7 +25,7 @@ from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.inference import has_several_peaks
 from charact.method import Context
-from charact.verdict import judge, widen_curve
+from charact.verdict import judge
 from labdata import (
     Array,
     Curve,
@@ -227,7 +227,7 @@ def edge_result(
             )
             for m in measurements
         )
-        curve = _widen(curve, modulus, findings)
+        curve = widen_by(findings, curve, FINE, modulus)
     return Result(measurements=measurements, curves={"mtf": curve}, evidence={"edge-spread": shown})
 
 
@@ -238,26 +238,6 @@ def _modulus_at_fine(curve: Curve) -> Array:
     power = min(np.log(value[-1] / value[before]) / np.log(frequency[-1] / frequency[before]), 0.0)
     beyond = np.maximum(FINE / frequency[-1], 1.0) ** power
     return np.interp(FINE, frequency, value) * beyond
-
-
-def _widen(curve: Curve, modulus: Array, findings: Iterable[EdgeFinding]) -> Curve:
-    """Return a curve whose intervals and draws hold the bounded effects, as its numbers do."""
-    bounds = {
-        finding: np.minimum(np.abs(finding.undo(FINE, modulus) - modulus), 1.0)
-        for finding in findings
-        if finding.undo is not None
-    }
-    if not bounds:
-        return curve
-    sides = [
-        np.interp(
-            curve.frequency_cy_per_px,
-            FINE,
-            sum((bound for finding, bound in bounds.items() if finding.sign != sign), 0.0 * FINE),
-        )
-        for sign in (-1, 1)
-    ]
-    return widen_curve(curve, *sides)
 
 
 def _finish(measurement: Measurement, draws: Array) -> Measurement:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.curve import FINE, crossing_frequency
+from charact.estimators.mtf.curve import FINE, CurveFinding, Undo, crossing_frequency
 from charact.estimators.mtf.point.blur_models_2d import BUMP_WIDTH, BUMPS
 from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter, WhitenedPixels
 from charact.estimators.mtf.point.model_selection import (
@@ -25,7 +25,8 @@ from charact.estimators.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.estimators.mtf.point.source_window import Window
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, pictures
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
-from charact.verdict import Finding, judge
+from charact.estimators.mtf.target_motion import TargetMotion
+from charact.verdict import judge
 from labdata.measurement import Measurement
 
 Array = NDArray[np.float64]
@@ -48,37 +49,31 @@ REMEDIES = {
 }
 
 
-def finding(flag: str, effect: str) -> Finding:
-    """Return the finding of a flag with its effect and remedy."""
-    return Finding(flag=flag, effect=effect, remedy=REMEDIES[flag])
+def finding(flag: str, effect: str, undo: Undo | None = None) -> CurveFinding:
+    """Return the finding of a flag; what has a bound lowers the MTF."""
+    return CurveFinding(flag=flag, effect=effect, undo=undo, sign=0 if undo is None else -1)
 
 
-def motion_findings(names: tuple[str, ...]) -> list[Finding]:
-    """Return the findings of motion flags."""
-    lowered = f"MTF50 is lowered by {100.0 * LIMITS.max_motion_loss:g} % or more"
-    effects = {
-        "interlace-motion": (
-            f"the fields are displaced by at least {LIMITS.max_field_offset_px:g} px; {lowered}"
-        ),
-        "drift": (
-            f"the source moves by {LIMITS.max_drift_px:g} px over the frames, or moves "
-            f"between frames; {lowered}"
-        ),
-    }
-    return [finding(name, effects[name]) for name in names]
+def judge_by(
+    findings: Iterable[CurveFinding], number: Measurement, frequency: Array, modulus: Array
+) -> Measurement:
+    """Judge a number by findings; `modulus`: the MTF at frequencies, shape (f,)."""
+    return judge(
+        number,
+        [check.of_number(number, frequency, modulus, REMEDIES[check.flag]) for check in findings],
+    )
 
 
-def flag_undersampled(
-    measurements: Iterable[Measurement], window: Window
-) -> tuple[Measurement, ...]:
-    """Flag measurements of a spot as `aliased` where MTF50 may be too close to the sampling limit.
+def undersampled(numbers: Iterable[Measurement], window: Window) -> dict[float, CurveFinding]:
+    """Return the finding of a spot with an MTF50 too close to the sampling limit, by direction,
+    degrees; empty: it is not.
 
     Notes
     -----
     The position of the spot is fitted to first order. A spot of 0.15 px illuminates one pixel
-    wherever it lies in it: MTF50 is 10 to 15 % low, and 30 % at the corner of four pixels.
+    wherever it lies in it: MTF50 is 10 to 15 % low, and 30 % at the corner of four pixels. No spot
+    has an MTF above |sinc(f p)|, that of the pixel's aperture of pitch p.
     """
-    numbers = tuple(measurements)
     step_px = {0.0: float(window.x[1] - window.x[0]), 90.0: float(window.y[1] - window.y[0])}
     sharp = any(
         measurement.quantity == "mtf50"
@@ -88,15 +83,23 @@ def flag_undersampled(
         for measurement in numbers
     )
     if not sharp:
-        return numbers
+        return {}
     effect = (
         f"MTF50 may lie above {LIMITS.max_mtf50:g} cycles per sample, where it is measured "
-        f"10 to 30 % low"
+        "10 to 30 % low, and at most that of the pixel's aperture"
     )
-    return tuple(judge(measurement, [finding("aliased", effect)]) for measurement in numbers)
+
+    def aperture(pitch_px: float) -> Undo:
+        return lambda frequency, modulus: np.maximum(modulus, np.abs(np.sinc(frequency * pitch_px)))
+
+    return {
+        angle: finding("aliased", effect, aperture(pitch_px)) for angle, pitch_px in step_px.items()
+    }
 
 
-def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> tuple[str, ...]:
+def motion_findings(
+    frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]
+) -> list[CurveFinding]:
     """Return `interlace-motion` for a displacement between fields, `drift` for one through the
     stack.
 
@@ -105,44 +108,56 @@ def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -
     shape (row,).
     """
     if len(frames) < 4:
-        return ()
-    moves = _drifts(frames, x, y) or _shakes(frames, x, y)
-    checks = (("interlace-motion", _has_field_offset(frames, x, y, parity)), ("drift", moves))
-    return tuple(name for name, is_raised in checks if is_raised)
+        return []
+    out, field_offset_px = [], _field_offset_px(frames, x, y, parity)
+    if field_offset_px > 0.0:
+        effect = f"the fields are displaced by {field_offset_px:.2g} px"
+        fields = TargetMotion(rms_px=0.5 * field_offset_px)
+        out.append(finding("interlace-motion", effect, fields.undo))
+    rms_px = _drift_rms_px(frames, x, y) or _shake_rms_px(frames, x, y)
+    if rms_px > 0.0:
+        effect = f"the source moves by {rms_px:.2g} px rms"
+        out.append(finding("drift", effect, TargetMotion(rms_px=rms_px).undo))
+    return out
 
 
-def _has_field_offset(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> bool:
-    """Return whether odd and even rows show the source in different columns."""
+def _field_offset_px(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> float:
+    """Return the distance between the columns in which odd and even rows show the source, px; 0:
+    none.
+    """
     weighted = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) * frames
     centre, error = [], []
     for rows in (parity, ~parity):
         light, moment = weighted[:, rows].sum(axis=(1, 2)), (weighted * x)[:, rows].sum(axis=(1, 2))
         if light.mean() < LIMITS.motion_sd * light.std(ddof=1) / np.sqrt(len(light)):
-            return False
+            return 0.0
         # The ratio of sums over frames: that of a single faint frame is unreliable.
         centre.append(moment.sum() / light.sum())
         off = moment - centre[-1] * light
         error.append(off.std(ddof=1) / np.sqrt(len(off)) / light.mean())
-    return bool(
-        abs(centre[0] - centre[1])
-        > max(LIMITS.motion_sd * float(np.hypot(*error)), LIMITS.max_field_offset_px)
-    )
+    offset_px = abs(centre[0] - centre[1])
+    least_px = max(LIMITS.motion_sd * float(np.hypot(*error)), LIMITS.max_field_offset_px)
+    return offset_px if offset_px > least_px else 0.0
 
 
-def _drifts(frames: Array, x: Array, y: Array) -> bool:
-    """Return whether the source moves steadily along rows or columns."""
-    time = np.linspace(-0.5, 0.5, len(frames))
+def _drift_rms_px(frames: Array, x: Array, y: Array) -> float:
+    """Return by how much the source moves steadily along rows or columns, px rms; 0: it does
+    not.
+    """
+    time, travels_px = np.linspace(-0.5, 0.5, len(frames)), [0.0]
     for position, _ in _places(frames, x, y):
         travel = float(time @ position / (time @ time))
         residual = position - position.mean() - travel * time
         error = float(np.sqrt(residual @ residual / (len(frames) - 2) / (time @ time)))
         if abs(travel) > max(LIMITS.motion_sd * error, LIMITS.max_drift_px):
-            return True
-    return False
+            travels_px.append(abs(travel))
+    # Positions spread evenly over a travel t have the standard deviation t / sqrt(12).
+    return max(travels_px) / 12.0**0.5
 
 
-def _shakes(frames: Array, x: Array, y: Array) -> bool:
-    """Return whether the source moves between frames beyond photon noise, and enough to matter.
+def _shake_rms_px(frames: Array, x: Array, y: Array) -> float:
+    """Return by how much the source moves between frames beyond photon noise, px rms; 0: not
+    enough to matter.
 
     Notes
     -----
@@ -157,7 +172,7 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
     spot_area = np.hypot(x[None, :], y[:, None]) < 10.0
     light, freedom = frames[:, spot_area].sum(axis=1), len(frames) - 1
     if not light.mean() > 0:
-        return False
+        return 0.0
     per_light = light.var(ddof=1) / light.mean()
     # The median of chi squared of one degree of freedom is 0.455.
     dark = (
@@ -168,6 +183,7 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
     area = (
         light.mean() / max(float(mean.max()), 1e-300) * float(np.diff(x[:2])[0] * np.diff(y[:2])[0])
     )
+    squares = [0.0]
     for position, rise in _places(frames, x, y):
         power = float(np.sum(rise**2))
         if not power > 0:
@@ -180,8 +196,8 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
             lowered > LIMITS.max_motion_loss
             and fdtrc(freedom, freedom, square / max(noise, 1e-300)) < LIMITS.motion_p_value
         ):
-            return True
-    return False
+            squares.append(square - noise)
+    return float(max(squares)) ** 0.5
 
 
 def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
@@ -202,7 +218,7 @@ def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
 
 def source_findings(
     sites: list[SourcePixels], fitter: PointFitter, models: list[EvidenceWeightedModels2D]
-) -> list[Finding]:
+) -> list[CurveFinding]:
     """Return the findings of fitted sources."""
     fit, out = models[0].fit, []
     if any(site.window.clipped for site in sites):
@@ -254,9 +270,8 @@ def source_findings(
             window.core - float(np.median(window.core))
         )
         x, y = window.centre
-        out += motion_findings(
-            motion_flags(frames, window.x - x, window.y - y, window.parity[:: window.x.size])
-        )
+        parity = window.parity[:: window.x.size]
+        out += motion_findings(frames, window.x - x, window.y - y, parity)
     return out
 
 

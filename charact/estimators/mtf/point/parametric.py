@@ -19,6 +19,7 @@ from charact.estimators.mtf.curve import (
     crossing_measurement,
     curve_of,
     flag_filter_uncertainty,
+    widen_by,
 )
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.mean_frame import Region
@@ -26,9 +27,10 @@ from charact.estimators.mtf.point.blur_models_2d import BANDWIDTH_ORDERS, BlurMo
 from charact.estimators.mtf.point.checks import (
     camera_nonlinearity,
     finding,
-    flag_undersampled,
+    judge_by,
     light_sd,
     source_findings,
+    undersampled,
 )
 from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.estimators.mtf.point.model_selection import (
@@ -53,10 +55,10 @@ from charact.transfer.extended import (
     ScatterComponent,
 )
 from charact.transfer.video_filter import VideoFilter, powers
-from charact.verdict import judge
 from labdata import (
     Array,
     BadInput,
+    Curve,
     FrameStack,
     Measurement,
     Posterior,
@@ -311,10 +313,10 @@ def _result(
     total = sum(model.weight for model in models)
     wanted = ACCURACY.quick_draws if context.quick else ACCURACY.draws
     counts = [max(1, round(wanted * model.weight / total)) for model in models]
-    measurements: list[Measurement] = []
-    curves, aperture = {}, sites[0].aperture
+    measured: list[tuple[list[Measurement], Array, Curve]] = []
+    aperture = sites[0].aperture
     frequency = np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)])
-    for name, vertical, angle in (("mtf", False, 0.0), ("mtf_vertical", True, 90.0)):
+    for vertical, angle in ((False, 0.0), (True, 90.0)):
         draws = np.concatenate(
             [
                 mtf_of_camera(
@@ -333,19 +335,28 @@ def _result(
             for quantity, at in LEVELS.items()
         ]
         for values, at in zip(pinned.T, PINNED, strict=True) if "mtf" in method.quantities else ():
-            measured = measurement_from_draws(
+            number = measurement_from_draws(
                 "mtf", "1", values, frequency_cy_per_px=float(at), **direction_settings
             )
-            numbers.append(_note_several_peaks(measured, values))
+            numbers.append(_note_several_peaks(number, values))
         exact = aperture.video is None or vertical or models[0].fit.form.bandwidth_order > 1
         doubt = None if exact or aperture.video is None else aperture.video.doubt
-        measurements += [
+        numbers = [
             flag_filter_uncertainty(number, doubt, partial(_crossing, fine)) for number in numbers
         ]
-        curves[name] = curve_of(REPORTED, reported)
-    measurements = [judge(number, findings) for number in measurements]
+        measured.append((numbers, np.median(fine, axis=0), curve_of(REPORTED, reported)))
+    every = [number for numbers, _, _ in measured for number in numbers]
+    aliased = undersampled(every, sites[0].window)
+    measurements: list[Measurement] = []
+    curves: dict[str, Curve] = {}
+    for name, angle, (numbers, modulus, curve) in zip(
+        ("mtf", "mtf_vertical"), (0.0, 90.0), measured, strict=True
+    ):
+        checks = [*findings, aliased[angle]] if aliased else findings
+        measurements += [judge_by(checks, number, FINE, modulus) for number in numbers]
+        curves[name] = widen_by(checks, curve, FINE, modulus)
     return Result(
-        measurements=flag_undersampled(measurements, sites[0].window),
+        measurements=tuple(measurements),
         curves=curves,
         evidence={"point-profile": _model_figure_data(sites[0], fitter, models[0].fit)},
     )

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import charact
-from charact.estimators.mtf.curve import crossing_frequency
+from charact.estimators.mtf.curve import CurveFinding, crossing_frequency, widen_by
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.point.blur_models_2d import pinhole
-from charact.estimators.mtf.point.checks import finding, motion_findings, motion_flags
+from charact.estimators.mtf.point.checks import finding, judge_by, motion_findings
 from charact.estimators.mtf.point.source import (
     DetectedSource,
     PointRefusal,
@@ -23,7 +23,6 @@ from charact.frames.clipping import is_clipped_at_black
 from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context, register
-from charact.verdict import judge
 from labdata import (
     Array,
     Curve,
@@ -39,6 +38,7 @@ from labdata import (
 METHOD = "point-spread"
 FREQUENCY = np.linspace(0.0, 0.5, 251)
 EFFECTS = {
+    "saturated": "pixels are at full scale",
     "several-targets": "light of another source in the region is included",
     "window-too-small": (
         f"light beyond {ACCURACY.spot_radius_px:g} px is not included; MTF50 is "
@@ -94,8 +94,8 @@ def point_spread(
     if len(cut_stack) < LIMITS.min_transform_frames:
         reason = f"a spot needs at least {LIMITS.min_transform_frames} frames, got {len(cut_stack)}"
         return refuse_all(common, reason, "too-few-frames")
-    spots, flags, missing = _spots(cut_stack, source, context)
-    if "saturated" in flags:
+    spots, findings, missing = _spots(cut_stack, source, context)
+    if any(check.flag == "saturated" for check in findings):
         return refuse_all(
             common,
             "the spot must stay below full scale: clipped light has no transform",
@@ -107,15 +107,14 @@ def point_spread(
     ):
         return refuse_all(common, "no target: the spot's light is not significant over the frames")
     positions = _places(cut_stack.shape[1:], source, context)
-    still = [finding(flag, EFFECTS[flag]) for flag in flags if flag in EFFECTS]
-    findings = [*still, *motion_findings(tuple(flag for flag in flags if flag not in EFFECTS))]
     measurements, curves = [], {}
     for name, angle, position in (("mtf", 0.0, positions[1]), ("mtf_vertical", 90.0, positions[0])):
         numbers, curve = _direction(
             spots, position, pinhole_px or 0.0, missing, {**common, "orientation_deg": angle}
         )
-        measurements += [judge(number, findings) for number in numbers]
-        curves[name] = curve
+        modulus = curve.value
+        measurements += [judge_by(findings, number, FREQUENCY, modulus) for number in numbers]
+        curves[name] = widen_by(findings, curve, FREQUENCY, modulus)
     return Result(measurements=tuple(measurements), curves=curves)
 
 
@@ -131,9 +130,9 @@ def _places(
 
 def _spots(
     stack: FrameStack, source: DetectedSource, context: Context
-) -> tuple[Array, tuple[str, ...], float]:
-    """Return spots above their rings (frame, row, col), flags, and the fraction of light that may
-    be missing.
+) -> tuple[Array, list[CurveFinding], float]:
+    """Return spots above their rings (frame, row, col), findings, and the fraction of light that
+    may be missing.
     """
     y, x = _places(stack.shape[1:], source, context)
     radius = np.hypot(x, y)
@@ -160,13 +159,13 @@ def _spots(
         ("model-misfit", _is_asymmetric(spots, x, y)),
         ("clipped", is_clipped_at_black(stack.data[:, ring])),
     )
-    motion = motion_flags(
+    motion = motion_findings(
         spots, *_offsets_from_centre(mean, x.ravel(), y.ravel()), np.arange(stack.shape[1]) % 2 == 1
     )
     missing = ACCURACY.light_beyond * float(np.hypot(max(tail, 0.0), tail_sd))
     return (
         np.asarray(spots, np.float64),
-        (*(name for name, is_raised in raised if is_raised), *motion),
+        [*(finding(flag, EFFECTS[flag]) for flag, is_raised in raised if is_raised), *motion],
         missing,
     )
 
