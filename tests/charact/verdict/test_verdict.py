@@ -1,11 +1,14 @@
 """Laws of the rule from findings and interval to status."""
 
+import ast
 import dataclasses
 from itertools import permutations
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import charact
 from charact.verdict import Finding, judge, widen_curve
 from labdata.measurement import Curve, make_measurement, make_refusal
 
@@ -94,3 +97,38 @@ def test_a_curve_is_widened_where_its_interval_does_not_hold_the_bound():
 def test_a_finding_has_a_known_flag_and_a_finite_bound(fields):
     with pytest.raises(ValueError, match=r"odd|bound|sign"):
         Finding(**{"flag": "drift", "effect": "", "remedy": "", **fields})
+
+
+MAKERS = {"Measurement", "make_measurement", "measurement_from_draws", "measurement_from_sd"}
+# The verdict itself; rooms whose checks hand over no findings yet; fusion, with bands that have a
+# status of their own.
+EXCEPTIONS = ("verdict/", "estimators/noise/", "estimators/tube.py", "fusion/")
+
+
+def status_setters(source: str) -> list[str]:
+    """Return the calls that hand flags or a status to what makes or changes a measurement.
+
+    A refusal has no status to choose; `replace` of other things than measurements may have flags.
+    """
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    setting = [
+        call for call in calls if {"flags", "status"} & {keyword.arg for keyword in call.keywords}
+    ]
+    names = [getattr(call.func, "attr", getattr(call.func, "id", "")) for call in setting]
+    return [name for name in names if name in MAKERS | {"with_"}]
+
+
+def test_only_judge_sets_a_status():
+    root = Path(charact.__file__).parent
+    rooms = {path.relative_to(root).as_posix(): path for path in root.rglob("*.py")}
+    found = {name: status_setters(path.read_text("utf-8")) for name, path in rooms.items()}
+    assert not {
+        name: calls for name, calls in found.items() if calls and not name.startswith(EXCEPTIONS)
+    }
+    # The law sees what breaks it.
+    assert status_setters(
+        "a = make_measurement(flags=f)\nb = m.with_(status=s)\nm.with_(notes=n)"
+    ) == [
+        "make_measurement",
+        "with_",
+    ]
