@@ -1,7 +1,14 @@
 """Fit of a sensor description to a session's measurements."""
 
+from charact.fitting import (  # noqa: F401  statistics that a fit loops over
+    mtf_observations,
+    silicon_observations,
+    tube_dark_observations,
+    tube_observations,
+    tube_time_observations,
+)
 from charact.fitting.fitted_session import proposed_description
-from charact.fitting.observation import findings_of, misfit_finding, observations_of
+from charact.fitting.observation import Observation, findings_of, misfit_finding, observations_of
 from charact.fitting.prior import prior_of, values_of_description
 from charact.fitting.sensor import (
     Model,
@@ -13,10 +20,12 @@ from charact.fitting.sensor import (
     posterior_of,
 )
 from charact.fitting.slice_sampling import slice_sample
-from charact.fitting.stack_levels import levels_of
+from charact.fitting.stack_levels import SessionStacks, levels_of, stacks_of
 
 __all__ = [
     "Model",
+    "Observation",
+    "SessionStacks",
     "description_from_posterior",
     "findings_of",
     "fit_sensor",
@@ -30,5 +39,6 @@ __all__ = [
     "prior_of",
     "proposed_description",
     "slice_sample",
+    "stacks_of",
     "values_of_description",
 ]

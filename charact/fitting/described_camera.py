@@ -22,7 +22,7 @@ def describe_camera(sensor: Camera, mcp_v: float) -> tuple[NoiseLaw, PosteriorPs
     True
     """
     values = values_of_description(sensor)
-    gain = predicted.photoelectron_gain(values, mcp_v, float(sensor.microchannel_plate.reference_v))
+    gain = predicted.photoelectron_gain(values, mcp_v)
     blur = 1.0 if sensor.video.digital else float(predicted.blur_factor(values, gain)[0])
     read_dn = float(sensor.ccd.read_noise_e) * float(sensor.video.conversion_gain_dn_per_e)
     law = NoiseLaw(

@@ -1,19 +1,24 @@
-"""Observations of MTF curves and bar targets, each along its own direction."""
+"""Observations of MTF curves, bar targets and veiling glare of edges."""
 
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from charact.fitting import predicted_quantities
-from charact.fitting.observation import (
-    Observation,
-    admissible_measurements,
-    scalar_observation,
-    sd_of,
-)
-from charact.fitting.prior import Camera
+from charact.fitting.measured_quantity import Measured, MeasuredQuantity
+from charact.fitting.predicted_quantities import BROADBAND_NM, mtf
+from charact.fitting.stack_levels import SessionStacks
 from charact.fitting.thresholds import ERRORS, LEVELS, LIMITS
-from labdata import Array, Curve, Result, Session, StackEntry
+from charact.observables import (
+    Case,
+    Estimates,
+    Observable,
+    Values,
+    admissible_measurements,
+    declare,
+    observable,
+)
+from labdata import Array, Camera, Curve, Result, StackEntry
 
 SPREAD = (
     "optics.aberration_blur_um",
@@ -26,77 +31,150 @@ SPREAD = (
     "taper.interface_mtf_lp_per_mm",
     "video.bandwidth_mhz",
 )
+LENS = ("optics.aberration_blur_um", "optics.f_number")
 GLARE = "optics.veiling_glare_fraction"
 
 
-def mtf_observations(
-    session: Session, sensor: Camera, result: Result, depends: tuple[str, ...] = SPREAD
-) -> list[Observation]:
-    """Return the observations of MTF curves and bar targets, each along its own direction.
+def mtf_paths(camera: Camera) -> tuple[str, ...]:
+    """Return the paths of the parameters that an MTF depends on."""
+    return SPREAD if camera.has_tube else LENS
 
-    `depends`: paths of the parameters that the MTF depends on.
+
+@dataclass(frozen=True, kw_only=True)
+class Points:
+    """Points of the frequency plane along a direction, and the light that shows their MTF."""
+
+    camera: Camera
+    frequency: Array  # shape (point,), cy per column pitch
+    angle_deg: float  # from the row direction
+    entry: StackEntry | None
+
+    def mtf(self, values: Values) -> Array:
+        """Return the MTF, shape (n, point), at the wavelength of the stack's light, else the centre
+        of broadband light.
+        """
+        pitch_ratio = float(self.camera.ccd.pitch_y_um) / float(self.camera.ccd.pitch_x_um)
+        angle = np.deg2rad(self.angle_deg)
+        stated_nm = None if self.entry is None else self.entry.conditions.wavelength_nm
+        return mtf(
+            values,
+            self.frequency * abs(np.cos(angle)),
+            self.frequency * abs(np.sin(angle)) * pitch_ratio,
+            stated_nm or BROADBAND_NM,
+        )
+
+
+@observable
+class MtfCurve(Observable[Points]):
+    """MTF along one direction, in points half the distance apart over which errors are
+    correlated.
     """
-    stacks = {m.stack for m in admissible_measurements(result, "mtf50")}
-    observations = [
-        _curve(name, line, session, sensor, result, depends)
-        for name, line in result.curves.items()
-        if name.split(":")[0] in ("mtf", "mtf_vertical")
-        and line.interval68 is not None
-        and _stack_of(name, line) in stacks
-    ]
-    bars = {entry.label: entry for entry in session.of_kind("bars")}
-    for m in admissible_measurements(result, "mtf"):
-        if m.stack in bars and m.frequency_cy_per_px:
-            angle_deg = (
-                m.orientation_deg
-                if m.orientation_deg is not None
-                else bars[m.stack].target.angle_deg
-            )
-            fx, fy = _components(np.array([m.frequency_cy_per_px]), angle_deg or 0.0, sensor)
-            sd = float(np.hypot(sd_of(m), ERRORS.mtf))
-            predict = partial(
-                predicted_quantities.mtf,
-                across=fx,
-                along=fy,
-                wavelength_nm=_wavelength_nm(bars[m.stack]),
-            )
-            observations.append(
-                scalar_observation(
-                    f"mtf of {m.stack}",
-                    m.value or 0.0,
-                    sd,
-                    lambda v, f=predict: f(v)[:, 0],
-                    depends,
+
+    name = "mtf curve"
+    order = -10
+
+    def cases(self, stacks: SessionStacks) -> Iterator[Case[Points]]:
+        """Yield the curves of stacks whose MTF50 is admissible."""
+        admissible = {m.stack for m in admissible_measurements(stacks.result, "mtf50")}
+        entries = {entry.label: entry for entry in stacks.session.stacks}
+        for name, line in stacks.result.curves.items():
+            kind, _, stack = name.partition(":")
+            stack = line.stack or stack or None
+            if (
+                kind in ("mtf", "mtf_vertical")
+                and line.interval68 is not None
+                and stack in admissible
+            ):
+                entry = entries.get(stack or "")
+                frequency, estimates = _in_points(line)
+                points = Points(
+                    camera=stacks.camera,
+                    frequency=frequency,
+                    angle_deg=_angle_deg(kind, stack, entry, stacks.result),
+                    entry=entry,
                 )
-            )
-    return observations
+                yield Case(estimates=estimates, of=points, label=name)
+
+    def model_covariance(self, estimates: Estimates, shown: Points) -> Array:
+        """Return the covariance by which no MTF follows the model."""
+        return ERRORS.mtf**2 * np.eye(estimates.value.size)
+
+    def predict(self, values: Values, shown: Points) -> Array:
+        """Return the MTF at the points, shape (n, point)."""
+        return shown.mtf(values)
+
+    def parameters(self, shown: Points) -> tuple[str, ...]:
+        """Return the paths of the stages of the camera."""
+        return mtf_paths(shown.camera)
 
 
-def glare_observations(session: Session, dark_dn: float) -> list[Observation]:
-    """Observe the veiling glare at edges of stated contrast, of a camera without a tube; `dark_dn`:
-    level of the dark.
+def _bars(shown: Measured) -> StackEntry | None:
+    """Return the bar target of a measurement."""
+    bars = shown.stacks.session.of_kind("bars")
+    return next((entry for entry in bars if entry.label == shown.m.stack), None)
+
+
+def _mtf_of_bars(values: Values, shown: Measured) -> Array:
+    """Return the MTF of a bar target at its frequency, shape (n,)."""
+    m, entry = shown.m, _bars(shown)
+    assert entry is not None
+    stated_deg = entry.target.angle_deg if m.orientation_deg is None else m.orientation_deg
+    points = Points(
+        camera=shown.stacks.camera,
+        frequency=np.array([m.frequency_cy_per_px]),
+        angle_deg=stated_deg or 0.0,
+        entry=entry,
+    )
+    return points.mtf(values)[:, 0]
+
+
+declare(
+    MeasuredQuantity(
+        name="mtf of bars",
+        shown_as="mtf of {stack}",
+        order=-9,
+        quantity="mtf",
+        where=lambda shown: _bars(shown) and shown.m.frequency_cy_per_px,
+        number=_mtf_of_bars,
+        model_sd=lambda stacks: ERRORS.mtf,
+        paths=lambda stacks: mtf_paths(stacks.camera),
+    )
+)
+
+
+@observable
+class VeilingGlare(Observable[None]):
+    """Veiling glare at an edge of stated contrast.
 
     With the fraction v of the light spread evenly over the frame, of mean M, sides of the levels B
     and D far from the edge obey D - v M = d (B - v M), d the target's dark side over its bright one
     (ISO 9358 spreads the light alike).
     """
-    observations = []
-    for entry in session.of_kind("edge"):
-        sides = _sides_dn(entry, dark_dn)
-        if entry.target.contrast is None or sides is None:
-            continue
-        contrast = entry.target.contrast
-        (lower, upper, frame_level), ratio = sides, (1.0 - contrast) / (1.0 + contrast)
-        value = (lower - ratio * upper) / (frame_level * (1.0 - ratio))
-        of_contrast = 2.0 * ERRORS.contrast_sd / (1.0 + contrast) ** 2
-        ratio_sd = ERRORS.opaque_transmittance if contrast == 1.0 else of_contrast
-        sd = float(np.hypot(ERRORS.glare * value, ratio_sd * upper / (frame_level * (1.0 - ratio))))
-        observations.append(
-            scalar_observation(
-                f"glare of {entry.label}", value, sd, lambda values: values[GLARE], (GLARE,)
-            )
-        )
-    return observations
+
+    name = "glare"
+    order = -8
+    tube = False
+    depends = (GLARE,)
+    relative_model_sd = ERRORS.glare
+
+    def cases(self, stacks: SessionStacks) -> Iterator[Case[None]]:
+        """Yield the glare of each edge whose sides are large enough, with the error of the
+        contrast.
+        """
+        for entry in stacks.session.of_kind("edge") if stacks.darks else ():
+            contrast, sides = entry.target.contrast, _sides_dn(entry, stacks.dark.mean_dn)
+            if contrast is None or sides is None:
+                continue
+            (lower, upper, frame_level), ratio = sides, (1.0 - contrast) / (1.0 + contrast)
+            scale = frame_level * (1.0 - ratio)
+            of_contrast = 2.0 * ERRORS.contrast_sd / (1.0 + contrast) ** 2
+            ratio_sd = ERRORS.opaque_transmittance if contrast == 1.0 else of_contrast
+            glare = Estimates.of_number((lower - ratio * upper) / scale, ratio_sd * upper / scale)
+            yield Case(estimates=glare, of=None, label=f"glare of {entry.label}")
+
+    def predict(self, values: Values, shown: None) -> Array:
+        """Return the glare, shape (n, 1)."""
+        return values[GLARE][:, None]
 
 
 def _sides_dn(entry: StackEntry, dark_dn: float) -> tuple[float, float, float] | None:
@@ -123,20 +201,10 @@ def _sides_dn(entry: StackEntry, dark_dn: float) -> tuple[float, float, float] |
     return lower, upper, float(mean_frame.mean())
 
 
-def _stack_of(name: str, line: Curve) -> str | None:
-    """Return the stack of a curve."""
-    return line.stack or (name.split(":", 1)[1] if ":" in name else None)
-
-
-def _curve(
-    name: str,
-    line: Curve,
-    session: Session,
-    sensor: Camera,
-    result: Result,
-    depends: tuple[str, ...],
-) -> Observation:
-    """Observe an MTF curve at frequencies far enough apart."""
+def _in_points(line: Curve) -> tuple[Array, Estimates]:
+    """Return the points of a curve, cy/px, and its values there: errors of points close together
+    are correlated.
+    """
     frequency = np.asarray(line.frequency_cy_per_px, float)
     # A curve of a wide blur has fallen at the usual spacing.
     low = np.asarray(line.value) < 0.5
@@ -147,52 +215,19 @@ def _curve(
     value = np.interp(wanted, frequency, line.value)
     sd = np.interp(wanted, frequency, (high - low) / (2.0 * 0.994458))
     usable = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > LIMITS.least_mtf)
-    angle_deg = _angle_deg(name, line, session, result)
-    fx, fy = _components(wanted[usable], angle_deg, sensor)
-    # Errors are correlated: closely spaced points add little information.
-    separation, sd = np.abs(np.subtract.outer(wanted[usable], wanted[usable])), sd[usable]
-    covariance = np.outer(sd, sd) * np.exp(
-        -separation / ERRORS.mtf_correlation_cy_per_px
-    ) + ERRORS.mtf**2 * np.eye(sd.size)
-    entry = next((entry for entry in session.stacks if entry.label == _stack_of(name, line)), None)
-    predict = partial(
-        predicted_quantities.mtf, across=fx, along=fy, wavelength_nm=_wavelength_nm(entry)
-    )
-    return Observation(
-        name=name, value=value[usable], covariance=covariance, parameters=depends, predict=predict
-    )
+    wanted, sd = wanted[usable], sd[usable]
+    separation = np.abs(np.subtract.outer(wanted, wanted))
+    correlation = np.exp(-separation / ERRORS.mtf_correlation_cy_per_px)
+    return wanted, Estimates(value=value[usable], covariance=np.outer(sd, sd) * correlation)
 
 
-def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> float:
+def _angle_deg(kind: str, stack: str | None, entry: StackEntry | None, result: Result) -> float:
     """Return the direction of a curve's frequencies, degrees from the row direction."""
-    if name.startswith("mtf_vertical"):
+    if kind == "mtf_vertical":
         return 90.0
-    stack = _stack_of(name, line)
-    entry = next((entry for entry in session.stacks if entry.label == stack), None)
     if entry is not None and entry.kind == "point":
         return 0.0
     if entry is not None and entry.target.angle_deg is not None:
         return entry.target.angle_deg
-    angles = [
-        m.orientation_deg
-        for m in result.find("mtf50")
-        if m.orientation_deg is not None and m.stack == stack
-    ]
-    return angles[0] if angles else 0.0
-
-
-def _wavelength_nm(entry: StackEntry | None) -> float:
-    """Return the wavelength of a stack's light, nm: the stated one, else the centre of broadband
-    light.
-    """
-    stated = None if entry is None else entry.conditions.wavelength_nm
-    return stated or predicted_quantities.BROADBAND_NM
-
-
-def _components(frequency: Array, angle_deg: float, sensor: Camera) -> tuple[Array, Array]:
-    """Split frequencies in cy per column pitch: along rows in the same, along columns in cy per row
-    pitch.
-    """
-    pitch_ratio = float(sensor.ccd.pitch_y_um) / float(sensor.ccd.pitch_x_um)
-    angle = np.deg2rad(angle_deg)
-    return frequency * abs(np.cos(angle)), frequency * abs(np.sin(angle)) * pitch_ratio
+    angles = (m.orientation_deg for m in result.find("mtf50") if m.stack == stack)
+    return next((angle_deg for angle_deg in angles if angle_deg is not None), 0.0)

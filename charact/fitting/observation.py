@@ -2,9 +2,10 @@
 of a misfit.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -17,59 +18,11 @@ from charact.estimators.noise.findings import (
     UNSTEADY,
     Cause,
 )
-from charact.observables import Stacks, Values, observables
-from charact.observables.photon_transfer import PhotonTransfer
+from charact.fitting.prior import values_of_description
+from charact.fitting.stack_levels import SessionStacks
+from charact.observables import Observable, Ridge, Values, observables
 from charact.verdict import Finding
-from labdata import Array, Conditions, Measurement, Result
-
-# Flags that add no bias; any other flag excludes a measurement from the fit.
-MILD = {
-    "defects",
-    "drift",
-    "flicker",
-    "gradient",
-    "low-signal",
-    "not-converged",
-    "prior-bound",
-    "too-few-frames",
-}
-
-
-def is_admissible(m: Measurement) -> bool:
-    """Whether a measurement is ok, or suspect only for reasons that add no bias."""
-    return m.status != "refused" and m.interval68 is not None and set(m.flags) <= MILD
-
-
-def admissible_measurements(
-    result: Result, quantity: str, unit: str | None = None
-) -> list[Measurement]:
-    """Return the measurements of a quantity with status ok, or the mildly suspect ones where there
-    are none.
-    """
-    admissible = [m for m in result.find(quantity) if is_admissible(m) and unit in (None, m.unit)]
-    return [m for m in admissible if m.status == "ok"] or admissible
-
-
-def sd_of(m: Measurement) -> float:
-    """Return half the 68 % interval: the standard deviation of a Gaussian one."""
-    low, high = m.interval68 or (float("nan"), float("nan"))
-    return (high - low) / (2.0 * 0.994458)
-
-
-Predict = Callable[[Values], Array]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ridge:
-    """Surface on which a posterior is narrow: a number of many parameters that is known far better
-    than any of them.
-
-    In coordinates with the number itself in place of one parameter the surface is a plane.
-    """
-
-    carrier: str  # path of the parameter
-    number: Predict  # values of shape (n,) each -> (n,)
-    slope: float  # change of the number with the coordinate of the carrier, the same everywhere
+from labdata import Array, Camera, Conditions, Measurement, Result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,16 +32,18 @@ class Observation:
     name: str  # name of the quantity, for messages
     value: Array  # measured numbers, shape (k,)
     covariance: Array  # covariance of their errors, model error included, shape (k, k)
-    predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
+    predict: Callable[[Values], Array]  # from values of shape (n,) each, shape (n, k)
     is_bound: bool = False  # whether a prediction beyond the value agrees
     parameters: tuple[str, ...]  # paths of the sensor parameters that it depends on
     # the product that it determines far better than any of its parameters
-    ridge: "Ridge | None" = None
+    ridge: Ridge | None = None
 
     def chi_squared(self, values: Values) -> Array:
         """Return each draw's chi squared, shape (n,)."""
-        whitened_residuals = (self.predict(values) - self.value) @ self._whitening
-        return np.sum(whitened_residuals**2, axis=1)
+        residuals = self.predict(values) - self.value
+        if self.is_bound:
+            residuals = np.minimum(residuals, 0.0)
+        return np.sum((residuals @ self._whitening) ** 2, axis=1)
 
     def scale_errors(self, factor: float) -> "Observation":
         """Return the same numbers with all errors larger by a factor."""
@@ -102,60 +57,49 @@ class Observation:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)).T, np.float64)
 
 
-def observations_of(stacks: Stacks) -> dict[str, Observation]:
-    """Return the observation of every statistic that stacks show and parameters explain, by name.
+def observations_of(stacks: SessionStacks) -> tuple[Observation, ...]:
+    """Return the observations of every statistic that stacks show and parameters explain."""
+    fitted = [
+        statistic for statistic in observables() if statistic.tube in (None, stacks.camera.has_tube)
+    ]
+    observed: dict[str, list[Observation]] = {}
+    # Those that stand in for others come after them.
+    for statistic in sorted(fitted, key=lambda statistic: bool(statistic.unless)):
+        if not any(observed.get(name) for name in statistic.unless):
+            observed[statistic.name] = list(_observed(statistic, stacks))
+    return tuple(part for statistic in fitted for part in observed.pop(statistic.name, ()))
 
-    The photon transfer curve of a session whose gain is not admissible is left out: its flats do
-    not follow the law.
+
+def _observed(statistic: Observable[Any], stacks: SessionStacks) -> Iterator[Observation]:
+    for case in statistic.cases(stacks):
+        estimates, shown = case.estimates, case.of
+        observed = Observation(
+            name=case.label or statistic.name,
+            value=estimates.value,
+            covariance=estimates.covariance + statistic.model_covariance(estimates, shown),
+            predict=lambda values, shown=shown: statistic.predict(values, shown),
+            is_bound=statistic.is_bound,
+            parameters=statistic.parameters(shown),
+            ridge=statistic.ridge(shown),
+        )
+        if not statistic.moved_by or _is_moved(observed, stacks.camera, statistic.moved_by):
+            yield observed
+
+
+def _is_moved(observed: Observation, camera: Camera, paths: tuple[str, ...]) -> bool:
+    """Whether any of the parameters moves a prediction by a standard error or more over its prior
+    range.
     """
-    gains = (("system_gain", "DN/e-"), ("covariance_gain", "DN"))
-    is_lawful = any(admissible_measurements(stacks.result, *gain) for gain in gains)
-    observed = {}
-    for statistic in observables():
-        usable = statistic.usable(stacks)
-        if usable is None or (statistic.name == PhotonTransfer.name and not is_lawful):
-            continue
-        if parameters := statistic.parameters(usable):
-            estimates = statistic.measure(usable)
-            observed[statistic.name] = Observation(
-                name=statistic.name,
-                value=estimates.value,
-                covariance=estimates.covariance + statistic.model_covariance(estimates, usable),
-                predict=partial(statistic.predict, stacks=usable),
-                parameters=parameters,
-            )
-    return observed
-
-
-def scalar_observation(
-    name: str,
-    value: float,
-    sd: float,
-    predict: Callable[[Values], Array],
-    parameters: tuple[str, ...],
-) -> Observation:
-    """Return an observation of one number; its prediction has shape (n,)."""
-    return Observation(
-        name=name,
-        value=np.array([value]),
-        covariance=np.array([[sd**2]]),
-        predict=lambda values: predict(values)[:, None],
-        parameters=parameters,
+    known, values = camera.parameters(), values_of_description(camera)
+    nominal = replace(observed, value=observed.predict(values)[0])
+    shifted = (
+        nominal.chi_squared({**values, path: np.array([float(end)])})[0]
+        for path in paths
+        if path in known
+        for end in (known[path].low, known[path].high)
+        if end is not None
     )
-
-
-def at_least(
-    name: str,
-    value: float,
-    sd: float,
-    predict: Callable[[Values], Array],
-    parameters: tuple[str, ...],
-) -> Observation:
-    """Return the observation of a lower bound: a prediction above it agrees."""
-    bound = scalar_observation(
-        name, value, sd, lambda values: np.minimum(predict(values), value), parameters
-    )
-    return replace(bound, is_bound=True)
+    return max(shifted, default=0.0) > 1.0
 
 
 # Flags of a measurement that point to a stage of the camera or bench which the fit does not model.

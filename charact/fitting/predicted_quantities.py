@@ -1,14 +1,24 @@
 """Quantities predicted by the camera model, for many parameter draws at once."""
 
+import operator
+from collections.abc import Callable
+from functools import wraps
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from charact.frames.image_lag import decay_components
 from charact.observables import Values
+from charact.observables.silicon import CONVERSION_GAIN as CONVERSION
+from charact.observables.silicon import DARK_CURRENT, READ_NOISE
 from charact.transfer.extended import halo
 from charact.transfer.stages import fibres, image_tube, lens, slit
 from charact.transfer.video_filter import sampled_response, transfer
 
 Array = NDArray[np.float64]
+Pieces = tuple[tuple[float, ...], tuple[int, ...]]
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 
 
@@ -61,38 +71,55 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
     """Return blur factor and horizontal neighbour correlation of a field's noise, shape (n,),
     dimensionless.
 
-    A photoelectron's light spreads with the transfer H of all stages after the gain. Poisson events
-    on the photocathode have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x)
-    over the frequency plane in cycles per field pixel, and the covariance sum (rate) |H(0)|^2 =
-    (rate), since the pixels tile the plane. Electrons counted in the detector are white before the
-    video filter, which correlates them by its weights. The two contributions have the ratio k F^2
-    to K.
+    Poisson events on the photocathode, whose pulses overlap, have the covariances of
+    `pulse_covariance`; electrons counted in the detector are white before the video filter, which
+    correlates them by its weights. The two contributions have the ratio k F^2 to K.
     """
-    weights = _video_weights(values)
-    across = slit(_ACROSS) * np.abs(transfer(weights, _ACROSS))
-    detector = _per_mm_at_detector(
-        values, *(plane.ravel() for plane in np.meshgrid(_ACROSS, _ALONG / rows_per_pixel(values)))
-    )
-    cathode = detector / _column(values, "taper.demagnification")
-    after = _tube(values, cathode, _column(values, "tube.post_gain_share")) * _coupling(
-        values, detector
-    )
-    down = slit(_ALONG) ** 2 * _ALONG_WEIGHT
-    columns = down @ after.reshape(-1, _ALONG.size, _ACROSS.size) ** 2
-    power = 4.0 * columns * across**2 * _ACROSS_WEIGHT
-    electron = values["video.conversion_gain_dn_per_e"]
+    electron = values[CONVERSION]
     event = gain_dn_per_pe * excess_noise_factor(values)
+    pulses, filtered = (
+        pulse_covariance(values, ((0, 0), (1, 0)), FINE),
+        filter_covariance(values, 2),
+    )
     variance, neighbour = (
-        (event * pulses + electron * filtered) / (event + electron)
-        for pulses, filtered in (
-            (power.sum(axis=1), np.sum(weights**2, axis=1)),
-            (
-                power @ np.cos(2.0 * np.pi * _ACROSS),
-                np.sum(weights[:, 1:] * weights[:, :-1], axis=1),
-            ),
-        )
+        (event * pulses[:, lag] + electron * filtered[:, lag]) / (event + electron)
+        for lag in (0, 1)
     )
     return variance, neighbour / variance
+
+
+def pulse_covariance(
+    values: Values, separations: tuple[tuple[float, float], ...], nodes: "Nodes | None" = None
+) -> Array:
+    """Return covariance over covariance sum of pulses at (columns, field rows) apart, shape (n, k),
+    dimensionless.
+
+    A photoelectron's light spreads with the transfer H of all stages after the gain. Poisson events
+    on the photocathode have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi f x)
+    over the plane of frequencies f in cycles per field pixel, and the covariance sum (rate)
+    |H(0)|^2 = (rate), since the pixels tile the plane; at no distance it is the blur factor.
+    """
+    nodes = nodes or COARSE
+    power, x, y = _power_after_gain(values, nodes), nodes.across, nodes.along
+    video = (slit(x) * np.abs(transfer(video_weights(values), x))) ** 2 * nodes.across_weight
+    covariance = []
+    for columns_apart, rows_apart in separations:
+        down = np.cos(2.0 * np.pi * y * rows_apart) * slit(y) ** 2 * nodes.along_weight
+        cosine = np.cos(2.0 * np.pi * x * columns_apart)
+        covariance.append(4.0 * np.sum((down @ power) * video * cosine, axis=1))
+    return np.stack(covariance, axis=1)
+
+
+def filter_covariance(values: Values, count: int) -> Array:
+    """Return the covariances of filtered white noise of variance 1 at 0 ... count - 1 columns,
+    shape (n, count).
+    """
+    weights = video_weights(values)
+    length = weights.shape[1]
+    return np.stack(
+        [np.sum(weights[:, : length - lag] * weights[:, lag:], axis=1) for lag in range(count)],
+        axis=1,
+    )
 
 
 def excess_noise_factor(values: Values) -> Array:
@@ -103,7 +130,7 @@ def excess_noise_factor(values: Values) -> Array:
     return (1.0 + 1.0 / shape) / values["microchannel_plate.detection_probability"]
 
 
-def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
+def photoelectron_gain(values: Values, mcp_v: ArrayLike) -> Array:
     """Return k, the mean signal per photoelectron, undetected ones included, shape (n,), DN.
 
     A tube of luminous gain G emits G/(efficacy x photon energy) photons per lumen on the
@@ -111,17 +138,13 @@ def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> 
     converts QE of them to electrons of K DN each. The gain depends on the MCP voltage as (V/V0)^m.
     """
     electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
-    return (
-        _photons_per_pe(values, mcp_v, reference_v)
-        * electrons
-        * values["video.conversion_gain_dn_per_e"]
-    )
+    return _photons_per_pe(values, mcp_v) * electrons * values[CONVERSION]
 
 
 def covariance_gain(values: Values, gain_dn_per_pe: Array) -> Array:
     """Return K + k F^2 at the gain k per photoelectron, shape (n,), DN."""
     event = gain_dn_per_pe * excess_noise_factor(values)
-    return values["video.conversion_gain_dn_per_e"] + event
+    return values[CONVERSION] + event
 
 
 def photoelectrons(values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike) -> Array:
@@ -147,17 +170,13 @@ def background_rate(values: Values) -> Array:
 
 
 def mcp_load(
-    values: Values,
-    illuminance_lux: ArrayLike,
-    gate_s: ArrayLike,
-    mcp_v: ArrayLike,
-    reference_v: float,
+    values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike, mcp_v: ArrayLike
 ) -> Array:
     """Return the mean MCP output current over the current at half gain, shape (n,).
 
     G_loaded = G/(1 + load), load = j/(a j_strip), j = E S G gate/field averaged over the MCP.
     """
-    per_pe = _photons_per_pe(values, mcp_v, reference_v) / values["phosphor.photons_per_electron"]
+    per_pe = _photons_per_pe(values, mcp_v) / values["phosphor.photons_per_electron"]
     cathode_a_per_cm2 = (
         np.asarray(illuminance_lux) * 1e-4 * _electrons_per_lumen(values) * ELEMENTARY_CHARGE_C
     )
@@ -174,11 +193,7 @@ def gain_loss(values: Values, signal_dn: ArrayLike) -> Array:
     leave the MCP per field pixel and field, y photons per electron of the screen.
     """
     electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
-    electrons = (
-        electrons
-        * values["video.conversion_gain_dn_per_e"]
-        * values["phosphor.photons_per_electron"]
-    )
+    electrons = electrons * values[CONVERSION] * values["phosphor.photons_per_electron"]
     current_a = (
         np.asarray(signal_dn) / electrons * ELEMENTARY_CHARGE_C * values["video.field_rate_hz"]
     )
@@ -187,25 +202,26 @@ def gain_loss(values: Values, signal_dn: ArrayLike) -> Array:
     return current_a / (_field_pixel_m2(values) * 1e4) / limit
 
 
+def reading_variance(values: Values, more_e2: ArrayLike = 0.0, warmth: ArrayLike = 1.0) -> Array:
+    """Return the variance of reading a dark, K^2 (r^2 + d) sum w^2, shape (n,), DN^2.
+
+    Read noise r and dark charge d, by the warmth of the chip over that at 25 C, pass the video
+    filter w; so does what else varies before it, `more_e2`, e-^2.
+    """
+    dark_e = rows_per_pixel(values) * values[DARK_CURRENT] / values["video.field_rate_hz"]
+    charge = values[READ_NOISE] ** 2 + dark_e * warmth + more_e2
+    return values[CONVERSION] ** 2 * charge * filter_covariance(values, 1)[:, 0]
+
+
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
     """Return the temporal variance of a dark frame, shape (n,), DN^2.
 
-    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: read noise r and dark charge d pass the
-    video filter w; the n photoelectrons of the EBI are blurred (B, `blur`), and phosphor decay over
-    several fields reduces their noise to the fraction sum l^2.
+    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: the n photoelectrons of the EBI are blurred
+    (B, `blur`), and phosphor decay over several fields reduces their noise to the fraction sum l^2.
     """
-    filtered = np.sum(_video_weights(values) ** 2, axis=1)
-    dark_e = (
-        rows_per_pixel(values) * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
-    )
-    reading = (
-        values["video.conversion_gain_dn_per_e"] ** 2
-        * (values["ccd.read_noise_e"] ** 2 + dark_e)
-        * filtered
-    )
     events = background_rate(values) * gate_s
     pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur
-    return reading + pulses * lag_noise_fraction(values, gate_s) + 1.0 / 12.0
+    return reading_variance(values) + pulses * lag_noise_fraction(values, gate_s) + 1.0 / 12.0
 
 
 def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
@@ -247,24 +263,15 @@ def lag_noise_fraction(values: Values, gate_s: float) -> Array:
     shape (n,).
 
     Mean of sum_j l_j^2 over the arrival of a pulse within the gate at the start of a field; l_j is
-    the fraction of its light in the j-th field after it, of two exponential components.
+    the fraction of its light in the j-th field after it.
     """
     field_s = 1.0 / values["video.field_rate_hz"][:, None, None]
-    fast = values["phosphor.fast_fraction"]
-    light = np.stack(
-        [fast * values["phosphor.fast_decay_ms"], (1.0 - fast) * values["phosphor.slow_decay_ms"]]
-    )
-    decay_s = [
-        values[f"phosphor.{name}_decay_ms"][:, None, None] * 1e-3 for name in ("fast", "slow")
-    ]
-    node, weight = _nodes((0.0, 1.0), (12,))
-    arrival_s = gate_s * node[None, :, None]
-    ends_s = np.maximum((np.arange(13)[None, None, :]) * field_s - arrival_s, 0.0)
-    glowing = [
-        light_fraction[:, None, None] * np.exp(-ends_s / tau)
-        for light_fraction, tau in zip(light / light.sum(axis=0), decay_s, strict=True)
-    ]
-    shares = -np.diff(glowing[0] + glowing[1], axis=2)
+    weights, times_ms = decay_components(values)
+    light, tau = weights * times_ms, times_ms[:, :, None, None] * 1e-3
+    node, weight = gauss_nodes((0.0, 1.0), (12,))
+    ends_s = np.maximum(np.arange(13) * field_s - gate_s * node[None, :, None], 0.0)
+    glowing = (light / light.sum(axis=0))[:, :, None, None] * np.exp(-ends_s / tau)
+    shares = -np.diff(glowing.sum(axis=0), axis=2)
     return np.sum(shares**2, axis=2) @ weight
 
 
@@ -281,7 +288,7 @@ def spatial_variance(values: Values) -> Array:
     PRNU of the detector, white before the video filter, and granularity of the screen, coarser than
     the blur; borders of multi-fibres are left to the model error.
     """
-    filtered = np.sum(_video_weights(values) ** 2, axis=1)
+    filtered = filter_covariance(values, 1)[:, 0]
     return values["ccd.prnu"] ** 2 * filtered + values["phosphor.gain_nonuniformity"] ** 2
 
 
@@ -336,10 +343,30 @@ def _coupling(values: Values, detector: Array) -> Array:
 
 def _readout(values: Values, fx: Array, fy: Array) -> Array:
     pixel = slit(fx) * slit(rows_per_pixel(values) * fy)
-    return pixel * np.abs(transfer(_video_weights(values), fx))
+    return pixel * np.abs(transfer(video_weights(values), fx))
 
 
-def _video_weights(values: Values) -> Array:
+def of_last_values(function: Callable[..., Array]) -> Callable[..., Array]:
+    """Return a function of values that keeps its last result: several observations ask it of the
+    same draws.
+    """
+    last: list[tuple[tuple[Any, ...], Array]] = [((), np.empty(0))]
+
+    @wraps(function)
+    def kept(values: Values, *arguments: Any) -> Array:
+        needed = (*values.values(), *arguments)
+        known, result = last[0]
+        if len(known) != len(needed) or not all(map(operator.is_, known, needed)):
+            result = function(values, *arguments)
+            last[0] = needed, result
+        return result
+
+    return kept
+
+
+@of_last_values
+def video_weights(values: Values) -> Array:
+    """Return the weights by which the video filter adds a pixel to later ones, shape (n, pixel)."""
     if "video.bandwidth_mhz" not in values:
         return np.eye(1, VIDEO_CLOCKS)
     clock_mhz, order = (
@@ -349,12 +376,24 @@ def _video_weights(values: Values) -> Array:
     return sampled_response(values["video.bandwidth_mhz"], clock_mhz, order, VIDEO_CLOCKS)
 
 
-def _photons_per_pe(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
+@of_last_values
+def _power_after_gain(values: Values, nodes: "Nodes") -> Array:
+    """Return |H|^2 of the optical stages after the gain at nodes, shape (n, along, across)."""
+    fx, fy = np.meshgrid(nodes.across, nodes.along / rows_per_pixel(values))
+    detector = _per_mm_at_detector(values, fx.ravel(), fy.ravel())
+    cathode = detector / _column(values, "taper.demagnification")
+    after = _tube(values, cathode, _column(values, "tube.post_gain_share"))
+    power = (after * _coupling(values, detector)) ** 2
+    return power.reshape(-1, *fx.shape)
+
+
+def _photons_per_pe(values: Values, mcp_v: ArrayLike) -> Array:
     photon_j = values["phosphor.photon_energy_ev"] * ELEMENTARY_CHARGE_C
     photons_per_lumen = values["tube.luminous_gain"] / (
         values["phosphor.luminous_efficacy_lm_per_w"] * photon_j
     )
-    voltage = (np.asarray(mcp_v) / reference_v) ** values["microchannel_plate.gain_exponent"]
+    relative_v = np.asarray(mcp_v) / values["microchannel_plate.reference_v"]
+    voltage = relative_v ** values["microchannel_plate.gain_exponent"]
     return photons_per_lumen / _electrons_per_lumen(values) * voltage
 
 
@@ -367,17 +406,28 @@ def _field_pixel_m2(values: Values) -> Array:
     return pitch * values["taper.demagnification"] ** 2
 
 
-def _nodes(edges: tuple[float, ...], counts: tuple[int, ...]) -> tuple[Array, Array]:
+def gauss_nodes(edges: tuple[float, ...], counts: tuple[int, ...]) -> tuple[Array, Array]:
     """Return Gauss-Legendre nodes and weights over pieces of a line."""
     points, weights = [], []
-    for low, high, count in zip(edges[:-1], edges[1:], counts, strict=True):
+    for (low, high), count in zip(pairwise(edges), counts, strict=True):
         node, weight = np.polynomial.legendre.leggauss(count)
         points.append(low + (high - low) * (node + 1.0) / 2.0)
         weights.append(weight * (high - low) / 2.0)
     return np.concatenate(points), np.concatenate(weights)
 
 
-# Nodes of a quadrant of the frequency plane, cycles per field pixel, up to the limit of fibres and
-# gaps.
-_ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
-_ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
+class Nodes:
+    """Nodes and weights of a quadrant of the frequency plane, cycles per field pixel, from edges
+    and counts of pieces of each axis.
+    """
+
+    def __init__(self, *, across: Pieces, along: Pieces) -> None:
+        self.across, self.across_weight = gauss_nodes(*across)
+        self.along, self.along_weight = gauss_nodes(*along)
+
+
+# Up to the limit of fibres and gaps; and fewer, for the shape of pulses alone.
+FINE = Nodes(
+    across=((0.0, 0.2, 0.8, 2.5), (5, 7, 10)), along=((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
+)
+COARSE = Nodes(across=((0.0, 0.2, 0.8, 2.0), (3, 4, 5)), along=((0.0, 0.2, 1.0, 3.0), (3, 5, 7)))

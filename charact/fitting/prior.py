@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from charact.fitting.predicted_quantities import excess_noise_factor
 from charact.fitting.thresholds import LIMITS
+from charact.frames.image_lag import DECAY_FRACTIONS
 from charact.observables import Values
 from labdata.camera.description import Camera
 from labdata.camera.parameters import Parameter
@@ -17,7 +18,7 @@ Array = NDArray[np.float64]
 # Fractions and probabilities with the upper bound 1.
 _AT_MOST_ONE = (
     "photocathode.halo_fraction",
-    "phosphor.fast_fraction",
+    *DECAY_FRACTIONS,
     "photocathode.halo_elastic_share",
     "microchannel_plate.detection_probability",
     "tube.post_gain_share",

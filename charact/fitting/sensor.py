@@ -1,5 +1,6 @@
 """Fit of a sensor description: model, posterior and the resulting parameters."""
 
+import collections
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,10 +13,10 @@ from charact.estimators.noise.illumination import relative_sd_of
 from charact.fitting.fitted_session import camera_of, per_pixel, require_noise, with_fixed_gain
 from charact.fitting.observation import (
     Observation,
-    Ridge,
     findings_of,
     has_automatic_gain,
     misfit_finding,
+    observations_of,
 )
 from charact.fitting.prior import (
     COMBINATIONS,
@@ -24,12 +25,15 @@ from charact.fitting.prior import (
     prior_of,
     values_of_description,
 )
-from charact.fitting.silicon_observations import silicon_observations
 from charact.fitting.slice_sampling import slice_sample
-from charact.fitting.stack_levels import dark_rise_dn_per_s, levels_of, note_on_exclusions
+from charact.fitting.stack_levels import (
+    dark_rise_dn_per_s,
+    levels_of,
+    note_on_exclusions,
+    stacks_of,
+)
 from charact.fitting.thresholds import LIMITS, SAMPLING
-from charact.fitting.tube_observations import tube_observations
-from charact.observables import Values
+from charact.observables import Ridge, Values
 from charact.verdict import Finding
 from labdata import Array, BadInput, Camera, Posterior, Result, Session
 from labdata.camera.parameters import Draws, Parameter
@@ -142,10 +146,9 @@ def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
     from scipy.special import chdtri
 
     best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
-    parts = {
-        observation.name: float(observation.chi_squared(model.values(best[None]))[0])
-        for observation in model.observed
-    }
+    values, parts = model.values(best[None]), collections.Counter()
+    for observation in model.observed:
+        parts[observation.name] += float(observation.chi_squared(values)[0])
     parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
     numbers, total = (
         sum(observation.value.size for observation in model.observed),
@@ -300,11 +303,7 @@ def fit_sensor(
     result = per_pixel(result, pitch_px)
     progress("levels of darks and flats", 0.0)
     levels = levels_of(session)
-    observed = (
-        tube_observations(session, camera, result, levels)
-        if camera.has_tube
-        else silicon_observations(session, camera, result, levels)
-    )
+    observed = observations_of(stacks_of(session, camera, result, levels))
     if not observed:
         raise BadInput(
             f"a fit needs at least one measurement that was not refused, got none in "

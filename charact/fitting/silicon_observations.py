@@ -1,26 +1,40 @@
-"""Observations of a camera without a tube: gain, dark noise, levels, fixed patterns, saturation."""
+"""Gain, levels, saturation and efficiency of a camera without a tube.
+
+    mu = b + K g s (1 - c K g s / full scale),  s = eta p (1 + t0/t) (1 + 10 m)
+
+b: black level; p: photons of a pixel in the exposure t; t0: offset of the shutter; eta: quantum
+efficiency; m: smear of a spot of a tenth of the height, of a flat ten times as much; K g and c: see
+`charact.observables.silicon`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.estimators.noise.gain.emva1288 import excess_of
 from charact.estimators.noise.illumination import relative_sd_of, table_sensitivity_ua_per_lm
-from charact.fitting.mtf_observations import glare_observations, mtf_observations
-from charact.fitting.observation import (
-    Observation,
-    admissible_measurements,
-    at_least,
-    observations_of,
-    scalar_observation,
+from charact.fitting.measured_quantity import Measured, MeasuredQuantity, photon_transfer_of
+from charact.fitting.predicted_quantities import ELEMENTARY_CHARGE_C
+from charact.fitting.stack_levels import SessionStacks, dark_rise_dn_per_s
+from charact.method import Context
+from charact.observables import (
+    Case,
+    Estimates,
+    Observable,
+    Values,
+    columns,
+    declare,
+    observable,
     sd_of,
 )
-from charact.fitting.predicted_quantities import ELEMENTARY_CHARGE_C
-from charact.fitting.stack_levels import dark_rise_dn_per_s
-from charact.method import Context
-from charact.observables import Stacks, Values
-from charact.observables.fixed_pattern import Prnu
+from charact.observables.fixed_pattern import PRNU_FRACTION, Prnu
 from charact.observables.photon_transfer import PhotonTransfer
 from charact.observables.silicon import (
+    BLACK_LEVEL,
     COMPRESSION,
+    DARK_CURRENT,
     HEIGHTS,
     OFFSET,
     amplification,
@@ -32,10 +46,10 @@ from charact.observables.silicon import (
 )
 from charact.observables.stack_level import StackLevel
 from charact.observables.thresholds import SILICON
-from labdata import Array, Camera, Conditions, Result, Session
+from labdata import Array
 from labdata.camera.chip import Silicon
 
-LENS = ("optics.aberration_blur_um", "optics.f_number")
+EFFICIENCY, PITCH, WELL = "ccd.quantum_efficiency", "ccd.pitch_x_um", "ccd.full_well_e"
 
 
 def electrons_per_efficiency(silicon: Silicon, level: StackLevel) -> float:
@@ -59,229 +73,259 @@ def electrons_per_efficiency(silicon: Silicon, level: StackLevel) -> float:
     return relative_efficiency * (conditions.photons_per_px or 0.0)
 
 
-def silicon_observations(
-    session: Session, camera: Camera, result: Result, levels: tuple[StackLevel, ...]
-) -> tuple[Observation, ...]:
-    """Return the observations of a session of a camera without a tube."""
-    stacks = Stacks(
-        darks=tuple(level for level in levels if level.dark and np.isfinite(level.variance_sd_dn2)),
-        flats=tuple(level for level in levels if not level.dark),
-        camera=camera,
-        result=result,
-    )
-    flats = session.of_kind("flat")
-    flat_conditions = flats[0].conditions if flats else Conditions()
-    observations = mtf_observations(session, camera, result, LENS)
-    if stacks.darks:
-        observations += glare_observations(session, stacks.dark.mean_dn)
-    shown = observations_of(stacks)
-    if PhotonTransfer.name not in shown:
-        observations += _gain(camera, result, flat_conditions)
-    observations += shown.values()
-    if Prnu.name not in shown:
-        observations += _stated_response_pattern(result)
-    observations += _saturation(result, flat_conditions)
-    observations += _dark_slope(result, stacks.darks)
-    known = [level for level in stacks.flats if level.light_known]
-    longest_s = max((entry.conditions.exposure_s or 0.0 for entry in flats), default=0.0)
-    # The level of a longer dark contains a dark charge that a clamp need not remove.
-    short = [
-        level
-        for level in levels
-        if level.dark and (not flats or level.exposure_s <= longest_s or not longest_s)
-    ]
-    if known or short:
-        observations.append(_levels(camera, (*short, *known), dark_rise_dn_per_s(levels)))
-    if not known:
-        observations += _efficiency(result)
-    return tuple(observations)
+def transfer_slope(values: Values, shown: Measured) -> Array:
+    """Return the slope of variance over signal, K g F^2, over the fitted range, shape (n,), DN.
 
-
-def _gain(camera: Camera, result: Result, flat_conditions: Conditions) -> list[Observation]:
-    """Observe the slope of the photon transfer curve, K g F^2, from the system gain or else from
-    covariances.
+    Least squares over 0..x of y (1 - 3 c y) has the slope 1 - 3 c x.
     """
-    factor = excess_of(flat_conditions, Context(camera=camera)).factor
-    measured = [(m, factor) for m in admissible_measurements(result, "system_gain", "DN/e-")]
-    measured = measured or [
-        (m, 1.0) for m in admissible_measurements(result, "covariance_gain", "DN")
-    ]
-    curve = result.evidence.get("photon-transfer", {})
-    signal = np.array(curve.get("signal_dn", ()), float)[np.array(curve.get("fitted", ()), bool)]
-    fitted_range = (
-        float(signal.max()) / (2.0**camera.video.bit_depth - 1.0)
-        if signal.size
-        else SILICON.emva_reach
-    )
-
-    def predict(values: Values) -> Array:
-        # Least squares over 0..x of y (1 - 3 c y) has the slope 1 - 3 c x.
-        slope = dn_per_electron(values, flat_conditions) * (
-            1.0 - 3.0 * fitted_range * values[COMPRESSION]
-        )
-        return slope * em_gain(values, flat_conditions) * register_excess(values, flat_conditions)
-
-    depends = (*amplification(flat_conditions), HEIGHTS, COMPRESSION)
-    return [
-        scalar_observation(
-            "gain",
-            by * (m.value or 0.0),
-            float(by * np.hypot(sd_of(m), 0.001 * (m.value or 0.0))),
-            predict,
-            depends,
-        )
-        for m, by in measured[:1]
-    ]
+    stacks, conditions = shown.stacks, shown.stacks.flat_conditions
+    (signal,) = photon_transfer_of(stacks, "signal_dn")
+    full = 2.0**stacks.camera.video.bit_depth - 1.0
+    fitted_range = float(signal.max()) / full if signal.size else SILICON.emva_reach
+    slope = dn_per_electron(values, conditions) * (1.0 - 3.0 * fitted_range * values[COMPRESSION])
+    return slope * em_gain(values, conditions) * register_excess(values, conditions)
 
 
-def _stated_response_pattern(result: Result) -> list[Observation]:
-    """Observe the measured PRNU where no dark and flat of known light show it."""
-    observations = []
-    for m in admissible_measurements(result, "prnu", "%"):
-        value = 0.01 * (m.value or 0.0)
-        sd = float(np.hypot(0.01 * sd_of(m), SILICON.noise_model_sd * value))
-        observations.append(
-            scalar_observation("PRNU", value, sd, lambda values: values["ccd.prnu"], ("ccd.prnu",))
-        )
-    return observations
+def system_gain(values: Values, shown: Measured) -> Array:
+    """Return the slope over the excess noise factor that was divided out, shape (n,), DN."""
+    context = Context(camera=shown.stacks.camera)
+    return transfer_slope(values, shown) / excess_of(shown.stacks.flat_conditions, context).factor
 
 
-def _saturation(result: Result, flat_conditions: Conditions) -> list[Observation]:
-    """Observe a lower bound of the full well: the digitiser may clip first, and few levels locate a
-    peak badly.
+def full_well_level(values: Values, stacks: SessionStacks) -> Array:
+    """Return the level at which the wells are full, shape (n,), DN."""
+    conditions = stacks.flat_conditions
+    charge = values[WELL] * em_gain(values, conditions)
+    return values[BLACK_LEVEL] + dn_per_electron(values, conditions) * charge
+
+
+def well_paths(stacks: SessionStacks) -> tuple[str, ...]:
+    """Return the paths of the level of full wells."""
+    return (*amplification(stacks.flat_conditions), WELL, BLACK_LEVEL)
+
+
+def dark_slope(values: Values, shown: Measured) -> Array:
+    """Return the rise of the dark level without a clamp, shape (n,), DN/s."""
+    warm = shown.stacks.dark.conditions
+    gain = dn_per_electron(values, warm) * em_gain(values, warm)
+    return gain * dark_electrons(values, warm, 1.0)
+
+
+def dark_slope_paths(stacks: SessionStacks) -> tuple[str, ...]:
+    """Return the paths of the rise of the dark level."""
+    warm = stacks.dark.conditions
+    return (*amplification(warm), DARK_CURRENT, *cooling(warm))
+
+
+SLOPE = MeasuredQuantity(
+    name="gain",
+    order=-7,
+    tube=False,
+    unless=(PhotonTransfer.name,),
+    quantity="system_gain",
+    unit="DN/e-",
+    first=True,
+    number=system_gain,
+    relative_model_sd=0.001,
+    paths=lambda stacks: (*amplification(stacks.flat_conditions), HEIGHTS, COMPRESSION),
+)
+SATURATION = MeasuredQuantity(
+    name="saturation",
+    order=37,
+    tube=False,
+    # The digitiser may clip first, and few levels locate a peak badly.
+    is_bound=True,
+    quantity="saturation",
+    unit="DN",
+    first=True,
+    number=lambda values, shown: full_well_level(values, shown.stacks),
+    relative_model_sd=SILICON.saturation_model_sd,
+    paths=well_paths,
+)
+declare(
+    SLOPE,
+    replace(
+        SLOPE,
+        name="gain of covariances",
+        shown_as=SLOPE.name,
+        order=-6,
+        unless=(PhotonTransfer.name, SLOPE.name),
+        quantity="covariance_gain",
+        unit="DN",
+        number=transfer_slope,
+    ),
+    # Where no dark and flat of known light show it.
+    MeasuredQuantity(
+        name="stated PRNU",
+        shown_as=Prnu.name,
+        order=36,
+        tube=False,
+        unless=(Prnu.name,),
+        quantity="prnu",
+        unit="%",
+        factor=0.01,
+        number=lambda values, shown: values[PRNU_FRACTION],
+        relative_model_sd=SILICON.noise_model_sd,
+        depends=(PRNU_FRACTION,),
+    ),
+    SATURATION,
+    # A clamp removes an unknown fraction of the dark charge.
+    MeasuredQuantity(
+        name="rise of the dark level",
+        order=39,
+        tube=False,
+        is_bound=True,
+        quantity="dark_current",
+        unit="DN/s",
+        where=lambda shown: shown.stacks.darks and (shown.m.value or 0.0) > 3.0 * sd_of(shown.m),
+        number=dark_slope,
+        paths=dark_slope_paths,
+    ),
+    # Of light of unstated wavelength: a lower bound of the highest.
+    MeasuredQuantity(
+        name="quantum efficiency",
+        order=41,
+        tube=False,
+        is_bound=True,
+        quantity="quantum_efficiency",
+        unit="%",
+        factor=0.01,
+        where=lambda shown: not any(flat.light_known for flat in shown.stacks.flats),
+        number=lambda values, shown: values[EFFICIENCY],
+        depends=(EFFICIENCY,),
+    ),
+)
+
+
+@observable
+class BrightestLinearFlat(Observable[SessionStacks]):
+    """Level of the brightest flat below saturation, a lower bound of the full well."""
+
+    name = "brightest linear flat"
+    order = 38
+    tube = False
+    unless = (SATURATION.name,)
+    is_bound = True
+    relative_model_sd = SILICON.saturation_model_sd
+
+    def cases(self, stacks: SessionStacks) -> Iterator[Case[SessionStacks]]:
+        """Yield the brightest flat of the fitted photon transfer curve."""
+        (mean,) = photon_transfer_of(stacks, "mean_dn")
+        if mean.size:
+            yield Case(estimates=Estimates.of_number(float(mean.max()), 0.0), of=stacks)
+
+    def predict(self, values: Values, shown: SessionStacks) -> Array:
+        """Return the level at which the wells are full, shape (n, 1), DN."""
+        return full_well_level(values, shown)[:, None]
+
+    def parameters(self, shown: SessionStacks) -> tuple[str, ...]:
+        """Return the paths of gain, full well and black level."""
+        return well_paths(shown)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lit:
+    """Darks and flats of known light, with what their levels follow from."""
+
+    levels: tuple[StackLevel, ...]
+    light: Array  # `electrons_per_efficiency`, shape (level,)
+    in_lux: NDArray[np.bool_]  # whether that is per m2
+    full: float  # full scale, DN
+    rise_dn_per_s: float  # rise of the dark level with exposure
+
+    @property
+    def lit(self) -> list[StackLevel]:
+        """The flats."""
+        return [level for level in self.levels if not level.dark]
+
+    @property
+    def of_lux(self) -> bool:
+        """Whether light is stated in lux."""
+        return any(np.isfinite(level.illuminance_lux) for level in self.lit)
+
+
+@observable
+class ChipLevels(Observable[Lit]):
+    """Levels of darks and flats: an error of the light is common to all flats.
+
+    The black level is that of the shortest exposure: of every stack the dark signal is taken off
+    that its exposure has beyond that one (EMVA 1288 takes the dark of the same exposure).
     """
-    depends = (*amplification(flat_conditions), "ccd.full_well_e", "video.black_level_dn")
 
-    def level(values: Values) -> Array:
-        charge = values["ccd.full_well_e"] * em_gain(values, flat_conditions)
-        return values["video.black_level_dn"] + dn_per_electron(values, flat_conditions) * charge
+    name = "levels"
+    order = 40
+    tube = False
 
-    curve = result.evidence.get("photon-transfer", {})
-    means = np.array(curve.get("mean_dn", ()), float)
-    for m in admissible_measurements(result, "saturation", "DN"):
-        value = m.value or 0.0
-        sd = float(np.hypot(sd_of(m), SILICON.saturation_model_sd * value))
-        return [at_least("saturation", value, sd, level, depends)]
-    linear = means[np.array(curve.get("fitted", ()), bool)]
-    if not linear.size:
-        return []
-    brightest = float(linear.max())
-    return [
-        at_least(
-            "brightest linear flat",
-            brightest,
-            SILICON.saturation_model_sd * brightest,
-            level,
-            depends,
+    def usable(self, stacks: SessionStacks) -> Lit | None:
+        """Return flats of known light, and darks no longer than the flats: the level of a longer
+        dark contains a dark charge that a clamp need not remove.
+        """
+        flats = stacks.session.of_kind("flat")
+        longest_s = max((entry.conditions.exposure_s or 0.0 for entry in flats), default=0.0)
+        levels = (
+            *(dark for dark in stacks.all_darks if not longest_s or dark.exposure_s <= longest_s),
+            *(flat for flat in stacks.flats if flat.light_known),
         )
-    ]
-
-
-def _dark_slope(result: Result, darks: tuple[StackLevel, ...]) -> list[Observation]:
-    """Observe the rise of the dark level as a lower bound of the dark current: a clamp removes an
-    unknown fraction.
-    """
-    if not darks:
-        return []
-    warm = darks[0].conditions
-
-    def slope(values: Values) -> Array:
+        silicon, bits = stacks.camera.silicon, stacks.camera.video.bit_depth
         return (
-            dn_per_electron(values, warm)
-            * em_gain(values, warm)
-            * dark_electrons(values, warm, 1.0)
+            Lit(
+                levels=levels,
+                light=np.array([electrons_per_efficiency(silicon, level) for level in levels]),
+                in_lux=np.array([np.isfinite(level.illuminance_lux) for level in levels]),
+                full=float(2**bits - 1),
+                rise_dn_per_s=dark_rise_dn_per_s(stacks.levels),
+            )
+            if levels
+            else None
         )
 
-    depends = (*amplification(warm), "ccd.dark_current_e_per_s", *cooling(warm))
-    return [
-        at_least("rise of the dark level", m.value, sd_of(m), slope, depends)
-        for m in admissible_measurements(result, "dark_current", "DN/s")
-        if m.value is not None and m.value > 3.0 * sd_of(m)
-    ]
-
-
-def _efficiency(result: Result) -> list[Observation]:
-    """Observe the quantum efficiency of light of unstated wavelength: a lower bound of the
-    highest.
-    """
-    return [
-        at_least(
-            "quantum efficiency",
-            0.01 * (m.value or 0.0),
-            0.01 * sd_of(m),
-            lambda values: values["ccd.quantum_efficiency"],
-            ("ccd.quantum_efficiency",),
+    def measure(self, shown: Lit) -> Estimates:
+        """Return the level of every stack without its rise, DN."""
+        exposure_s = np.array([level.exposure_s for level in shown.levels])
+        mean = np.array([level.mean_dn for level in shown.levels]) - shown.rise_dn_per_s * (
+            exposure_s - exposure_s.min()
         )
-        for m in admissible_measurements(result, "quantum_efficiency", "%")
-    ]
-
-
-def _levels(camera: Camera, levels: tuple[StackLevel, ...], rise_dn_per_s: float) -> Observation:
-    """Observe stack means: black level plus gain times photoelectrons; an error of the light is
-    common to all flats.
-
-    The black level is that of the shortest exposure; `rise_dn_per_s` is the rise of the dark level
-    with exposure.
-    """
-
-    light = np.array([electrons_per_efficiency(camera.silicon, level) for level in levels])
-    in_lux = np.array([np.isfinite(level.illuminance_lux) for level in levels])
-
-    exposure_us = 1e6 * np.array([level.gate_s for level in levels])
-    full = float(2**camera.video.bit_depth - 1)
-
-    def predict(values: Values) -> Array:
-        gains = [
-            dn_per_electron(values, level.conditions) * em_gain(values, level.conditions)
-            for level in levels
+        signal = np.where([level.dark for level in shown.levels], 0.0, mean - mean.min())
+        unit = "lux" if shown.of_lux else "photons/px"
+        lit = [level.conditions for level in shown.lit]
+        shared = np.hypot(
+            relative_sd_of(lit, unit)[0] if lit else 0.0,
+            SILICON.lumen_model_sd if shown.of_lux else 0.0,
+        )
+        # Rounding of a level with little noise is biased by up to a tenth.
+        rounding = [
+            0.1 if level.noise_dn < SILICON.least_noise_dn else 0.03 for level in shown.levels
         ]
-        area_m2 = values["ccd.pitch_x_um"] * values["ccd.pitch_y_um"] * 1e-12
-        electrons = (
-            values["ccd.quantum_efficiency"][:, None]
-            * np.where(in_lux, area_m2[:, None], 1.0)
-            * light
-        )
-        electrons = electrons * (1.0 + values[OFFSET][:, None] / exposure_us)
-        # A spot of a tenth of the height smears that fraction: a flat ten times as much.
-        electrons = electrons * (1.0 + 10.0 * values["ccd.smear_fraction"][:, None])
-        c = values[COMPRESSION][:, None]
-        linear_signal = np.stack(np.broadcast_arrays(*gains), axis=1) * electrons
-        return values["video.black_level_dn"][:, None] + linear_signal * (
-            1.0 - c * linear_signal / full
+        level_sd = np.array([level.mean_sd_dn for level in shown.levels])
+        variance = level_sd**2 + np.square(rounding) + (SILICON.level_model_sd * signal) ** 2
+        return Estimates(
+            value=mean, covariance=np.diag(variance) + shared**2 * np.outer(signal, signal)
         )
 
-    # The level of every stack less the dark signal that its exposure has beyond the shortest one's:
-    # EMVA 1288 takes the dark of the same exposure.
-    exposure_s = np.array([level.exposure_s for level in levels])
-    mean = np.array([level.mean_dn for level in levels]) - rise_dn_per_s * (
-        exposure_s - exposure_s.min()
-    )
-    black = float(mean.min())
-    signal = np.where([level.dark for level in levels], 0.0, mean - black)
-    level_sd = np.array([level.mean_sd_dn for level in levels])
-    lit = [level.conditions for level in levels if not level.dark]
-    of_lux = bool(in_lux[signal > 0.0].any())
-    relative_sd = relative_sd_of(lit, "lux" if of_lux else "photons/px")[0] if lit else 0.0
-    shared = float(np.hypot(relative_sd, SILICON.lumen_model_sd if of_lux else 0.0))
-    # Rounding of a level with little noise is biased by up to a tenth.
-    rounding = np.array(
-        [0.1 if level.noise_dn < SILICON.least_noise_dn else 0.03 for level in levels]
-    )
-    covariance = np.diag(
-        level_sd**2 + rounding**2 + (SILICON.level_model_sd * signal) ** 2
-    ) + shared**2 * np.outer(signal, signal)
-    depends = ("video.black_level_dn",)
-    if lit:
-        gains = dict.fromkeys(path for conditions in lit for path in amplification(conditions))
-        # Of one exposure the shutter's offset is as good as more light.
-        late = (OFFSET,) if len({level.gate_s for level in levels if not level.dark}) > 1 else ()
-        depends += (
-            *gains,
-            COMPRESSION,
-            *late,
-            "ccd.quantum_efficiency",
-            *(("ccd.pitch_x_um",) if of_lux else ()),
+    def predict(self, values: Values, shown: Lit) -> Array:
+        """Return the level of every stack, shape (n, level), DN."""
+        of_chip = {path: value[:, None] for path, value in values.items()}
+        gain = columns(
+            *(
+                dn_per_electron(values, level.conditions) * em_gain(values, level.conditions)
+                for level in shown.levels
+            )
         )
-    return Observation(
-        name="levels", value=mean, covariance=covariance, predict=predict, parameters=depends
-    )
+        area_m2 = of_chip[PITCH] * of_chip["ccd.pitch_y_um"] * 1e-12
+        electrons = of_chip[EFFICIENCY] * np.where(shown.in_lux, area_m2, 1.0) * shown.light
+        exposure_us = 1e6 * np.array([level.gate_s for level in shown.levels])
+        electrons = electrons * (1.0 + of_chip[OFFSET] / exposure_us)
+        # A spot of a tenth of the height smears that fraction: a flat ten times as much.
+        electrons = electrons * (1.0 + 10.0 * of_chip["ccd.smear_fraction"])
+        signal = gain * electrons
+        return of_chip[BLACK_LEVEL] + signal * (1.0 - of_chip[COMPRESSION] * signal / shown.full)
+
+    def parameters(self, shown: Lit) -> tuple[str, ...]:
+        """Return the paths of black level, gain, efficiency and shutter."""
+        if not shown.lit:
+            return (BLACK_LEVEL,)
+        gains = (path for level in shown.lit for path in amplification(level.conditions))
+        # Of one exposure the shutter's offset is as good as more light.
+        late = (OFFSET,) if len({level.gate_s for level in shown.lit}) > 1 else ()
+        pitch = (PITCH,) if shown.of_lux else ()
+        return (BLACK_LEVEL, *dict.fromkeys(gains), COMPRESSION, *late, EFFICIENCY, *pitch)

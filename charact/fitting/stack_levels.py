@@ -1,13 +1,76 @@
-"""Mean level, temporal variance and fixed pattern of a session's darks and flats."""
+"""Stacks of a session as its fit sees them: mean level, temporal variance, fixed pattern, events of
+darks.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.illumination import gathering_s
 from charact.fitting.thresholds import LEVELS
+from charact.fitting.tube_darks import Darks, darks_of
+from charact.fitting.tube_ions import IonEvents, ions_of
 from charact.frames.rounding import rounding_step
+from charact.observables import Stacks
 from charact.observables.stack_level import StackLevel, variances_of
-from labdata import Conditions, Session, StackEntry
+from labdata import Camera, Conditions, Result, Session, StackEntry
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionStacks(Stacks[StackLevel]):
+    """Darks of known noise and flats of a session of a described camera, and what it measured."""
+
+    session: Session
+    camera: Camera
+    levels: tuple[StackLevel, ...]  # all darks and flats within the linear range
+
+    @property
+    def all_darks(self) -> tuple[StackLevel, ...]:
+        """Darks, also of a single frame, whose noise is unknown."""
+        return tuple(level for level in self.levels if level.dark)
+
+    @property
+    def brightest(self) -> list[StackLevel]:
+        """Flats, the brightest first."""
+        return sorted(self.flats, key=lambda level: -level.mean_dn)
+
+    @property
+    def black_dn(self) -> float:
+        """Level of the darkest dark, else the black level of the description, DN."""
+        described_dn = float(self.camera.video.black_level_dn)
+        return min((dark.mean_dn for dark in self.all_darks), default=described_dn)
+
+    @property
+    def flat_conditions(self) -> Conditions:
+        """Conditions of the first flat."""
+        flats = self.session.of_kind("flat")
+        return flats[0].conditions if flats else Conditions()
+
+    @cached_property
+    def ions(self) -> IonEvents | None:
+        """Ion events of the dark behind a tube."""
+        return ions_of(self.camera, self.result, self.levels)
+
+    @cached_property
+    def quiet_darks(self) -> Darks | None:
+        """Frames of that dark, and what is quiet in them."""
+        return None if self.ions is None else darks_of(self.ions)
+
+
+def stacks_of(
+    session: Session, camera: Camera, result: Result, levels: tuple[StackLevel, ...]
+) -> SessionStacks:
+    """Return the stacks of a session of a camera with the measurements of it."""
+    return SessionStacks(
+        session=session,
+        camera=camera,
+        result=result,
+        levels=levels,
+        darks=tuple(level for level in levels if level.dark and np.isfinite(level.variance_sd_dn2)),
+        flats=tuple(level for level in levels if not level.dark),
+    )
 
 
 def levels_of(session: Session) -> tuple[StackLevel, ...]:
@@ -74,25 +137,18 @@ def dark_rise_dn_per_s(levels: tuple[StackLevel, ...]) -> float:
 
 
 def _level(session: Session, entry: StackEntry) -> StackLevel | None:
-    conditions, camera, light_known = entry.conditions, session.camera, True
-    illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
+    conditions, camera = entry.conditions, session.camera
     if camera is None or camera.is_thermal:
         return None
-    if not camera.has_tube:
-        if illuminance is None and conditions.photons_per_px and conditions.wavelength_nm:
-            illuminance = np.nan
-        light_known = illuminance is not None
-        illuminance = np.nan if illuminance is None else illuminance
-        reference_v, field_s = 0.0, 1.0 / float(camera.video.field_rate_hz)
-        shutter_s = gathering_s(conditions) or field_s
-    else:
-        reference_v, field_s = (
-            float(camera.microchannel_plate.reference_v),
-            1.0 / float(camera.video.field_rate_hz),
-        )
-        shutter_s = conditions.exposure_s or field_s
-    if illuminance is None:
+    illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
+    if illuminance is None and camera.has_tube:
         return None
+    reference_v, shutter_s = (
+        (float(camera.microchannel_plate.reference_v), conditions.exposure_s)
+        if camera.has_tube
+        else (0.0, gathering_s(conditions))
+    )
+    shutter_s = shutter_s or 1.0 / float(camera.video.field_rate_hz)
     stack = entry.read()
     top = stack.full_scale_dn or float(2**camera.video.bit_depth - 1)
     means = stack.data.mean(axis=(1, 2), dtype=np.float64)
@@ -110,12 +166,13 @@ def _level(session: Session, entry: StackEntry) -> StackLevel | None:
         mean_dn=float(means.mean()),
         mean_sd_dn=scatter,
         noise_dn=_noise_dn(stack.data[0]),
-        illuminance_lux=float(illuminance),
+        illuminance_lux=np.nan if illuminance is None else float(illuminance),
         gate_s=float(gate_s),
         exposure_s=float(shutter_s),
         mcp_v=float(conditions.mcp_v or reference_v),
         entry=entry,
-        light_known=light_known,
+        light_known=illuminance is not None
+        or bool(conditions.photons_per_px and conditions.wavelength_nm),
         full_scale_dn=top,
         step_dn=rounding_step([stack.data[0]]) or 1.0,
         **variances_of(stack.data),

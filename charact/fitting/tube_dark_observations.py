@@ -2,84 +2,92 @@
 illumination.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
 from charact.fitting import predicted_quantities as predicted
-from charact.fitting.observation import Observation, scalar_observation
 from charact.fitting.prior import values_of_description
+from charact.fitting.stack_levels import SessionStacks
 from charact.fitting.thresholds import DARK_ERRORS, DARKS, FRAMES
-from charact.fitting.tube_darks import Darks, darks_of, level_and_sd, thresholds_of
+from charact.fitting.tube_darks import Darks, level_and_sd, thresholds_of
+from charact.fitting.tube_frames import block_sums
 from charact.fitting.tube_ions import (
     IONS,
-    IonEvents,
-    ion_observation,
+    SHAPE,
     moment_below,
     single_pulse_limit,
+    sizes_of_pulses,
+    square_below,
     weak_ions,
 )
-from charact.fitting.tube_time_observations import (
-    LINE_NOISE,
-    block_sums,
-    field_light,
-    field_products,
-    filter_covariance,
-    pulse_covariance,
-)
-from charact.observables import Values
+from charact.fitting.tube_light import field_light, field_products, line_variance
+from charact.observables import Case, Estimates, Observable, Values, columns, observable
+from charact.observables.fixed_pattern import DSNU_E
+from charact.observables.silicon import BLACK_LEVEL, CONVERSION_GAIN, READ_NOISE
 from labdata import Array
 
-EBI, READ, DSNU, BLACK = (
-    "photocathode.ebi_lm_per_cm2",
-    "ccd.read_noise_e",
-    "ccd.dsnu_e",
-    "video.black_level_dn",
-)
-CONVERSION = "video.conversion_gain_dn_per_e"
-SHAPE = "microchannel_plate.pulse_height_shape"
+EBI = "photocathode.ebi_lm_per_cm2"
 
 
-def dark_observations(ions: IonEvents | None) -> list[Observation]:
-    """Return the observations of a dark, one of each that its frames can show."""
-    if ions is None:
-        return []
-    darks, sparse = darks_of(ions), ions.reached.mean() < DARK_ERRORS.most_reached
-    observations = [ion_observation(ions)] if sparse else []
-    if darks is not None:
-        observations += [*_quiet(darks), *_pattern(darks), *(_events(darks) if sparse else [])]
-    return observations
+@observable
+class NoiseBetweenPulses(Observable[Darks]):
+    """Level, DN, and variance, DN^2, of the pixels between pulses before rounding."""
 
+    name = "noise between pulses"
+    order = 73
+    tube = True
+    depends = (BLACK_LEVEL, READ_NOISE, EBI, CONVERSION_GAIN)
 
-def _gain(values: Values, darks: Darks) -> Array:
-    reference_v = float(darks.sensor.microchannel_plate.reference_v)
-    return predicted.photoelectron_gain(values, darks.level.mcp_v, reference_v)
+    def cases(self, stacks: SessionStacks) -> Iterator[Case[Darks]]:
+        """Yield level and noise of enough quiet pixels.
 
+        Their errors are by jackknife over blocks: fractions near one and near zero enter together.
+        """
+        darks = stacks.quiet_darks
+        if darks is None or darks.quiet.mean() <= DARKS.least_quiet:
+            return
+        levels = thresholds_of(darks.data[darks.quiet])
+        if levels is None:
+            return
+        count = block_sums(darks.quiet.sum(axis=0))
+        below = np.stack(
+            [block_sums(((darks.data < at) & darks.quiet).sum(axis=0)) for at in levels], axis=1
+        )
+        occupied, total = count > 0, below.sum(axis=0)
+        level_dn, sd_dn = level_and_sd(total / count.sum(), levels)
+        parts = np.array(
+            [
+                level_and_sd((total - block_below) / (count.sum() - block_count), levels)
+                for block_below, block_count in zip(below[occupied], count[occupied], strict=True)
+            ]
+        )
+        if np.isfinite(parts).all():
+            covariance = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
+            turn, value = np.array([1.0, 2.0 * sd_dn]), np.array([level_dn, sd_dn**2])
+            estimates = Estimates(value=value, covariance=covariance * np.outer(turn, turn))
+            yield Case(estimates=estimates, of=darks)
 
-def _background(values: Values, darks: Darks) -> Array:
-    """Return the mean signal of the background illumination, shape (n,), DN."""
-    return _gain(values, darks) * predicted.background_rate(values) * darks.level.gate_s
+    def model_covariance(self, estimates: Estimates, shown: Darks) -> Array:
+        """Return the covariance by pulses too weak to be seen, as described, and coarse codes."""
+        sheet = values_of_description(shown.sensor)
+        hidden = max(float(shown.light_below_threshold(sheet)[0]) - DARK_ERRORS.wing, 0.0)
+        light_sd = np.hypot(DARK_ERRORS.wing_sd, 0.3 * np.sqrt(hidden))
+        unsure_dn = light_sd * float(shown.background(sheet)[0])
+        quiet_sd = DARK_ERRORS.coarse_quiet_sd if shown.is_coarse else DARK_ERRORS.quiet_sd
+        hidden_dn2 = float(shown.variance_below_threshold(sheet)[0])
+        return np.diag(
+            [
+                unsure_dn**2 + (DARK_ERRORS.level_sd_dn * shown.is_coarse) ** 2,
+                (quiet_sd * estimates.value[1]) ** 2 + (0.5 * hidden_dn2) ** 2,
+            ]
+        )
 
-
-def _unseen(values: Values, darks: Darks) -> Array:
-    """Return the heights, in mean detected pulses, below which a pulse is hidden by the noise,
-    shape (n,).
-    """
-    height = _gain(values, darks) / values["microchannel_plate.detection_probability"]
-    peak = (
-        2.0
-        * pulse_covariance(values, ((0.0, 0.0),))[:, 0]
-        * np.sqrt(field_products(values, darks.level.gate_s, 1)[:, 0])
-    )
-    return max(DARKS.pulse_dn, DARKS.pulse_sd * darks.noise_dn) / np.maximum(height * peak, 1e-9)
-
-
-def _warmth(values: Values, darks: Darks) -> Array:
-    """Return dark current over that at 25 C."""
-    temperature_c = darks.level.conditions.temperature_c
-    warmer = 0.0 if temperature_c is None else temperature_c - 25.0
-    return 2.0 ** (warmer / values["ccd.dark_current_doubling_k"])
+    def predict(self, values: Values, shown: Darks) -> Array:
+        """Return level and variance of cameras, shape (n, 2)."""
+        light = shown.light_below_threshold(values) * shown.background(values)
+        return columns(values[BLACK_LEVEL] + light, quiet_variance(values, shown))
 
 
 def quiet_variance(values: Values, darks: Darks) -> Array:
@@ -88,99 +96,79 @@ def quiet_variance(values: Values, darks: Darks) -> Array:
     Read noise, dark charge and its pattern behind the video filter, line noise, and half of what
     hidden pulses would add to noise that was not located by its lower side.
     """
-    dark_e = (
-        predicted.rows_per_pixel(values)
-        * values["ccd.dark_current_e_per_s"]
-        / values["video.field_rate_hz"]
-    )
-    warmth = _warmth(values, darks)
-    charge = values[READ] ** 2 + dark_e * warmth + (values[DSNU] * warmth) ** 2
-    reading = values[CONVERSION] ** 2 * charge * filter_covariance(values, 1)[:, 0]
-    return (
-        reading
-        + values.get(LINE_NOISE, np.zeros(1)) ** 2
-        + 0.5 * _variance_below_threshold(values, darks)
-    )
+    warmth = darks.warmth(values)
+    reading = predicted.reading_variance(values, (values[DSNU_E] * warmth) ** 2, warmth)
+    return reading + line_variance(values) + 0.5 * darks.variance_below_threshold(values)
 
 
-def _variance_below_threshold(values: Values, darks: Darks) -> Array:
-    """Return the variance of the pulses that are hidden by the noise, shape (n,), DN^2."""
-    shape = values[SHAPE]
-    hidden = moment_below(shape, 1.0, _unseen(values, darks), 2) / (1.0 + 1.0 / shape)
-    event = _gain(values, darks) * predicted.excess_noise_factor(values)
-    blur = pulse_covariance(values, ((0.0, 0.0),))[:, 0]
-    return (
-        hidden
-        * event
-        * _background(values, darks)
-        * blur
-        * field_products(values, darks.level.gate_s, 1)[:, 0]
-    )
+class OfDarks(Observable[Darks]):
+    """A number of the darks, observed where `estimate` has one of `least_sds` standard errors."""
+
+    tube = True
+    least_sds = 3.0
+
+    def cases(self, stacks: SessionStacks) -> Iterator[Case[Darks]]:
+        """Yield the number, if it stands out of its error."""
+        darks = stacks.quiet_darks
+        estimate = None if darks is None else self.estimate(darks)
+        if darks and estimate and estimate[0] > self.least_sds * estimate[1]:
+            yield Case(estimates=Estimates.of_number(*estimate), of=darks)
+
+    def estimate(self, darks: Darks) -> tuple[float, float] | None:
+        """Return the number and its error; None where the darks cannot show it."""
+        raise NotImplementedError
+
+    def predict(self, values: Values, shown: Darks) -> Array:
+        """Return the number of cameras, shape (n, 1)."""
+        return self.number(values, shown)[:, None]
+
+    def number(self, values: Values, darks: Darks) -> Array:
+        """Return the number of cameras, shape (n,)."""
+        raise NotImplementedError
 
 
-def _light_below_threshold(values: Values, darks: Darks) -> Array:
-    """Return the fraction of the background illumination that falls on quiet pixels, shape (n,)."""
-    shape = values[SHAPE]
-    return np.minimum(moment_below(shape, 1.0, _unseen(values, darks), 1) + DARK_ERRORS.wing, 1.0)
+@observable
+class DarkPattern(OfDarks):
+    """DSNU behind the video filter: covariance of the quiet pixels' means in the two halves of the
+    frames, DN^2.
+    """
 
+    name = "DSNU"
+    order = 74
+    depends = (DSNU_E, CONVERSION_GAIN)
+    least_sds = -np.inf
 
-def _quiet(darks: Darks) -> list[Observation]:
-    """Observe level and variance of the pixels between pulses."""
-    levels = (
-        thresholds_of(darks.data[darks.quiet]) if darks.quiet.mean() > DARKS.least_quiet else None
-    )
-    if levels is None:
-        return []
-    count = block_sums(darks.quiet.sum(axis=0))
-    counts_below = np.stack(
-        [block_sums(((darks.data < level) & darks.quiet).sum(axis=0)) for level in levels], axis=1
-    )
-    occupied = count > 0
-    best = np.array(level_and_sd(counts_below.sum(axis=0) / count.sum(), levels))
-    # Jackknife over blocks: fractions near one and near zero enter together.
-    parts = np.array(
-        [
-            level_and_sd(
-                (counts_below.sum(axis=0) - block_below) / (count.sum() - block_count), levels
-            )
-            for block_below, block_count in zip(
-                counts_below[occupied], count[occupied], strict=True
-            )
+    def estimate(self, darks: Darks) -> tuple[float, float] | None:
+        """Return the covariance, unless rounding hides it."""
+        half, quiet = len(darks.data) // 2, darks.quiet
+        counts = [quiet[:half].sum(axis=0), quiet[half:].sum(axis=0)]
+        is_usable = np.minimum(*counts) >= max(half // 2, 1)
+        slope, sd = with_error(rounding_slope, darks)
+        if is_usable.mean() < DARKS.least_quiet or slope < DARK_ERRORS.least_slope:
+            return None
+        deviations = np.where(quiet, darks.data - darks.level_dn, 0.0)
+        means = [
+            part.sum(axis=0) / np.maximum(count, 1)
+            for part, count in zip((deviations[:half], deviations[half:]), counts, strict=True)
         ]
-    )
-    if not np.isfinite(parts).all():
-        return []
-    jackknife = np.cov(parts.T) * (len(parts) - 1) ** 2 / len(parts)
-    sheet = values_of_description(darks.sensor)
-    light, hidden = (
-        float(_background(sheet, darks)[0]),
-        float(_light_below_threshold(sheet, darks)[0]),
-    )
-    unsure_dn = (
-        np.hypot(DARK_ERRORS.wing_sd, 0.3 * np.sqrt(max(hidden - DARK_ERRORS.wing, 0.0))) * light
-    )
-    turn = np.array([1.0, 2.0 * best[1]])
-    value = np.array([best[0], best[1] ** 2])
-    coarse = darks.noise_dn <= DARK_ERRORS.coarse_dn
-    quiet_sd = DARK_ERRORS.coarse_quiet_sd if coarse else DARK_ERRORS.quiet_sd
-    level_sd = [unsure_dn, DARK_ERRORS.level_sd_dn * coarse]
-    variance_sd = [quiet_sd * value[1], 0.5 * float(_variance_below_threshold(sheet, darks)[0])]
-    model = np.diag([float(np.sum(np.square(sds))) for sds in (level_sd, variance_sd)])
-
-    def predict(values: Values) -> Array:
-        level = values[BLACK] + _light_below_threshold(values, darks) * _background(values, darks)
-        return np.stack(np.broadcast_arrays(level, quiet_variance(values, darks)), axis=1)
-
-    covariance = jackknife * np.outer(turn, turn) + model
-    return [
-        Observation(
-            name="noise between pulses",
-            value=value,
-            covariance=covariance,
-            predict=predict,
-            parameters=(BLACK, READ, EBI, CONVERSION),
+        number = np.maximum(block_sums(is_usable), 1.0)
+        first, second, product = (
+            block_sums(np.where(is_usable, image, 0.0)) / number
+            for image in (*means, means[0] * means[1])
         )
-    ]
+        covariance = (product - first * second)[number > 0.1 * is_usable.size / number.size]
+        if covariance.size < FRAMES.blocks[0]:
+            return None
+        value = float(covariance.mean())
+        scatter = float(covariance.std(ddof=1) / np.sqrt(covariance.size))
+        coarse = DARK_ERRORS.coarse_pattern_dn**2 * darks.is_coarse
+        error = float(np.hypot.reduce([scatter, 2.0 * sd / slope * value, coarse]))
+        return value / slope**2, error / slope**2
+
+    def number(self, values: Values, darks: Darks) -> Array:
+        """Return the covariance of cameras, DN^2."""
+        pattern = values[CONVERSION_GAIN] * values[DSNU_E] * darks.warmth(values)
+        return pattern**2 * predicted.filter_covariance(values, 1)[:, 0]
 
 
 def rounding_slope(level_dn: float, noise_dn: float) -> float:
@@ -195,49 +183,13 @@ def rounding_slope(level_dn: float, noise_dn: float) -> float:
     return float(1.0 + 2.0 * np.sum(wave * np.cos(2.0 * np.pi * order * level_dn)))
 
 
-def _pattern(darks: Darks) -> list[Observation]:
-    """Observe the DSNU: the covariance of the quiet pixels' means in the two halves of the
-    frames.
-    """
-    half, quiet = len(darks.data) // 2, darks.quiet
-    counts = [quiet[:half].sum(axis=0), quiet[half:].sum(axis=0)]
-    is_usable = np.minimum(*counts) >= max(half // 2, 1)
-    slope, sd = with_error(rounding_slope, darks)
-    if is_usable.mean() < DARKS.least_quiet or slope < DARK_ERRORS.least_slope:
-        return []
-    quiet_deviations = np.where(quiet, darks.data - darks.level_dn, 0.0)
-    means = [
-        part.sum(axis=0) / np.maximum(count, 1)
-        for part, count in zip(
-            (quiet_deviations[:half], quiet_deviations[half:]), counts, strict=True
-        )
-    ]
-    number = np.maximum(block_sums(is_usable), 1.0)
-    centre = [block_sums(np.where(is_usable, mean, 0.0)) / number for mean in means]
-    product = (
-        block_sums(np.where(is_usable, means[0] * means[1], 0.0)) / number - centre[0] * centre[1]
-    )
-    product = product[number > 0.1 * is_usable.size / number.size]
-    if product.size < FRAMES.blocks[0]:
-        return []
-    value, scatter = float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
-
-    def predict(values: Values) -> Array:
-        pattern = values[CONVERSION] * values[DSNU] * _warmth(values, darks)
-        return pattern**2 * filter_covariance(values, 1)[:, 0]
-
-    coarse = DARK_ERRORS.coarse_pattern_dn**2 * (darks.noise_dn <= DARK_ERRORS.coarse_dn)
-    error = float(np.hypot.reduce([scatter, 2.0 * sd / slope * value, coarse])) / slope**2
-    return [scalar_observation("DSNU", value / slope**2, error, predict, (DSNU, CONVERSION))]
-
-
 def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[float, float]:
     """Return an effect of rounding at the level and noise of the darks, and its error by those of
     both.
 
     Noise well above a step is not changed by rounding.
     """
-    if darks.noise_dn > DARK_ERRORS.coarse_dn:
+    if not darks.is_coarse:
         return 1.0, 0.0
     level, noise = darks.level_dn, darks.noise_dn
     nominal = effect(level, noise)
@@ -248,55 +200,76 @@ def with_error(effect: Callable[[float, float], float], darks: Darks) -> tuple[f
     return nominal, float(np.hypot(shifted[0] - nominal, shifted[1] - nominal))
 
 
-def _events(darks: Darks) -> list[Observation]:
-    """Observe the background illumination by the covariance of neighbours, and of fine digitisers
-    by its mean.
+@observable
+class PulsesOfDarks(OfDarks):
+    """Background illumination by the summed covariance of neighbours in time, DN^2."""
+
+    name = "dark events"
+    order = 75
+    depends = (EBI, *IONS)
+
+    def estimate(self, darks: Darks) -> tuple[float, float] | None:
+        """Return the covariance before rounding."""
+        if not darks.ions.are_sparse:
+            return None
+        value, sd = _neighbour_covariance(darks, neighbours_of(darks))
+        kept, kept_sd = with_error(partial(covariance_after_rounding, darks), darks)
+        covariance_sd = (
+            DARK_ERRORS.coarse_covariance_sd if darks.is_coarse else DARK_ERRORS.covariance_sd
+        )
+        model = np.hypot.reduce(
+            [covariance_sd, DARK_ERRORS.rounding_sd * (kept - 1.0) / kept, kept_sd / kept]
+        )
+        value = value / kept
+        return value, float(np.hypot(sd / kept, model * value))
+
+    def number(self, values: Values, darks: Darks) -> Array:
+        """Return the covariance of cameras, DN^2."""
+        event = darks.gain(values) * predicted.excess_noise_factor(values)
+        small = square_below(values[SHAPE], single_pulse_limit(values, darks.ions))
+        light = event * darks.background(values) * small + weak_ions(values, darks.ions)[1]
+        count = len(darks.data)
+        products = field_products(values, darks.level.gate_s, count * darks.step)[:, :: darks.step]
+        spread = predicted.pulse_covariance(values, neighbours_of(darks)).sum(axis=1)
+        return light * (spread * (products @ _without_mean(count)))
+
+
+@observable
+class LightOfDarks(OfDarks):
+    """Background illumination by the mean of all pixels that no ion reaches above the level between
+    pulses, DN, of fine digitisers.
     """
-    separations = (
-        ((0, 1), (1, 1)) if darks.sensor.video.low_pass is not None else ((1, 0), (0, 1), (1, 1))
-    )
-    value, sd = _neighbour_covariance(darks, separations)
-    rounding_factor, rounding_factor_sd = with_error(
-        partial(covariance_after_rounding, darks), darks
-    )
-    covariance_sd = (
-        DARK_ERRORS.covariance_sd
-        if darks.noise_dn > DARK_ERRORS.coarse_dn
-        else DARK_ERRORS.coarse_covariance_sd
-    )
-    model = np.hypot.reduce(
-        [
-            covariance_sd,
-            DARK_ERRORS.rounding_sd * (rounding_factor - 1.0) / rounding_factor,
-            rounding_factor_sd / rounding_factor,
-        ]
-    )
-    value, sd = value / rounding_factor, float(np.hypot(sd, model * value)) / rounding_factor
-    pixel_separations = tuple((float(columns), float(rows)) for columns, rows in separations)
 
-    def spread(values: Values) -> Array:
-        products = field_products(values, darks.level.gate_s, darks.fields)[:, :: darks.step]
-        return pulse_covariance(values, pixel_separations).sum(axis=1) * (
-            products @ _without_mean(len(darks.data))
-        )
+    name = "mean of dark events"
+    order = 76
+    depends = (EBI, BLACK_LEVEL, *IONS)
 
-    def predict(values: Values) -> Array:
-        event = _gain(values, darks) * predicted.excess_noise_factor(values)
-        small = moment_below(values[SHAPE], 1.0, single_pulse_limit(values, darks.ions), 2) / (
-            1.0 + 1.0 / values[SHAPE]
-        )
-        return (
-            event * _background(values, darks) * small + weak_ions(values, darks.ions)[1]
-        ) * spread(values)
+    def estimate(self, darks: Darks) -> tuple[float, float] | None:
+        """Return the mean."""
+        if darks.is_coarse or not darks.ions.are_sparse:
+            return None
+        is_usable = ~darks.ions.reached
+        mean = darks.data.mean(axis=0, dtype=np.float64) - darks.level_dn
+        number, total = block_sums(is_usable), block_sums(mean * is_usable)
+        occupied = number > 0.1 * number.max()
+        block_mean = total[occupied] / number[occupied]
+        value = float(total.sum() / number.sum())
+        scatter = block_mean.std(ddof=1) / np.sqrt(block_mean.size)
+        return value, float(np.hypot(scatter, DARK_ERRORS.wing_sd * value))
 
-    observations = (
-        [scalar_observation("dark events", value, sd, predict, (EBI, *IONS))]
-        if value > 3.0 * sd
-        else []
-    )
-    if darks.noise_dn > DARK_ERRORS.coarse_dn:
-        observations += _mean_of_events(darks)
-    return observations
+    def number(self, values: Values, darks: Darks) -> Array:
+        """Return the mean of cameras, DN."""
+        small = moment_below(values[SHAPE], 1.0, single_pulse_limit(values, darks.ions), 1)
+        pulses = darks.background(values) * (small - darks.light_below_threshold(values))
+        return pulses + weak_ions(values, darks.ions)[0]
+
+
+def neighbours_of(darks: Darks) -> tuple[tuple[int, int], ...]:
+    """Return the columns and field rows between neighbours: without those that a video filter
+    correlates.
+    """
+    analog = darks.sensor.video.low_pass is not None
+    return ((0, 1), (1, 1)) if analog else ((1, 0), (0, 1), (1, 1))
 
 
 def _without_mean(count: int) -> Array:
@@ -323,10 +296,7 @@ def _neighbour_covariance(
             field - field[:, is_usable[parity :: darks.step]].mean(axis=1)[:, None, None]
         )
     x = (x - x.mean(axis=0)) * is_usable
-    total, number = (
-        np.zeros(FRAMES.blocks[0] * FRAMES.blocks[1]),
-        np.zeros(FRAMES.blocks[0] * FRAMES.blocks[1]),
-    )
+    total, number = np.zeros((2, FRAMES.blocks[0] * FRAMES.blocks[1]))
     for right, down in separations:
         down *= darks.step
         first, second = x[:, : rows - down, : columns - right], x[:, down:, right:]
@@ -346,8 +316,7 @@ def covariance_after_rounding(darks: Darks, level_dn: float, noise_dn: float) ->
     heights, and pulses apart.
     """
     values = values_of_description(darks.sensor)
-    blur = pulse_covariance(values, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))[0]
-    width, height_px = (1.0 / np.sqrt(4.0 * np.log(blur[0] / neighbour)) for neighbour in blur[1:])
+    width, height_px = sizes_of_pulses(values)
     height = darks.ions.event_dn / (1.0 + 1.0 / float(values[SHAPE][0]))
     node, weight = np.polynomial.laguerre.laggauss(16)
     light = (field_light(values, darks.level.gate_s, 3)[0, :, None] * node * height).ravel()[
@@ -379,27 +348,3 @@ def covariance_after_rounding(darks: Darks, level_dn: float, noise_dn: float) ->
         for of in (change, lambda light_dn: light_dn)
     )
     return float(rounded / unrounded)
-
-
-def _mean_of_events(darks: Darks) -> list[Observation]:
-    """Observe the mean of all pixels that no ion reaches above the level between pulses."""
-    is_usable = ~darks.ions.reached
-    mean = darks.data.mean(axis=0, dtype=np.float64) - darks.level_dn
-    number = block_sums(is_usable)
-    occupied = number > 0.1 * number.max()
-    block_mean = block_sums(mean * is_usable)[occupied] / number[occupied]
-    value = float(block_sums(mean * is_usable).sum() / number.sum())
-    sd = float(
-        np.hypot(block_mean.std(ddof=1) / np.sqrt(block_mean.size), DARK_ERRORS.wing_sd * value)
-    )
-
-    def predict(values: Values) -> Array:
-        small = moment_below(values[SHAPE], 1.0, single_pulse_limit(values, darks.ions), 1)
-        pulses = _background(values, darks) * (small - _light_below_threshold(values, darks))
-        return pulses + weak_ions(values, darks.ions)[0]
-
-    return (
-        [scalar_observation("mean of dark events", value, sd, predict, (EBI, BLACK, *IONS))]
-        if value > 3.0 * sd
-        else []
-    )

@@ -1,12 +1,18 @@
-"""Darks of a camera with a tube: the noise between pulses."""
+"""Darks of a camera with a tube: the noise between pulses, and light of pulses too weak to be
+seen.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fitting.thresholds import DARKS
-from charact.fitting.tube_ions import IonEvents
+from charact.fitting import predicted_quantities as predicted
+from charact.fitting.thresholds import DARK_ERRORS, DARKS
+from charact.fitting.tube_ions import DETECTED, SHAPE, IonEvents, moment_below, square_below
+from charact.fitting.tube_light import field_products
+from charact.observables import Values
+from charact.observables.silicon import warmth
 from charact.observables.stack_level import StackLevel
 from labdata import Array, Mask
 from labdata.camera.description import Camera
@@ -28,12 +34,51 @@ class Darks:
     @property
     def step(self) -> int:
         """Frame rows from one row of a field to the next."""
-        return 2 if self.sensor.video.interlaced else 1
+        return self.sensor.fields
 
     @property
-    def fields(self) -> int:
-        """Number of fields in the frames."""
-        return len(self.data) * self.step
+    def is_coarse(self) -> bool:
+        """Whether the noise is so small that rounding is no noise of its own."""
+        return self.noise_dn <= DARK_ERRORS.coarse_dn
+
+    def warmth(self, values: Values) -> Array:
+        """Return dark current over that at 25 C, shape (n,)."""
+        return warmth(values, self.level.conditions)
+
+    def gain(self, values: Values) -> Array:
+        """Return the signal of a photoelectron, shape (n,), DN."""
+        return predicted.photoelectron_gain(values, self.level.mcp_v)
+
+    def background(self, values: Values) -> Array:
+        """Return the mean signal of the background illumination, shape (n,), DN."""
+        return self.gain(values) * predicted.background_rate(values) * self.level.gate_s
+
+    def light_below_threshold(self, values: Values) -> Array:
+        """Return the fraction of the background illumination that falls on quiet pixels, shape
+        (n,).
+        """
+        hidden = moment_below(values[SHAPE], 1.0, self._unseen(values), 1)
+        return np.minimum(hidden + DARK_ERRORS.wing, 1.0)
+
+    def variance_below_threshold(self, values: Values) -> Array:
+        """Return the variance of the pulses that are hidden by the noise, shape (n,), DN^2."""
+        hidden = square_below(values[SHAPE], self._unseen(values))
+        event = self.gain(values) * predicted.excess_noise_factor(values)
+        blur, decay = self._spread(values)
+        return hidden * event * self.background(values) * blur * decay
+
+    def _unseen(self, values: Values) -> Array:
+        """Return the heights, in mean detected pulses, below which a pulse is hidden by the noise,
+        shape (n,).
+        """
+        blur, decay = self._spread(values)
+        peak = self.gain(values) / values[DETECTED] * 2.0 * blur * np.sqrt(decay)
+        return max(DARKS.pulse_dn, DARKS.pulse_sd * self.noise_dn) / np.maximum(peak, 1e-9)
+
+    def _spread(self, values: Values) -> tuple[Array, Array]:
+        """Return the fractions of a pulse's variance that blur and decay leave in a pixel."""
+        blur = predicted.pulse_covariance(values, ((0.0, 0.0),))[:, 0]
+        return blur, field_products(values, self.level.gate_s, 1)[:, 0]
 
 
 def darks_of(ions: IonEvents) -> Darks | None:

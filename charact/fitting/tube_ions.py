@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities as predicted
-from charact.fitting.observation import Observation
 from charact.fitting.prior import values_of_description
-from charact.fitting.thresholds import DARKS, ION_ERRORS
-from charact.fitting.tube_time_observations import field_products, frames_of, pulse_covariance
-from charact.observables import Values
+from charact.fitting.thresholds import DARK_ERRORS, DARKS, ION_ERRORS
+from charact.fitting.tube_frames import frames_of
+from charact.fitting.tube_light import field_products
+from charact.observables import Estimates, Observable, Values, columns, observable
 from charact.observables.stack_level import StackLevel
 from labdata import Array, Camera, Result
 
@@ -41,32 +41,51 @@ class IonEvents:
     event_dn: float  # k F^2 as measured, DN
     variance_dn2: float  # what the events add to the variance of a pixel, DN^2
 
+    @property
+    def are_sparse(self) -> bool:
+        """Whether most of the frame is free of them."""
+        return float(self.reached.mean()) < DARK_ERRORS.most_reached
+
+    @property
+    def has_charge(self) -> bool:
+        """Whether the events are enough for a mean charge."""
+        return len(self.charge_dn) >= ION_ERRORS.least_events
+
+    @property
+    def exposure_of_pixels_s(self) -> float:
+        """Time that all pixels of all fields were exposed, s."""
+        return self.level.gate_s * self.data.size
+
 
 def light_in_window(values: Values) -> float:
     """Return the fraction of a pulse's light in its window, for a Gaussian of the known blur."""
     from scipy.special import erf
 
-    blur = pulse_covariance(values, ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)))[0]
-    # Two such Gaussians r px apart have the covariance exp(-r^2/(4 s^2)).
-    sizes = [1.0 / np.sqrt(4.0 * np.log(blur[0] / neighbour)) for neighbour in blur[1:]]
-    sides = [
-        erf(width_px / (2.0 * np.sqrt(2.0) * size))
-        for width_px, size in zip(DARKS.window, sizes, strict=True)
-    ]
-    return float(np.prod(sides))
+    sizes = zip(DARKS.window, reversed(sizes_of_pulses(values)), strict=True)
+    return float(np.prod([erf(width_px / (2.0 * np.sqrt(2.0) * size)) for width_px, size in sizes]))
+
+
+def sizes_of_pulses(values: Values) -> tuple[float, float]:
+    """Return the standard deviations of a Gaussian pulse along rows and columns, px.
+
+    Two such Gaussians r px apart have the covariance exp(-r^2/(4 s^2)).
+    """
+    blur = predicted.pulse_covariance(values, ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))[0]
+    across, along = (1.0 / np.sqrt(4.0 * np.log(blur[0] / neighbour)) for neighbour in blur[1:])
+    return float(across), float(along)
 
 
 def ions_of(sensor: Camera, result: Result, levels: tuple[StackLevel, ...]) -> IonEvents | None:
     """Return the ion events of the dark with most frames, or None without one of enough frames or a
     measured gain.
     """
-    stacks = [level for level in levels if level.dark and level.entry is not None]
+    darks = [level for level in levels if level.dark and level.entry is not None]
     # A scale of the charge of pulses, for which any estimate will do.
     gains = [m.value for m in result.find("covariance_gain") if m.value]
-    if not stacks or not gains:
+    if not darks or not gains:
         return None
-    level = max(stacks, key=lambda level: len(level.entry.read()) if level.entry else 0)
-    data = frames_of(level, sensor)
+    level = max(darks, key=lambda level: level.shape[0])
+    data = frames_of(level)
     if data is None or len(data) < DARKS.least_frames:
         return None
     return find_ions(data, level, sensor, gains[0])
@@ -78,7 +97,7 @@ def find_ions(
     """Return the ion events of a dark's frames (frame, row, col); `event_dn`: k F^2, DN."""
     from scipy.ndimage import label, maximum, maximum_filter, uniform_filter
 
-    values, step = values_of_description(sensor), 2 if sensor.video.interlaced else 1
+    values, step = values_of_description(sensor), sensor.fields
     in_window = light_in_window(values)
     in_field = in_window * float(np.sqrt(field_products(values, level.gate_s, 1)[0, 0]))
     charge, window = np.empty_like(data), cast(Any, (0, *DARKS.window))
@@ -121,6 +140,13 @@ def moment_below(shape: Array, mean: Array | float, limit: Array, order: int) ->
     )
 
 
+def square_below(shape: Array, limit: Array) -> Array:
+    """Return the part of the mean square of detected pulses below a limit, both in mean detected
+    pulses.
+    """
+    return moment_below(shape, 1.0, limit, 2) / (1.0 + 1.0 / shape)
+
+
 def single_pulse_limit(values: Values, events: IonEvents) -> Array:
     """Return the charge from which an event counts as that of an ion, in mean detected pulses,
     shape (n,).
@@ -139,68 +165,9 @@ def weak_ions(values: Values, events: IonEvents) -> tuple[Array, Array]:
     return rate * mean * height, rate * square * height**2
 
 
-def ion_observation(events: IonEvents) -> Observation:
-    """Observe the square root of the number of counted ion events and the logarithm of their mean
-    charge.
-
-    Notes
-    -----
-    The root of a Poisson number plus 3/8 has the variance 1/4 nearly (Anscombe 1948). Without
-    events only the number is observed, not the charge.
-    """
-    charges = np.array(events.charge_dn)
-    number = charges.size
-    value = [float(np.sqrt(number + 0.375))]
-    # At the charge of pulses as measured: the described gain may be far from it.
-    sheet = values_of_description(events.sensor)
-    pulse_dn = events.event_dn / (1.0 + 1.0 / sheet[SHAPE])
-    limit = single_pulse_limit(sheet, events) * _pulse_dn(sheet, events) / pulse_dn
-    groups = float(_coincidences(sheet, limit, events.level.gate_s)[0]) * _exposure_of_pixels_s(
-        events
-    )
-    unsure = ION_ERRORS.number * value[0], 0.5 * ION_ERRORS.coincidences * groups / value[0]
-    sd = [float(np.hypot.reduce([0.5, *unsure]))]
-    if number >= ION_ERRORS.least_events:
-        value.append(float(np.log(charges.mean())))
-        sd.append(
-            float(
-                np.hypot(charges.std(ddof=1) / charges.mean() / np.sqrt(number), ION_ERRORS.charge)
-            )
-        )
-
-    def predict(values: Values) -> Array:
-        ions = predicted.ion_rate(values) * _exposure_of_pixels_s(events)
-        counted = ions * (1.0 - _moment_of_weak(values, events, 0))
-        charge_above_limit = ions * (values[SIZE] - _moment_of_weak(values, events, 1))
-        limit = single_pulse_limit(values, events)
-        pulses = _coincidences(values, limit, events.level.gate_s) * _exposure_of_pixels_s(events)
-        expected = counted + pulses
-        # Where none is expected, an event is one at the limit.
-        few = 1e-9
-        charge = (charge_above_limit + (pulses + few) * (limit + 1.0)) / (expected + few)
-        columns = [np.sqrt(expected + 0.375), np.log(charge * _in_window(values, events))][
-            : len(value)
-        ]
-        return np.stack(np.broadcast_arrays(*columns), axis=1)
-
-    return Observation(
-        name="ion events",
-        value=np.array(value),
-        covariance=np.diag(np.square(sd)),
-        predict=predict,
-        parameters=IONS,
-    )
-
-
-def _exposure_of_pixels_s(events: IonEvents) -> float:
-    """Return the time that all pixels of all fields were exposed, s."""
-    return events.level.gate_s * events.data.size
-
-
 def _pulse_dn(values: Values, events: IonEvents) -> Array:
     """Return the charge of the mean detected pulse k/p, shape (n,), DN."""
-    reference_v = float(events.sensor.microchannel_plate.reference_v)
-    return predicted.photoelectron_gain(values, events.level.mcp_v, reference_v) / values[DETECTED]
+    return predicted.photoelectron_gain(values, events.level.mcp_v) / values[DETECTED]
 
 
 def _in_window(values: Values, events: IonEvents) -> Array:
@@ -239,3 +206,57 @@ def _coincidences(values: Values, limit: Array, gate_s: float) -> Array:
         fraction_above = gammaincc((1 + k) * values[SHAPE], limit * values[SHAPE])
         total = total + poisson.pmf(k, besides) * fraction_above / (1 + k)
     return rate * total
+
+
+@observable
+class IonEventNumber(Observable[IonEvents]):
+    """Square root of the number of counted ion events, and logarithm of their mean charge.
+
+    The root of a Poisson number plus 3/8 has the variance 1/4 nearly (Anscombe 1948). Of few events
+    only the number is observed, not the charge.
+    """
+
+    name = "ion events"
+    order = 72
+    tube = True
+    depends = IONS
+
+    def usable(self, stacks: Any) -> IonEvents | None:
+        """Return the ion events of the dark if most of the frame is free of them."""
+        return stacks.ions if stacks.ions is not None and stacks.ions.are_sparse else None
+
+    def measure(self, shown: IonEvents) -> Estimates:
+        """Return root and logarithm."""
+        charges = np.array(shown.charge_dn)
+        number = charges.size
+        value, sd = [float(np.sqrt(number + 0.375))], [0.5]
+        if shown.has_charge:
+            value.append(float(np.log(charges.mean())))
+            sd.append(float(charges.std(ddof=1) / charges.mean() / np.sqrt(number)))
+        return Estimates(value=np.array(value), covariance=np.diag(np.square(sd)))
+
+    def model_covariance(self, estimates: Estimates, shown: IonEvents) -> Array:
+        """Return the covariance by number, coincidences of pulses, and charge."""
+        # At the charge of pulses as measured: the described gain may be far from it.
+        sheet, root = values_of_description(shown.sensor), float(estimates.value[0])
+        pulse_dn = shown.event_dn / (1.0 + 1.0 / sheet[SHAPE])
+        limit = single_pulse_limit(sheet, shown) * _pulse_dn(sheet, shown) / pulse_dn
+        groups = _coincidences(sheet, limit, shown.level.gate_s)[0] * shown.exposure_of_pixels_s
+        of_number = np.hypot(
+            ION_ERRORS.number * root, 0.5 * ION_ERRORS.coincidences * float(groups) / root
+        )
+        return np.diag(np.square([of_number, ION_ERRORS.charge][: estimates.value.size]))
+
+    def predict(self, values: Values, shown: IonEvents) -> Array:
+        """Return root and logarithm of cameras, shape (n, 1 or 2)."""
+        ions = predicted.ion_rate(values) * shown.exposure_of_pixels_s
+        counted = ions * (1.0 - _moment_of_weak(values, shown, 0))
+        charge_above_limit = ions * (values[SIZE] - _moment_of_weak(values, shown, 1))
+        limit = single_pulse_limit(values, shown)
+        pulses = _coincidences(values, limit, shown.level.gate_s) * shown.exposure_of_pixels_s
+        expected = counted + pulses
+        # Where none is expected, an event is one at the limit.
+        few = 1e-9
+        charge = (charge_above_limit + (pulses + few) * (limit + 1.0)) / (expected + few)
+        numbers = np.sqrt(expected + 0.375), np.log(charge * _in_window(values, shown))
+        return columns(*numbers[: 1 + shown.has_charge])

@@ -1,5 +1,12 @@
-"""Image lag: correlation of pulses of light between fields and frames by phosphor decay."""
+"""Image lag: correlation of pulses of light between fields and frames by phosphor decay.
 
+    I(t) = a exp(-t/t1) + (1 - a) exp(-t/t2)
+
+A decay law is a sum of exponentials, `decay_components`: image lag, fit and validation follow from
+it.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +16,21 @@ from charact.frames.thresholds import LAG
 from labdata.camera.description import Camera, has_tube
 
 Array = NDArray[np.float64]
+# Parameters of the decay law, those of them that are at most 1, and those of which one sets the
+# slowest component.
+DECAY = ("phosphor.fast_fraction", "phosphor.fast_decay_ms", "phosphor.slow_decay_ms")
+DECAY_FRACTIONS = DECAY[:1]
+SLOWEST_DECAY = DECAY[2:]
+
+
+def decay_components(values: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Return weights at the start of the decay, dimensionless, and decay times, ms, of
+    exponentials, shape (component, n), from parameters of shape (n,) by path.
+    """
+    fast, *times_ms = (values[path] for path in DECAY)
+    fast = np.minimum(fast, 1.0)
+    weights = np.stack(np.broadcast_arrays(fast, 1.0 - fast))
+    return weights, np.stack(np.broadcast_arrays(*times_ms))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,11 +100,13 @@ def _light_fractions(camera: Camera | None) -> Array:
     """
     if not has_tube(camera):
         return np.ones((1, 1))
-    phosphor = camera.phosphor
-    exposures = 1.0 / float(camera.video.field_rate_hz) * 1e3
-    tau = np.maximum([float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)], 1e-6)
-    fast = float(phosphor.fast_fraction)
-    light = np.array([fast, 1.0 - fast]) * tau
+    known = camera.parameters()
+    exposures = 1.0 / float(known["video.field_rate_hz"]) * 1e3
+    weights, times_ms = decay_components(
+        {path: np.array([float(known[path])]) for path in DECAY if path in known}
+    )
+    tau = np.maximum(times_ms[:, 0], 1e-6)
+    light = weights[:, 0] * tau
     arrival = (np.arange(LAG.arrival_times) + 0.5) / LAG.arrival_times * exposures
     ends = np.arange(1, LAG.lag_fields + 1) * exposures
     remaining = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (

@@ -1,16 +1,21 @@
 """Statistics of darks and flats: one class each, for noise, fit and validation."""
 
+from charact.observables.admissible import admissible_measurements, sd_of
 from charact.observables.dark_spectrum import readout_spectrum
 from charact.observables.fixed_pattern import Dsnu, Prnu
 from charact.observables.frame_view import FrameView
 from charact.observables.level import Level
 from charact.observables.observable import (
+    Case,
     Estimates,
     MeasuredStack,
     Numbers,
     Observable,
+    Ridge,
     Stacks,
     Values,
+    columns,
+    declare,
     observable,
     observables,
 )
@@ -23,6 +28,7 @@ from charact.observables.values_in_time import Histogram
 
 __all__ = [
     "FRAMES",
+    "Case",
     "DarkNoise",
     "Dsnu",
     "Estimates",
@@ -36,10 +42,15 @@ __all__ = [
     "Observable",
     "PhotonTransfer",
     "Prnu",
+    "Ridge",
     "StackLevel",
     "Stacks",
     "Values",
+    "admissible_measurements",
+    "columns",
+    "declare",
     "observable",
     "observables",
     "readout_spectrum",
+    "sd_of",
 ]

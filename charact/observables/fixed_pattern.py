@@ -36,6 +36,9 @@ class Prnu(Observable[Any]):
 
     name = "PRNU"
     order = 34
+    tube = False
+    depends = (PRNU_FRACTION,)
+    relative_model_sd = 2.0 * SILICON.noise_model_sd
 
     def usable(self, stacks: Stacks[MeasuredStack]) -> Stacks[MeasuredStack] | None:
         """Return the flat of the smallest error."""
@@ -57,17 +60,9 @@ class Prnu(Observable[Any]):
             float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2)) / square,
         )
 
-    def model_covariance(self, estimates: Estimates, stacks: Stacks[MeasuredStack]) -> Array:
-        """Return the covariance by which no pattern follows the model."""
-        return np.diag((2.0 * SILICON.noise_model_sd * estimates.value) ** 2)
-
     def predict(self, values: Values, stacks: Stacks[MeasuredStack]) -> Array:
         """Return the squared PRNU, shape (n, 1)."""
         return values[PRNU_FRACTION][:, None] ** 2
-
-    def parameters(self, stacks: Stacks[MeasuredStack]) -> tuple[str, ...]:
-        """Return the path of the PRNU."""
-        return (PRNU_FRACTION,)
 
 
 @observable
@@ -80,6 +75,8 @@ class Dsnu(Observable[Any]):
 
     name = "DSNU"
     order = 35
+    tube = False
+    relative_model_sd = 2.0 * SILICON.noise_model_sd
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
         """Return the dark with most frames and the longest exposure."""
@@ -91,10 +88,6 @@ class Dsnu(Observable[Any]):
     def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
         """Return the variance of the first dark's pattern, DN^2."""
         return Estimates.of_number(stacks.dark.spatial_variance_dn2, stacks.dark.spatial_sd_dn2)
-
-    def model_covariance(self, estimates: Estimates, stacks: Stacks[MeasuredStack]) -> Array:
-        """Return the covariance by which no pattern follows the model."""
-        return np.diag((2.0 * SILICON.noise_model_sd * estimates.value) ** 2)
 
     def predict(self, values: Values, stacks: Stacks[MeasuredStack]) -> Array:
         """Return the variance of the pattern at the dark's temperature, shape (n, 1), DN^2."""
@@ -109,7 +102,7 @@ class Dsnu(Observable[Any]):
 
 
 @observable
-class FixedPattern(Observable[FrameView]):
+class FixedPattern(Observable[Stacks[FrameView]]):
     """Fixed over temporal variance of pixels, rows and columns, and of bands of their
     spectra.
 
@@ -154,7 +147,7 @@ class FixedPattern(Observable[FrameView]):
 
 
 @observable
-class Defects(Observable[FrameView]):
+class Defects(Observable[Stacks[FrameView]]):
     """Logarithms of the heights and depths of the most deviating pixels and spots, of dark
     and brightest flat.
 
@@ -200,7 +193,7 @@ class Defects(Observable[FrameView]):
 
 
 @observable
-class Shading(Observable[FrameView]):
+class Shading(Observable[Stacks[FrameView]]):
     """Slopes and curvatures of the mean frames over the picture: of flats over the signal,
     of the dark in DN.
     """

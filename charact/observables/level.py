@@ -16,7 +16,7 @@ from charact.observables.observable import (
 
 
 @observable
-class Level(Observable[MeasuredStack]):
+class Level(Observable[Stacks[MeasuredStack]]):
     """Level of the dark, DN, and the logarithm of the brightest flat's signal above it."""
 
     name = "level"

@@ -1,11 +1,11 @@
-"""One class a statistic of darks and flats: what it is called, how frames show it, how a camera's
-description predicts it.
+"""One class a statistic: what it is called, how frames show it, how a camera's description predicts
+it.
 
 Noise, fit and validation take the same statistics: noise prints them, the fit minimises their
 misfit, the validation compares those of measured with those of simulated frames.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
@@ -25,46 +25,38 @@ class MeasuredStack(Protocol):
     @property
     def label(self) -> str:
         """Label of the stack."""
-        ...
 
     @property
     def conditions(self) -> Conditions:
         """Conditions of the stack."""
-        ...
 
     @property
     def mean_dn(self) -> float:
         """Mean over pixels and frames, DN."""
-        ...
 
     @property
     def mean_sd_dn(self) -> float:
         """Standard error of the mean, DN."""
-        ...
 
     @property
     def variance_dn2(self) -> float:
         """Temporal variance of a pixel, mean over pixels, DN^2."""
-        ...
 
     @property
     def variance_sd_dn2(self) -> float:
         """Standard error of the temporal variance, DN^2; nan of a single frame."""
-        ...
 
     @property
     def spatial_variance_dn2(self) -> float:
         """Variance of the fixed pattern over pixels, DN^2."""
-        ...
 
     @property
     def spatial_sd_dn2(self) -> float:
         """Standard error of the variance of the fixed pattern, DN^2."""
-        ...
 
 
-S = TypeVar("S", bound=MeasuredStack)
 S_co = TypeVar("S_co", bound=MeasuredStack, covariant=True)
+Shown = TypeVar("Shown")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,12 +116,34 @@ class Estimates:
         return cls(value=np.array([value]), covariance=np.array([[sd**2]]))
 
 
-class Observable(Generic[S]):
-    """One statistic of darks and flats.
+@dataclass(frozen=True, kw_only=True)
+class Ridge:
+    """Surface on which a posterior is narrow: a number of many parameters that is known far better
+    than any of them.
+
+    In coordinates with the number itself in place of one parameter the surface is a plane.
+    """
+
+    carrier: str  # path of the parameter
+    number: Callable[[Values], Array]  # values of shape (n,) each -> (n,)
+    slope: float  # change of the number with the coordinate of the carrier, the same everywhere
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case(Generic[Shown]):
+    """Numbers of a statistic that are fitted together, and what their prediction needs."""
+
+    estimates: Estimates
+    of: Shown
+    label: str = ""  # name in messages, where it is not that of the statistic
+
+
+class Observable(Generic[Shown]):
+    """One statistic of the frames of a session.
 
     `name` is that of the statistic, and of its group in a validation. A statistic takes part in a
-    fit if it has `parameters`, in a validation if it has a `title`; `cause` are the stages of the
-    camera, or faults of the session, that move it.
+    fit if it depends on parameters, in a validation if it has a `title`; `cause` are the stages of
+    the camera, or faults of the session, that move it.
     """
 
     name: str
@@ -140,28 +154,50 @@ class Observable(Generic[S]):
     least_sd: float = 0.0
     # Whether all parts of the frame are compared, as faults may lie anywhere
     over_frame: bool = False
+    # Whether the prediction is that of cameras with a tube, or without one; None: of both
+    tube: bool | None = None
+    # Names of statistics of the same parameters in whose absence alone this one is fitted
+    unless: tuple[str, ...] = ()
+    # Paths of the parameters that the prediction depends on
+    depends: tuple[str, ...] = ()
+    # Those of which one must move the prediction by a standard error over its prior range
+    moved_by: tuple[str, ...] = ()
+    # Relative error by which no camera follows the prediction
+    relative_model_sd: float = 0.0
+    # Whether the numbers are lower bounds: a prediction beyond them agrees
+    is_bound: bool = False
 
-    def usable(self, stacks: Stacks[S]) -> Stacks[S] | None:
+    def usable(self, stacks: Any) -> Any:
         """Return the stacks that show the statistic to a fit; None where there are none."""
         return stacks if stacks.darks and stacks.flats else None
 
-    def measure(self, stacks: Stacks[S]) -> Estimates:
+    def cases(self, stacks: Any) -> Iterable["Case[Shown]"]:
+        """Yield what stacks show of the statistic to a fit."""
+        usable = self.usable(stacks)
+        if usable is not None and self.parameters(usable):
+            yield Case(estimates=self.measure(usable), of=usable)
+
+    def measure(self, shown: Shown) -> Estimates:
         """Return the numbers that frames show, with the errors of measuring."""
         raise NotImplementedError
 
-    def model_covariance(self, estimates: Estimates, stacks: Stacks[S]) -> Array:
+    def model_covariance(self, estimates: Estimates, shown: Shown) -> Array:
         """Return the covariance by which no camera follows the model, shape (k, k)."""
-        return np.zeros_like(estimates.covariance)
+        return np.diag((self.relative_model_sd * estimates.value) ** 2)
 
-    def predict(self, values: Values, stacks: Stacks[S]) -> Array:
+    def predict(self, values: Values, shown: Shown) -> Array:
         """Return the numbers of cameras under the conditions of stacks, shape (n, k)."""
         raise NotImplementedError
 
-    def parameters(self, stacks: Stacks[S]) -> tuple[str, ...]:
+    def parameters(self, shown: Shown) -> tuple[str, ...]:
         """Return the paths of the parameters that the prediction depends on."""
-        return ()
+        return self.depends
 
-    def numbers(self, stacks: Stacks[S]) -> Numbers:
+    def ridge(self, shown: Shown) -> Ridge | None:
+        """Return the number that is known far better than the parameters it depends on."""
+        return None
+
+    def numbers(self, stacks: Shown) -> Numbers:
         """Return the numbers that a validation compares, nearly Gaussian over simulated sets."""
         raise NotImplementedError
 
@@ -172,8 +208,13 @@ Statistic = TypeVar("Statistic", bound=Observable[Any])
 
 def observable(statistic: type[Statistic]) -> type[Statistic]:
     """Add a statistic to those that noise, fit and validation loop over."""
-    _KNOWN.append(statistic())
+    declare(statistic())
     return statistic
+
+
+def declare(*statistics: Observable[Any]) -> None:
+    """Add statistics that are values of a class to those that are looped over."""
+    _KNOWN.extend(statistics)
 
 
 def observables() -> tuple[Observable[Any], ...]:
@@ -184,6 +225,11 @@ def observables() -> tuple[Observable[Any], ...]:
 def log(value: float) -> float:
     """Return the logarithm of a positive number; that of a small one where frames repeat."""
     return float(np.log(max(value, 1e-12)))
+
+
+def columns(*numbers: Array) -> Array:
+    """Return predictions of shape (n,) or (1,) each side by side, shape (n, k)."""
+    return np.stack(np.broadcast_arrays(*numbers), axis=1)
 
 
 def cube_root(value: float) -> float:

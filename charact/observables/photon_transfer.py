@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from charact.frames.rounding import rounding_sd
+from charact.observables.admissible import admissible_measurements
 from charact.observables.observable import (
     Estimates,
     MeasuredStack,
@@ -19,11 +20,13 @@ from charact.observables.observable import (
     Observable,
     Stacks,
     Values,
+    columns,
     log,
     observable,
 )
 from charact.observables.silicon import (
     COMPRESSION,
+    DARK_CURRENT,
     HEIGHTS,
     READ_NOISE,
     ROW_EXPONENT,
@@ -73,11 +76,19 @@ class PhotonTransfer(Observable[Any]):
 
     name = "photon-transfer"
     order = 1
+    tube = False
+    relative_model_sd = SILICON.noise_model_sd
     title = "Variance of the dark, and variance over signal of the brightest flat"
     cause = "gain, excess noise, read noise, or blur after the gain"
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
-        """Return the flats brighter than the dark's noise, if there are enough."""
+        """Return the flats brighter than the dark's noise, if there are enough.
+
+        Flats of a session whose gain is not admissible do not follow the law.
+        """
+        gains = (("system_gain", "DN/e-"), ("covariance_gain", "DN"))
+        if not any(admissible_measurements(stacks.result, *gain) for gain in gains):
+            return None
         darks = [dark for dark in stacks.darks if np.isfinite(dark.variance_sd_dn2)][:1]
         flats = [
             flat
@@ -100,10 +111,6 @@ class PhotonTransfer(Observable[Any]):
             covariance=np.diag(independent) + np.outer(shared / signal, shared / signal),
         )
 
-    def model_covariance(self, estimates: Estimates, stacks: Stacks[MeasuredStack]) -> Array:
-        """Return the covariance by which no photon transfer curve follows the model."""
-        return np.diag((SILICON.noise_model_sd * estimates.value) ** 2)
-
     def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
         """Return variance over signal of each flat at its measured signal, shape (n, flat), DN."""
         gains = [
@@ -124,7 +131,7 @@ class PhotonTransfer(Observable[Any]):
             - SILICON.rounding_dn2 * dark.step_dn**2
             - neighbour_variance(values, dark.shape[1])[:, None]
         )
-        shot = np.stack(np.broadcast_arrays(*gains), axis=1) * linear_signal * bend
+        shot = columns(*gains) * linear_signal * bend
         return (shot + (bend - 1.0) * read_dn2) / signal
 
     def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
@@ -144,7 +151,7 @@ class PhotonTransfer(Observable[Any]):
 
 
 @observable
-class Linearity(Observable[MeasuredStack]):
+class Linearity(Observable[Stacks[MeasuredStack]]):
     """Signal, and variance over signal, of each dimmer flat over that of the brightest.
 
     Neither depends on gain or sensitivity where the response is linear.
@@ -176,6 +183,8 @@ class DarkNoise(Observable[Any]):
 
     name = "dark-noise"
     order = 30
+    tube = False
+    relative_model_sd = SILICON.noise_model_sd
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
         """Return the darks whose rounding is additive."""
@@ -193,10 +202,6 @@ class DarkNoise(Observable[Any]):
         sd = np.array([dark.variance_sd_dn2 for dark in stacks.darks])
         return Estimates(value=variance, covariance=np.diag(sd**2))
 
-    def model_covariance(self, estimates: Estimates, stacks: Stacks[StackLevel]) -> Array:
-        """Return the covariance by which no noise follows the model."""
-        return np.diag((SILICON.noise_model_sd * estimates.value) ** 2)
-
     def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
         """Return the variance of a pixel under the conditions of each dark, shape (n, dark)."""
         coarser_dn2 = [SILICON.rounding_dn2 * (dark.step_dn**2 - 1.0) for dark in stacks.darks]
@@ -206,11 +211,11 @@ class DarkNoise(Observable[Any]):
             + more
             for dark, more in zip(stacks.darks, coarser_dn2, strict=True)
         )
-        return np.stack(np.broadcast_arrays(*variances), axis=1)
+        return columns(*variances)
 
     def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
         """Return the paths of gain, dark charge, read noise, and rows."""
-        reading = (HEIGHTS, "register.clock_induced_e", "ccd.dark_current_e_per_s", READ_NOISE)
+        reading = (HEIGHTS, "register.clock_induced_e", DARK_CURRENT, READ_NOISE)
         known = (
             (
                 *amplification(dark.conditions),

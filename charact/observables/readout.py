@@ -4,7 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.observables.dark_spectrum import ReadoutSpectrum
-from charact.observables.observable import Estimates, Observable, Stacks, Values, observable
+from charact.observables.observable import (
+    Estimates,
+    Observable,
+    Stacks,
+    Values,
+    columns,
+    observable,
+)
 from charact.observables.silicon import (
     ACROSS,
     CONVERSION_GAIN,
@@ -30,8 +37,10 @@ def spectrum_of(dark: StackLevel) -> ReadoutSpectrum:
     return dark.readout
 
 
-class OfReadout(Observable[StackLevel]):
+class OfReadout(Observable[Stacks[StackLevel]]):
     """A statistic of the dark with most frames, of these of the shortest exposure."""
+
+    tube = False
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
         """Return that dark, if its noise is wide enough and its frames many enough."""
@@ -54,6 +63,7 @@ class RowOffsets(OfReadout):
 
     name = "offsets of rows"
     order = 31
+    depends = (ROW_NOISE, ROW_EXPONENT)
 
     def measure(self, stacks: Stacks[StackLevel]) -> Estimates:
         """Return logarithms of the power of each band, DN^2."""
@@ -76,10 +86,6 @@ class RowOffsets(OfReadout):
         bands = _bands(spectrum)
         return np.log(np.stack([density[:, band].mean(axis=1) for band in bands], axis=1))
 
-    def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
-        """Return the paths of the law."""
-        return ROW_NOISE, ROW_EXPONENT
-
 
 def _bands(spectrum: ReadoutSpectrum) -> list[NDArray[np.int64]]:
     """Return the members of bands equal in the logarithm of the frequency."""
@@ -99,6 +105,7 @@ class NeighbourCovariance(OfReadout):
 
     name = "covariance of neighbours in a row"
     order = 32
+    depends = (FINE_RATIO, CONVERSION_GAIN, READ_NOISE)
 
     def measure(self, stacks: Stacks[StackLevel]) -> Estimates:
         """Return the covariance, DN^2."""
@@ -109,10 +116,6 @@ class NeighbourCovariance(OfReadout):
         read_noise_dn = dn_per_electron(values, stacks.dark.conditions) * values[READ_NOISE]
         return neighbour_covariance(values, read_noise_dn)[:, None]
 
-    def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
-        """Return the paths of the ratio and of the read noise."""
-        return FINE_RATIO, CONVERSION_GAIN, READ_NOISE
-
 
 @observable
 class Interference(OfReadout):
@@ -120,6 +123,7 @@ class Interference(OfReadout):
 
     name = "interference"
     order = 33
+    depends = (INTERFERENCE, ACROSS, DOWN)
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
         """Return the dark if its spectrum has a peak."""
@@ -144,9 +148,4 @@ class Interference(OfReadout):
 
     def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
         """Return the parameters themselves, shape (n, 3)."""
-        known = (values[path] for path in self.parameters(stacks))
-        return np.stack(np.broadcast_arrays(*known), axis=1)
-
-    def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
-        """Return the paths of mean square and frequencies."""
-        return INTERFERENCE, ACROSS, DOWN
+        return columns(*(values[path] for path in self.depends))

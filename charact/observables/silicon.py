@@ -17,6 +17,8 @@ from labdata.conditions import Conditions
 
 CONVERSION_GAIN = "video.conversion_gain_dn_per_e"
 READ_NOISE = "ccd.read_noise_e"
+DARK_CURRENT, DOUBLING = "ccd.dark_current_e_per_s", "ccd.dark_current_doubling_k"
+BLACK_LEVEL = "video.black_level_dn"
 HEIGHTS = "register.pulse_height_shape"
 COMPRESSION, OFFSET = "readout.compression_fraction", "readout.exposure_offset_us"
 ROW_NOISE, ROW_EXPONENT = "readout.row_noise_dn2", "readout.row_noise_exponent"
@@ -35,9 +37,7 @@ def em_gain(values: Values, conditions: Conditions) -> Array:
 
 def dn_per_electron(values: Values, conditions: Conditions) -> Array:
     """Return DN per electron behind the register at no signal, with the camera's gain in dB."""
-    amplified = values["video.conversion_gain_dn_per_e"] * 10.0 ** (
-        (conditions.camera_gain_db or 0.0) / 20.0
-    )
+    amplified = values[CONVERSION_GAIN] * 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
     return amplified / (1.0 - EMVA_SLOPE * values[COMPRESSION])
 
 
@@ -47,12 +47,12 @@ def register_excess(values: Values, conditions: Conditions) -> Array:
     """
     gain, stages = em_gain(values, conditions), float(values["register.stages"][0])
     exponential = np.array([excess_noise_factor(float(draw_gain), stages) for draw_gain in gain])
-    return 1.0 + (exponential - 1.0) / values["register.pulse_height_shape"]
+    return 1.0 + (exponential - 1.0) / values[HEIGHTS]
 
 
 def dark_electrons(values: Values, conditions: Conditions, seconds: float) -> Array:
     """Return the dark charge of an exposure at the camera's temperature, e-."""
-    return values["ccd.dark_current_e_per_s"] * warmth(values, conditions) * seconds
+    return values[DARK_CURRENT] * warmth(values, conditions) * seconds
 
 
 def warmth(values: Values, conditions: Conditions) -> Array:
@@ -60,7 +60,7 @@ def warmth(values: Values, conditions: Conditions) -> Array:
     warmer = (
         0.0 if conditions.temperature_c is None else conditions.temperature_c - SILICON.reference_c
     )
-    return 2.0 ** (warmer / values["ccd.dark_current_doubling_k"])
+    return 2.0 ** (warmer / values[DOUBLING])
 
 
 def amplification(conditions: Conditions) -> tuple[str, ...]:
@@ -68,18 +68,14 @@ def amplification(conditions: Conditions) -> tuple[str, ...]:
     stated.
     """
     register_gain = ("register.em_gain",) if conditions.em_gain is None else ()
-    return ("video.conversion_gain_dn_per_e", *register_gain)
+    return (CONVERSION_GAIN, *register_gain)
 
 
 def cooling(conditions: Conditions) -> tuple[str, ...]:
     """Return the path of the temperature law where a temperature other than the reference is
     stated.
     """
-    return (
-        ()
-        if conditions.temperature_c in (None, SILICON.reference_c)
-        else ("ccd.dark_current_doubling_k",)
-    )
+    return () if conditions.temperature_c in (None, SILICON.reference_c) else (DOUBLING,)
 
 
 def dark_variance(values: Values, conditions: Conditions, seconds: float) -> Array:
@@ -91,7 +87,7 @@ def dark_variance(values: Values, conditions: Conditions, seconds: float) -> Arr
     charge = dark_electrons(values, conditions, seconds) + values["register.clock_induced_e"]
     multiplied = em_gain(values, conditions) ** 2 * register_excess(values, conditions) * charge
     return (
-        dn_per_electron(values, conditions) ** 2 * (values["ccd.read_noise_e"] ** 2 + multiplied)
+        dn_per_electron(values, conditions) ** 2 * (values[READ_NOISE] ** 2 + multiplied)
         + SILICON.rounding_dn2
     )
 

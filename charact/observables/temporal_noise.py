@@ -8,7 +8,7 @@ from charact.observables.thresholds import FRAMES
 
 
 @observable
-class CovarianceSum(Observable[FrameView]):
+class CovarianceSum(Observable[Stacks[FrameView]]):
     """Summed covariance over signal of each flat, DN.
 
     Of a dim flat the sum may be negative by chance, so that it has no logarithm.
@@ -32,7 +32,7 @@ class CovarianceSum(Observable[FrameView]):
 
 
 @observable
-class Autocorrelation(Observable[FrameView]):
+class Autocorrelation(Observable[Stacks[FrameView]]):
     """Correlation of neighbours in the brightest flat, and along rows and columns in the
     dark.
     """
@@ -62,7 +62,7 @@ class Autocorrelation(Observable[FrameView]):
 
 
 @observable
-class NoiseOverField(Observable[FrameView]):
+class NoiseOverField(Observable[Stacks[FrameView]]):
     """Difference of the noise near the corners of the brightest flat from that near its centre.
 
     The correlation of neighbours in time, and the logarithm of variance over signal: a blur that
@@ -106,7 +106,7 @@ class NoiseOverField(Observable[FrameView]):
 
 
 @observable
-class NoiseSpectrum(Observable[FrameView]):
+class NoiseSpectrum(Observable[Stacks[FrameView]]):
     """Temporal noise power over its mean in bands of both cuts and over all directions, and
     its peaks.
     """
@@ -130,7 +130,7 @@ class NoiseSpectrum(Observable[FrameView]):
 
 
 @observable
-class RowsAndColumns(Observable[FrameView]):
+class RowsAndColumns(Observable[Stacks[FrameView]]):
     """Variances in time of means of frames, rows and columns of dark and brightest flat.
 
     Each is over that of white noise of the same variance. Cube roots of variances, and of powers,

@@ -8,7 +8,7 @@ from charact.observables.thresholds import FRAMES
 
 
 @observable
-class Histogram(Observable[FrameView]):
+class Histogram(Observable[Stacks[FrameView]]):
     """Means of the tails of temporal noise over its standard deviation, and shares of ones
     of the low bits.
 
@@ -46,7 +46,7 @@ class Histogram(Observable[FrameView]):
 
 
 @observable
-class DarkEvents(Observable[FrameView]):
+class DarkEvents(Observable[Stacks[FrameView]]):
     """Roots of the number of bright and dark events of the dark, and the height of the
     highest.
     """
@@ -74,7 +74,7 @@ class DarkEvents(Observable[FrameView]):
 
 
 @observable
-class TimeCourse(Observable[FrameView]):
+class TimeCourse(Observable[Stacks[FrameView]]):
     """Correlations of frames, and of fields of interlaced video, with each other, and
     changes in time.
 

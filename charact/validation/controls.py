@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.frames.image_lag import SLOWEST_DECAY
 from charact.validation.frames import Camera, MatchedStacks
 
 Frames = NDArray[np.floating]
@@ -44,7 +45,7 @@ PARAMETERS = (
         parameters=("tube.mtf_frequency_lp_per_mm", "optics.aberration_blur_um"),
     ),
     ParameterControl(title="video bandwidth", parameters=("video.bandwidth_mhz",)),
-    ParameterControl(title="slow decay of the phosphor", parameters=("phosphor.slow_decay_ms",)),
+    ParameterControl(title="slow decay of the phosphor", parameters=SLOWEST_DECAY),
     ParameterControl(title="read noise", parameters=("ccd.read_noise_e",), in_quadrature=True),
     ParameterControl(
         title="noise of rows", parameters=("video.line_noise_dn",), in_quadrature=True

@@ -67,8 +67,7 @@ def test_the_mtf_is_the_same_in_both_directions(specimen: Camera, values: Values
 
 def test_every_quantity_of_the_camera_is_the_same(specimen: Camera, values: Values) -> None:
     told = true_quantities.true_quantities(specimen, Conditions(mcp_v=MCP_V, gate_ns=GATE_S * 1e9))
-    reference_v = float(specimen.microchannel_plate.reference_v)
-    gain = predicted_quantities.photoelectron_gain(values, MCP_V, reference_v)
+    gain = predicted_quantities.photoelectron_gain(values, MCP_V)
     for name, found, within in (
         ("photoelectron_gain", gain, 1e-6),
         ("excess_noise_factor", predicted_quantities.excess_noise_factor(values), 1e-9),

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from charact.fitting import prior_of, tube_observations
+from charact.frames.image_lag import DECAY
 from labdata import Camera, Conditions, Kind, LoadedStackEntry, Session, Target, load_camera
 from simulate import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
@@ -19,7 +20,7 @@ LEVELS = (0.02, 0.1, 0.3, 0.6, 1.0)
 DRAWN_OF_TUBE = (
     *tube_observations.SHAPE,
     *tube_observations.LEVEL,
-    *tube_observations.LAG,
+    *DECAY,
     "ccd.read_noise_e",
     "ccd.prnu",
     "phosphor.gain_nonuniformity",

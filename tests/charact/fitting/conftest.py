@@ -11,9 +11,12 @@ import pytest
 
 from charact.fitting import (
     Model,
+    SessionStacks,
     model_of,
+    observations_of,
     predicted_quantities,
     prior_of,
+    stacks_of,
     tube_observations,
     values_of_description,
 )
@@ -23,7 +26,6 @@ from labdata import (
     Curve,
     Measurement,
     Result,
-    Session,
     StackEntry,
     Target,
     load_sensor,
@@ -42,9 +44,7 @@ class Told:
     """A specimen and what was told of it."""
 
     truth: dict[str, float]
-    session: Session
-    result: Result
-    levels: tuple[StackLevel, ...]
+    stacks: SessionStacks
     model: Model
 
 
@@ -79,15 +79,16 @@ def told_of(sheet: Camera) -> Callable[[int], Told]:
             measurements=_numbers(values, rng), curves={"mtf:edge": _curve(values, rng)}
         )
         levels = _levels(values, rng)
-        model = model_of(sheet, tube_observations.tube_observations(session, sheet, result, levels))
+        stacks = stacks_of(session, sheet, result, levels)
+        model = model_of(sheet, observations_of(stacks))
         truth = {path: float(value[0]) for path, value in drawn.items()}
-        return Told(truth=truth, session=session, result=result, levels=levels, model=model)
+        return Told(truth=truth, stacks=stacks, model=model)
 
     return told
 
 
 def _numbers(values: Values, rng: np.random.Generator) -> tuple[Measurement, ...]:
-    gain = predicted_quantities.photoelectron_gain(values, MCP_V, 800.0)
+    gain = predicted_quantities.photoelectron_gain(values, MCP_V)
     exact = {
         ("covariance_gain", "DN"): predicted_quantities.covariance_gain(values, gain),
         ("blur_factor", "1"): predicted_quantities.blur_factor(values, gain),
@@ -128,14 +129,14 @@ def _curve(values: Values, rng: np.random.Generator) -> Curve:
 
 
 def _levels(values: Values, rng: np.random.Generator) -> tuple[StackLevel, ...]:
-    gain = predicted_quantities.photoelectron_gain(values, MCP_V, 800.0)
+    gain = predicted_quantities.photoelectron_gain(values, MCP_V)
     out = []
     for lux in LUX:
         background = predicted_quantities.background_rate(values) + predicted_quantities.ion_light(
             values
         )
         events = predicted_quantities.photoelectrons(values, lux, GATE_S) + background * GATE_S
-        load = predicted_quantities.mcp_load(values, lux, GATE_S, MCP_V, 800.0)
+        load = predicted_quantities.mcp_load(values, lux, GATE_S, MCP_V)
         mean = float((values["video.black_level_dn"] + gain * events / (1.0 + load))[0])
         out.append(
             StackLevel(

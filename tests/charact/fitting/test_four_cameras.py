@@ -11,8 +11,9 @@ import pytest
 from charact.fitting import (
     fit_sensor,
     levels_of,
+    observations_of,
     proposed_description,
-    silicon_observations,
+    stacks_of,
     values_of_description,
 )
 from charact.observables.silicon import dark_variance
@@ -108,8 +109,8 @@ def test_the_noise_of_a_dark_is_that_of_the_bench(name: str, seed: int) -> None:
 def test_light_of_unstated_wavelength_bounds_the_efficiency_from_below() -> None:
     camera = chip("machine-vision")
     measured = measurement_from_sd("quantum_efficiency", "%", 70.0, 1.0, method="told")
-    observed = silicon_observations.silicon_observations(
-        session_with(camera), camera, Result(measurements=(measured,)), ()
+    observed = observations_of(
+        stacks_of(session_with(camera), camera, Result(measurements=(measured,)), ())
     )
     chi_squared = observed[0].chi_squared({"ccd.quantum_efficiency": np.array([0.6, 0.7, 0.9])})
     assert chi_squared == pytest.approx([100.0, 0.0, 0.0], abs=1e-9)

@@ -13,10 +13,10 @@ from charact.fitting import (
     fit_sensor,
     inflate_errors,
     model_of,
+    observations_of,
     posterior_of,
     predicted_quantities,
     prior_of,
-    tube_observations,
     values_of_description,
 )
 from labdata import BadInput, Camera, Result, measurement_from_sd
@@ -118,10 +118,10 @@ def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
         values = values_of_description(sensor.draw(rng))
         gains.append(
             predicted_quantities.covariance_gain(
-                values, predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
+                values, predicted_quantities.photoelectron_gain(values, 800.0)
             )[0]
         )
-    measured = told.result.find("covariance_gain")[0]
+    measured = told.stacks.result.find("covariance_gain")[0]
     assert np.std(gains) < 0.03 * measured.value
     assert np.mean(gains) == pytest.approx(measured.value, rel=0.03)
 
@@ -129,11 +129,9 @@ def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
 def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> None:
     """A halo alone speaks of the gap and the taper, and leaves everything else as it stood."""
     told = told_of(seed)
-    halo = Result(measurements=told.result.find("halo_diameter"))
-    model = model_of(
-        told.session.camera,
-        tube_observations.tube_observations(told.session, told.session.camera, halo, ()),
-    )
+    halo = Result(measurements=told.stacks.result.find("halo_diameter"))
+    stacks = replace(told.stacks, result=halo, levels=(), flats=())
+    model = model_of(stacks.camera, observations_of(stacks))
     posterior = posterior_of(model, seed=seed)
     assert posterior.sampler == "slice" and not posterior.flags
     sensor = description_from_posterior(model, posterior, illuminance_relative_sd=0.03, seed=seed)
@@ -155,14 +153,11 @@ def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(
     told_of: Callable, seed: int
 ) -> None:
     told = told_of(seed)
-    blur = told.result.find("blur_factor")[0]
+    blur = told.stacks.result.find("blur_factor")[0]
     wrong = measurement_from_sd("blur_factor", "1", 2.5 * blur.value, 0.003, method="told")
-    others = tuple(m for m in told.result.measurements if m.quantity != "blur_factor")
-    result = replace(told.result, measurements=(*others, wrong))
-    model = model_of(
-        told.session.camera,
-        tube_observations.tube_observations(told.session, told.session.camera, result, told.levels),
-    )
+    others = tuple(m for m in told.stacks.result.measurements if m.quantity != "blur_factor")
+    result = replace(told.stacks.result, measurements=(*others, wrong))
+    model = model_of(told.stacks.camera, observations_of(replace(told.stacks, result=result)))
     wider, said = inflate_errors(model)
     assert said is not None and said.flag == "model-misfit"
     assert np.all(wider.observed[0].covariance > 1.5 * model.observed[0].covariance - 1e-12)
@@ -171,15 +166,10 @@ def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(
 
 def test_a_bent_measurement_stays_outside(told_of: Callable, seed: int) -> None:
     told = told_of(seed)
-    bent = tuple(m.with_(flags=("model-misfit",)) for m in told.result.measurements)
-    result = replace(told.result, measurements=bent)
-    names = [
-        one.name
-        for one in tube_observations.tube_observations(
-            told.session, told.session.camera, result, told.levels
-        )
-    ]
-    assert names == ["levels"]
+    bent = tuple(m.with_(flags=("model-misfit",)) for m in told.stacks.result.measurements)
+    result = replace(told.stacks.result, measurements=bent)
+    observed = observations_of(replace(told.stacks, result=result))
+    assert [observation.name for observation in observed] == ["levels"]
 
 
 def test_prior_draws_fill_the_ranges_of_the_description(sheet: Camera, seed: int) -> None:

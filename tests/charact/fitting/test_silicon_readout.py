@@ -7,11 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.fitting import fit_sensor, levels_of, observations_of, values_of_description
-from charact.observables import Stacks, readout_spectrum
+from charact.fitting import (
+    fit_sensor,
+    levels_of,
+    observations_of,
+    stacks_of,
+    values_of_description,
+)
+from charact.observables import readout_spectrum
 from charact.session_measurement import measure
 from charact.validation import validate
-from labdata import Camera, Conditions, FrameStack, Session, Target, import_emva1288, load_camera
+from labdata import (
+    Camera,
+    Conditions,
+    FrameStack,
+    Result,
+    Session,
+    Target,
+    import_emva1288,
+    load_camera,
+)
 from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
@@ -102,11 +117,11 @@ def test_observations_agree_with_the_camera_that_was_simulated(seed):
             bit_depth=camera.video.bit_depth,
         )
         session = session_in_memory([dark], camera=camera, bit_depth=camera.video.bit_depth)
-        stacks = Stacks(darks=levels_of(session))
-        for name, observed in observations_of(stacks).items():
+        stacks = stacks_of(session, camera, Result(), levels_of(session))
+        for observed in observations_of(stacks):
             total += float(observed.chi_squared(values)[0])
             # The frequency of interference is that of a bin.
-            count += 1 if name == "interference" else observed.value.size
+            count += 1 if observed.name == "interference" else observed.value.size
     assert count > 40
     assert abs(total - count) < 4.5 * np.sqrt(2.0 * count)
 

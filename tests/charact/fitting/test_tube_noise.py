@@ -2,10 +2,19 @@
 gain and blur.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from charact.fitting import model_of, predicted_quantities, tube_observations, values_of_description
+from charact.fitting import (
+    Observation,
+    model_of,
+    observations_of,
+    predicted_quantities,
+    tube_observations,
+    values_of_description,
+)
 from labdata import Camera, Posterior, Result, measurement_from_draws
 
 SIGNAL_DN = np.array([5.0, 30.0, 120.0])
@@ -16,8 +25,8 @@ def flats_of(sheet: Camera, told, *, tested: bool = True, seed: int = 1) -> Resu
     """Return measurements of the flats of a tube at the values of its description, with drawn
     errors.
     """
-    values, gate_s = values_of_description(sheet), told.levels[1].gate_s
-    gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
+    values, gate_s = values_of_description(sheet), told.stacks.levels[1].gate_s
+    gain = predicted_quantities.photoelectron_gain(values, 800.0)
     left = predicted_quantities.lag_noise_fraction(values, gate_s)
     blur = predicted_quantities.noise_shape(values, gain)[0]
     loaded = gain * (1.0 - predicted_quantities.gain_loss(values, SIGNAL_DN))
@@ -50,10 +59,16 @@ def flats_of(sheet: Camera, told, *, tested: bool = True, seed: int = 1) -> Resu
     )
 
 
+def noise_of(told, result: Result) -> tuple[Observation, ...]:
+    """Return what is observed of the noise of the flats."""
+    observed = observations_of(replace(told.stacks, result=result))
+    return tuple(part for part in observed if part.name == "noise")
+
+
 def test_the_loss_of_gain_is_that_of_the_load_at_the_light_of_the_signal(sheet: Camera) -> None:
     values, lux, gate_s = values_of_description(sheet), 3e-4, 0.016
-    load = predicted_quantities.mcp_load(values, lux, gate_s, 800.0, 800.0)
-    gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
+    load = predicted_quantities.mcp_load(values, lux, gate_s, 800.0)
+    gain = predicted_quantities.photoelectron_gain(values, 800.0)
     signal = gain * predicted_quantities.photoelectrons(values, lux, gate_s) / (1.0 + load)
     assert 0.005 < load[0] < 0.5
     assert predicted_quantities.gain_loss(values, signal) == pytest.approx(
@@ -65,9 +80,7 @@ def test_variance_over_signal_is_known_better_than_gain_and_blur(
     sheet: Camera, told_of, seed: int
 ) -> None:
     told = told_of(seed)
-    (observed,) = tube_observations.noise_observations(
-        told.session, sheet, flats_of(sheet, told), told.levels
-    )
+    (observed,) = noise_of(told, flats_of(sheet, told))
     sd = np.sqrt(np.diag(observed.covariance)) / observed.value
     assert observed.value.size == 2 + SIGNAL_DN.size
     # Power has its measured error and that of the blur models; the brightest flat has its own and
@@ -83,11 +96,7 @@ def test_the_ridge_is_a_plane(sheet: Camera, told_of, seed: int) -> None:
     parameters.
     """
     told = told_of(seed)
-    observed = tuple(
-        tube_observations.noise_observations(
-            told.session, sheet, flats_of(sheet, told), told.levels
-        )
-    )
+    observed = noise_of(told, flats_of(sheet, told))
     model = model_of(sheet, observed)
     points = model.prior.draw(np.random.default_rng(seed), 50)
     place = model.prior.names.index(tube_observations.SENSITIVITY)
@@ -105,6 +114,8 @@ def test_without_a_test_of_image_lag_gain_and_blur_stand_alone(
 ) -> None:
     told = told_of(seed)
     result = flats_of(sheet, told, tested=False)
-    (observed,) = tube_observations.noise_observations(told.session, sheet, result, told.levels)
-    assert observed.value == pytest.approx([m.value for m in result.measurements])
-    assert observed.ridge is None
+    observed = noise_of(told, result)
+    assert [part.value.item() for part in observed] == pytest.approx(
+        [m.value for m in result.measurements]
+    )
+    assert all(part.ridge is None for part in observed)

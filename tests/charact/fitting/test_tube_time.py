@@ -8,18 +8,21 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from charact.fitting import (
+    Observation,
+    observations_of,
     predicted_quantities,
+    stacks_of,
     tube_dark_observations,
     tube_darks,
+    tube_frames,
     tube_ions,
-    tube_pattern_observations,
     tube_time_observations,
     values_of_description,
 )
 from charact.observables import StackLevel, Values
 from charact.transfer import image_tube
-from labdata import Camera, FrameStack, Result, load_camera
-from tests.truth.sessions import stack_in_memory
+from labdata import Camera, FrameStack, Result, load_camera, measurement_from_sd
+from tests.truth.sessions import session_in_memory, stack_in_memory
 
 FRAMES, ROWS, COLUMNS = 12, 96, 128
 # Standard errors of a test that holds for any seed.
@@ -50,20 +53,25 @@ def level_of(
     )
 
 
+def observed_in(
+    level: StackLevel, camera: Camera, result: Result | None = None
+) -> dict[str, Observation]:
+    """Return what a fit observes in one stack, by name."""
+    session = session_in_memory((), camera=camera)
+    stacks = stacks_of(session, camera, result or Result(), (level,))
+    return {observed.name: observed for observed in observations_of(stacks)}
+
+
 def test_frames_that_were_lost_or_too_few_show_no_lag() -> None:
     data = np.full((FRAMES, 16, 16), 50.0)
-    assert (
-        tube_time_observations.fields_of(level_of(data, numbers=2 * np.arange(FRAMES)), tube(), 0.0)
-        is None
-    )
-    assert tube_time_observations.fields_of(level_of(data[:3]), tube(), 0.0) is None
+    assert tube_frames.frames_of(level_of(data, numbers=2 * np.arange(FRAMES))) is None
+    assert tube_frames.frames_of(level_of(data[:3])) is None
 
 
 def test_a_screen_that_fades_within_its_field_has_no_lag_to_observe(seed: int) -> None:
     data = np.random.default_rng([seed, 4]).normal(900.0, 40.0, (FRAMES, ROWS, COLUMNS))
-    camera = tube("gen3-digital-iccd")
-    assert not tube_time_observations.time_observations(camera, (level_of(data),))
-    assert tube_time_observations.time_observations(tube(), (level_of(data / 10.0),))
+    assert "image lag" not in observed_in(level_of(data), tube("gen3-digital-iccd"))
+    assert "image lag" in observed_in(level_of(data / 10.0), tube())
 
 
 def test_a_dark_of_one_grey_value_has_no_noise_to_locate() -> None:
@@ -77,7 +85,7 @@ def test_the_white_pattern_is_parted_from_coarse_ones_and_from_noise(seed: int) 
     coarse = gaussian_filter(rng.standard_normal((2 * ROWS, 2 * COLUMNS)), 3.0, mode="wrap")
     pattern = 1.0 + 0.03 * coarse / coarse.std() + 0.01 * rng.standard_normal(coarse.shape)
     data = (400.0 * pattern + rng.normal(0.0, 8.0, (FRAMES, *coarse.shape))).astype(np.float32)
-    value, variance = tube_pattern_observations.white_pattern(data, 400.0, 2)
+    value, variance = tube_time_observations.white_pattern(data, 400.0, 2)
     assert abs(value - 1e-4) < WITHIN * np.sqrt(variance)
     assert np.sqrt(variance) < 1e-5
 
@@ -85,8 +93,8 @@ def test_the_white_pattern_is_parted_from_coarse_ones_and_from_noise(seed: int) 
 def test_noise_that_hides_the_pattern_leaves_no_observation(seed: int) -> None:
     rng = np.random.default_rng([seed, 9])
     noisy, clean = (level_of(rng.normal(100.0, sd, (FRAMES, ROWS, COLUMNS))) for sd in (60.0, 2.0))
-    assert not tube_pattern_observations.pattern_observations(tube(), (noisy,))
-    assert len(tube_pattern_observations.pattern_observations(tube(), (clean,))) == 1
+    assert "PRNU" not in observed_in(noisy, tube())
+    assert "PRNU" in observed_in(clean, tube())
 
 
 @pytest.mark.parametrize(("level", "noise"), [(10.0, 0.2), (10.2, 0.3), (10.5, 0.25)])
@@ -134,9 +142,7 @@ def values_of_ions(camera: Camera, rate: float, pulses: float) -> Values:
         tube_ions.RATE: np.array([rate]),
         tube_ions.SHAPE: np.ones(1),
     }
-    gain = predicted_quantities.photoelectron_gain(
-        values, 800.0, float(camera.microchannel_plate.reference_v)
-    )
+    gain = predicted_quantities.photoelectron_gain(values, 800.0)
     conversion, background = "video.conversion_gain_dn_per_e", "photocathode.ebi_lm_per_cm2"
     values[conversion] = values[conversion] * PULSE_DN * values[tube_ions.DETECTED] / gain
     usual = predicted_quantities.background_rate(values) * values[tube_ions.DETECTED] * 0.016
@@ -155,9 +161,9 @@ def test_number_and_charge_of_ion_events_are_those_put_into_the_frames(
     camera, rng = tube("gen3-digital-iccd"), np.random.default_rng([seed, 11, round(rate)])
     values = values_of_ions(camera, rate, pulses)
     data = frames_with_ions(rng, values, (FRAMES, 200, 300)).astype(np.float32)
-    observed = tube_ions.ion_observation(
-        tube_ions.find_ions(data, level_of(data, lux=0.0), camera, 2.0 * PULSE_DN)
-    )
+    dark = level_of(data, lux=0.0)
+    gain = measurement_from_sd("covariance_gain", "DN", 2.0 * PULSE_DN, 1.0, method="told")
+    observed = observed_in(dark, camera, Result(measurements=(gain,)))["ion events"]
     away = (observed.predict(values)[0] - observed.value) / np.sqrt(np.diag(observed.covariance))
     assert np.abs(away).max() < WITHIN
     other = {**values, tube_ions.RATE: np.array([wrong])}

@@ -20,7 +20,7 @@ from charact.estimators.mtf import (
     mtf_uniformity,
     session_curves,
 )
-from charact.fitting import mtf_observations
+from charact.fitting import observations_of, stacks_of
 from charact.method import Context
 from labdata import (
     Camera,
@@ -281,7 +281,7 @@ def test_the_curve_through_the_bars_is_taken_for_no_further_target(seed: int) ->
             mtf_uniformity(result, KINDS, conditions, context=QUICK).evidence,
             [
                 (one.name, one.value.tolist())
-                for one in mtf_observations.mtf_observations(held, sensor, result)
+                for one in observations_of(stacks_of(held, sensor, result, ()))
             ],
         )
         return json.dumps(told_of)
