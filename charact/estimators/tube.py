@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.estimators.noise.findings import fields_of, flags_of, notes_of, with_remedy
+from charact.estimators.noise.findings import fields_of, finding, inherited
 from charact.estimators.noise.illumination import (
     gathering_s,
     lognormal_draws,
@@ -26,6 +26,7 @@ from charact.estimators.noise.illumination import (
     relative_sd_of,
 )
 from charact.method import Context
+from charact.verdict import Finding, judge
 from labdata import (
     Array,
     Camera,
@@ -126,7 +127,7 @@ class MtfDraws:
     frequency_cy_per_px: Array  # positive, shape (f,)
     draws: Array  # shape (draw, f)
     lp_per_mm: Array  # lp/mm at the photocathode per cycle per pixel, shape (draw,)
-    flags: tuple[str, ...]  # flags of the curve's MTF50
+    findings: tuple[Finding, ...]  # on the curve's MTF50
 
     @property
     def frequency_lp_per_mm(self) -> Array:
@@ -174,7 +175,7 @@ def add_resolution(
     if not curves:
         missing = "it needs the MTF: an edge, bars or a point source in the session"
         return result + Result(measurements=tuple(_refused(missing, fields)))
-    noise_flags = _flags(result.find("covariance_gain"))
+    noise_findings = inherited(*result.find("covariance_gain"))
     measurements = [_in_bright_light(curve, fields) for curve in curves]
     measurements.append(_figure_of_merit(curves[0], result, fields, rng))
     if missing:
@@ -186,11 +187,7 @@ def add_resolution(
         "directions": [],
     }
     for curve in curves:
-        curve_fields = {
-            **fields,
-            "orientation_deg": curve.orientation_deg,
-            "flags": tuple(dict.fromkeys((*curve.flags, *noise_flags))),
-        }
+        curve_fields = {**fields, "orientation_deg": curve.orientation_deg}
         thresholds = [
             contrast_threshold(
                 curve.draws, curve.frequency_lp_per_mm, level.effective_per_mm2_s[:, None]
@@ -201,9 +198,15 @@ def add_resolution(
             _limiting(level, threshold, curve, curve_fields)
             for level, threshold in zip(levels, thresholds, strict=True)
         ]
-        measurements += limits
-        for level, threshold in zip(levels, thresholds, strict=True):
-            measurements += _contrasts(level, threshold, curve, curve_fields)
+        contrasts = [
+            contrast
+            for level, threshold in zip(levels, thresholds, strict=True)
+            for contrast in _contrasts(level, threshold, curve, curve_fields)
+        ]
+        findings = [*curve.findings, *noise_findings]
+        measurements += [
+            m if m.value is None else judge(m, findings) for m in (*limits, *contrasts)
+        ]
         figure["directions"].append(_figure_data(curve, thresholds, limits))
     return result + Result(
         measurements=tuple(measurements), evidence={"limiting resolution": figure}
@@ -234,13 +237,6 @@ def _refused(reason: str, fields: dict[str, Any]) -> list[Measurement]:
     ]
 
 
-def _flags(measurements: tuple[Measurement, ...]) -> tuple[str, ...]:
-    """Return the flags of measurements with a value."""
-    return tuple(
-        dict.fromkeys(flag for m in measurements if m.value is not None for flag in m.flags)
-    )
-
-
 def _curves(result: Result, sensor: Camera, rng: np.random.Generator) -> list[MtfDraws]:
     """Return the MTF along rows and columns, as far as it was measured."""
     curves = []
@@ -258,7 +254,7 @@ def _curves(result: Result, sensor: Camera, rng: np.random.Generator) -> list[Mt
                 frequency_cy_per_px=curve.frequency_cy_per_px[shown],
                 draws=_draws_of(curve, rng)[:, shown],
                 lp_per_mm=1e3 / at_cathode_um,
-                flags=_flags(m),
+                findings=tuple(inherited(*m)),
             )
         )
     return curves
@@ -374,13 +370,15 @@ def _in_bright_light(curve: MtfDraws, fields: dict[str, Any]) -> Measurement:
         f"modulation of {100 * DETECTION.modulation:g} %",
         *_sampling_note(limit, curve),
     )
-    curve_fields = {
+    highest = measurement_from_draws(
+        "limiting_resolution",
+        "lp/mm",
+        limit,
+        orientation_deg=curve.orientation_deg,
+        notes=notes,
         **fields,
-        "flags": curve.flags,
-        "orientation_deg": curve.orientation_deg,
-        "notes": notes,
-    }
-    return measurement_from_draws("limiting_resolution", "lp/mm", limit, **curve_fields)
+    )
+    return judge(highest, curve.findings)
 
 
 def _sampling_note(limit: Array, curve: MtfDraws) -> tuple[str, ...]:
@@ -406,10 +404,11 @@ def _limiting(
         reason = (
             f"at {level.illuminance_lux:.3g} lux not even bars of {lowest:.2g} lp/mm are resolved"
         )
-        fields = {key: value for key, value in curve_fields.items() if key != "flags"}
-        return make_refusal("limiting_resolution", "lp/mm", reason, stack=level.label, **fields)
+        return make_refusal(
+            "limiting_resolution", "lp/mm", reason, stack=level.label, **curve_fields
+        )
     return measurement_from_draws(
-        "limiting_resolution", "lp/mm", limit, stack=level.label, **{**curve_fields, "notes": notes}
+        "limiting_resolution", "lp/mm", limit, stack=level.label, notes=notes, **curve_fields
     )
 
 
@@ -428,9 +427,8 @@ def _contrasts(
                 f"not resolved at {level.illuminance_lux:.3g} lux: a contrast of "
                 f"{np.median(draws):.2g} is needed"
             )
-            fields = {key: value for key, value in curve_fields.items() if key != "flags"}
             contrasts.append(
-                make_refusal("mrc", "1", reason, refusal="not-applicable", **point, **fields)
+                make_refusal("mrc", "1", reason, refusal="not-applicable", **point, **curve_fields)
             )
             continue
         lp_per_mm = float(np.median(curve.lp_per_mm)) * frequency
@@ -441,7 +439,7 @@ def _contrasts(
             ),
         )
         contrasts.append(
-            measurement_from_draws("mrc", "1", draws, **point, **{**curve_fields, "notes": notes})
+            measurement_from_draws("mrc", "1", draws, notes=notes, **point, **curve_fields)
         )
     return contrasts
 
@@ -467,28 +465,25 @@ def _figure_of_merit(
     )
     highest = highest_resolved(DETECTION.modulation / curve.draws, curve.frequency_lp_per_mm)
     draws = highest * ratio
-    findings = []
+    findings = [*curve.findings, *inherited(best)]
     if _sampling_note(highest, curve):
         effect = (
             f"the pixels resolve {np.median(highest):.3g} lp/mm and the tube more, so that "
             f"its figure is higher"
         )
-        findings = [
-            with_remedy(
-                "aliased", effect, "a camera or relay with more pixels a millimetre of the cathode"
-            )
-        ]
+        remedy = "a camera or relay with more pixels a millimetre of the cathode"
+        findings.append(finding("aliased", effect, remedy))
     notes = (
         "limiting resolution of the camera in bright light, along "
         f"{'rows' if curve.orientation_deg == 0.0 else 'columns'}, times tube_snr; that of the "
         "tube alone is higher",
-        *notes_of(findings),
     )
-    flags = tuple(dict.fromkeys((*curve.flags, *best.flags, *flags_of(findings))))
-    curve_fields = {
+    merit = measurement_from_draws(
+        "figure_of_merit",
+        "lp/mm",
+        draws,
+        orientation_deg=curve.orientation_deg,
+        notes=notes,
         **fields,
-        "flags": flags,
-        "notes": notes,
-        "orientation_deg": curve.orientation_deg,
-    }
-    return measurement_from_draws("figure_of_merit", "lp/mm", draws, **curve_fields)
+    )
+    return judge(merit, findings)

@@ -26,7 +26,13 @@ from charact.estimators.infrared.signal_transfer import (
     fit_signal_transfer,
 )
 from charact.estimators.infrared.thresholds import INFRARED
-from charact.estimators.noise.findings import Unmeasurable, fields_of
+from charact.estimators.noise.findings import (
+    Unmeasurable,
+    fields_of,
+    findings_in,
+    rounding_findings,
+    scaled,
+)
 from charact.estimators.noise.gain.series import read_levels
 from charact.estimators.noise.prepared_session import defect_pixels, prepare
 from charact.estimators.noise.three_dimensional import three_dimensional
@@ -209,6 +215,12 @@ class BlackbodySeries:
         number = measurement_from_draws(
             "netd", "mK", draws, notes=notes, posterior=posterior, **fields
         )
+        rounded = [
+            entry
+            for i in nearest
+            for entry in rounding_findings(known[i].cube.components["tvh"].variance_dn2)
+        ]
+        of_noise += findings_in(scaled(rounded, 1e3 / float(np.median(np.abs(transfer.sitf)))))
         return judge(number, [*self.background.findings_of(number), *self.findings, *of_noise])
 
     def in_kelvin(self, m: Measurement) -> Measurement | None:
@@ -231,11 +243,17 @@ class BlackbodySeries:
         around = [(min(low, value), max(high, value)) for low, high in intervals]
         if m.interval95[0] == 0.0:
             around[1] = (0.0, around[1][1])
-        notes = (*(note for note in m.notes if not note.endswith(" DN")), *self.notes)
+        rounded = rounding_findings(part.variance_dn2) if name == "tvh" else []
+        in_dn = tuple(start for entry in rounded for start in entry.beginnings)
+        notes = (
+            *(note for note in m.notes if not note.endswith(" DN") and not note.startswith(in_dn)),
+            *self.notes,
+        )
         number = replace(
             m, unit="K", value=value, interval68=around[0], interval95=around[1], notes=notes
         )
-        return judge(number, self.findings)
+        of_noise = findings_in(scaled(rounded, 1.0 / float(np.median(slope))))
+        return judge(number, [*self.findings, *of_noise])
 
     def figure_data(self) -> dict[str, Any]:
         """Return the figure data: levels, law and residuals."""

@@ -11,7 +11,7 @@ __getattr__ = import_on_first_use(
     __name__,
     {
         "charact.estimators.noise.events.event_measurements": "measure_events pulses_of_darks",
-        "charact.estimators.noise.findings": "Finding notes_of step_finding",
+        "charact.estimators.noise.findings": "step_finding",
         "charact.estimators.noise.gain.emva1288": "gain_line",
         "charact.estimators.noise.gain.series": "read_levels series_of",
         "charact.estimators.noise.gain.single_setting": "fit_single_setting",

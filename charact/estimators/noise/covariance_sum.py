@@ -11,18 +11,22 @@ from numpy.typing import NDArray
 from charact.estimators.noise.dark_current import dark_current
 from charact.estimators.noise.events.event_measurements import pulses_of_darks
 from charact.estimators.noise.findings import (
-    Finding,
+    Remarks,
+    bounded,
     fields_of,
-    flags_of,
-    flags_of_rounding,
-    notes_of,
-    with_remedy,
+    finding,
+    findings_in,
+    judged,
+    posterior_findings,
+    rounding_findings,
 )
 from charact.estimators.noise.gain.checks import (
+    CORRELATED,
     bend_allowance,
     exposure_findings,
+    findings_of_darks,
     quantisation_findings,
-    series_findings,
+    slope_findings,
     variance_ratio_changes,
 )
 from charact.estimators.noise.gain.emva1288 import GainLine, excess_of, gain_line
@@ -40,6 +44,7 @@ from charact.estimators.noise.gain.single_setting import (
     SingleSetting,
     blur_exponent,
     fit_single_setting,
+    misfit_findings,
 )
 from charact.estimators.noise.gain.undetected_correlation import allowance_of
 from charact.estimators.noise.gain.white_floor import floor_of
@@ -51,7 +56,7 @@ from charact.estimators.noise.predictive_check import (
     predictive_residuals,
 )
 from charact.estimators.noise.quantities import (
-    dark_clipping_flags,
+    dark_clipping,
     dark_quantities,
     electron_quantities,
     pattern_quantities,
@@ -66,6 +71,7 @@ from charact.estimators.noise.thresholds import GAIN
 from charact.frames.spectrum import Bins
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context, register
+from charact.verdict import judge
 from labdata import Measurement, Result, Session, has_tube, make_refusal, measurement_from_draws
 
 
@@ -121,8 +127,8 @@ def gains_of(
 def _of_electrons(
     pooled: SingleSetting,
     gains: tuple[GainLine, GainLine],
-    slope: list[Finding],
-    covariance: list[Finding],
+    slope: Remarks,
+    covariance: Remarks,
     context: Context,
     fields: dict[str, Any],
 ) -> list[Measurement]:
@@ -132,12 +138,9 @@ def _of_electrons(
     if pooled.white:
         return electron_quantities(pooled.series, gains, (slope, slope), context, fields)
     low, right = (float(np.median(gain.slope)) for gain in gains)
-    effect = (
-        "noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is "
-        f"{100 * (1 - low / right):.2g} % low"
-    )
     remedy = f"the covariance sum, which gives {right:.4g} DN/e- (covariance_gain)"
-    gain_findings, why = [*slope, with_remedy("correlated-noise", effect, remedy)], covariance
+    effect = CORRELATED.format(100 * (1 - low / right))
+    gain_remarks, why = [*slope, finding("correlated-noise", effect, remedy)], covariance
     blur = float(np.median(pooled.posterior["blur_factor"]))
     if blur < GAIN.min_blur_factor:
         effect = (
@@ -145,17 +148,14 @@ def _of_electrons(
             "gain may not be per electron"
         )
         remedy = "a sensor in session.toml that describes the blur"
-        why = [*covariance, with_remedy("correlated-noise", effect, remedy)]
-    out = electron_quantities(pooled.series, gains, (gain_findings, why), context, fields)
+        why = [*covariance, finding("correlated-noise", effect, remedy)]
+    out = electron_quantities(pooled.series, gains, (gain_remarks, why), context, fields)
     if blur >= GAIN.min_blur_factor:
         return out
     floor = floor_of(pooled.series, pooled.posterior, context=context)
     if floor.is_detected:
-        out.append(
-            measurement_from_draws(
-                "conversion_gain", "DN/e-", floor.draws, flags=flags_of(covariance), **fields
-            )
-        )
+        conversion = measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **fields)
+        out.append(judge(conversion, findings_in(covariance)))
     return out
 
 
@@ -203,7 +203,7 @@ def _measure_levels(
             make_refusal(*name, small, **fields)
             for name in (("covariance_gain", "DN"), ("blur_factor", "1"))
         ]
-        out += dark_quantities(tuple(darks), flags=(), **fields) if darks else []
+        out += dark_quantities(tuple(darks), (), **fields) if darks else []
         return Result(measurements=tuple(out))
     series = series_of(flats, darks, single) if flats else None
     if series is None or gain_obstacle(series) is not None:
@@ -243,11 +243,8 @@ def _measure_series(
     elif bend:
         pooled = pooled.allowing(bend, np.random.default_rng([context.seed, 24]))
     posterior = pooled.posterior
-    common, bent, lagging = (
-        series_findings(series),
-        variance_ratio_changes(series),
-        exposure_findings(pooled.exposures),
-    )
+    slope, bent = slope_findings(series), variance_ratio_changes(series)
+    lagging = exposure_findings(pooled.exposures)
     allowance = float(np.hypot(allowance_of(pooled.neighbours, pooled.exposures, tube=tube), bend))
     gains = None if of_pulses else gains_of(pooled, allowance, context)
     gain = None if gains is None else gains[1].slope
@@ -258,18 +255,22 @@ def _measure_series(
             session.stacks, pooled, gain if pooled.white else None, context=context
         )
     misfits = findings_of(residuals)
-    findings = common + misfits + pooled.findings() + (bent if gains is not None else [])
-    findings += ([] if pooled.white else quantisation_findings(series)) + (
+    common = bounded(slope)
+    remarks = common + misfits + pooled.remarks() + (bent if gains is not None else [])
+    remarks += ([] if pooled.white else quantisation_findings(series)) + (
         pooled.departures() if tube or pooled.white else []
     )
-    slope, plain, flags = common + bent + lagging + misfits, flags_of(common), flags_of(findings)
-    labels = {"flags": flags, "notes": notes_of(findings), "posterior": posterior, **fields}
+    slope += bent + lagging + misfits
+    plain, noisy = findings_in(common), findings_in(remarks)
     out = [
-        measurement_from_draws(name, unit, posterior[name], **labels)
+        judged(
+            measurement_from_draws(name, unit, posterior[name], posterior=posterior, **fields),
+            remarks,
+        )
         for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))
     ]
     if gains is not None:
-        out += _of_electrons(pooled, gains, slope, findings, context, fields)
+        out += _of_electrons(pooled, gains, slope, remarks, context, fields)
     else:
         reason = (
             "noise of neighbouring pixels is correlated (blur factor "
@@ -279,13 +280,18 @@ def _measure_series(
         kind = "not-applicable" if has_tube(context.camera) else "failed"
         out.append(make_refusal("system_gain", "DN/e-", reason, refusal=kind, **fields))
         out += separate_gains(
-            series, posterior, context=context, flags=plain, covariance_flags=flags, **fields
+            series, posterior, context=context, of_signal=plain, of_noise=noisy, **fields
         )
-    out.append(saturation_level(series, flags=plain, **fields))
-    out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
-    gain_flags = flags_of(slope if pooled.white else findings)
+    out.append(saturation_level(series, plain, **fields))
+    if series.all_darks:
+        out += dark_quantities(series.all_darks, findings_of_darks(series), **fields)
     out += pattern_quantities(
-        series, gain, flags=plain, gain_flags=gain_flags, pair_flags=flags_of(lagging), **fields
+        series,
+        gain,
+        plain,
+        of_gain=findings_in(bounded(slope)) if pooled.white else noisy,
+        of_pairs=findings_in(bounded(lagging)),
+        **fields,
     )
     return Result(measurements=tuple(out), evidence=_figure_data(pooled, gain, residuals))
 
@@ -358,19 +364,17 @@ def _blur_of_darks(
     summary = pool_noise(series, None)
     forms = blur_models(blur_exponent(context), blurred=False, floor=False)
     blur = fit_spectrum(summary, seed=context.seed, quick=context.quick, forms=forms)
-    flags = ("model-misfit",) if blur.chance < 1e-4 else ()
-    flags += dark_clipping_flags(dark) + flags_of_rounding(dark.variance_dn2) + blur.posterior.flags
-    note = ("from the darks alone: includes the white noise of the electronics",)
+    remarks = [
+        "from the darks alone: includes the white noise of the electronics",
+        *misfit_findings(blur),
+        *dark_clipping(dark),
+        *bounded(rounding_findings(dark.variance_dn2)),
+        *posterior_findings(blur.posterior),
+    ]
     blur_factor = measurement_from_draws(
-        "blur_factor",
-        "1",
-        blur.posterior["blur_factor"],
-        flags=flags,
-        notes=note,
-        posterior=blur.posterior,
-        **fields,
+        "blur_factor", "1", blur.posterior["blur_factor"], posterior=blur.posterior, **fields
     )
     return Result(
-        measurements=(blur_factor,),
+        measurements=(judged(blur_factor, remarks),),
         evidence={"noise-spectrum": spectrum_figure_data(summary, blur)},
     )

@@ -5,12 +5,20 @@ from typing import Any
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
+from charact.estimators.noise.findings import (
+    Remarks,
+    bounded,
+    fields_of,
+    finding,
+    inherited,
+    judged,
+    scaled,
+)
 from charact.estimators.noise.gain.checks import drift_and_flicker
 from charact.estimators.noise.gain.series import group_by_gain
 from charact.estimators.noise.linear_fit import linear_fit
 from charact.estimators.noise.thresholds import CHECKS, DARK_CURRENT
-from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2
+from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2, rounding_sd
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
@@ -27,7 +35,7 @@ class DarkSlope:
     temperature_c: float | None  # mean temperature, degrees Celsius; None if unknown
     draws: Array  # draws of the dark current, shape (draw,), DN/s
     exposures: int  # number of distinct exposures
-    findings: list[Finding]
+    remarks: Remarks  # with bounds in DN/s
 
 
 @with_timing
@@ -69,7 +77,7 @@ def dark_current(darks: list[StackStatistics], result: Result, *, context: Conte
         )
     best = max(slopes, key=lambda slope: slope.exposures)
     out = [
-        _current(best, "DN/s", best.draws, (), **fields),
+        _current(best, "DN/s", best.draws, best.remarks, **fields),
         *_electrons(best, result, rng, **fields),
     ]
     out.append(_doubling(slopes, rng, **fields))
@@ -107,11 +115,14 @@ def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope 
         return None
     mean = np.array([d.mean_dn for d in darks])
     sd = np.array([d.mean_sd_above(QUANTISATION_DN2) for d in darks])
-    fit = linear_fit([np.ones_like(time), time / time.max()], mean, sd)
+    line = np.stack([np.ones_like(time), time / time.max()])
+    fit = linear_fit(list(line), mean, sd)
     value, error = (
         float(fit.best[1] / time.max()),
         float(np.sqrt(fit.covariance[1, 1]) / time.max()),
     )
+    # Change of the slope with each level, 1/s.
+    weight = fit.covariance[1] @ line / np.maximum(sd, 1e-12) ** 2 / time.max()
     freedom = len(time) - 2
     if freedom:
         student = rng.standard_t(freedom, DARK_CURRENT.draws) * fit.stretch(len(time))
@@ -122,19 +133,24 @@ def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope 
         temperature_c=float(np.mean(warm)) if warm else None,
         draws=value + error * student,
         exposures=exposures,
-        findings=_findings(darks, time, mean, sd, value),
+        remarks=_remarks(darks, time, mean, sd, value, np.abs(weight)),
     )
 
 
-def _findings(
-    darks: list[StackStatistics], time: Array, mean: Array, sd: Array, slope: float
-) -> list[Finding]:
-    """Return the findings of an exposure series."""
-    findings: list[Finding] = []
+def _remarks(
+    darks: list[StackStatistics], time: Array, mean: Array, sd: Array, slope: float, weight: Array
+) -> Remarks:
+    """Return what was seen of an exposure series, with bounds of the slope in DN/s.
+
+    A curve a + b x + c x^2, x = t/T, has slopes between those of its ends, which differ from that
+    of its line by c. The slope is sum w y of the levels y: a drift of d from first to last frame
+    changes it by at most |w| d/2, rounding by sum |w| pi/2 times the first harmonic of its
+    sawtooth, see `rounding_shifts`.
+    """
+    remarks: Remarks = []
     if len(np.unique(time)) == 2:
-        findings.append(
-            Finding("too-few-frames", "from two exposures: proportionality cannot be checked")
-        )
+        effect = "from two exposures: proportionality cannot be checked"
+        remarks.append(finding("too-few-frames", effect, "darks of a third exposure"))
     if len(np.unique(time)) > 3:
         x = time / time.max()
         fit = linear_fit([np.ones_like(x), x, x**2], mean, sd)
@@ -142,41 +158,38 @@ def _findings(
         if bend > max(
             DARK_CURRENT.curvature * abs(slope) * time.max(), DARK_CURRENT.curvature_sd * error
         ):
-            findings.append(
-                Finding("nonlinear", "the level of darks is not linear in the exposure")
-            )
-    if any(d.variance_dn2 < QUANTISED_DN2 for d in darks):
-        words = "the noise of darks is smaller than the quantisation step, which biases their level"
-        findings.append(Finding("quantised", words))
+            effect = "the level of darks is not linear in the exposure"
+            remedy = "shorter exposures, or a camera that does not correct its dark level"
+            remarks.append(finding("nonlinear", effect, remedy, bound=float(bend / time.max())))
+    if any(dark.variance_dn2 < QUANTISED_DN2 for dark in darks):
+        effect = "the noise of darks is below the quantisation step, which biases their level"
+        harmonic_dn = [np.sqrt(2.0) * rounding_sd(dark.variance_dn2)[0] for dark in darks]
+        remarks.append(
+            finding("quantised", effect, bound=float(np.pi / 2.0 * weight @ harmonic_dn))
+        )
     rise = abs(slope) * float(np.ptp(time))
-    for dark in darks:
+    for dark, per_dn in zip(darks, weight, strict=True):
         drift = abs(drift_and_flicker(dark)[0])
         if drift > 0.1 * rise:
-            words = (
+            effect = (
                 f"{dark.label} drifts by {drift:.3g} DN, compared with {rise:.3g} DN between "
                 f"exposures"
             )
-            findings.append(Finding("drift", words))
+            remedy = "a camera that has settled in temperature"
+            remarks.append(finding("drift", effect, remedy, bound=float(0.5 * per_dn * drift)))
     if any((d.conditions.mcp_v or 0.0) > 0 for d in darks):
-        findings.append(
-            Finding(None, "with the tube on: includes the tube's background illumination (EBI)")
-        )
-    return findings
+        remarks.append("with the tube on: includes the tube's background illumination (EBI)")
+    return remarks
 
 
 def _current(
-    slope: DarkSlope, unit: str, draws: Array, flags: tuple[str, ...], **fields: Any
+    slope: DarkSlope, unit: str, draws: Array, remarks: Remarks, **fields: Any
 ) -> Measurement:
     notes = (
         () if slope.temperature_c is None else (f"at {slope.temperature_c:.1f} degrees Celsius",)
     )
-    return measurement_from_draws(
-        "dark_current",
-        unit,
-        draws,
-        flags=flags_of(slope.findings) + flags,
-        notes=(*notes, *notes_of(slope.findings)),
-        **fields,
+    return judged(
+        measurement_from_draws("dark_current", unit, draws, notes=notes, **fields), remarks
     )
 
 
@@ -196,7 +209,10 @@ def _electrons(
     draws = float(known[0].value or 0.0) + 0.5 * (high - low) * rng.standard_normal(
         DARK_CURRENT.draws
     )
-    return [_current(slope, "e-/s", slope.draws / draws, known[0].flags, **fields)]
+    gain = float(np.median(draws))
+    per_electron = scaled(slope.remarks, 1.0 / gain) if gain else bounded(slope.remarks)
+    remarks = [*per_electron, *inherited(known[0])]
+    return [_current(slope, "e-/s", slope.draws / draws, remarks, **fields)]
 
 
 def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) -> Measurement:
@@ -237,17 +253,12 @@ def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) 
             f"degrees Celsius"
         )
         return make_refusal(*name, reason, **fields)
-    findings = [finding for slope in known for finding in slope.findings]
+    remarks = bounded(entry for slope in known for entry in slope.remarks)
     middle = np.median(log2, axis=1)
     residual = middle - np.average(middle, weights=spread**-2) - np.median(rise) * centred_k
     if np.any(np.abs(residual) > DARK_CURRENT.curvature_sd * spread):
-        findings.append(
-            Finding("model-misfit", "the dark current does not double at equal temperature steps")
-        )
+        effect = "the dark current does not double at equal temperature steps"
+        remarks.append(finding("model-misfit", effect, "the temperatures as they were"))
     if len(known) == 2:
-        findings.append(
-            Finding(None, "from two temperatures: exponential growth cannot be checked")
-        )
-    return measurement_from_draws(
-        *name, 1.0 / rise, flags=flags_of(findings), notes=notes_of(findings), **fields
-    )
+        remarks.append("from two temperatures: exponential growth cannot be checked")
+    return judged(measurement_from_draws(*name, 1.0 / rise, **fields), remarks)

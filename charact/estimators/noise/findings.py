@@ -1,55 +1,157 @@
-"""Findings of checks and their likely causes, and the method and provenance of every measurement of
-noise.
+"""Findings of checks with their remedies and likely causes, and the method and provenance of every
+measurement of noise.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from charact import verdict
-from charact.estimators.noise.thresholds import SWEEP
+from charact.estimators.noise.thresholds import CHECKS, SWEEP
 from charact.frames.rounding import (
     FEWEST_DIFFERENCES,
     QUANTISATION_DN2,
     QUANTISED_DN2,
     rounding_step,
+    variance_range_before_rounding,
 )
 from charact.method import Context
-from labdata import Provenance, Session, open_lazy_stack
+from charact.verdict import Finding, judge
+from labdata import Measurement, Posterior, Provenance, Session, open_lazy_stack
+from labdata.flags import FLAGS
+
+# What was seen in data: findings, which `judge` weighs, and plain notes.
+Remarks = list[Finding | str]
+REMEDIES = {
+    "agc": "automatic gain and brightness control switched off",
+    "clipped": "a black level and light at which no pixel reaches an end of the scale",
+    "correlated-noise": "`method` covariance-sum",
+    "defects": "a cooler sensor",
+    "drift": "a lamp that has settled, or fewer frames",
+    "extrapolated": "flats at that light",
+    "flicker": "a lamp on direct current, or exposures of whole periods",
+    "gamma": "linear frames (raw, a gamma of 1)",
+    "interlace-motion": "`interlaced`",
+    "lag": "more frames, or a longer time between them",
+    "low-signal": "a higher gain of the tube",
+    "model-misfit": "raw frames of steady light without shading",
+    "no-darks": "dark frames at the settings of the flats",
+    "nonlinear": "flats of the linear range only",
+    "not-converged": "more frames, or another `seed`",
+    "prior-bound": "more frames",
+    "processed": "frames with sharpening and noise reduction switched off (raw)",
+    "quantised": "a higher camera gain or bit depth",
+    "saturated": "flats of less light",
+    "several-modes": "more frames",
+    "too-few-frames": "more frames",
+    "unlike-conditions": "darks at every setting",
+}
 
 
 class Unmeasurable(Exception):
     """A quantity that the data cannot give; the message is the reason of its refusal."""
 
 
-class Finding(NamedTuple):
-    """What a check found: a flag with its note, or a note alone."""
-
-    flag: str | None
-    note: str
-
-
-def with_remedy(flag: str, effect: str, remedy: str) -> Finding:
-    """Return a finding of a flag whose note names the effect and what settles it."""
-    return Finding(flag, verdict.Finding(flag=flag, effect=effect, remedy=remedy).note)
-
-
-def flags_of(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """Return the flags without repetition."""
-    return tuple(dict.fromkeys(finding.flag for finding in findings if finding.flag))
-
-
-def notes_of(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """Return the notes without repetition; that of a flag begins with it."""
-    named = (
-        f"{finding.flag}: {finding.note}"
-        if finding.flag and finding.note and not finding.note.startswith(f"{finding.flag}: ")
-        else finding.note
-        for finding in findings
+def finding(
+    flag: str, effect: str, remedy: str = "", *, bound: float | None = None, sign: int = 0
+) -> Finding:
+    """Return the finding of a flag with its effect, and the remedy of the flag without another."""
+    return Finding(
+        flag=flag, effect=effect, remedy=remedy or REMEDIES[flag], bound=bound, sign=sign
     )
-    return tuple(dict.fromkeys(named))
+
+
+def findings_in(remarks: Iterable[Finding | str]) -> list[Finding]:
+    """Return what was seen without the plain notes."""
+    return [entry for entry in remarks if isinstance(entry, Finding)]
+
+
+def bounded(remarks: Iterable[Finding | str], bound: float | None = None, sign: int = 0) -> Remarks:
+    """Return what was seen with one bound in the unit of a quantity; without one unbounded."""
+    return [
+        replace(entry, bound=bound, sign=sign) if isinstance(entry, Finding) else entry
+        for entry in remarks
+    ]
+
+
+def scaled(remarks: Iterable[Finding | str], value: float) -> Remarks:
+    """Return what was seen with relative bounds times the value that they concern."""
+    return [
+        replace(entry, bound=entry.bound * abs(value))
+        if isinstance(entry, Finding) and entry.bound is not None
+        else entry
+        for entry in remarks
+    ]
+
+
+def judged(measurement: Measurement, remarks: Sequence[Finding | str]) -> Measurement:
+    """Return a measurement with the plain notes, judged by the findings."""
+    plain = dict.fromkeys(entry for entry in remarks if isinstance(entry, str))
+    noted = replace(measurement, notes=(*measurement.notes, *plain))
+    return judge(noted, findings_in(remarks))
+
+
+def inherited(*measurements: Measurement) -> list[Finding]:
+    """Return the findings on measurements that another one is computed from."""
+    return [
+        Finding(flag=flag, effect=f"of {m.quantity}", remedy="see its notes")
+        for m in measurements
+        for flag in m.flags
+    ]
+
+
+def posterior_findings(posterior: Posterior) -> list[Finding]:
+    """Return the findings of a posterior's flags."""
+    return [finding(flag, FLAGS[flag].rstrip(".")) for flag in posterior.flags]
+
+
+def rounding_findings(variance_dn2: float) -> list[Finding]:
+    """Return the finding of noise smaller than the quantisation step, with its bound on the
+    standard deviation, DN.
+
+    Noise of variance v before rounding to steps s has the variance v + s^2/12 where rounding is
+    independent; v lies within `variance_range_before_rounding`.
+    """
+    if variance_dn2 >= QUANTISED_DN2:
+        return []
+    noise_dn = max(variance_dn2, 0.0) ** 0.5
+    effects_dn = [
+        noise_dn - (before_dn2 + QUANTISATION_DN2) ** 0.5
+        for before_dn2 in variance_range_before_rounding(noise_dn**2)
+    ]
+    low, high = min(effects_dn), max(effects_dn)
+    return [
+        finding(
+            "quantised",
+            f"the noise of {noise_dn:.2g} DN is smaller than the quantisation step",
+            bound=max(-low, high),
+            sign=-1 if high < 0.0 else 1 if low > 0.0 else 0,
+        )
+    ]
+
+
+def clipping_effects(
+    fraction: float, noise_dn: float, mean_dn: float
+) -> tuple[float | None, float | None]:
+    """Return by how much values cut off at 0 DN raise the mean and lower the standard deviation of
+    noise, DN; None where noise does not explain so many values at 0 DN.
+
+    Of normal noise of standard deviation s, cut at z s with the fraction p = Phi(z) below, the mean
+    is s (m - z) with m = phi(z) + z p, and the variance s^2 (1 - p + z phi(z) + z^2 p - m^2).
+    Pulses above the noise leave less of the standard deviation to what is cut.
+    """
+    from scipy.special import ndtri
+
+    if not 0.0 < fraction < CHECKS.unbounded_clipping:
+        return (None, None) if fraction else (0.0, 0.0)
+    z = float(ndtri(fraction))
+    density = float(np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi))
+    raised = density + z * fraction
+    sd_dn = noise_dn / float(np.sqrt(1.0 - fraction + z * density + z**2 * fraction - raised**2))
+    if mean_dn > CHECKS.explained_clipping * sd_dn * (raised - z):
+        return None, None
+    return sd_dn * raised, sd_dn - noise_dn
 
 
 def provenance(context: Context, **settings) -> Provenance:
@@ -78,9 +180,9 @@ class Cause:
     stage: str
     remedy: str
 
-    def finding(self, flag: str, evidence: str) -> verdict.Finding:
+    def finding(self, flag: str, evidence: str) -> Finding:
         """Return the finding of a flag by what was seen."""
-        return verdict.Finding(flag=flag, effect=f"{self.stage}: {evidence}", remedy=self.remedy)
+        return Finding(flag=flag, effect=f"{self.stage}: {evidence}", remedy=self.remedy)
 
 
 AVERAGED = Cause(
@@ -131,12 +233,7 @@ LENS_OFF_AXIS = Cause(
 )
 
 
-def flags_of_rounding(variance_dn2: float) -> tuple[str, ...]:
-    """Return the flag of noise smaller than the quantisation step."""
-    return ("quantised",) if variance_dn2 < QUANTISED_DN2 else ()
-
-
-def step_finding(session: Session) -> verdict.Finding | None:
+def step_finding(session: Session) -> Finding | None:
     """Return the finding of darks and flats whose grey values are multiples of a step that adds to
     their noise.
 

@@ -8,13 +8,14 @@ refused, with the measurement that would separate them.
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from charact.estimators.noise.findings import Unmeasurable
+from charact.estimators.noise.findings import Unmeasurable, finding, inherited
 from charact.estimators.noise.gain.series import FlatSeries, gain_of
 from charact.estimators.noise.gain.white_floor import floor_of
 from charact.estimators.noise.illumination import (
@@ -29,6 +30,7 @@ from charact.estimators.noise.illumination import (
 )
 from charact.estimators.noise.thresholds import GAIN, SNR
 from charact.method import Context
+from charact.verdict import Finding, judge
 from labdata import (
     Array,
     Measurement,
@@ -99,20 +101,31 @@ def separate_gains(
     posterior: Posterior,
     *,
     context: Context,
-    flags: tuple[str, ...],
-    covariance_flags: tuple[str, ...],
+    of_signal: Sequence[Finding],
+    of_noise: Sequence[Finding],
     **fields: Any,
 ) -> list[Measurement]:
     """Return K, k F^2, k, F^2 and the tube's signal-to-noise ratio, measured or refused.
 
-    `posterior`: draws of covariance gain and blur of the flats. `flags`, `covariance_flags`: flags
-    of the signal, and of the covariance gain.
+    `posterior`: draws of covariance gain and blur of the flats. `of_signal`, `of_noise`: findings
+    on the signal, and on the covariance gain. k does not take those of the covariance gain.
     """
-    seed, noisy = context.seed, {"flags": covariance_flags, **fields}
+    return [
+        judge(m, of_signal if m.quantity == "photoelectron_gain" else of_noise)
+        if m.value is not None
+        else m
+        for m in _separated(series, posterior, context, fields)
+    ]
+
+
+def _separated(
+    series: FlatSeries, posterior: Posterior, context: Context, fields: dict[str, Any]
+) -> list[Measurement]:
+    seed = context.seed
     floor = floor_of(series, posterior, context=context)
     response = response_of(series, len(posterior.draws), context)
     if floor.is_detected:
-        out = [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **noisy)]
+        out = [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **fields)]
     else:
         kind = "not-applicable" if has_tube(context.camera) else "failed"
         out = [
@@ -126,7 +139,9 @@ def separate_gains(
         note = (f"covariance_gain less K, which is {floor.source}",)
         draws = posterior_of("pulse_gain", "DN", pulses, seed)
         out.append(
-            measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=draws, **noisy)
+            measurement_from_draws(
+                "pulse_gain", "DN", pulses, notes=note, posterior=draws, **fields
+            )
         )
     else:
         reason = (
@@ -144,16 +159,16 @@ def separate_gains(
         )
         names = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
         out += [make_refusal(*name, reason, refusal="missing", **fields) for name in names]
-        return [*out, _tube(response, pulses, context, fields, noisy)]
+        return [*out, _tube(response, pulses, context, fields)]
     notes = (
         response.note,
         "the interval includes the uncertainty of the photocathode's sensitivity",
     )
     draws = posterior_of("photoelectron_gain", "DN/pe", gain, seed)
-    # k does not take the flags of the covariance gain.
-    gain_fields = {**fields, "flags": flags, "notes": notes}
     out.append(
-        measurement_from_draws("photoelectron_gain", "DN/pe", gain, posterior=draws, **gain_fields)
+        measurement_from_draws(
+            "photoelectron_gain", "DN/pe", gain, posterior=draws, notes=notes, **fields
+        )
     )
     if pulses is None:
         out.append(
@@ -161,9 +176,9 @@ def separate_gains(
         )
     else:
         out.append(
-            measurement_from_draws("excess_noise_factor", "1", pulses / gain, notes=notes, **noisy)
+            measurement_from_draws("excess_noise_factor", "1", pulses / gain, notes=notes, **fields)
         )
-    return [*out, _tube(response, pulses, context, fields, noisy)]
+    return [*out, _tube(response, pulses, context, fields)]
 
 
 def posterior_of(name: str, unit: str, draws: Array, seed: int) -> Posterior:
@@ -215,7 +230,6 @@ def _tube(
     pulses: Array | None,
     context: Context,
     fields: dict[str, Any],
-    noisy: dict[str, Any],
 ) -> Measurement:
     """Return the tube's signal-to-noise ratio from responsivity and k F^2."""
     reason = None
@@ -234,7 +248,7 @@ def _tube(
         response.note,
     )
     draws = snr_from_measurement(response.per_lux_s, np.maximum(pulses, 1e-12), area)
-    return measurement_from_draws("tube_snr", "1", draws, notes=notes, **noisy)
+    return measurement_from_draws("tube_snr", "1", draws, notes=notes, **fields)
 
 
 def add_event_gains(result: Result, session: Session, *, context: Context) -> Result:
@@ -282,14 +296,10 @@ def _event_gains(
     height = rng.choice(darks.posterior["height_dn"], SNR.separation_draws)
     detected, note = detection(context, rng, SNR.separation_draws)
     gain, agreement = _gain(result, flats.method, height, detected, rng)
-    flags = tuple(dict.fromkeys((*flats.flags, *darks.flags)))
     labels: dict[str, Any] = {
         "method": f"{flats.method} + {darks.method}",
         "provenance": flats.provenance,
-        "flags": flags,
     }
-    out = [measurement_from_draws("pulse_height_factor", "1", pulses / height, **labels)]
-    labels["flags"] += ("model-misfit",) if agreement < SNR.min_agreement else ()
     notes = (
         note,
         "from the light and single photoelectrons"
@@ -297,13 +307,13 @@ def _event_gains(
         else "from single photoelectrons of the dark frames",
     )
     gain_posterior = posterior_of("photoelectron_gain", "DN/pe", gain, context.seed)
-    out.append(
+    factor = pulses / gain
+    out = [
         measurement_from_draws(
             "photoelectron_gain", "DN/pe", gain, notes=notes, posterior=gain_posterior, **labels
-        )
-    )
-    factor = pulses / gain
-    out.append(measurement_from_draws("excess_noise_factor", "1", factor, notes=notes, **labels))
+        ),
+        measurement_from_draws("excess_noise_factor", "1", factor, notes=notes, **labels),
+    ]
     if has_tube(context.camera):
         sensitivity = context.camera.photocathode.luminous_sensitivity_ua_per_lm
         draws = snr_from_specification(
@@ -311,7 +321,12 @@ def _event_gains(
         )
         notes = (*notes, "luminous sensitivity from the sensor description")
         out.append(measurement_from_draws("tube_snr", "1", draws, notes=notes, **labels))
-    return out
+    heights = measurement_from_draws("pulse_height_factor", "1", pulses / height, **labels)
+    findings, misfit = inherited(flats, darks), []
+    if agreement < SNR.min_agreement:
+        effect = f"light and pulses agree in {100 * agreement:.2g} % of the draws"
+        misfit = [finding("model-misfit", effect, "the light and the tube as they were")]
+    return [judge(heights, findings), *(judge(m, [*findings, *misfit]) for m in out)]
 
 
 def _gain(

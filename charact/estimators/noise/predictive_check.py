@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.findings import Finding
+from charact.estimators.noise.findings import finding
 from charact.estimators.noise.gain import model
 from charact.estimators.noise.gain.emva1288 import excess_of
 from charact.estimators.noise.gain.model import PixelReadoutModel
@@ -21,6 +21,7 @@ from charact.estimators.noise.thresholds import PREDICTIVE
 from charact.frames.rounding import QUANTISED_DN2
 from charact.frames.temporal import split_fields
 from charact.method import Context
+from charact.verdict import Finding
 from labdata import Posterior, StackEntry, open_lazy_stack
 
 Array = NDArray[np.floating]
@@ -293,7 +294,7 @@ def findings_of(residuals: list[PredictiveResidual]) -> list[Finding]:
     ]
     worst = sorted(odd, key=lambda residual: residual.chance)[:3]
     return [
-        Finding(
+        finding(
             "model-misfit",
             f"{residual.stack} differs from frames drawn from the posterior: "
             f"{STATISTICS[residual.sign].words} is {residual.measured:.3g}, expected "

@@ -2,12 +2,22 @@
 quantities.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding, flags_of, flags_of_rounding, notes_of
+from charact.estimators.noise.findings import (
+    Remarks,
+    bounded,
+    clipping_effects,
+    finding,
+    findings_in,
+    judged,
+    posterior_findings,
+    rounding_findings,
+    scaled,
+)
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import dark_findings, gain_curvature, light_findings
 from charact.estimators.noise.gain.series import FlatSeries, gain_obstacle, without_noise
@@ -23,6 +33,7 @@ from charact.method import Context
 from charact.observables import Stacks
 from charact.observables.fixed_pattern import Dsnu, Prnu
 from charact.observables.photon_transfer import DarkNoise
+from charact.verdict import Finding, judge
 from labdata import Array
 from labdata.measurement import (
     Measurement,
@@ -35,29 +46,26 @@ PAIR = "from two frames: includes any temporal correlation between them"
 
 
 def dark_quantities(
-    darks: tuple[StackStatistics, ...], *, flags: tuple[str, ...], **fields: Any
+    darks: tuple[StackStatistics, ...], findings: Sequence[Finding], **fields: Any
 ) -> list[Measurement]:
-    """Return read noise and dark signal, DN, from the dark of the shortest exposure."""
+    """Return read noise and dark signal, DN, from the dark of the shortest exposure.
+
+    Values cut off at 0 DN lower the noise and raise the signal, see `clipping_effects`.
+    """
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
     variance, variance_sd = DarkNoise().measure(Stacks(darks=(dark,))).number
     spread = float(np.hypot(variance_sd, rounding_sd(variance)[1]))
     noise, sd = emva1288.noise_of(variance, spread)
-    # Checked here too, for darks without flats.
-    flags += dark_clipping_flags(dark)
+    cut = dark_clipping(dark)
+    raised, lowered = clipping_effects(dark.low_fraction, noise, dark.mean_dn)
+    if dark.high_fraction > CHECKS.max_clipped_fraction:
+        raised = lowered = None
     out = []
     if noise > 0:
         note = ("temporal noise of a dark frame: electronics, digitiser and dark scintillation",)
-        out.append(
-            measurement_from_sd(
-                "read_noise",
-                "DN",
-                noise,
-                sd,
-                flags=flags + flags_of_rounding(dark.variance_dn2),
-                notes=note,
-                **fields,
-            )
-        )
+        read = measurement_from_sd("read_noise", "DN", noise, sd, notes=note, **fields)
+        remarks = [*findings, *bounded(cut, lowered, -1), *rounding_findings(variance)]
+        out.append(judged(read, remarks))
     else:
         out.append(
             make_refusal(
@@ -65,22 +73,20 @@ def dark_quantities(
             )
         )
     level_sd = dark.mean_sd_above(QUANTISED_DN2)
-    out.append(
-        measurement_from_sd("dark_signal", "DN", dark.mean_dn, level_sd, flags=flags, **fields)
-    )
-    return out
+    level = measurement_from_sd("dark_signal", "DN", dark.mean_dn, level_sd, **fields)
+    return [*out, judged(level, [*findings, *bounded(cut, raised, 1)])]
 
 
-def dark_clipping_flags(dark: StackStatistics) -> tuple[str, ...]:
-    """Return the flag of a dark with clipped values."""
-    return (
-        ("clipped",)
-        if max(dark.low_fraction, dark.high_fraction) > CHECKS.max_clipped_fraction
-        else ()
-    )
+def dark_clipping(dark: StackStatistics) -> list[Finding]:
+    """Return the finding of a dark with clipped values."""
+    clipped = max(dark.low_fraction, dark.high_fraction)
+    if clipped <= CHECKS.max_clipped_fraction:
+        return []
+    end = "0 DN" if clipped == dark.low_fraction else "full scale"
+    return [finding("clipped", f"{100 * clipped:.2g} % of the values of {dark.label} are at {end}")]
 
 
-def saturation_level(series: FlatSeries, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
+def saturation_level(series: FlatSeries, findings: Sequence[Finding], **fields: Any) -> Measurement:
     """Return the level at which the temporal variance peaks."""
     if series.peak is None:
         reason = (
@@ -90,35 +96,30 @@ def saturation_level(series: FlatSeries, *, flags: tuple[str, ...], **fields: An
     level = np.array([flat.mean_dn for flat in series.flats])
     peak_levels = level[max(0, series.peak - 1) : series.peak + 2]
     # The peak lies between the neighbouring levels: triangular distribution.
-    return measurement_from_sd(
-        "saturation",
-        "DN",
-        level[series.peak],
-        float(np.ptp(peak_levels)) / np.sqrt(24.0),
-        flags=flags,
-        **fields,
-    )
+    sd = float(np.ptp(peak_levels)) / np.sqrt(24.0)
+    saturation = measurement_from_sd("saturation", "DN", level[series.peak], sd, **fields)
+    return judge(saturation, findings)
 
 
 def pattern_quantities(
     series: FlatSeries,
     gain: Array | None,
+    findings: Sequence[Finding],
     *,
-    flags: tuple[str, ...],
-    gain_flags: tuple[str, ...] = (),
-    pair_flags: tuple[str, ...] = (),
+    of_gain: Sequence[Finding] = (),
+    of_pairs: Sequence[Finding] = (),
     **fields: Any,
 ) -> list[Measurement]:
     """Return DSNU and PRNU, from the stacks of most frames.
 
-    Values in electrons take the gain's flags, stacks of few frames those of temporal correlation.
+    Values in electrons take the findings on the gain, stacks of few frames those of temporal
+    correlation.
     """
     out = []
     dark = max(series.all_darks, key=lambda level: level.frames) if series.all_darks else None
     if dark is not None:
-        out.append(
-            _dark_pattern(dark, gain, flags=flags + (() if gain is None else gain_flags), **fields)
-        )
+        remarks = [*findings, *(() if gain is None else of_gain)]
+        out.append(_dark_pattern(dark, gain, remarks, **fields))
     chosen = np.flatnonzero(series.fitted)
     if dark is None or not len(chosen):
         return out
@@ -135,53 +136,45 @@ def pattern_quantities(
     weighs = pattern + pattern_sd > (
         CHECKS.dark_pattern_fraction * relative * float(lit.signal_dn[0]) ** 2
     )
-    out.append(
-        _spatial_deviation(
-            "prnu",
-            "%",
-            relative,
-            relative_sd,
-            lambda s: 100.0 * s,
-            flags=flags
-            + image_lag_flags(flat, *((dark,) if weighs else ()))
-            + pair_flags * (flat.frames <= CORRELATION.few_frames),
-            notes=("includes shading of illumination and lens",),
-            **fields,
-        )
-    )
+    remarks = [
+        *findings,
+        *image_lag_findings(flat, *((dark,) if weighs else ())),
+        *(of_pairs if flat.frames <= CORRELATION.few_frames else ()),
+        "includes shading of illumination and lens",
+    ]
+    out.append(_spatial_deviation("prnu", "%", relative, relative_sd, 100.0, remarks, **fields))
     return out
 
 
 def _dark_pattern(
-    dark: StackStatistics, gain: Array | None, *, flags: tuple[str, ...], **fields: Any
+    dark: StackStatistics, gain: Array | None, findings: Sequence[Finding], **fields: Any
 ) -> Measurement:
     """Return the DSNU, in electrons if the gain is known."""
-    flags += image_lag_flags(dark) + flags_of_rounding(dark.variance_dn2)
-    notes = (PAIR,) if dark.frames < CORRELATION.few_frames else ()
+    remarks = [
+        *findings,
+        *image_lag_findings(dark),
+        *bounded(rounding_findings(dark.variance_dn2)),
+        *((PAIR,) if dark.frames < CORRELATION.few_frames else ()),
+    ]
     unit, scale, relative_sd = "DN", 1.0, 0.0
     if gain is not None:
         unit, scale, relative_sd = (
             "e-",
-            float(np.median(gain)),
+            1.0 / float(np.median(gain)),
             float(np.std(gain) / np.median(gain)),
         )
     variance, variance_sd = Dsnu().measure(Stacks(darks=(dark,))).number
     sd = float(np.hypot(variance_sd, 2.0 * relative_sd * variance))
-    return _spatial_deviation(
-        "dsnu",
-        unit,
-        variance,
-        sd,
-        lambda s: s / scale,
-        flags=flags,
-        notes=notes,
-        **fields,
-    )
+    return _spatial_deviation("dsnu", unit, variance, sd, scale, remarks, **fields)
 
 
-def image_lag_flags(*levels: StackStatistics) -> tuple[str, ...]:
-    """Return the flag of stacks in which slowly varying noise may count as fixed pattern."""
-    return () if all(level.settled for level in levels) else ("lag",)
+def image_lag_findings(*levels: StackStatistics) -> list[Finding]:
+    """Return findings of stacks in which slowly varying noise may count as fixed pattern."""
+    return [
+        finding("lag", f"slowly varying noise of {level.label} may count as fixed pattern")
+        for level in levels
+        if not level.settled
+    ]
 
 
 def _spatial_deviation(
@@ -189,83 +182,78 @@ def _spatial_deviation(
     unit: str,
     variance: float,
     sd: float,
-    scaled: Callable[[float], float],
-    *,
-    flags: tuple[str, ...],
-    notes: tuple[str, ...] = (),
+    scale: float,
+    remarks: Remarks,
     **fields: Any,
 ) -> Measurement:
-    """Return a spatial standard deviation; refused if hidden by temporal noise."""
+    """Return a spatial standard deviation, the root of a variance times a scale; refused if hidden
+    by temporal noise.
+    """
     if variance < 3.0 * sd or variance <= 0:
-        limit = float(scaled(np.sqrt(max(variance, 0.0) + 3.0 * sd)))
+        limit = scale * float(np.sqrt(max(variance, 0.0) + 3.0 * sd))
         reason = (
             f"hidden by temporal noise; more frames are needed to detect less than "
             f"{limit:.3g} {unit}"
         )
+        notes = tuple(entry for entry in remarks if isinstance(entry, str))
         return make_refusal(quantity, unit, reason, notes=notes, **fields)
     root = float(np.sqrt(variance))
-    return measurement_from_sd(
-        quantity,
-        unit,
-        float(scaled(root)),
-        float(scaled(sd / (2 * root))),
-        flags=flags,
-        notes=notes,
-        **fields,
-    )
+    value, value_sd = scale * root, scale * sd / (2 * root)
+    return judged(measurement_from_sd(quantity, unit, value, value_sd, **fields), remarks)
 
 
 def electron_quantities(
     series: FlatSeries,
     gains: tuple[emva1288.GainLine, emva1288.GainLine],
-    findings: tuple[list[Finding], list[Finding]],
+    remarks: tuple[Remarks, Remarks],
     context: Context,
     fields: dict[str, Any],
 ) -> list[Measurement]:
     """Return the system gain and the EMVA 1288 quantities that follow from it: efficiency, noise,
     range.
 
-    `gains`: slope of the standard, and gain per electron of the derived quantities. `findings`:
-    those of each.
+    `gains`: slope of the standard, and gain per electron of the derived quantities. `remarks`: what
+    was seen of each, with bounds relative to the slope.
     """
-    (plain, gain), (gain_findings, why) = gains, findings
+    plain, gain = gains
     excess = emva1288.excess_of(series.flats[0].conditions, context)
     notes = () if excess.note is None else (excess.note,)
-    out = [
-        measurement_from_draws(
-            "system_gain",
-            "DN/e-",
-            plain.slope,
-            flags=flags_of(gain_findings) + plain.posterior.flags,
-            notes=notes_of(gain_findings) + notes,
-            posterior=plain.posterior,
-            **fields,
-        )
-    ]
+    slope_remarks, why = (
+        [*parts, *posterior_findings(line.posterior), *notes]
+        for parts, line in zip(remarks, gains, strict=True)
+    )
+    why = findings_in(bounded(why))
+    system_gain = measurement_from_draws(
+        "system_gain", "DN/e-", plain.slope, posterior=plain.posterior, **fields
+    )
+    out = [judged(system_gain, scaled(slope_remarks, system_gain.value or 0.0))]
     curvature = gain_curvature(series)
     if curvature is not None:
-        percent, sd = (100.0 * part for part in curvature)
-        # A bent response is what it measures.
-        flags = tuple(
-            flag for flag in flags_of(gain_findings) if flag not in ("nonlinear", "gamma")
+        bend = measurement_from_sd(
+            "gain_curvature", "%", *(100.0 * part for part in curvature), **fields
         )
-        out.append(measurement_from_sd("gain_curvature", "%", percent, sd, flags=flags, **fields))
+        # A bent response is what it measures.
+        others = [
+            entry
+            for entry in findings_in(bounded(remarks[0]))
+            if entry.flag not in ("nonlinear", "gamma")
+        ]
+        out.append(judge(bend, others))
     slope, light = gain.slope, light_findings(series)
     rng = np.random.default_rng([context.seed, 2])
-    flagged = {**fields, "flags": flags_of(why) + gain.posterior.flags}
     photons = emva1288.photons_of(series)
     efficiency = None
     if photons is not None and (photons > 0).all():
-        lit = {**fields, "flags": flags_of([*why, *light]) + gain.posterior.flags}
         response = emva1288.responsivity_line(series, photons, context=context)
         efficiency = rng.permutation(response.slope) / slope
         stated = light_of_photons(series.flats, photons)
         true = efficiency / stated.scale(context.seed, len(efficiency))
-        words = (*notes, stated.note, *notes_of(light))
-        out.append(
-            measurement_from_draws("quantum_efficiency", "%", 100 * true, notes=words, **lit)
+        words = (*notes, stated.note)
+        quantum = measurement_from_draws(
+            "quantum_efficiency", "%", 100 * true, notes=words, **fields
         )
-        out.append(_linearity(series, response, photons, notes=notes_of(light), **lit))
+        linearity = _linearity(series, response, photons, **fields)
+        out += [judge(m, [*why, *light]) for m in (quantum, linearity)]
     if not series.all_darks:
         return out
     dark, dark_sd = emva1288.dark_noise_dn(series)
@@ -276,7 +264,8 @@ def electron_quantities(
         reason = f"the noise of {dark:.3g} DN does not exceed the quantisation noise"
         return [*out, make_refusal("read_noise", "e-", reason, **fields)]
     dark_e2 = np.maximum(square, 0.0) / slope**2
-    out.append(measurement_from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **flagged))
+    read = measurement_from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **fields)
+    out.append(judge(read, why))
     # Capacity, largest signal-to-noise ratio and dynamic range, at the level of peak variance.
     names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
     if series.peak is None:
@@ -284,13 +273,7 @@ def electron_quantities(
             "no flat reaches saturation: the variance still rises at "
             f"{series.flats[-1].mean_dn:.4g} DN"
         )
-        return [
-            *out,
-            *(
-                make_refusal(name, unit, reason, refusal="missing", **fields)
-                for name, unit in names
-            ),
-        ]
+        return out + [make_refusal(*name, reason, refusal="missing", **fields) for name in names]
     capacity = series.signal_dn[series.peak] / slope
     if efficiency is not None and photons is not None and not light:
         capacity = efficiency * photons[series.peak]
@@ -299,7 +282,8 @@ def electron_quantities(
     # The peak is resolved to the spacing of the levels.
     draws = (capacity, np.sqrt(capacity / factor), capacity / threshold_photons)
     return out + [
-        measurement_from_draws(*name, d, **flagged) for name, d in zip(names, draws, strict=True)
+        judge(measurement_from_draws(*name, d, **fields), why)
+        for name, d in zip(names, draws, strict=True)
     ]
 
 
@@ -347,11 +331,9 @@ def without_flats(
         reason = f"noise needs stacks of at least two frames; {', '.join(single)} has one"
     else:
         reason = "there are no flats"
-    out = [make_refusal(quantity[0], quantity[1], reason, refusal="missing", **fields)]
+    refused = make_refusal(*quantity, reason, refusal="missing", **fields)
     findings = [] if series is None or not len(series.flats) else dark_findings(series)
-    dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
-    notes = notes_of(findings)
-    return out + [m.with_(flags=flags_of(findings), notes=(*m.notes, *notes)) for m in dark]
+    return [refused, *(dark_quantities(tuple(darks), findings, **fields) if darks else [])]
 
 
 def transfer_figure_data(

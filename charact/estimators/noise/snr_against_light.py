@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.findings import Finding, Unmeasurable, fields_of, flags_of, notes_of
+from charact.estimators.noise.findings import (
+    Remarks,
+    Unmeasurable,
+    bounded,
+    fields_of,
+    finding,
+    findings_in,
+    judged,
+)
 from charact.estimators.noise.gain.checks import (
     exposure_findings,
     is_quantisation_limited,
@@ -78,27 +86,26 @@ def minimum_illumination(
     scope: Scope,
     light: StatedIllumination,
     response: Array,
-    findings: list[Finding],
+    remarks: Remarks,
     *,
     seed: int,
     **fields: Any,
 ) -> Measurement:
     """Return the light at which the SNR is `LEAST_SNR`, or a refusal.
 
-    `light`: light of the flats. `response`: draws of the signal per recorded light. `findings`:
-    those of the series.
+    `light`: light of the flats. `response`: draws of the signal per recorded light. `remarks`: what
+    was seen of the series.
     """
     name = f"minimum_illumination{scope.suffix}"
     amount = scope.fit.law.signal_at(LEAST_SNR)[:, 0] / response
     try:
-        if "agc" in flags_of(findings):
+        if any(entry.flag == "agc" for entry in findings_in(remarks)):
             raise Unmeasurable(ALTERNATIVE)
-        farther = _extrapolation_findings(amount, scope.levels, light)
+        farther = _extrapolation(amount, scope.levels, light)
     except Unmeasurable as reason:
         return make_refusal(name, light.unit, str(reason), **fields)
     scale = light.scale(seed, len(amount))
-    misfit = [] if scope.fit.misfit is None else [Finding("model-misfit", scope.fit.misfit)]
-    causes = [*findings, *farther, *misfit]
+    misfit = [] if scope.fit.misfit is None else [finding("model-misfit", scope.fit.misfit)]
     unequal = ", unequal pixels counted" if scope.levels.pattern_sd else ""
     time = "" if light.seconds is None else f", light gathered for {light.seconds:.3g} s"
     sentence = f"signal-to-noise ratio {LEAST_SNR:g} {scope.sentence}{unequal}{time}"
@@ -109,21 +116,21 @@ def minimum_illumination(
         sampler="laplace",
         seed=seed,
     )
-    return measurement_from_draws(
+    minimum = measurement_from_draws(
         name,
         light.unit,
         amount * scale,
-        flags=flags_of(causes),
         posterior=posterior,
-        notes=(sentence, light.note, *notes_of(causes)),
+        notes=(sentence, light.note),
         **fields,
     )
+    return judged(minimum, [*remarks, *farther, *misfit])
 
 
-def _extrapolation_findings(
-    amount: Array, levels: SignalNoiseSeries, light: StatedIllumination
-) -> list[Finding]:
-    """Return the findings of an extrapolation beyond the flats; Unmeasurable if it is too large."""
+def _extrapolation(amount: Array, levels: SignalNoiseSeries, light: StatedIllumination) -> Remarks:
+    """Return what was seen of an extrapolation beyond the flats; Unmeasurable if it is too
+    large.
+    """
     chosen = levels.fitted & levels.is_illuminated
     low, high = float(light.amount[chosen].min()), float(light.amount[chosen].max())
     if np.mean(~np.isfinite(amount)) > SNR.max_unreached:
@@ -139,15 +146,14 @@ def _extrapolation_findings(
             f"{light.unit} to assume a linear camera response"
         )
     if middle > high:
-        return [Finding("extrapolated", f"the brightest flat has {high:.3g} {light.unit}")]
+        return [finding("extrapolated", f"the brightest flat has {high:.3g} {light.unit}")]
     if middle < low:
         sentence = (
             f"the dimmest flat has {low:.3g} {light.unit}; below it the camera response is "
             f"assumed linear"
         )
-        return [
-            Finding("extrapolated" if middle < low / SNR.interpolation_factor else None, sentence)
-        ]
+        is_far = middle < low / SNR.interpolation_factor
+        return [finding("extrapolated", sentence) if is_far else sentence]
     return []
 
 
@@ -286,15 +292,13 @@ def _measure_setting(
         ], None
     small = _area_obstacle(series)
     lag = NO_LAG if small else pool_noise(series, None).lag
-    findings = series_findings(series)
-    findings += (
-        exposure_findings(temporally_correlated_fraction(series)) if not lag.is_detected else []
-    )
-    findings += (
-        [Finding("lag", "image lag has not decayed at the end of the lag sum")] if lag.open else []
-    )
+    remarks = series_findings(series)
+    if not lag.is_detected:
+        remarks += bounded(exposure_findings(temporally_correlated_fraction(series)))
+    if lag.open:
+        remarks.append(finding("lag", "image lag has not decayed at the end of the lag sum"))
     words = gain_in_words(series.flats[0].conditions)
-    findings += [Finding(None, words)] if several else []
+    remarks += [words] if several else []
     pixel, lit, unlit = pixel_levels(series, lag), None, ""
     try:
         lit = _responsivity(series, pixel, context)
@@ -312,7 +316,7 @@ def _measure_setting(
         rng = np.random.default_rng([context.seed, 23, len(suffix)])
         fit = fit_noise_law(levels, rng, reference=int(levels.dark[reference]))
         scopes.append(Scope(suffix=suffix, sentence=sentence, levels=levels, fit=fit))
-    out = [m for scope in scopes for m in _ratios(series, scope, findings, fields)]
+    out = [m for scope in scopes for m in _ratios(series, scope, remarks, fields)]
     if lit is None:
         out += [
             make_refusal(
@@ -322,7 +326,7 @@ def _measure_setting(
         ]
     else:
         out += [
-            minimum_illumination(scope, *lit, findings, seed=context.seed, **fields)
+            minimum_illumination(scope, *lit, remarks, seed=context.seed, **fields)
             for scope in scopes
         ]
     out += (
@@ -360,11 +364,10 @@ def _area_obstacle(series: FlatSeries) -> str | None:
 
 
 def _ratios(
-    series: FlatSeries, scope: Scope, findings: list[Finding], fields: dict[str, Any]
+    series: FlatSeries, scope: Scope, remarks: Remarks, fields: dict[str, Any]
 ) -> list[Measurement]:
     """Return the SNR at every level."""
     is_unclipped, out, levels = flats_without_clipping(series), [], scope.levels
-    flags, notes = flags_of(findings), (scope.sentence, *notes_of(findings))
     for index, (flat, dark) in enumerate(zip(series.flats, series.darks, strict=True)):
         name, stack_fields = f"snr{scope.suffix}", {**fields, "stack": flat.label}
         if not is_unclipped[index]:
@@ -381,11 +384,17 @@ def _ratios(
             reason = f"{flat.label} is not brighter than its dark by {SNR.lit_sd:g} standard errors"
             out.append(make_refusal(name, "1", reason, **stack_fields))
         else:
-            limited = is_quantisation_limited(dark, float(series.signal_dn[index]))
-            stack_fields |= {"flags": (*flags, *("quantised",) * limited), "notes": notes}
-            out.append(
-                measurement_from_sd(
-                    name, "1", float(levels.snr[index]), float(levels.snr_sd[index]), **stack_fields
-                )
+            signal_dn, coarse = float(series.signal_dn[index]), []
+            if is_quantisation_limited(dark, signal_dn):
+                effect = f"rounding removes the faint parts of pulses at {signal_dn:.2g} DN"
+                coarse = [finding("quantised", effect, "brighter flats")]
+            ratio = measurement_from_sd(
+                name,
+                "1",
+                float(levels.snr[index]),
+                float(levels.snr_sd[index]),
+                notes=(scope.sentence,),
+                **stack_fields,
             )
+            out.append(judged(ratio, [*remarks, *coarse]))
     return out

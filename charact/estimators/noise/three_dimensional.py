@@ -5,15 +5,23 @@ from zlib import crc32
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding, fields_of, flags_of, notes_of
+from charact.estimators.noise.findings import (
+    Remarks,
+    bounded,
+    clipping_effects,
+    fields_of,
+    finding,
+    judged,
+    rounding_findings,
+)
 from charact.estimators.noise.thresholds import CHECKS
 from charact.frames.components import OWN, TIME, Component
 from charact.frames.cube import Cube, FrameMeans
-from charact.frames.rounding import QUANTISED_DN2
 from charact.frames.stack_statistics import StackStatistics
 from charact.frames.thresholds import CUBE
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
+from charact.verdict import Finding
 from labdata import Array
 from labdata.measurement import Measurement, Result, intervals_of, make_measurement, make_refusal
 
@@ -59,17 +67,11 @@ def _measure_stack(
         return Result(measurements=_refusals(reason, fields))
     rng = np.random.default_rng([context.seed, 7, crc32(level.label.encode())])
     draws = {name: part.draws(rng, CUBE.draws) for name, part in parts.items()}
-    findings = {
-        name: [
-            *_low_frequency_findings(name, parts[name], draws[name]),
-            *_picture_findings(name, cube),
-        ]
-        for name in NAMES
-    }
-    findings["t"] += _frame_mean_findings(cube.means)
-    common = _common_findings(level, cube, draws["tvh"])
     out = [
-        _measurement(name, parts[name], draws[name], common + findings[name], fields)
+        judged(
+            _measurement(name, parts[name], draws[name], fields),
+            _remarks(name, level, cube, draws),
+        )
         for name in NAMES
     ]
     seconds = cube.seconds + watch.seconds()
@@ -79,96 +81,75 @@ def _measure_stack(
     )
 
 
-def _measurement(
-    name: str, part: Component, draws: Array, findings: list[Finding], fields: dict[str, Any]
-) -> Measurement:
+def _measurement(name: str, part: Component, draws: Array, fields: dict[str, Any]) -> Measurement:
     """Return the standard deviation of a component, or its upper limit."""
     value = float(np.sqrt(max(part.variance_dn2, 0.0)))
     # A negative estimate is chance and must not lower the limit below that of a zero estimate.
     possible = draws - min(part.variance_dn2, 0.0)
     _, interval68, (low, high) = intervals_of(np.sqrt(np.maximum(possible, 0.0)))
-    notes = notes_of(findings)
+    notes: tuple[str, ...] = ()
     if np.quantile(draws, CUBE.false_alarm) <= 0:
         low = 0.0
         absence = f"no {name} noise detected (unbiased variance {part.variance_dn2:.2g} DN2)"
-        notes = (*notes, f"{absence}: at most {high:.3g} DN")
+        notes = (f"{absence}: at most {high:.3g} DN",)
     around = [
         (min(low_edge, value), max(high_edge, value))
         for low_edge, high_edge in (interval68, (low, high))
     ]
-    return make_measurement(
-        f"noise_{name}", "DN", value, *around, flags=flags_of(findings), notes=notes, **fields
-    )
+    return make_measurement(f"noise_{name}", "DN", value, *around, notes=notes, **fields)
 
 
-def _common_findings(level: StackStatistics, cube: Cube, draws: Array) -> list[Finding]:
-    """Return the findings common to all components of the stack."""
-    out: list[Finding] = []
+def _remarks(name: str, level: StackStatistics, cube: Cube, draws: dict[str, Array]) -> Remarks:
+    """Return what was seen of a component.
+
+    Of noise of which the fraction p is cut off, a component keeps the fraction 1 - p of its
+    amplitude, as a value that is cut does not follow it; the random one keeps more, see
+    `clipping_effects`.
+    """
+    remarks: Remarks = []
     if cube.fields > 1:
         of = (
             "even and odd rows"
             if cube.fields == 2
             else "lines of both fields and both scan directions"
         )
-        out.append(Finding(None, f"{of} form separate cubes; their variances are averaged"))
-    variance, half = cube.components["tvh"].variance_dn2, _half(draws)
-    for clipped_fraction, which in (
-        (level.low_fraction, "0"),
-        (level.high_fraction, "the highest"),
-    ):
-        # Clipping a fraction of a normal distribution lowers its variance by about twice that
-        # fraction.
+        remarks.append(f"{of} form separate cubes; their variances are averaged")
+    part, half = cube.components[name], _half(draws[name])
+    value_dn = float(np.sqrt(max(part.variance_dn2, 0.0)))
+    random_dn2 = cube.components["tvh"].variance_dn2
+    low, high = level.low_fraction, level.high_fraction
+    for clipped_fraction, end in ((low, "0"), (high, "the highest")):
         if (
             clipped_fraction > CHECKS.max_clipped_fraction
-            or 2.0 * clipped_fraction * variance > 0.5 * half
+            or 2.0 * clipped_fraction * random_dn2 > 0.5 * _half(draws["tvh"])
         ):
-            out.append(
-                Finding(
-                    "clipped", f"{100 * clipped_fraction:.2g} % of the values are at code {which}"
-                )
-            )
-    if variance < QUANTISED_DN2:
-        out.append(
-            Finding(
-                "quantised",
-                f"the random noise of {variance:.2g} DN2 is smaller than the quantisation step",
-            )
-        )
-    return out
-
-
-def _low_frequency_findings(name: str, part: Component, draws: Array) -> list[Finding]:
-    """Return findings of noise correlated over too large a part of the stack or image."""
-    out: list[Finding] = []
+            _, lowered_dn = clipping_effects(clipped_fraction, random_dn2**0.5, level.mean_dn)
+            if name != "tvh" and lowered_dn is not None:
+                lowered_dn = value_dn * clipped_fraction / (1.0 - clipped_fraction)
+            effect = f"{100 * clipped_fraction:.2g} % of the values are at code {end}"
+            # Pulses that are cut off at full scale may hold any part of the variance.
+            bound = lowered_dn if clipped_fraction == low else None
+            remarks.append(finding("clipped", effect, bound=bound, sign=-1))
+    rounded = rounding_findings(random_dn2)
+    remarks += rounded if name == "tvh" else bounded(rounded)
     for axis, slope in part.slopes.items():
-        if slope.min_fraction > CUBE.max_slope and abs(
-            slope.estimate_dn2
-        ) > CUBE.slope_weight * _half(draws):
+        if (
+            slope.min_fraction > CUBE.max_slope
+            and abs(slope.estimate_dn2) > CUBE.slope_weight * half
+        ):
             flag, along = ("lag", "frames") if axis == TIME else ("correlated-noise", "pixels")
-            out.append(
-                Finding(
-                    flag,
-                    (
-                        f"noise is correlated over so many {along} that it is hardly separable "
-                        f"from {name}"
-                    ),
-                )
-            )
-    return out
-
-
-def _picture_findings(name: str, cube: Cube) -> list[Finding]:
-    """Return the findings of shading and of even and odd rows that differ: fields not separated."""
-    out: list[Finding] = []
+            effect = f"noise is correlated over so many {along} that it is hardly separable from"
+            remedy = "a longer stack" if axis == TIME else "a larger image"
+            remarks.append(finding(flag, f"{effect} {name}", remedy))
     if name in ("v", "h", "vh"):
-        note = "excludes smooth shading up to fourth order along rows and columns"
-        out.append(Finding(None, f"{note}, {cube.shading_dn:.3g} DN rms"))
-    if difference_dn := cube.row_difference_dn.get(name, 0.0):
-        note = (
-            f"even and odd rows differ by {difference_dn:.3g} DN: interlaced fields, not separated?"
+        shading = f"{cube.shading_dn:.3g} DN rms"
+        remarks.append(
+            f"excludes smooth shading up to fourth order along rows and columns, {shading}"
         )
-        out.append(Finding("interlace-motion", note))
-    return out
+    if difference_dn := cube.row_difference_dn.get(name, 0.0):
+        effect = f"even and odd rows differ by {difference_dn:.3g} DN, as fields not separated"
+        remarks.append(finding("interlace-motion", effect))
+    return remarks + (_frame_mean_findings(cube.means) if name == "t" else [])
 
 
 def _half(draws: Array) -> float:
@@ -178,18 +159,16 @@ def _half(draws: Array) -> float:
 
 def _frame_mean_findings(means: FrameMeans) -> list[Finding]:
     """Return findings of drift and flicker in the frame means."""
-    out: list[Finding] = []
+    out = []
     if means.drift_seen:
-        out.append(
-            Finding("drift", f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame")
-        )
+        effect = f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame"
+        out.append(finding("drift", effect))
     if means.line is not None:
         period = f"{means.frequency_cy_per_exposure[means.line]:.3g} cycles per exposure"
         if means.line_hz is not None:
             period = f"{means.line_hz:.3g} Hz, or an alias of a higher frequency"
-        out.append(
-            Finding("flicker", f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {period}")
-        )
+        effect = f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {period}"
+        out.append(finding("flicker", effect))
     return out
 
 

@@ -28,6 +28,9 @@ class CheckLimits:
     exposure_tolerance: float = 0.1  # relative difference of the exposures of flat and dark
     min_light_ratio: float = 1.3  # smallest ratio of light that tests the camera response
     max_clipped_fraction: float = 0.01  # clipped values of a dark with unbiased noise
+    # fraction of clipped values from which nothing bounds the noise beneath
+    unbounded_clipping: float = 0.5
+    explained_clipping: float = 2.0  # mean over that of noise cut off as often: dead pixels beyond
     dark_pattern_fraction: float = 0.02  # dark pattern over PRNU below which its flags do not apply
 
 
@@ -37,6 +40,7 @@ class CorrelationLimits:
 
     min_effect: float = 0.01  # smallest detected effect on the gain
     significant_sd: float = 3.0  # standard errors of a detected effect
+    bound_sd: float = 1.96  # standard errors beyond a detected effect that bound it: 97.5 %
     negligible: float = 0.02  # undetected effects up to this size are neglected
     untestable: float = 0.1  # a test that cannot exclude this effect is void
     # charge diffusion: each of four neighbours gets up to 5 % of the charge, twice
@@ -224,6 +228,7 @@ class GainLimits:
     # cy/px; the widest described band is used
     band_limits_cy_per_px: tuple[float, ...] = (0.25, 0.21, 0.18, 0.15, 0.12, 0.1)
     min_p_value: float = 0.05  # p-value of an accepted fit
+    misfit_p_value: float = 1e-4  # p-value of a misfit
     evidence_power: float = 0.5  # root of the evidence, as no blur model is exact
     min_weight: float = 0.01  # smallest weight of a blur model
     draws: int = 1000  # posterior draws of all models

@@ -3,13 +3,19 @@
 import numpy as np
 
 from charact.estimators.noise.dark_current import dark_current
-from charact.estimators.noise.findings import fields_of, flags_of
+from charact.estimators.noise.findings import (
+    bounded,
+    fields_of,
+    findings_in,
+    posterior_findings,
+)
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import (
     bend_allowance,
     correlation_findings,
     exposure_findings,
-    series_findings,
+    findings_of_darks,
+    slope_findings,
     variance_ratio_changes,
 )
 from charact.estimators.noise.gain.series import (
@@ -60,25 +66,27 @@ def variance(session: Session, *, context: Context) -> Result:
         spatially_correlated_fraction(series),
         temporally_correlated_fraction(series),
     )
-    common = series_findings(series)
-    findings = common + variance_ratio_changes(series) + correlation_findings(neighbours, exposures)
+    common = slope_findings(series)
+    remarks = common + variance_ratio_changes(series) + correlation_findings(neighbours, exposures)
     tube = has_intensifier([level.conditions for level in (*darks, *flats)], context)
     allowance = float(
         np.hypot(allowance_of(neighbours, exposures, tube=tube), bend_allowance(series))
     )
     gain = emva1288.gain_line(series, context=context, allowance=allowance)
-    flags = flags_of(common)
-    first, *out = electron_quantities(series, (gain, gain), (findings, findings), context, fields)
-    darks_alone = (
-        dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
+    first, *out = electron_quantities(series, (gain, gain), (remarks, remarks), context, fields)
+    findings = findings_in(bounded(common))
+    of_darks = (
+        dark_quantities(series.all_darks, findings_of_darks(series), **fields)
+        if series.all_darks
+        else []
     )
-    out = [first, *darks_alone, saturation_level(series, flags=flags, **fields), *out]
+    out = [first, *of_darks, saturation_level(series, findings, **fields), *out]
     out += pattern_quantities(
         series,
         gain.slope,
-        flags=flags,
-        gain_flags=flags_of(findings) + gain.posterior.flags,
-        pair_flags=flags_of(exposure_findings(exposures)),
+        findings,
+        of_gain=findings_in(bounded([*remarks, *posterior_findings(gain.posterior)])),
+        of_pairs=findings_in(bounded(exposure_findings(exposures))),
         **fields,
     )
     evidence = {"photon-transfer": transfer_figure_data(series, gain=float(np.median(gain.slope)))}

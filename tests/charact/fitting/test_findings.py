@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.estimators.noise import Finding, notes_of, step_finding
+from charact.estimators.noise import step_finding
 from charact.fitting import findings_of, misfit_finding, observation
 from charact.frames import FEWEST_DIFFERENCES, rounding_step
 from charact.session_measurement import measure_noise, method_context
@@ -42,15 +42,6 @@ def test_a_misfit_names_its_observation_and_what_that_speaks_of() -> None:
     assert "chi-squared 93 for 12 numbers, 90 of it from image lag" in found.effect
     assert observation.CAUSES_OF_MISFIT["image lag"].stage in found.effect
     assert "may come from" not in misfit_finding({"halo diameter": 90.0}, 12, 2.8).effect
-
-
-def test_a_note_begins_with_its_flag_once() -> None:
-    known = (
-        Finding("nonlinear", "nonlinear: it bends"),
-        Finding("lag", "it lags"),
-        Finding(None, "plain"),
-    )
-    assert notes_of(known) == ("nonlinear: it bends", "lag: it lags", "plain")
 
 
 def session_of_codes(codes: np.ndarray) -> Session:

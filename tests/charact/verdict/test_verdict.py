@@ -100,9 +100,9 @@ def test_a_finding_has_a_known_flag_and_a_finite_bound(fields):
 
 
 MAKERS = {"Measurement", "make_measurement", "measurement_from_draws", "measurement_from_sd"}
-# The verdict itself; rooms whose checks hand over no findings yet; fusion, with bands that have a
+# The verdict itself; fusion, with bands that have a
 # status of their own.
-EXCEPTIONS = ("verdict/", "estimators/noise/", "estimators/tube.py", "fusion/")
+EXCEPTIONS = ("verdict/", "fusion/")
 
 
 def status_setters(source: str) -> list[str]:

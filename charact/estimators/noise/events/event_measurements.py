@@ -9,7 +9,14 @@ import numpy as np
 
 from charact.estimators.noise.events.frames import MIDDLE, dark_frames, fits_filters, has_pulses
 from charact.estimators.noise.events.pulse_height_fit import PulseFit, fit_pulses
-from charact.estimators.noise.findings import Finding, Unmeasurable, flags_of, notes_of, provenance
+from charact.estimators.noise.findings import (
+    Remarks,
+    Unmeasurable,
+    finding,
+    judged,
+    posterior_findings,
+    provenance,
+)
 from charact.estimators.noise.gain.series import gain_of
 from charact.estimators.noise.illumination import lognormal_draws, photoelectrons_per_lux_s
 from charact.estimators.noise.thresholds import EVENT_ACCURACY, EVENTS
@@ -157,9 +164,11 @@ def measure_events(dark: StackEntry, *, context: Context) -> Result:
             for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))
         ]
         return Result(measurements=tuple(out))
-    findings = pulse_findings(pulse_fit)
-    fields |= {"flags": flags_of(findings), "notes": notes_of(findings)}
-    out = _measurements(pulse_fit, dark.conditions, context, fields)
+    remarks = pulse_remarks(pulse_fit)
+    out = [
+        m if m.value is None else judged(m, remarks)
+        for m in _measurements(pulse_fit, dark.conditions, context, fields)
+    ]
     return Result(measurements=tuple(out), evidence={"pulse-heights": pulse_figure_data(pulse_fit)})
 
 
@@ -231,14 +240,12 @@ def _relative_sd(posterior: Posterior) -> float:
     return max(float(np.std(np.log(posterior[name]))) for name in ("density", "height_dn"))
 
 
-def pulse_findings(pulse_fit: PulseFit) -> list[Finding]:
-    """Return the findings of a pulse fit."""
+def pulse_remarks(pulse_fit: PulseFit) -> Remarks:
+    """Return what was seen of a pulse fit."""
     best, frames, ions = pulse_fit.peak.pulses, pulse_fit.frames, pulse_fit.ion_height_dn
     count, error = best.density * pulse_fit.observed.pixels, _relative_sd(pulse_fit.posterior)
-    size = float(np.mean(ions)) / best.height_dn if len(ions) else 0.0
-    rate = len(ions) / sum(change.size for change in frames.changes)
+    remarks: Remarks = [f"the detection probability p is not measurable in darks: {_HOW_P}"]
     checks = (
-        (True, None, f"the detection probability p is not measurable in darks: {_HOW_P}"),
         (
             pulse_fit.signal_to_noise < EVENTS.low_snr,
             "low-signal",
@@ -276,15 +283,16 @@ def pulse_findings(pulse_fit: PulseFit) -> list[Finding]:
             f"{100 * pulse_fit.fraction_contaminated:.0f} % of the values are near ion feedback "
             "events",
         ),
-        (
-            len(ions) > 0,
-            None,
-            f"{len(ions)} ion feedback events, {rate:.2g} per pixel and exposure, of {size:.0f} "
-            "mean pulses each, are excluded",
-        ),
     )
-    out = [Finding(flag, note) for applies, flag, note in checks if applies]
-    return out + [Finding(flag, "see the posterior") for flag in pulse_fit.posterior.flags]
+    remarks += [finding(flag, effect) for applies, flag, effect in checks if applies]
+    if len(ions):
+        size = float(np.mean(ions)) / best.height_dn
+        rate = len(ions) / sum(change.size for change in frames.changes)
+        remarks.append(
+            f"{len(ions)} ion feedback events, {rate:.2g} per pixel and exposure, of {size:.0f} "
+            "mean pulses each, are excluded"
+        )
+    return remarks + posterior_findings(pulse_fit.posterior)
 
 
 _HOW_P = "take a flat at known illuminance: it gives k, and p = k / pulse height"
@@ -305,7 +313,7 @@ def _measurements(
             "detected_photoelectron_gain", "DN", height, posterior=posterior, **fields
         )
     ]
-    gain_fields = {**fields, "notes": (*fields["notes"], note)}
+    gain_fields = {**fields, "notes": (note,)}
     out.append(
         measurement_from_draws("photoelectron_gain", "DN/pe", detected * height, **gain_fields)
     )
@@ -318,7 +326,6 @@ def _measurements(
             f"{np.median(density):.3g} photoelectrons per pixel and exposure: their rate needs "
             "the exposure_s or gate_ns of the darks"
         )
-        del gain_fields["flags"]
         return [*out, make_refusal("ebi", "pe/s/px", reason, **gain_fields)]
     rate = density / open_s
     out.append(measurement_from_draws("ebi", "pe/s/px", rate, **gain_fields))

@@ -4,7 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding, with_remedy
+from charact.estimators.noise.findings import (
+    Remarks,
+    bounded,
+    clipping_effects,
+    finding,
+    findings_in,
+)
 from charact.estimators.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
 from charact.estimators.noise.gain.undetected_correlation import (
     UndetectedEffect,
@@ -13,13 +19,17 @@ from charact.estimators.noise.gain.undetected_correlation import (
     processing_findings,
 )
 from charact.estimators.noise.linear_fit import generalised_fit
-from charact.estimators.noise.thresholds import CHECKS
+from charact.estimators.noise.thresholds import CHECKS, CORRELATION
 from charact.frames.stack_statistics import StackStatistics
 from charact.observables.photon_transfer import PhotonTransfer
+from charact.verdict import Finding
 from labdata import Array
 from labdata.conditions import Conditions
 
 ALLOWED = "the interval includes what cannot be excluded"
+CORRELATED = (
+    "noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {:.2g} % low"
+)
 # Conditions that must agree between flat and dark: largest relative and absolute difference.
 ALIKE = {
     "mcp_v": (1e-3, 0.0),
@@ -30,14 +40,23 @@ ALIKE = {
 }
 
 
-def series_findings(series: FlatSeries) -> list[Finding]:
-    """Return the findings that concern every quantity of the series."""
-    findings: list[Finding] = []
+def series_findings(series: FlatSeries) -> Remarks:
+    """Return what concerns every quantity of the series."""
+    return bounded(slope_findings(series))
+
+
+def slope_findings(series: FlatSeries) -> Remarks:
+    """Return what concerns the series, with bounds relative to the slope of EMVA 1288.
+
+    The slope through the origin is a mean of variance over signal of the levels with positive
+    weights, so that its relative error is at most the largest of a level.
+    """
+    remarks: Remarks = []
     if series.reference != "dark":
-        words = f"no darks of two frames or more: signals are measured from the {series.reference}"
-        findings.append(Finding("no-darks", words))
+        effect = f"no darks of two frames or more: signals are measured from the {series.reference}"
+        remarks.append(finding("no-darks", effect))
     if series.left_out:
-        findings.append(Finding(None, f"excluded (different gain): {', '.join(series.left_out)}"))
+        remarks.append(f"excluded (different gain): {', '.join(series.left_out)}")
         conditions = series.flats[0].conditions
         known = [
             f"{name} {getattr(conditions, name):.4g}"
@@ -45,26 +64,37 @@ def series_findings(series: FlatSeries) -> list[Finding]:
             if getattr(conditions, name) is not None
         ]
         words = "the gain with most flats, or the brightest of equally many"
-        findings += [Finding(None, f"measured at {', '.join(known)}: {words}")] if known else []
+        remarks += [f"measured at {', '.join(known)}: {words}"] if known else []
     if series.single:
-        findings.append(Finding(None, without_noise(series.single)))
-    findings += (
-        _stationarity_findings(series)
-        + _proportionality_findings(series)
-        + _clipping_findings(series)
-    )
-    findings += _condition_findings(series) + processing_findings(series) + dark_findings(series)
+        remarks.append(without_noise(series.single))
+    for part in (
+        _stationarity_findings,
+        _proportionality_findings,
+        _clipping_findings,
+        _condition_findings,
+        processing_findings,
+        dark_findings,
+    ):
+        remarks += part(series)
     linear_levels = int(series.fitted.sum())
     if linear_levels < CHECKS.min_levels:
         word = "level" if linear_levels == 1 else "levels"
-        findings.append(
-            Finding(
-                None,
-                f"only {linear_levels} {word} inside the linear range: linearity not testable; "
-                f"{ALLOWED}",
-            )
+        remarks.append(
+            f"only {linear_levels} {word} inside the linear range: linearity not testable; "
+            f"{ALLOWED}"
         )
-    return findings
+    return remarks
+
+
+def findings_of_darks(series: FlatSeries) -> list[Finding]:
+    """Return the findings that concern numbers of the darks alone, on which flats have no
+    effect.
+    """
+    return [
+        entry
+        for entry in findings_in(series_findings(series))
+        if entry.flag in ("agc", "dark-mismatch", "processed")
+    ]
 
 
 def dark_findings(series: FlatSeries) -> list[Finding]:
@@ -83,7 +113,7 @@ def dark_findings(series: FlatSeries) -> list[Finding]:
         f"noise may be {high:.3g} DN"
     )
     remedy = "kind in session.toml: dark and flat may be exchanged"
-    return [with_remedy("dark-mismatch", f"{effect} too high", remedy)]
+    return [finding("dark-mismatch", f"{effect} too high", remedy)]
 
 
 def _condition_findings(series: FlatSeries) -> list[Finding]:
@@ -105,7 +135,7 @@ def _condition_findings(series: FlatSeries) -> list[Finding]:
                 f"{flat.label} and its dark {dark.label} differ in {word[0]}: {of_flat:.4g} and "
                 f"{of_dark:.4g} {word[1]}, so that level and noise of the dark may be others"
             )
-            findings.append(with_remedy("unlike-conditions", effect, f"darks of the flats' {name}"))
+            findings.append(finding("unlike-conditions", effect, f"darks of the flats' {name}"))
     return findings
 
 
@@ -133,7 +163,7 @@ def _dark_current_findings(series: FlatSeries) -> list[Finding]:
     if not unequal or series.reference != "dark":
         return []
     effect = f"signals include the dark current of up to {max(unequal):.3g} s"
-    return [with_remedy("unlike-conditions", effect, "darks of the flats' exposure_s")]
+    return [finding("unlike-conditions", effect, "darks of the flats' exposure_s")]
 
 
 def _light_of_conditions(series: FlatSeries) -> tuple[Array, Array] | None:
@@ -162,7 +192,7 @@ def _light_statement_findings(series: FlatSeries) -> list[Finding]:
         "numbers per photon or lux may be off as much"
     )
     return [
-        with_remedy(
+        finding(
             "agc", effect, "illuminance_lux, photons_per_px or exposure_s of each flat as it was"
         )
     ]
@@ -181,11 +211,8 @@ def quantisation_findings(series: FlatSeries) -> list[Finding]:
     ):
         return []
     brightest = float(series.signal_dn[fitted].max())
-    sentence = (
-        f"at {brightest:.2g} DN of signal rounding removes the faint parts of pulses; take "
-        f"brighter flats"
-    )
-    return [Finding("quantised", sentence)]
+    effect = f"at {brightest:.2g} DN of signal rounding removes the faint parts of pulses"
+    return [finding("quantised", effect, "brighter flats")]
 
 
 class _Trend(NamedTuple):
@@ -257,8 +284,8 @@ def gain_curvature(series: FlatSeries) -> tuple[float, float] | None:
     return float(trend.rise / trend.middle), float(trend.rise_sd / abs(trend.middle))
 
 
-def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
-    """Return findings of variance over signal that changes with the signal."""
+def variance_ratio_changes(series: FlatSeries) -> Remarks:
+    """Return what was seen of variance over signal that changes with the signal."""
     trend = _trend(series)
     if trend is None:
         return []
@@ -274,55 +301,84 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
     )
     if not deviates and abs(slope) <= CHECKS.curvature * middle + CHECKS.curvature_sd * error:
         more = "the gain is the slope over all levels; see gain_curvature"
-        return [Finding(None, f"{sentence}; {more}")]
-    findings = [with_remedy("nonlinear", sentence, "flats of the linear range only")]
+        return [f"{sentence}; {more}"]
     signal = series.signal_dn[series.fitted]
     variance = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / signal
-    return findings + gamma_of_noise(signal, variance, trend.sd)
+    return [finding("nonlinear", sentence), *gamma_of_noise(signal, variance, trend.sd)]
 
 
-def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:
-    """Return findings of correlation between successive exposures, detected or untestable."""
+def exposure_findings(exposures: UndetectedEffect) -> Remarks:
+    """Return what was seen of correlation between successive exposures, with the bound relative to
+    the slope of EMVA 1288.
+
+    Light of which the fraction r stays for the next exposure leaves (1 - r)/(1 + r) of the variance
+    to a single one; 2 r is the loss by the neighbouring exposures alone.
+    """
     if exposures.is_detected:
-        percent = 100 * exposures.fraction
-        return [Finding("lag", f"noise of successive exposures is correlated ({percent:.3g} %)")]
+        effect = f"noise of successive exposures is correlated ({100 * exposures.fraction:.3g} %)"
+        largest = abs(exposures.fraction) + CORRELATION.bound_sd * exposures.sd
+        known = largest < CORRELATION.max_fraction
+        return [
+            finding(
+                "lag",
+                effect,
+                bound=largest / (1.0 - 0.5 * largest) if known else None,
+                sign=-int(np.sign(exposures.fraction)),
+            )
+        ]
     if exposures.is_untestable:
-        return [Finding(None, f"too few frames to test temporal correlation; {ALLOWED}")]
+        return [f"too few frames to test temporal correlation; {ALLOWED}"]
     return []
 
 
-def correlation_findings(
-    neighbours: UndetectedEffect, exposures: UndetectedEffect
-) -> list[Finding]:
-    """Return findings of correlations that lower the variance."""
-    findings = exposure_findings(exposures)
+def correlation_findings(neighbours: UndetectedEffect, exposures: UndetectedEffect) -> Remarks:
+    """Return what was seen of correlations that lower the variance."""
+    remarks = exposure_findings(exposures)
     if neighbours.is_detected:
         low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.fraction, 0.0)))
-        effect = (
-            f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is "
-            f"{low:.2g} % low"
-        )
-        findings.append(with_remedy("correlated-noise", effect, "`method` covariance-sum"))
+        remarks.append(finding("correlated-noise", CORRELATED.format(low)))
     elif neighbours.is_untestable:
-        findings.append(
-            Finding(
-                None, f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"
-            )
+        remarks.append(
+            f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"
         )
-    return findings
+    return remarks
 
 
 def _stationarity_findings(series: FlatSeries) -> list[Finding]:
-    """Return findings of drift and flicker."""
+    """Return findings of drift and flicker.
+
+    A level that changes by the relative variance q within the stack changes the variance of a pixel
+    by q times that of its fixed pattern and shading, as frames' means are removed, and the mean
+    gain, if that is what changes, by q. A drift of d from first to last frame has q = d^2/12.
+    """
     findings: list[Finding] = []
-    for flat, signal in zip(series.flats, np.abs(series.signal_dn), strict=True):
+    for flat, signal, variance_dn2 in zip(
+        series.flats, np.abs(series.signal_dn), series.variance_dn2, strict=True
+    ):
         drift, flicker = drift_and_flicker(flat)
-        if abs(drift) > CHECKS.drift_fraction * signal:
-            findings.append(
-                Finding("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame")
-            )
-        if flicker > CHECKS.flicker_fraction * signal:
-            findings.append(Finding("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
+        pattern_dn2 = (
+            np.inf
+            if flat.cube is None
+            else max(flat.spatial_variance_dn2, 0.0) + flat.cube.shading_dn**2
+        )
+        for flag, size, q, effect in (
+            ("drift", abs(drift), drift**2 / 12.0, f"drifts by {drift:.3g} DN from first to last"),
+            ("flicker", flicker, flicker**2, f"flickers by {flicker:.3g} DN rms from frame to"),
+        ):
+            if size > getattr(CHECKS, f"{flag}_fraction") * signal:
+                bound = (
+                    q / signal**2 * (1.0 + pattern_dn2 / variance_dn2)
+                    if signal and variance_dn2 > 0.0
+                    else np.inf
+                )
+                findings.append(
+                    finding(
+                        flag,
+                        f"{flat.label} {effect} frame",
+                        bound=float(bound) if np.isfinite(bound) else None,
+                        sign=1,
+                    )
+                )
     return findings
 
 
@@ -385,7 +441,7 @@ def _proportionality_findings(series: FlatSeries) -> list[Finding]:
         flat.conditions.automatic_gain or flat.conditions.brightness_control
         for flat in series.flats
     ):
-        return [Finding("agc", "an automatic gain or brightness control was on")]
+        return [finding("agc", "an automatic gain or brightness control was on")]
     stated = _light_of_conditions(series)
     if stated is None:
         return []
@@ -399,32 +455,43 @@ def _proportionality_findings(series: FlatSeries) -> list[Finding]:
         np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0]
     )
     if slope < CHECKS.min_light_exponent:
-        return [
-            Finding(
-                "agc",
-                f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only",
-            )
-        ]
+        effect = f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only"
+        return [finding("agc", effect)]
     ratio = signal / exposure
     reference = float(exposure @ signal / (exposure @ exposure))
     off = float(np.abs(ratio / reference - 1.0)[signal > 0.05 * signal.max()].max())
     if off > CHECKS.nonlinear_fraction:
-        return [
-            Finding("nonlinear", f"signal over light deviates by {100 * off:.1f} % from its mean")
-        ]
+        effect = f"signal over light deviates by {100 * off:.1f} % from its mean"
+        return [finding("nonlinear", effect)]
     return []
 
 
 def _clipping_findings(series: FlatSeries) -> list[Finding]:
-    findings = [
-        Finding(
-            "clipped",
-            f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at 0 DN",
-        )
-        for level in (*series.all_darks, *series.flats)
-        if level.low_fraction > 0.01
-    ]
+    """Return findings of values at either end of the scale.
+
+    A dark cut off at 0 DN has too high a mean and too low a variance, which both raise variance
+    over signal above the dark; see `clipping_effects`.
+    """
+    findings = []
+    for level in (*series.all_darks, *series.flats):
+        if level.low_fraction > CHECKS.max_clipped_fraction:
+            percent = 100 * level.low_fraction
+            effect = f"{percent:.1f} % of the pixels of {level.label} are at 0 DN"
+            bound = _bound_of_cut_dark(series, level) if level.kind == "dark" else None
+            findings.append(finding("clipped", effect, bound=bound, sign=1))
     over = [flat.label for flat in series.flats if flat.high_fraction > CLIPPED_SHARE]
     if over and not series.fitted.any():
-        findings.append(Finding("saturated", f"pixels of {', '.join(over)} are at full scale"))
+        findings.append(finding("saturated", f"pixels of {', '.join(over)} are at full scale"))
     return findings
+
+
+def _bound_of_cut_dark(series: FlatSeries, dark: StackStatistics) -> float | None:
+    """Return the largest relative effect of a cut dark on variance over signal of a fitted flat."""
+    noise_dn = max(dark.variance_dn2, 0.0) ** 0.5
+    raised_dn, lowered_dn = clipping_effects(dark.low_fraction, noise_dn, dark.mean_dn)
+    of_dark = [reference.label == dark.label for reference in series.darks] & series.fitted
+    if raised_dn is None or lowered_dn is None or np.any(series.variance_dn2[of_dark] <= 0.0):
+        return None
+    lost_dn2 = (noise_dn + lowered_dn) ** 2 - dark.variance_dn2
+    effect = raised_dn / series.signal_dn + lost_dn2 / series.variance_dn2
+    return float(np.max(effect[of_dark], initial=0.0))

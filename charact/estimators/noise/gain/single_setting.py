@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding
+from charact.estimators.noise.findings import Remarks, bounded, finding, posterior_findings
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import exposure_findings
 from charact.estimators.noise.gain.fit import Fit, fit_spectrum
@@ -22,6 +22,7 @@ from charact.estimators.noise.linear_fit import linear_fit
 from charact.estimators.noise.thresholds import GAIN
 from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.method import Context
+from charact.verdict import Finding
 from labdata import Array, Posterior, has_tube
 
 
@@ -116,40 +117,30 @@ class SingleSetting:
             fit.best[0], first_sd, pooled, fit.best[1], scatter * np.sqrt(covariance[1, 1])
         )
 
-    def findings(self) -> list[Finding]:
-        """Return the findings of spectrum and image lag."""
-        fit, lag, posterior, findings = self.fit, self.summary.lag, self.posterior, list[Finding]()
-        if fit.chance < 1e-4:
-            words = f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"
-            findings.append(Finding("model-misfit", words))
+    def remarks(self) -> Remarks:
+        """Return what was seen of spectrum and image lag."""
+        lag, posterior = self.summary.lag, self.posterior
+        remarks: Remarks = [*misfit_findings(self.fit)]
         blur = float(np.median(posterior["blur_factor"]))
         if blur < 0.9:
-            findings.append(
-                Finding(
-                    None,
-                    f"noise is correlated between pixels (blur factor {blur:.3g}); accounted for",
-                )
+            remarks.append(
+                f"noise is correlated between pixels (blur factor {blur:.3g}); accounted for"
             )
         if lag.is_detected:
-            findings.append(
-                Finding(None, f"image lag (lag factor {lag.factor:.3g}); all lags were summed")
-            )
+            remarks.append(f"image lag (lag factor {lag.factor:.3g}); all lags were summed")
         low, middle, high = np.quantile(posterior["covariance_gain"], [0.16, 0.5, 0.84])
         if 0.5 * (high - low) > GAIN.max_relative_sd * middle:
-            words = (
-                "the relative uncertainty of the power at frequency 0 exceeds a third; take "
-                "more frames or pixels"
-            )
-            findings.append(Finding("too-few-frames", words))
-        findings += [Finding(flag, "see the posterior") for flag in posterior.flags]
+            effect = "the relative uncertainty of the power at frequency 0 exceeds a third"
+            remarks.append(finding("too-few-frames", effect, "more frames or pixels"))
+        remarks += posterior_findings(posterior)
         if not lag.is_detected:
-            return findings + exposure_findings(self.exposures)
+            return remarks + bounded(exposure_findings(self.exposures))
         if lag.open:
-            words = (
+            effect = (
                 f"image lag has not decayed after {lag.lag[-1]} exposures, the end of the lag sum"
             )
-            findings.append(Finding("lag", words))
-        return findings
+            remarks.append(finding("lag", effect))
+        return remarks
 
     def departures(self) -> list[Finding]:
         """Return findings of levels whose covariance over signal deviates or rises.
@@ -159,7 +150,7 @@ class SingleSetting:
         levels, chosen = self.levels_dn, np.flatnonzero(self.series.fitted)
         middle = float(np.median(levels[chosen]))
         findings = [
-            Finding(
+            finding(
                 "model-misfit",
                 f"covariance over signal of {self.series.flats[i].label} is {levels[i]:.3g} DN, "
                 f"not {middle:.3g} DN",
@@ -170,13 +161,20 @@ class SingleSetting:
         ]
         trend = None if self.white else self._trend()
         if trend is not None and trend.rise > GAIN.rise_sd * trend.rise_sd:
-            words = (
+            effect = (
                 f"covariance gain rises by {100.0 * trend.rise / trend.pooled:.2g} % up to the "
-                "brightest flat; MCP saturation would make it fall: check for gamma or a wrong "
-                "dark"
+                "brightest flat; MCP saturation would make it fall"
             )
-            findings.append(Finding("nonlinear", words))
+            findings.append(finding("nonlinear", effect, "frames without gamma, and their darks"))
         return findings
+
+
+def misfit_findings(fit: Fit) -> list[Finding]:
+    """Return the finding of a spectrum that no blur model fits."""
+    if fit.chance >= GAIN.misfit_p_value:
+        return []
+    effect = f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"
+    return [finding("model-misfit", effect)]
 
 
 def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> SingleSetting:

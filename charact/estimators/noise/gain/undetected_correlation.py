@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding
+from charact.estimators.noise.findings import finding
 from charact.estimators.noise.gain.series import FlatSeries
 from charact.estimators.noise.linear_fit import linear_fit, weighted_mean
 from charact.estimators.noise.thresholds import CORRELATION
 from charact.frames.stack_statistics import StackStatistics
+from charact.verdict import Finding
 from labdata import Array
 
 
@@ -190,16 +191,12 @@ def _sharpening_findings(levels: list[StackStatistics]) -> list[Finding]:
         value, sd = weighted_mean(correlations)
         if value < -CORRELATION.min_correlation - CORRELATION.processing_sd * sd:
             word = f"the noise of neighbours {direction} is anticorrelated ({100 * value:.2g} %)"
-            return [
-                Finding(
-                    "processed",
-                    f"{word}: the camera sharpens its images, which raises the variance",
-                )
-            ]
+            sharpens = "the camera sharpens its images, which raises the variance"
+            return [finding("processed", f"{word}: {sharpens}")]
     value, sd = weighted_mean([_rise(level) for level in levels])
     if value > CORRELATION.min_rise + CORRELATION.processing_sd * sd:
         word = f"the noise power is {100 * value:.2g} % larger at high than at low frequency"
-        return [Finding("processed", f"{word}: the camera sharpens its images")]
+        return [finding("processed", f"{word}: the camera sharpens its images")]
     return []
 
 
@@ -239,7 +236,7 @@ def _temporal_filter_findings(darks: tuple[StackStatistics, ...]) -> list[Findin
         f"noise of successive dark frames is correlated ({100 * value:.2g} %), that of "
         f"neighbouring pixels is not"
     )
-    return [Finding("processed", f"{word}: the camera reduces noise in time")]
+    return [finding("processed", f"{word}: the camera reduces noise in time")]
 
 
 def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
@@ -260,19 +257,12 @@ def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
         )
         error = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
         if abs(high - low) > CORRELATION.min_change + CORRELATION.processing_sd * error:
-            word = (
+            effect = (
                 f"noise of neighbours {direction} is correlated by {100 * low:.2g} % in the "
-                f"dimmest flat"
+                f"dimmest flat and by {100 * high:.2g} % in the brightest: the camera smooths "
+                "nonlinearly"
             )
-            return [
-                Finding(
-                    "processed",
-                    (
-                        f"{word} and by {100 * high:.2g} % in the brightest: the camera smooths "
-                        f"nonlinearly"
-                    ),
-                )
-            ]
+            return [finding("processed", effect)]
     return []
 
 
@@ -291,7 +281,7 @@ def gamma_of_light(light: Array, signal: Array) -> list[Finding]:
     word = (
         f"the signal is proportional to the power {power:.2f} of the light within {100 * off:.2g} %"
     )
-    return [Finding("gamma", f"{word}: a gamma curve, or a gain that follows the light")]
+    return [finding("gamma", f"{word}: a gamma curve, or a gain that follows the light")]
 
 
 def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
@@ -317,7 +307,7 @@ def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
         f"variance over signal is proportional to the power {power:.2f} of the signal within "
         f"{100 * off:.2g} %"
     )
-    return [Finding("gamma", f"{word}, as behind a gamma of {gamma:.2f}")]
+    return [finding("gamma", f"{word}, as behind a gamma of {gamma:.2f}")]
 
 
 def _power(x: Array, y: Array) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding
+from charact.estimators.noise.findings import Remarks, finding
 from charact.estimators.noise.linear_fit import draw_posterior, linear_fit
 from charact.estimators.noise.sweep.settings import SweepSetting
 from charact.estimators.noise.thresholds import SWEEP
@@ -441,17 +441,16 @@ def saturation_limit(response: SweepResponsivity) -> str:
     )
 
 
-def bending_findings(
-    settings: tuple[SweepSetting, ...], response: SweepResponsivity
-) -> list[Finding]:
-    """Return the finding on MCP saturation against camera nonlinearity, from the noise."""
+def bending_remarks(settings: tuple[SweepSetting, ...], response: SweepResponsivity) -> Remarks:
+    """Return what the noise says of MCP saturation against camera nonlinearity."""
     fall, sd = _fall_of_noise(settings, float(np.median(response.lost_per_dn)))
+    remedy = "two levels at each setting, of more frames"
     if not np.isfinite(sd):
-        words = (
+        effect = (
             "no setting has two levels whose noise separates MCP saturation from camera "
             "nonlinearity"
         )
-        return [Finding("nonlinear", words)]
+        return [finding("nonlinear", effect, remedy)]
     plate, camera = (
         abs(fall - exponent) < SWEEP.agreement_sd * sd
         for exponent in (SWEEP.mcp_exponent, SWEEP.camera_exponent)
@@ -460,21 +459,13 @@ def bending_findings(
         f"covariance over signal falls as the power {fall:.2g} +- {sd:.1g} of the relative response"
     )
     if plate and not camera:
-        return [
-            Finding(None, f"{observation}: MCP saturation (power 1), no camera nonlinearity (3)")
-        ]
-    if plate:
-        words = (
-            f"{observation}: too uncertain to separate MCP saturation (power 1) from camera "
-            f"nonlinearity (3)"
-        )
-        return [Finding("nonlinear", words)]
-    return [
-        Finding(
-            "nonlinear",
-            f"{observation}: expected is power 1 for MCP saturation, 3 for camera nonlinearity",
-        )
-    ]
+        return [f"{observation}: MCP saturation (power 1), no camera nonlinearity (3)"]
+    meaning = (
+        "too uncertain to separate MCP saturation (power 1) from camera nonlinearity (3)"
+        if plate
+        else "expected is power 1 for MCP saturation, 3 for camera nonlinearity"
+    )
+    return [finding("nonlinear", f"{observation}: {meaning}", remedy)]
 
 
 def _fall_of_noise(settings: tuple[SweepSetting, ...], lost_per_dn: float) -> tuple[float, float]:

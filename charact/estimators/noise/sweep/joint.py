@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding
+from charact.estimators.noise.findings import Remarks, finding, posterior_findings
 from charact.estimators.noise.sweep.gain_law import (
     Axis,
     GainLaw,
@@ -18,6 +18,7 @@ from charact.estimators.noise.sweep.gain_law import (
 from charact.estimators.noise.sweep.settings import Sweep, SweepSetting
 from charact.estimators.noise.thresholds import GAIN, SWEEP
 from charact.method import Context
+from charact.verdict import Finding
 from labdata import Array
 from labdata.camera.description import has_tube
 
@@ -40,7 +41,7 @@ class SweepJointFit:
     law: GainLaw  # law of the covariance gain
     lit: tuple[int, ...]  # indices of settings with light in one unit
     response: SweepResponsivity | None  # responsivity of those settings; None for fewer than two
-    findings: tuple[Finding, ...] = ()  # findings on quantities of all settings
+    remarks: tuple[Finding | str, ...] = ()  # what concerns quantities of all settings
 
     @property
     def rise(self) -> Array:
@@ -100,15 +101,12 @@ def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
     )
     joint = SweepJointFit(sweep=sweep, axis=axis, law=law, lit=lit, response=response)
     allowed = ALLOWED if response is None else ALLOWED + IN_THE_SCATTER
-    setting_findings = [finding for s in sweep.settings for finding in s.findings]
-    findings = [
-        Finding(None if finding.flag in allowed else finding.flag, finding.note)
-        for finding in setting_findings
+    remarks = [
+        entry.note if entry.flag in allowed else entry
+        for s in sweep.settings
+        for entry in s.findings
     ]
-    findings += _law_findings(joint)
-    return replace(
-        joint, findings=(*findings, *(Finding(None, sentence) for sentence in sweep.left_out))
-    )
+    return replace(joint, remarks=(*remarks, *_law_remarks(joint), *sweep.left_out))
 
 
 def _share(sweep: Sweep, log_smallest_gain: float, context: Context) -> tuple[float, float] | None:
@@ -129,41 +127,35 @@ def _share(sweep: Sweep, log_smallest_gain: float, context: Context) -> tuple[fl
     return electron_share, max(spread, 0.05) * electron_share
 
 
-def _law_findings(joint: SweepJointFit) -> list[Finding]:
-    """Return the findings against one law for all settings."""
+def _law_remarks(joint: SweepJointFit) -> Remarks:
+    """Return what speaks against one law for all settings."""
     knob = joint.sweep.knob
-    findings: list[Finding] = []
+    remarks: Remarks = []
     if len(joint.sweep.settings) < 3:
-        findings.append(
-            Finding("too-few-frames", "only 2 settings: the law between them cannot be checked")
-        )
-    findings += [
-        Finding(flag, "see the posterior")
-        for flag in joint.law.posterior.flags + joint.source.posterior.flags
-    ]
-    findings += _curvature_findings(joint) + _outlier_findings(joint) + _blur_findings(joint)
+        effect = "only 2 settings: the law between them cannot be checked"
+        remarks.append(finding("too-few-frames", effect, "flats at a third setting"))
+    remarks += posterior_findings(joint.law.posterior) + posterior_findings(joint.source.posterior)
+    remarks += _curvature(joint) + _outlier_findings(joint) + _blur_findings(joint)
     if np.quantile(joint.rise, 0.975) < FOLLOWS[knob.unit]:
-        findings.append(
-            Finding("agc", f"the gain does not follow the {knob.words}: possible automatic control")
-        )
-    return findings
+        effect = f"the gain does not follow the {knob.words}: possible automatic control"
+        remarks.append(finding("agc", effect))
+    return remarks
 
 
-def _curvature_findings(joint: SweepJointFit) -> list[Finding]:
-    """Return the finding of a curved gain law."""
+def _curvature(joint: SweepJointFit) -> Remarks:
+    """Return what was seen of a curved gain law."""
     x, log_gain, sd = _own_gains(joint)
     departure = line_departure(x, log_gain, sd)
     if departure is None or abs(departure[0]) <= SWEEP.curvature_sd * departure[1]:
         return []
     leaves, slope = departure[0], line_fit(x, log_gain, sd)[1] / joint.axis.span
     ends = [slope + side * 8.0 * leaves / joint.axis.span for side in (-1.0, 1.0)]
-    words = f"from {ends[0]:.3g} at the lowest setting to {ends[1]:.3g} at the highest"
-    flag = "nonlinear" if abs(leaves) > SWEEP.curvature else None
-    return [
-        Finding(
-            flag, f"the gain law is curved by {100 * abs(leaves):.1f} %: its slope changes {words}"
-        )
-    ]
+    effect = (
+        f"the gain law is curved by {100 * abs(leaves):.1f} %: its slope changes from "
+        f"{ends[0]:.3g} at the lowest setting to {ends[1]:.3g} at the highest"
+    )
+    is_large = abs(leaves) > SWEEP.curvature
+    return [finding("nonlinear", effect, "settings of a smaller range") if is_large else effect]
 
 
 def _own_gains(joint: SweepJointFit) -> tuple[Array, Array, Array]:
@@ -188,11 +180,9 @@ def _outlier_findings(joint: SweepJointFit) -> list[Finding]:
     law = np.polyval(np.polyfit(x, log_gains, 1, w=1.0 / np.hypot(sd, STRAY)), x)
     for value, off, error in zip([s.value for s in settings], log_gains - law, sd, strict=True):
         if abs(off) > SWEEP.outlier_sd * np.hypot(error, STRAY):
-            text = (
-                f"the gain at {joint.sweep.knob.text(value)} is {np.exp(off):.2f} times that "
-                f"of the law"
-            )
-            findings.append(Finding("model-misfit", text))
+            at = joint.sweep.knob.text(value)
+            effect = f"the gain at {at} is {np.exp(off):.2f} times that of the law"
+            findings.append(finding("model-misfit", effect, "this setting again"))
     return findings
 
 
@@ -211,12 +201,11 @@ def _blur_findings(joint: SweepJointFit) -> list[Finding]:
     expected = np.log1p(electrons * (1.0 - blur) / blur)
     expected = expected + np.average(log_blur - expected, weights=1.0 / sd**2)
     return [
-        Finding(
+        finding(
             "model-misfit",
-            (
-                f"at {joint.sweep.knob.text(s.value)} the blur factor is {np.exp(o):.3g}, not "
-                f"{np.exp(e):.3g}"
-            ),
+            f"at {joint.sweep.knob.text(s.value)} the blur factor is {np.exp(o):.3g}, not "
+            f"{np.exp(e):.3g}",
+            "this setting again",
         )
         for s, o, e, error in zip(settings, log_blur, expected, sd, strict=True)
         if abs(o - e) > SWEEP.outlier_sd * error

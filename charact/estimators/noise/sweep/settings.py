@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from charact.estimators.noise.findings import Finding
+from charact.estimators.noise.findings import finding, findings_in
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import series_findings
 from charact.estimators.noise.gain.series import (
@@ -24,6 +24,7 @@ from charact.estimators.noise.illumination import relative_sd_of
 from charact.estimators.noise.thresholds import GAIN, SWEEP
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
+from charact.verdict import Finding
 from labdata import Array
 from labdata.conditions import Conditions
 
@@ -252,13 +253,9 @@ def _setting(
     ]
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0) if darks else None
     causes = [
-        entry for entry in series_findings(series) if entry.flag not in OF_ONE_SERIES
-    ] + setting_fit.findings()
-    findings = [
-        Finding(entry.flag, f"at {knob.text(value)}: {entry.note}")
-        for entry in causes
-        if entry.flag
-    ]
+        entry for entry in findings_in(series_findings(series)) if entry.flag not in OF_ONE_SERIES
+    ] + findings_in(setting_fit.remarks())
+    findings = [replace(entry, effect=f"at {knob.text(value)}: {entry.effect}") for entry in causes]
     gain = carried.posterior["covariance_gain"]
     if white:
         # The slope of the photon transfer curve.
@@ -310,20 +307,16 @@ def _with_quantisation(
     s: SweepSetting, rounding_fraction: float, least_dn2: float, knob: GainControl
 ) -> SweepSetting:
     """Return a setting with the uncertainty and finding of quantisation noise."""
-    note = (
-        f"noise of {np.sqrt(least_dn2):.2g} DN is smaller than the quantisation step, which "
-        f"adds {100 * rounding_fraction:.2g} %"
+    effect = (
+        f"at {knob.text(s.value)}: noise of {np.sqrt(least_dn2):.2g} DN is smaller than the "
+        f"quantisation step, which adds {100 * rounding_fraction:.2g} %"
     )
-    coarse = (
-        (Finding("quantised", f"at {knob.text(s.value)}: {note}"),)
-        if rounding_fraction > SWEEP.max_quantisation
-        else ()
-    )
+    is_coarse = rounding_fraction > SWEEP.max_quantisation
     return replace(
         s,
         unsure_dn=rounding_fraction * float(np.exp(s.log_variance)),
         log_variance_sd=float(np.hypot(s.log_variance_sd, rounding_fraction)),
-        findings=(*s.findings, *coarse),
+        findings=(*s.findings, *([finding("quantised", effect)] if is_coarse else [])),
     )
 
 

@@ -7,15 +7,17 @@ import numpy as np
 
 from charact.estimators.noise.findings import (
     Unmeasurable,
+    bounded,
     fields_of,
-    flags_of,
-    flags_of_rounding,
-    notes_of,
+    finding,
+    findings_in,
+    judged,
+    rounding_findings,
 )
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.sweep.gain_law import (
     GainLaw,
-    bending_findings,
+    bending_remarks,
     reaches_saturation,
     relative_excess,
     saturation_limit,
@@ -26,6 +28,7 @@ from charact.estimators.noise.thresholds import SWEEP
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from charact.verdict import Finding, judge
 from labdata import Array
 from labdata.measurement import (
     Measurement,
@@ -48,7 +51,7 @@ class Knee:
     # draws of its position on the axis of the sweep, between -1/2 and 1/2 inside the sweep, shape
     # (draw,)
     position: Array
-    flags: tuple[str, ...] = ()  # flags of the read noise
+    findings: tuple[Finding, ...] = ()  # findings on the read noise
 
 
 def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> Knee:
@@ -66,14 +69,16 @@ def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> K
     floor = np.maximum(floor, np.quantile(floor, 0.01).clip(1e-9))
     pulses = _pulses_at(floor, law)
     position = (np.log(pulses) - law.posterior["log_gain"]) / law.posterior["rise"]
-    # One dark cannot separate scintillation.
-    flags = flags_of_rounding(min(s.dark_variance_dn2 or 0.0 for s in dark_settings))
-    flags = (("unlike-conditions",) if len(dark_settings) < 2 else ()) + flags
+    smallest_dn2 = min(s.dark_variance_dn2 or 0.0 for s in dark_settings)
+    findings = findings_in(bounded(rounding_findings(smallest_dn2)))
+    if len(dark_settings) < 2:
+        effect = "the dark of one setting does not separate read noise from scintillation"
+        findings.append(finding("unlike-conditions", effect))
     return Knee(
         read_noise_dn=np.sqrt(floor),
         gain_dn=pulses + law.electron_gain_dn,
         position=position,
-        flags=flags,
+        findings=tuple(findings),
     )
 
 
@@ -259,21 +264,14 @@ def _rise(joint: SweepJointFit, fields: Fields) -> Measurement:
         "%, "
         f"at 97.5 % by less than {departure[1]:.2g} %"
     )
-    notes = (*notes_of(joint.findings), note)
     if not joint.is_resolved:
-        return make_refusal(quantity, unit, DROWNS, notes=notes, **fields)
+        known = [entry if isinstance(entry, str) else entry.note for entry in joint.remarks]
+        return make_refusal(quantity, unit, DROWNS, notes=(*known, note), **fields)
     draws = (
         np.log(2.0) / np.maximum(joint.rise, 1e-9) if quantity == "gain_doubling" else joint.rise
     )
-    return measurement_from_draws(
-        quantity,
-        unit,
-        draws,
-        flags=flags_of(joint.findings),
-        notes=notes,
-        posterior=joint.source.posterior,
-        **fields,
-    )
+    rise = measurement_from_draws(quantity, unit, draws, posterior=joint.source.posterior, **fields)
+    return judged(rise, [*joint.remarks, note])
 
 
 def _knee(joint: SweepJointFit, seed: int, fields: Fields) -> tuple[list[Measurement], Knee | None]:
@@ -294,11 +292,10 @@ def _knee(joint: SweepJointFit, seed: int, fields: Fields) -> tuple[list[Measure
         f"at {STATED_PE:g} effective photoelectron per pixel and exposure (n of unequal pulses "
         "count as n/F2); at n of them the covariance gain at the knee is smaller by the root of n"
     )
-    knee_fields = {"flags": flags_of(joint.findings) + knee.flags, "notes": (note,), **fields}
-    knee_settings = joint.setting_at(knee.position)
+    findings = [*findings_in(joint.remarks), *knee.findings]
     return [
-        measurement_from_draws("gain_knee", knob.unit, knee_settings, **knee_fields),
-        measurement_from_draws("gain_knee", "DN", knee.gain_dn, **knee_fields),
+        judge(measurement_from_draws("gain_knee", unit, draws, notes=(note,), **fields), findings)
+        for unit, draws in ((knob.unit, joint.setting_at(knee.position)), ("DN", knee.gain_dn))
     ], knee
 
 
@@ -310,22 +307,17 @@ def _saturation(joint: SweepJointFit, fields: Fields) -> Measurement:
         return make_refusal("mcp_saturation", "DN", reason, **fields)
     if not reaches_saturation(response):
         return make_refusal("mcp_saturation", "DN", saturation_limit(response), **fields)
-    findings = [*joint.findings, *bending_findings(joint.responsivity_settings, response)]
     lost = response.lost_per_dn
     percent = 100.0 * float(np.median(response.posterior["lost"]))
     note = (
         f"{percent:.2g} % of the gain is lost at the brightest level, {response.brightest_dn:.4g} "
         "DN above the dark"
     )
-    return measurement_from_draws(
-        "mcp_saturation",
-        "DN",
-        1.0 / lost[lost > 0],
-        flags=flags_of(findings),
-        notes=(*notes_of(findings), note),
-        posterior=response.posterior,
-        **fields,
+    limit = measurement_from_draws(
+        "mcp_saturation", "DN", 1.0 / lost[lost > 0], posterior=response.posterior, **fields
     )
+    bend = bending_remarks(joint.responsivity_settings, response)
+    return judged(limit, [*joint.remarks, *bend, note])
 
 
 def _excess(joint: SweepJointFit, context: Context, fields: Fields) -> list[Measurement]:
@@ -345,14 +337,16 @@ def _excess(joint: SweepJointFit, context: Context, fields: Fields) -> list[Meas
     )
     shared = settings[reference].findings
     return [
-        measurement_from_draws(
-            "relative_excess_noise_factor",
-            "1",
-            draws[:, i],
-            flags=flags_of([*s.findings, *shared]),
-            notes=(f"at {text(s.value)}", note),
-            stack=s.stack,
-            **fields,
+        judge(
+            measurement_from_draws(
+                "relative_excess_noise_factor",
+                "1",
+                draws[:, i],
+                notes=(f"at {text(s.value)}", note),
+                stack=s.stack,
+                **fields,
+            ),
+            [*s.findings, *shared],
         )
         for i, s in enumerate(settings)
         if i != reference
@@ -366,11 +360,7 @@ def _of_setting(
     setting.
     """
     knob = joint.sweep.knob
-    labels = {
-        "flags": flags_of(s.findings),
-        "notes": (f"at {knob.text(s.value)}: {', '.join(s.labels)}",),
-        **fields,
-    }
+    labels = {"notes": (f"at {knob.text(s.value)}: {', '.join(s.labels)}",), **fields}
     out: list[Measurement] = []
     if joint.response is not None and number in joint.lit:
         draws = joint.response.settings[:, joint.lit.index(number)]
@@ -382,26 +372,19 @@ def _of_setting(
                 "responsivity", f"DN/{s.light_unit}", draws * np.exp(meter), stack=s.stack, **labels
             )
         )
-    if number == int(
-        np.argmin([abs(other.value - joint.sweep.main) for other in joint.sweep.settings])
-    ):
-        return out
-    # Shrinkage towards an invalid law would bias the settings.
-    gain = s.gain_dn if "nonlinear" in flags_of(joint.findings) else joint.law.settings[:, number]
-    out.append(
-        measurement_from_draws(
-            *(("system_gain", "DN/e-") if s.white else ("covariance_gain", "DN")),
-            gain,
-            stack=s.stack,
-            **labels,
-        )
-    )
-    if not s.white:
-        out.append(
-            measurement_from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **labels)
-        )
-    if s.dark_variance_dn2 is not None and s.dark_variance_dn2 > 0:
-        noise = emva1288.noise_of(s.dark_variance_dn2, s.dark_variance_sd_dn2)
-        labels = {**labels, "flags": flags_of(s.findings) + flags_of_rounding(s.dark_variance_dn2)}
-        out.append(measurement_from_sd("read_noise", "DN", *noise, stack=s.dark, **labels))
-    return out
+    main = np.argmin([abs(other.value - joint.sweep.main) for other in joint.sweep.settings])
+    if number != main:
+        # Shrinkage towards an invalid law would bias the settings.
+        is_bent = any(entry.flag == "nonlinear" for entry in findings_in(joint.remarks))
+        gain = s.gain_dn if is_bent else joint.law.settings[:, number]
+        name = ("system_gain", "DN/e-") if s.white else ("covariance_gain", "DN")
+        out.append(measurement_from_draws(*name, gain, stack=s.stack, **labels))
+        if not s.white:
+            out.append(
+                measurement_from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **labels)
+            )
+        if s.dark_variance_dn2 is not None and s.dark_variance_dn2 > 0:
+            noise = emva1288.noise_of(s.dark_variance_dn2, s.dark_variance_sd_dn2)
+            read = measurement_from_sd("read_noise", "DN", *noise, stack=s.dark, **labels)
+            out.append(judged(read, rounding_findings(s.dark_variance_dn2)))
+    return [judge(m, s.findings) for m in out]

@@ -225,19 +225,56 @@ def test_missing_darks_are_flagged_and_the_slope_still_found(seed):
     assert abs(errors(gain, camera.covariance_gain_dn)) < 4.5
 
 
-def test_noise_finer_than_the_digitiser_is_flagged(seed):
+def named_and_held(measurement, flag, truth):
+    """Whether a bounded effect is named and the interval holds the truth."""
+    low, high = measurement.interval95
+    return any(note.startswith(f"{flag}: ") for note in measurement.notes) and low <= truth <= high
+
+
+def test_the_bound_of_noise_finer_than_the_digitiser_is_in_the_interval(seed):
     camera = Pulses(read_noise_dn=0.2, shape=SMALL)
     session = flat_series(camera, np.random.default_rng(seed), LEVELS, frames=4)
     result = noise.measure(session, method="variance", context=QUICK)
     read = next(m for m in result.find("read_noise") if m.unit == "DN")
-    assert "quantised" in read.flags
+    assert read.status == "ok" and named_and_held(read, "quantised", np.hypot(0.2, 12**-0.5))
 
 
-def test_a_dark_clipped_at_zero_is_flagged(seed):
+def test_the_bound_of_a_dark_clipped_at_zero_is_in_the_interval(seed):
     camera = Pulses(black_dn=1.0, shape=SMALL)
     session = flat_series(camera, np.random.default_rng(seed), LEVELS, frames=4)
     result = noise.measure(session, method="variance", context=QUICK)
+    assert named_and_held(gain_of(result), "clipped", camera.covariance_gain_dn)
+    read, level = (result.find(name, unit="DN")[0] for name in ("read_noise", "dark_signal"))
+    assert named_and_held(read, "clipped", camera.read_noise_dn)
+    assert named_and_held(level, "clipped", 1.0)
+
+
+def test_dead_pixels_of_a_dark_are_no_noise_cut_off(seed):
+    """A bar of dead pixels: noise far above 0 DN explains no value there."""
+    session = flat_series(Pulses(shape=SMALL), np.random.default_rng(seed), LEVELS, frames=4)
+    (dark,) = session.of_kind("dark")
+    data = dark.read().data.copy()
+    data[:, :9] = 0
+    stacks = [
+        (s.label, s.kind, FrameStack(data=data) if s is dark else s.read(), s.conditions)
+        for s in session.stacks
+    ]
+    result = noise.measure(session_of(stacks), method="variance", context=QUICK)
     assert "clipped" in gain_of(result).flags
+    assert all("clipped" in m.flags for m in result.find("read_noise", unit="DN"))
+
+
+def test_drift_and_flicker_of_flats_are_bounded_for_the_slope_and_no_matter_of_the_dark(seed):
+    for camera in (
+        Pulses(shape=SMALL, light_of_frame=lambda n: 1.0 + 0.01 * n),
+        Pulses(shape=SMALL, light_of_frame=lambda n: 1.0 + 0.04 * (-1) ** n),
+    ):
+        session = flat_series(camera, np.random.default_rng(seed), LEVELS)
+        result = noise.measure(session, method="variance", context=QUICK)
+        gain, (read,) = gain_of(result), result.find("read_noise", unit="DN")
+        assert gain.status == "ok" and any(": at most " in note for note in gain.notes)
+        assert abs(errors(gain, camera.covariance_gain_dn)) < 4.5
+        assert read.status == "ok" and result.find("prnu")[0].status != "ok"
 
 
 def test_darks_alone_give_read_noise_and_blur_factor(seed):

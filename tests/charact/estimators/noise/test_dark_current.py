@@ -114,7 +114,9 @@ def test_a_camera_that_warms_up_while_it_is_read_is_told(seed):
     (found,) = measured(session_of, np.random.default_rng(seed), flats=False, drift_dn=8.0).find(
         "dark_current", unit="DN/s"
     )
-    assert "drift" in found.flags
+    low, high = found.interval95
+    assert low < GAIN_DN * CURRENT_E_PER_S < high
+    assert any(note.startswith("drift: ") and "widened" in note for note in found.notes)
 
 
 def test_an_interval_of_95_percent_holds_the_truth_as_often(seed):

@@ -78,8 +78,8 @@ def parted(session, **told) -> Result:
                 series,
                 posterior,
                 context=context,
-                flags=(),
-                covariance_flags=(),
+                of_signal=(),
+                of_noise=(),
                 method="covariance-sum",
             )
         )

@@ -234,13 +234,16 @@ def test_what_is_not_seen_is_reported_with_its_limit(seed):
     assert all("detected" in note and "at most" in note for note in notes)
 
 
-def test_cut_and_coarse_codes_are_flagged(seed):
+def test_cut_and_coarse_codes_are_named_and_the_truth_is_in_the_interval(seed):
     rng = np.random.default_rng(seed)
     frames = cube(rng, (16, 48, 64), (0.0,) * 6 + (4.0,)) - 1000.0
     cut = measured(session_of, np.clip(np.rint(frames + 6.0), 0, None).astype(np.uint16))
-    assert all("clipped" in m.flags for m in cut.values())
+    assert all(any(note.startswith("clipped: ") for note in m.notes) for m in cut.values())
     coarse = measured(session_of, np.rint(frames / 12.0 + 50.0).astype(np.uint16))
-    assert all("quantised" in m.flags for m in coarse.values())
+    assert all("quantised" in m.flags for name, m in coarse.items() if name != "tvh")
+    for found, truth_dn in ((cut["tvh"], 4.0), (coarse["tvh"], np.hypot(4.0 / 12.0, 12**-0.5))):
+        low, high = found.interval95
+        assert found.status == "ok" and low < truth_dn < high
 
 
 @pytest.mark.parametrize("method", ["variance", "covariance-sum"])

@@ -63,7 +63,8 @@ def test_light_that_stays_in_the_next_frames_never_passes_unseen(seed, share, fr
     for method in METHODS:
         result = noise.measure(session, method=method, context=QUICK)
         gain = one(result, "system_gain")
-        assert gain.status == "refused" or "lag" in gain.flags, method
+        told = (*gain.flags, *gain.notes)
+        assert gain.status == "refused" or any(text.startswith("lag") for text in told), method
         for found in result.find("covariance_gain"):
             assert found.status != "ok" or abs(errors(found, Pulses().covariance_gain_dn)) < 4.5
 
