@@ -100,8 +100,7 @@ def test_a_finding_has_a_known_flag_and_a_finite_bound(fields):
 
 
 MAKERS = {"Measurement", "make_measurement", "measurement_from_draws", "measurement_from_sd"}
-# The verdict itself; fusion, with bands that have a
-# status of their own.
+# The verdict itself; fusion, with bands that have a status of their own.
 EXCEPTIONS = ("verdict/", "fusion/")
 
 
