@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from charact.frames.image_lag import decay_components
+from charact.fitting.tube_light import field_products
 from charact.observables import Values
 from charact.observables.silicon import CONVERSION_GAIN as CONVERSION
 from charact.observables.silicon import DARK_CURRENT, READ_NOISE
@@ -26,6 +26,7 @@ ELEMENTARY_CHARGE_C = 1.602176634e-19
 BROADBAND_NM = 700.0
 # Weights beyond this many pixels are below 1e-6 for any bandwidth suitable for the pixel clock.
 VIDEO_CLOCKS = 14
+LINE_NOISE = "video.line_noise_dn"
 
 
 def mtf(
@@ -213,6 +214,20 @@ def reading_variance(values: Values, more_e2: ArrayLike = 0.0, warmth: ArrayLike
     return values[CONVERSION] ** 2 * charge * filter_covariance(values, 1)[:, 0]
 
 
+def detector_variance(values: Values, signal_dn: float) -> Array:
+    """Return the variance of a pixel that the detector adds to the pulses of a signal, shape (n,),
+    DN^2: noise of counted electrons and of reading, line noise and rounding.
+    """
+    filtered = filter_covariance(values, 1)[:, 0]
+    counted = values[CONVERSION] * signal_dn * filtered
+    return counted + reading_variance(values) + line_variance(values) + 1.0 / 12.0
+
+
+def line_variance(values: Values) -> Array:
+    """Return the variance of offsets common to a line, DN^2; 0 of a camera without them."""
+    return values.get(LINE_NOISE, np.zeros(1)) ** 2
+
+
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
     """Return the temporal variance of a dark frame, shape (n,), DN^2.
 
@@ -221,7 +236,7 @@ def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: fl
     """
     events = background_rate(values) * gate_s
     pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur
-    return reading_variance(values) + pulses * lag_noise_fraction(values, gate_s) + 1.0 / 12.0
+    return reading_variance(values) + pulses * field_products(values, gate_s, 1)[:, 0] + 1.0 / 12.0
 
 
 def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
@@ -236,7 +251,7 @@ def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: flo
     square = (gain_dn_per_pe / values[plate + "detection_probability"]) ** 2 * (
         size**2 + size + size / shape
     )
-    return rate * square * blur * lag_noise_fraction(values, gate_s)
+    return rate * square * blur * field_products(values, gate_s, 1)[:, 0]
 
 
 def ion_rate(values: Values) -> Array:
@@ -256,23 +271,6 @@ def ion_light(values: Values) -> Array:
         * values[plate + "ion_event_size_pe"]
         / values[plate + "detection_probability"]
     )
-
-
-def lag_noise_fraction(values: Values, gate_s: float) -> Array:
-    """Return the fraction of a field's scintillation variance that remains with phosphor decay,
-    shape (n,).
-
-    Mean of sum_j l_j^2 over the arrival of a pulse within the gate at the start of a field; l_j is
-    the fraction of its light in the j-th field after it.
-    """
-    field_s = 1.0 / values["video.field_rate_hz"][:, None, None]
-    weights, times_ms = decay_components(values)
-    light, tau = weights * times_ms, times_ms[:, :, None, None] * 1e-3
-    node, weight = gauss_nodes((0.0, 1.0), (12,))
-    ends_s = np.maximum(np.arange(13) * field_s - gate_s * node[None, :, None], 0.0)
-    glowing = (light / light.sum(axis=0))[:, :, None, None] * np.exp(-ends_s / tau)
-    shares = -np.diff(glowing.sum(axis=0), axis=2)
-    return np.sum(shares**2, axis=2) @ weight
 
 
 def halo_diameter_px(values: Values) -> Array:

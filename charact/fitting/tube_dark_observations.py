@@ -22,7 +22,7 @@ from charact.fitting.tube_ions import (
     square_below,
     weak_ions,
 )
-from charact.fitting.tube_light import field_light, field_products, line_variance
+from charact.fitting.tube_light import field_light, field_products
 from charact.observables import Case, Estimates, Observable, Values, columns, observable
 from charact.observables.fixed_pattern import DSNU_E
 from charact.observables.silicon import BLACK_LEVEL, CONVERSION_GAIN, READ_NOISE
@@ -98,7 +98,7 @@ def quiet_variance(values: Values, darks: Darks) -> Array:
     """
     warmth = darks.warmth(values)
     reading = predicted.reading_variance(values, (values[DSNU_E] * warmth) ** 2, warmth)
-    return reading + line_variance(values) + 0.5 * darks.variance_below_threshold(values)
+    return reading + predicted.line_variance(values) + 0.5 * darks.variance_below_threshold(values)
 
 
 class OfDarks(Observable[Darks]):

@@ -1,4 +1,4 @@
-"""Light of pulses in the fields of a camera with a tube, and what its detector adds.
+"""Light of pulses in the fields of a camera with a tube.
 
 With the fractions a of the light and the times t of the components of the decay, a pulse u before
 the end of its field T leaves E = exp(-u/t) of a to later fields, of which the i-th shows (1 - q)
@@ -9,17 +9,15 @@ field, so that the mean of E is (t/g) (exp(-(T - g)/t) - exp(-T/t)), and that of
 
 import numpy as np
 
-from charact.fitting import predicted_quantities as predicted
 from charact.frames.image_lag import decay_components
 from charact.observables import Values
 from labdata import Array
 
-LINE_NOISE = "video.line_noise_dn"
-
 
 def field_products(values: Values, gate_s: float, fields: int) -> Array:
     """Return the mean over arrival times of sum_i l_i l_(i+j) for j = 0 ... fields - 1, shape (n,
-    fields); l_i is the fraction of a pulse's light in the i-th field after it.
+    fields); l_i is the fraction of a pulse's light in the i-th field after it. The first is the
+    fraction of a field's scintillation variance that remains with phosphor decay.
     """
     light_fraction, once, twice, keep = _fraction_in_later(values, gate_s)
     pair_products = light_fraction[:, :, None] * light_fraction[:, None, :] * twice
@@ -66,17 +64,3 @@ def _fraction_in_later(values: Values, gate_s: float) -> tuple[Array, Array, Arr
 
     twice = fraction(rate[:, :, None] + rate[:, None, :], open_s[:, :, None], field_s[:, :, None])
     return light_fraction, fraction(rate, open_s, field_s), twice, np.exp(-field_s * rate)
-
-
-def detector_variance(values: Values, signal_dn: float) -> Array:
-    """Return the variance of a pixel that the detector adds to the pulses of a signal, shape (n,),
-    DN^2: noise of counted electrons and of reading, line noise and rounding.
-    """
-    filtered = predicted.filter_covariance(values, 1)[:, 0]
-    counted = values[predicted.CONVERSION] * signal_dn * filtered
-    return counted + predicted.reading_variance(values) + line_variance(values) + 1.0 / 12.0
-
-
-def line_variance(values: Values) -> Array:
-    """Return the variance of offsets common to a line, DN^2; 0 of a camera without them."""
-    return values.get(LINE_NOISE, np.zeros(1)) ** 2

@@ -21,6 +21,7 @@ from charact.fitting.stack_levels import SessionStacks
 from charact.fitting.thresholds import ERRORS, LIMITS
 from charact.fitting.tube_dark_observations import EBI, NoiseBetweenPulses
 from charact.fitting.tube_ions import IONS
+from charact.fitting.tube_light import field_products
 from charact.fitting.tube_time_observations import ImageLag
 from charact.frames.image_lag import DECAY
 from charact.observables import (
@@ -143,7 +144,7 @@ class VarianceOfFlats(Observable[FlatNoise]):
     def predict(self, values: Values, shown: FlatNoise) -> Array:
         """Return power, lag factor and variances of cameras, shape (n, k)."""
         gain = predicted.photoelectron_gain(values, shown.mcp_v)
-        left_by_lag = predicted.lag_noise_fraction(values, shown.gate_s)
+        left_by_lag = field_products(values, shown.gate_s, 1)[:, 0]
         blur = predicted.noise_shape(values, gain)[0]
 
         def loaded(signal_dn: float) -> Array:

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fitting import predicted_quantities as predicted
+from charact.fitting.predicted_quantities import LINE_NOISE
 from charact.fitting.prior import rounds_its_darks
 from charact.fitting.stack_levels import SessionStacks
 from charact.fitting.thresholds import FRAMES, PATTERN
 from charact.fitting.tube_frames import block_means, frames_of
-from charact.fitting.tube_light import LINE_NOISE, detector_variance, field_products
+from charact.fitting.tube_light import field_products
 from charact.frames.image_lag import DECAY
 from charact.observables import Case, Estimates, Observable, Values, observable
 from charact.observables.fixed_pattern import PRNU_FRACTION
@@ -156,7 +157,7 @@ class ImageLag(Observable[Fields]):
         decay = field_products(values, shown.gate_s, step * count)
         pulses = (shown.signal_dn * event)[:, None] * decay
         same = pulses[:, ::step] * shape[:, :1]
-        same[:, 0] += detector_variance(values, shown.signal_dn)
+        same[:, 0] += predicted.detector_variance(values, shown.signal_dn)
         expected = same @ _diagonal_means(count, tuple(shown.lags), 0).T
         if step > 1:
             later = pulses[:, 1::2] * shape[:, 1:]

@@ -8,13 +8,14 @@ import pytest
 from charact.estimators.mtf.session.mtf_budget import MeasuredCurve, MeasuredCurves, fit_mtf_budget
 from charact.estimators.mtf.session.stage_transfers import STAGES, Direction, StageModel
 from charact.fitting import (
+    levels_of,
+    observations_of,
     predicted_quantities,
-    tube_dark_observations,
-    tube_ions,
-    tube_time_observations,
+    prior_of,
+    stacks_of,
+    tube_light,
+    values_of_description,
 )
-from charact.fitting.prior import prior_of, values_of_description
-from charact.fitting.stack_levels import levels_of
 from charact.observables import Values
 from labdata import (
     Camera,
@@ -36,6 +37,15 @@ from tests.truth.sessions import session_in_memory, stack_in_memory
 
 
 GATE_S = 0.0133
+IN_FRAMES = (
+    "image lag",
+    "line noise",
+    "ion events",
+    "noise between pulses",
+    "DSNU",
+    "dark events",
+    "mean of dark events",
+)
 MCP_V = 780.0
 FREQUENCY = np.linspace(0.02, 0.6, 30)
 
@@ -76,7 +86,7 @@ def test_every_quantity_of_the_camera_is_the_same(specimen: Camera, values: Valu
         ("halo_diameter", predicted_quantities.halo_diameter_px(values), 1e-9),
         ("ebi", predicted_quantities.background_rate(values), 1e-6),
         ("photoelectrons_per_lux", predicted_quantities.photoelectrons(values, 1.0, GATE_S), 1e-6),
-        ("decay_factor", predicted_quantities.lag_noise_fraction(values, GATE_S), 2e-3),
+        ("decay_factor", tube_light.field_products(values, GATE_S, 1)[:, 0], 1e-3),
     ):
         assert found[0] == pytest.approx(told[name], rel=within), name
 
@@ -223,9 +233,9 @@ def test_the_light_of_later_fields_is_the_same(seed: int, number: int) -> None:
     )
     decay = PhosphorDecay(components=components, gate_s=OPEN_S, field_s=field_s)
     shares = decay.pulse_shares
-    light = tube_time_observations.field_light(values, OPEN_S, 6)[0]
+    light = tube_light.field_light(values, OPEN_S, 6)[0]
     assert light == pytest.approx(decay.weights[:6], abs=2e-3)
-    products = tube_time_observations.field_products(values, OPEN_S, 6)[0]
+    products = tube_light.field_products(values, OPEN_S, 6)[0]
     expected = [
         np.mean(np.sum(shares[:, : shares.shape[1] - lag] * shares[:, lag:], axis=1))
         for lag in range(6)
@@ -236,7 +246,7 @@ def test_the_light_of_later_fields_is_the_same(seed: int, number: int) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_pulses_cover_their_neighbours_alike(seed: int, name: str) -> None:
     specimen = specimen_of(name, seed)
-    found = tube_time_observations.pulse_covariance(
+    found = predicted_quantities.pulse_covariance(
         values_of_description(specimen), ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
     )[0]
     told = true_quantities.true_quantities(specimen, Conditions(mcp_v=800.0, gate_ns=OPEN_S * 1e9))
@@ -254,7 +264,7 @@ def test_filtered_noise_has_the_covariances_of_the_impulse_response() -> None:
         bandwidth_mhz=bandwidth, pixel_clock_mhz=clock, order=order
     ).impulse_response()
     expected = [np.sum(response[: response.size - lag] * response[lag:]) for lag in range(3)]
-    found = tube_time_observations.filter_covariance(values_of_description(specimen), 3)[0]
+    found = predicted_quantities.filter_covariance(values_of_description(specimen), 3)[0]
     assert found == pytest.approx(expected, abs=1e-5)
 
 
@@ -287,11 +297,8 @@ def observed_of(name: str, seed: int) -> tuple[list, Values]:
             measurement_from_sd("covariance_gain", "DN", gain, 0.01 * gain, method="told"),
         )
     )
-    levels, sheet = levels_of(session), load_camera(name)
-    found = tube_time_observations.time_observations(sheet, levels)
-    return found + tube_dark_observations.dark_observations(
-        tube_ions.ions_of(sheet, told, levels)
-    ), values
+    stacks = stacks_of(session, load_camera(name), told, levels_of(session))
+    return [observed for observed in observations_of(stacks) if observed.name in IN_FRAMES], values
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -12,6 +12,7 @@ from charact.fitting import (
     model_of,
     observations_of,
     predicted_quantities,
+    tube_light,
     tube_observations,
     values_of_description,
 )
@@ -27,7 +28,7 @@ def flats_of(sheet: Camera, told, *, tested: bool = True, seed: int = 1) -> Resu
     """
     values, gate_s = values_of_description(sheet), told.stacks.levels[1].gate_s
     gain = predicted_quantities.photoelectron_gain(values, 800.0)
-    left = predicted_quantities.lag_noise_fraction(values, gate_s)
+    left = tube_light.field_products(values, gate_s, 1)[:, 0]
     blur = predicted_quantities.noise_shape(values, gain)[0]
     loaded = gain * (1.0 - predicted_quantities.gain_loss(values, SIGNAL_DN))
     slope = blur * predicted_quantities.covariance_gain(values, left * loaded)
