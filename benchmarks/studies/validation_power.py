@@ -73,7 +73,7 @@ def chart(study: PowerStudy) -> list[dict[str, Any]]:
             continue
         began = time.process_time()
         test = study.test(draws)
-        found = {one.title: test.detectable(**vars(one)) for one in study.changes}
+        found = {one.title: test.detectable(one) for one in study.changes}
         seconds = time.process_time() - began + draws * study.seconds
         alarms = [any(not one.passed for one in test.statistics(own)) for own in study.sets[draws:]]
         rows.append(
@@ -95,7 +95,7 @@ def verify(study: PowerStudy, tries: int) -> list[dict[str, Any]]:
     test, rows = study.test(VALIDATION.draws), []
     controls = {one.title: one for one in PARAMETERS}
     for index, change in enumerate(one for one in study.changes if one.title in VERIFIED):
-        error = test.detectable(**vars(change)).relative_error
+        error = test.detectable(change).relative_error
         wrong = [
             study.bench.change(WRONG * (index + 1) + i, controls[change.title], error)
             for i in range(tries)

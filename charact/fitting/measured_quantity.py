@@ -46,7 +46,8 @@ class MeasuredQuantity(Observable[Measured]):
     depends: tuple[str, ...] = ()
     paths: Callable[[SessionStacks], tuple[str, ...]] | None = None  # in place of `depends`
     relative_model_sd: float = 0.0
-    model_sd: Callable[[SessionStacks], float] = lambda stacks: 0.0  # absolute error of the model
+    model_sd: float = 0.0
+    pattern_sd: Callable[[SessionStacks], float] = lambda stacks: 0.0  # further error, by camera
     is_bound: bool = False
     first: bool = False  # whether one measurement is enough
     where: Callable[[Measured], object] = lambda shown: True  # which measurements count
@@ -58,23 +59,19 @@ class MeasuredQuantity(Observable[Measured]):
         for m in known[:1] if self.first else known:
             if self.where(shown := Measured(m=m, stacks=stacks)):
                 scaled, sd = self.factor * (m.value or 0.0), self.factor * sd_of(m)
-                slope = self.power * scaled ** (self.power - 1)
+                sd *= self.power * scaled ** (self.power - 1)
+                total_sd = float(np.hypot(sd, self.pattern_sd(stacks)))
                 yield Case(
-                    estimates=Estimates.of_number(scaled**self.power, slope * sd),
+                    estimates=Estimates.of_number(scaled**self.power, total_sd),
                     of=shown,
                     label=self.shown_as.format(stack=m.stack),
                 )
-
-    def model_covariance(self, estimates: Estimates, shown: Measured) -> Array:
-        """Return the covariance by which no camera follows the model."""
-        return super().model_covariance(estimates, shown) + self.model_sd(shown.stacks) ** 2
 
     def predict(self, values: Values, shown: Measured) -> Array:
         """Return the number of cameras, shape (n, 1)."""
         return self.number(values, shown)[:, None]
 
     def parameters(self, shown: Measured) -> tuple[str, ...]:
-        """Return the paths of the parameters that the prediction depends on."""
         return self.paths(shown.stacks) if self.paths else self.depends
 
 

@@ -72,6 +72,7 @@ class MtfCurve(Observable[Points]):
 
     name = "mtf curve"
     order = -10
+    model_sd = ERRORS.mtf
 
     def cases(self, stacks: SessionStacks) -> Iterator[Case[Points]]:
         """Yield the curves of stacks whose MTF50 is admissible."""
@@ -95,16 +96,11 @@ class MtfCurve(Observable[Points]):
                 )
                 yield Case(estimates=estimates, of=points, label=name)
 
-    def model_covariance(self, estimates: Estimates, shown: Points) -> Array:
-        """Return the covariance by which no MTF follows the model."""
-        return ERRORS.mtf**2 * np.eye(estimates.value.size)
-
     def predict(self, values: Values, shown: Points) -> Array:
         """Return the MTF at the points, shape (n, point)."""
         return shown.mtf(values)
 
     def parameters(self, shown: Points) -> tuple[str, ...]:
-        """Return the paths of the stages of the camera."""
         return mtf_paths(shown.camera)
 
 
@@ -136,7 +132,7 @@ declare(
         quantity="mtf",
         where=lambda shown: _bars(shown) and shown.m.frequency_cy_per_px,
         number=_mtf_of_bars,
-        model_sd=lambda stacks: ERRORS.mtf,
+        model_sd=ERRORS.mtf,
         paths=lambda stacks: mtf_paths(stacks.camera),
     )
 )

@@ -219,7 +219,6 @@ class BrightestLinearFlat(Observable[SessionStacks]):
         return full_well_level(values, shown)[:, None]
 
     def parameters(self, shown: SessionStacks) -> tuple[str, ...]:
-        """Return the paths of gain, full well and black level."""
         return well_paths(shown)
 
 
@@ -321,7 +320,6 @@ class ChipLevels(Observable[Lit]):
         return of_chip[BLACK_LEVEL] + signal * (1.0 - of_chip[COMPRESSION] * signal / shown.full)
 
     def parameters(self, shown: Lit) -> tuple[str, ...]:
-        """Return the paths of black level, gain, efficiency and shutter."""
         if not shown.lit:
             return (BLACK_LEVEL,)
         gains = (path for level in shown.lit for path in amplification(level.conditions))

@@ -136,7 +136,6 @@ class VarianceOfFlats(Observable[FlatNoise]):
         )
 
     def model_covariance(self, estimates: Estimates, shown: FlatNoise) -> Array:
-        """Return the covariance by which no blur and no variance follows the model."""
         model = np.full(estimates.value.size, ERRORS.noise)
         model[: min(shown.pooled, 1)] = ERRORS.power
         return np.diag((model * estimates.value) ** 2)
@@ -262,7 +261,7 @@ declare(
         tube=True,
         quantity="halo_diameter",
         number=lambda values, shown: predicted.halo_diameter_px(values),
-        model_sd=lambda stacks: ERRORS.halo_px,
+        model_sd=ERRORS.halo_px,
         depends=("photocathode.gap_mm", "taper.demagnification"),
     ),
     MeasuredQuantity(
@@ -283,7 +282,7 @@ declare(
         power=2,
         number=lambda values, shown: predicted.spatial_variance(values),
         relative_model_sd=ERRORS.pattern,
-        model_sd=_line_sd,
+        pattern_sd=_line_sd,
         depends=("ccd.prnu", "phosphor.gain_nonuniformity"),
     ),
 )
@@ -363,7 +362,6 @@ class TubeLevels(Observable[SessionStacks]):
         return values[BLACK_LEVEL] + gain * events / (1.0 + load)
 
     def parameters(self, shown: SessionStacks) -> tuple[str, ...]:
-        """Return the paths of gain, background and black level."""
         several = len({level.mcp_v for level in shown.levels}) > 1
         return (*LEVEL, "microchannel_plate.gain_exponent") if several else LEVEL
 

@@ -113,6 +113,7 @@ class ImageLag(Observable[Fields]):
 
     name = "image lag"
     order = 71
+    model_sd = FRAMES.correlation_model_sd
     tube = True
     moved_by = DECAY
     depends = (*DECAY, *EVENT)
@@ -137,10 +138,6 @@ class ImageLag(Observable[Fields]):
                 ),
                 of=replace(flats[0], signal_dn=signal_dn),
             )
-
-    def model_covariance(self, estimates: Estimates, shown: Fields) -> Array:
-        """Return the covariance by which no screen follows the model."""
-        return FRAMES.correlation_model_sd**2 * np.eye(estimates.value.size)
 
     def predict(self, values: Values, shown: Fields) -> Array:
         """Return the correlations, shape (n, k), dimensionless.

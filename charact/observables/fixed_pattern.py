@@ -96,7 +96,6 @@ class Dsnu(Observable[Any]):
         return ((gain * values[DSNU_E] * warmth(values, conditions)) ** 2)[:, None]
 
     def parameters(self, stacks: Stacks[MeasuredStack]) -> tuple[str, ...]:
-        """Return the paths of gain, DSNU and its temperature."""
         conditions = stacks.dark.conditions
         return (*amplification(conditions), DSNU_E, *cooling(conditions))
 
@@ -119,7 +118,6 @@ class FixedPattern(Observable[Stacks[FrameView]]):
     over_frame = True
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         numbers: dict[str, float] = {}
         for stack in (stacks.dark, stacks.flat):
             rows, cols = stack.pattern.mean(axis=1), stack.pattern.mean(axis=0)
@@ -167,7 +165,6 @@ class Defects(Observable[Stacks[FrameView]]):
     over_frame = True
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         import cv2
 
         numbers = {}
@@ -205,7 +202,6 @@ class Shading(Observable[Stacks[FrameView]]):
     over_frame = True
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         dark = stacks.dark
         numbers = {}
         for stack in (dark, stacks.flat):

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from charact.frames.noise_law import masked_covariance
 from charact.observables.observable import cube_root, log
 from charact.observables.thresholds import FRAMES
-from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
 Frames = NDArray[np.floating]
@@ -26,16 +25,8 @@ class FrameView:
     bits of whole DN, shape (bit,).
     """
 
-    def __init__(
-        self,
-        label: str,
-        frames: NDArray,
-        *,
-        interlaced: bool = False,
-        conditions: Conditions = Conditions(),  # noqa: B008
-    ) -> None:
-        self.label, self.conditions = label, conditions
-        self.interlaced = interlaced
+    def __init__(self, label: str, frames: NDArray, *, interlaced: bool = False) -> None:
+        self.label, self.interlaced = label, interlaced
         data = np.asarray(frames, np.float32)
         count = len(data)
         self.mean = data.mean(axis=0)
@@ -56,30 +47,10 @@ class FrameView:
         return float(self.mean.mean())
 
     @property
-    def mean_sd_dn(self) -> float:
-        """Standard error of the mean by the scatter of frames, DN."""
-        return float(self.change.mean(axis=(1, 2)).std()) / np.sqrt(len(self.change))
-
-    @property
     def variance_dn2(self) -> float:
         """Variance of a pixel in time, DN^2."""
         # Frames that repeat each other have none.
         return max(float(self.covariance[FRAMES.reach, FRAMES.reach]), 1e-12)
-
-    @property
-    def variance_sd_dn2(self) -> float:
-        """Standard error of that variance for white noise, DN^2."""
-        return self.variance_dn2 * float(np.sqrt(2.0 / (self.change.size - self.mean.size)))
-
-    @property
-    def spatial_variance_dn2(self) -> float:
-        """Variance of the pattern less its residual temporal noise, DN^2."""
-        return float(self.pattern.var()) - self.variance_dn2 / len(self.change)
-
-    @property
-    def spatial_sd_dn2(self) -> float:
-        """Standard error of that variance for a white pattern, DN^2."""
-        return float(self.pattern.var()) * float(np.sqrt(2.0 / self.mean.size))
 
     @cached_property
     def ordered(self) -> Frames:

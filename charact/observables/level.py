@@ -6,7 +6,7 @@ b: black level; p: photons of a pixel; eta: quantum efficiency.
 """
 
 from charact.observables.observable import (
-    MeasuredStack,
+    ComparedStack,
     Numbers,
     Observable,
     Stacks,
@@ -16,7 +16,7 @@ from charact.observables.observable import (
 
 
 @observable
-class Level(Observable[Stacks[MeasuredStack]]):
+class Level(Observable[Stacks[ComparedStack]]):
     """Level of the dark, DN, and the logarithm of the brightest flat's signal above it."""
 
     name = "level"
@@ -24,8 +24,7 @@ class Level(Observable[Stacks[MeasuredStack]]):
     title = "Level of the dark, and signal of the brightest flat"
     cause = "sensitivity, gain, black level, EBI, dark current, or the light meter"
 
-    def numbers(self, stacks: Stacks[MeasuredStack]) -> Numbers:
-        """Return them by label."""
+    def numbers(self, stacks: Stacks[ComparedStack]) -> Numbers:
         dark, flat = stacks.dark, stacks.flat
         return {
             f"level of {dark.label}, DN": dark.mean_dn,

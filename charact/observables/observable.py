@@ -19,7 +19,7 @@ Values = Mapping[str, Array]
 Numbers = Mapping[str, float]
 
 
-class MeasuredStack(Protocol):
+class ComparedStack(Protocol):
     """Numbers of one stack that every engine has, however it came by them."""
 
     @property
@@ -27,20 +27,24 @@ class MeasuredStack(Protocol):
         """Label of the stack."""
 
     @property
-    def conditions(self) -> Conditions:
-        """Conditions of the stack."""
-
-    @property
     def mean_dn(self) -> float:
         """Mean over pixels and frames, DN."""
 
     @property
-    def mean_sd_dn(self) -> float:
-        """Standard error of the mean, DN."""
-
-    @property
     def variance_dn2(self) -> float:
         """Temporal variance of a pixel, mean over pixels, DN^2."""
+
+
+class MeasuredStack(ComparedStack, Protocol):
+    """Numbers of one stack with their standard errors, and its fixed pattern."""
+
+    @property
+    def conditions(self) -> Conditions:
+        """Conditions of the stack."""
+
+    @property
+    def mean_sd_dn(self) -> float:
+        """Standard error of the mean, DN."""
 
     @property
     def variance_sd_dn2(self) -> float:
@@ -55,7 +59,7 @@ class MeasuredStack(Protocol):
         """Standard error of the variance of the fixed pattern, DN^2."""
 
 
-S_co = TypeVar("S_co", bound=MeasuredStack, covariant=True)
+S_co = TypeVar("S_co", bound=ComparedStack, covariant=True)
 Shown = TypeVar("Shown")
 
 
@@ -162,8 +166,9 @@ class Observable(Generic[Shown]):
     depends: tuple[str, ...] = ()
     # Those of which one must move the prediction by a standard error over its prior range
     moved_by: tuple[str, ...] = ()
-    # Relative error by which no camera follows the prediction
+    # Errors by which no camera follows the prediction: relative, and absolute
     relative_model_sd: float = 0.0
+    model_sd: float = 0.0
     # Whether the numbers are lower bounds: a prediction beyond them agrees
     is_bound: bool = False
 
@@ -183,7 +188,7 @@ class Observable(Generic[Shown]):
 
     def model_covariance(self, estimates: Estimates, shown: Shown) -> Array:
         """Return the covariance by which no camera follows the model, shape (k, k)."""
-        return np.diag((self.relative_model_sd * estimates.value) ** 2)
+        return np.diag((self.relative_model_sd * estimates.value) ** 2 + self.model_sd**2)
 
     def predict(self, values: Values, shown: Shown) -> Array:
         """Return the numbers of cameras under the conditions of stacks, shape (n, k)."""

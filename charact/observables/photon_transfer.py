@@ -14,6 +14,7 @@ import numpy as np
 from charact.frames.rounding import rounding_sd
 from charact.observables.admissible import admissible_measurements
 from charact.observables.observable import (
+    ComparedStack,
     Estimates,
     MeasuredStack,
     Numbers,
@@ -61,7 +62,7 @@ def variance_errors(stacks: Stacks[MeasuredStack]) -> tuple[Array, float]:
     return np.hypot(sd, of_dark), 0.0
 
 
-def variance_over_signal(flat: MeasuredStack, dark: MeasuredStack) -> float:
+def variance_over_signal(flat: ComparedStack, dark: ComparedStack) -> float:
     """Return the variance of a flat above the dark's over its signal, DN."""
     return (flat.variance_dn2 - dark.variance_dn2) / (flat.mean_dn - dark.mean_dn)
 
@@ -135,14 +136,10 @@ class PhotonTransfer(Observable[Any]):
         return (shot + (bend - 1.0) * read_dn2) / signal
 
     def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
-        """Return the paths of gain, pulse heights and compression."""
         known = ((*amplification(flat.conditions), HEIGHTS, COMPRESSION) for flat in stacks.flats)
         return tuple(dict.fromkeys(path for paths in known for path in paths))
 
-    def numbers(self, stacks: Stacks[MeasuredStack]) -> Numbers:
-        """Return logarithms of the dark's variance, and of variance over signal of the brightest
-        flat.
-        """
+    def numbers(self, stacks: Stacks[ComparedStack]) -> Numbers:
         dark, flat = stacks.dark, stacks.flat
         return {
             f"ln variance of {dark.label}": log(dark.variance_dn2),
@@ -151,7 +148,7 @@ class PhotonTransfer(Observable[Any]):
 
 
 @observable
-class Linearity(Observable[Stacks[MeasuredStack]]):
+class Linearity(Observable[Stacks[ComparedStack]]):
     """Signal, and variance over signal, of each dimmer flat over that of the brightest.
 
     Neither depends on gain or sensitivity where the response is linear.
@@ -165,8 +162,7 @@ class Linearity(Observable[Stacks[MeasuredStack]]):
         "light other than stated"
     )
 
-    def numbers(self, stacks: Stacks[MeasuredStack]) -> Numbers:
-        """Return both ratios of each dimmer flat."""
+    def numbers(self, stacks: Stacks[ComparedStack]) -> Numbers:
         (*dimmer, brightest), dark = stacks.flats, stacks.dark
         numbers = {}
         for flat in dimmer:
@@ -214,7 +210,6 @@ class DarkNoise(Observable[Any]):
         return columns(*variances)
 
     def parameters(self, stacks: Stacks[StackLevel]) -> tuple[str, ...]:
-        """Return the paths of gain, dark charge, read noise, and rows."""
         reading = (HEIGHTS, "register.clock_induced_e", DARK_CURRENT, READ_NOISE)
         known = (
             (

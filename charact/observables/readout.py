@@ -63,6 +63,7 @@ class RowOffsets(OfReadout):
 
     name = "offsets of rows"
     order = 31
+    model_sd = READOUT.row_model_sd
     depends = (ROW_NOISE, ROW_EXPONENT)
 
     def measure(self, stacks: Stacks[StackLevel]) -> Estimates:
@@ -73,10 +74,6 @@ class RowOffsets(OfReadout):
         power = np.array([spectrum.row_power[band].mean() for band in bands]) / columns
         number = np.array([band.size for band in bands]) * (frames - 1.0)
         return Estimates(value=np.log(power) + 0.5 / number, covariance=np.diag(1.0 / number))
-
-    def model_covariance(self, estimates: Estimates, stacks: Stacks[StackLevel]) -> Array:
-        """Return the covariance by which no camera has the exact law f^-a."""
-        return READOUT.row_model_sd**2 * np.eye(estimates.value.size)
 
     def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
         """Return logarithms of the power of each band, shape (n, band)."""
@@ -143,7 +140,6 @@ class Interference(OfReadout):
         )
 
     def model_covariance(self, estimates: Estimates, stacks: Stacks[StackLevel]) -> Array:
-        """Return the covariance by which no interference is a sinusoid."""
         return np.diag([(SILICON.noise_model_sd * estimates.value[0]) ** 2, 0.0, 0.0])
 
     def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:

@@ -20,7 +20,6 @@ class CovarianceSum(Observable[Stacks[FrameView]]):
     cause = "gain and excess noise"
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         dark = stacks.dark
         return {
             f"covariance/signal of {flat.label}, DN": float(
@@ -44,7 +43,6 @@ class Autocorrelation(Observable[Stacks[FrameView]]):
     over_frame = True
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         dark, flat = stacks.dark, stacks.flat
         numbers = {
             f"correlation at {row},{col} px of {flat.label}": float(
@@ -78,7 +76,6 @@ class NoiseOverField(Observable[Stacks[FrameView]]):
     )
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         dark, flat = stacks.dark, stacks.flat
         rows, cols = flat.mean.shape
         y, x = (np.linspace(-1.0, 1.0, size) for size in (rows, cols))
@@ -118,7 +115,6 @@ class NoiseSpectrum(Observable[Stacks[FrameView]]):
     least_sd = 0.001
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         numbers: dict[str, float] = {}
         for stack in (stacks.dark, stacks.flat):
             numbers |= bands_of(
@@ -143,7 +139,6 @@ class RowsAndColumns(Observable[Stacks[FrameView]]):
     cause = "line noise of the read-out, flicker of the lamp, or hum"
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         numbers = {}
         for stack in (stacks.dark, stacks.flat):
             _, rows, cols = stack.change.shape

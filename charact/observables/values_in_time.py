@@ -26,7 +26,6 @@ class Histogram(Observable[Stacks[FrameView]]):
     least_sd = 0.002
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         numbers = {}
         for stack in (stacks.dark, *stacks.flats):
             ordered = stack.ordered / np.float32(np.sqrt(max(stack.variance_dn2, 1e-12)))
@@ -58,7 +57,6 @@ class DarkEvents(Observable[Stacks[FrameView]]):
     least_sd = 0.5
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         dark, sd = stacks.dark, stacks.dark.robust_sd
         numbers = {}
         for limit in FRAMES.event_sd:
@@ -88,7 +86,6 @@ class TimeCourse(Observable[Stacks[FrameView]]):
     cause = "image lag, repeated or averaged frames, or drift of lamp or gain"
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
-        """Return them by label."""
         dark = stacks.dark
         numbers = {}
         for stack in (dark, stacks.flat):

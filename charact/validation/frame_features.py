@@ -62,12 +62,7 @@ def _stacks(
     context: Context,
 ) -> Stacks[FrameView]:
     views = {
-        shot.label: FrameView(
-            shot.label,
-            frames[shot.label],
-            interlaced=context.interlaced,
-            conditions=shot.conditions,
-        )
+        shot.label: FrameView(shot.label, frames[shot.label], interlaced=context.interlaced)
         for shot in (dark, *flats)
     }
     return Stacks(darks=(views[dark.label],), flats=tuple(views[shot.label] for shot in flats))

@@ -82,48 +82,16 @@ class Signature:
     """Effect of a fault on the numbers of one statistic.
 
     `flag`: key of `labdata.flags.FLAGS`; `statistic`, `numbers`: the statistic and how the labels
-    of its numbers begin; `shows`: which of them show it, by their deviation in standard deviations
-    and their value.
+    of its numbers begin; `way`: 1 or -1 where they deviate upwards or downwards, 0 either way;
+    `only`: which values show it.
     """
 
     flag: str
     statistic: str
     numbers: str
-    shows: Callable[[Array, Array], NDArray[np.bool_]]
+    way: float = 0.0
+    only: Callable[[Array], NDArray[np.bool_]] = np.isfinite
     cause: Cause
-
-
-def _limit() -> float:
-    """Return the deviation of a single number that is no chance, standard deviations: two-sided, of
-    few sets.
-    """
-    from scipy.stats import t
-
-    return float(t.isf(VALIDATION.level / 2.0, VALIDATION.draws - 1))
-
-
-def _above(z: Array, value: Array) -> NDArray[np.bool_]:
-    return z > _limit()
-
-
-def _positive(z: Array, value: Array) -> NDArray[np.bool_]:
-    """Whether a correlation is above its prediction and no anticorrelation, which the mean of few
-    frames leaves.
-    """
-    return _above(z, value) & (value > 0.0)
-
-
-def _below(z: Array, value: Array) -> NDArray[np.bool_]:
-    return z < -_limit()
-
-
-def _either(z: Array, value: Array) -> NDArray[np.bool_]:
-    return np.abs(z) > _limit()
-
-
-def _constant(z: Array, value: Array) -> NDArray[np.bool_]:
-    """Whether a bit of a digitiser is always 0 or always 1."""
-    return _either(z, value) & ((value <= 0.0) | (value >= 1.0))
 
 
 # From the most special to the most general: one of the first also moves numbers of the last.
@@ -132,44 +100,47 @@ SIGNATURES = (
         flag="quantised",
         statistic="histogram",
         numbers="share of ones of bit",
-        shows=_constant,
+        # A bit of a digitiser is always 0 or always 1.
+        only=lambda share: (share <= 0.0) | (share >= 1.0),
         cause=COARSE,
     ),
     Signature(
         flag="processed",
         statistic="time",
         numbers="correlation of dark frames of",
-        shows=_positive,
+        way=1.0,
+        # The mean of few frames leaves an anticorrelation.
+        only=lambda correlation: correlation > 0.0,
         cause=AVERAGED,
     ),
-    Signature(flag="drift", statistic="time", numbers="drift of", shows=_either, cause=UNSTEADY),
+    Signature(flag="drift", statistic="time", numbers="drift of", cause=UNSTEADY),
     Signature(
         flag="processed",
         statistic="autocorrelation",
         numbers="correlation at",
-        shows=_below,
+        way=-1.0,
         cause=SHARPENED,
     ),
     Signature(
         flag="correlated-noise",
         statistic="field",
         numbers="correlation at",
-        shows=_above,
+        way=1.0,
         cause=OFF_AXIS,
     ),
     Signature(
         flag="model-misfit",
         statistic="edge",
         numbers="step over 0.5 to 1.5 px of the edge, ends",
-        shows=_below,
+        way=-1.0,
         cause=LENS_OFF_AXIS,
     ),
-    Signature(flag="nonlinear", statistic="linearity", numbers="", shows=_either, cause=CURVED),
+    Signature(flag="nonlinear", statistic="linearity", numbers="", cause=CURVED),
     Signature(
         flag="lag",
         statistic="time",
         numbers="correlation of frames of",
-        shows=_above,
+        way=1.0,
         cause=LAGGING,
     ),
 )
@@ -202,6 +173,8 @@ def _number_of(signature: Signature, statistic: Statistic) -> str | None:
     """Return the number that shows a signature most, with its prediction, in words; None where none
     does.
     """
+    from scipy.stats import t
+
     rows = [
         index for index, label in enumerate(statistic.labels) if label.startswith(signature.numbers)
     ]
@@ -211,10 +184,13 @@ def _number_of(signature: Signature, statistic: Statistic) -> str | None:
         np.array(getattr(statistic, name))[rows] for name in ("measured", "low95", "high95")
     )
     z = (measured - 0.5 * (low + high)) / ((high - low) / (2.0 * HALF95_SD))
-    shown = signature.shows(z, measured)
-    if not shown.any():
+    deviation = z * signature.way if signature.way else np.abs(z)
+    # No chance of a single number, two-sided, of few sets.
+    limit = t.isf(VALIDATION.level / 2.0, VALIDATION.draws - 1)
+    shown = np.where((deviation > limit) & signature.only(measured), deviation, 0.0)
+    at = int(np.argmax(shown))
+    if shown[at] == 0.0:
         return None
-    at = int(np.argmax(np.where(shown, np.abs(z), -1.0)))
     return (
         f"{statistic.labels[rows[at]]} is {measured[at]:.3g}, not {low[at]:.3g} to {high[at]:.3g}"
     )

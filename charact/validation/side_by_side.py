@@ -113,7 +113,7 @@ def validate(
             measured.groups, features_of_parts(chosen, context=bench.context)
         ),
         controls=(*nulls, *changed, *faulty),
-        power=tuple(test.detectable(**vars(change)) for change in parameters),
+        power=tuple(test.detectable(change) for change in parameters),
         figures=figures,
         notes=chosen.notes if bench.fitted else (*chosen.notes, NO_DRAWS),
     )
@@ -293,10 +293,13 @@ def _put_faults(
     bench: _Bench, test: ValidationTest, first: Frames
 ) -> tuple[ValidationControl, ...]:
     """Return a negative control a fault of the frames."""
-    controls = []
-    for name in FAULTS:
-        statistics = test.statistics(
-            bench.features(put_fault(first, bench.chosen, name, bench.rng)).groups
+    return tuple(
+        ValidationControl(
+            name="negative",
+            title=name,
+            statistics=test.statistics(
+                bench.features(put_fault(first, bench.chosen, name, bench.rng)).groups
+            ),
         )
-        controls.append(ValidationControl(name="negative", title=name, statistics=statistics))
-    return tuple(controls)
+        for name in FAULTS
+    )

@@ -110,30 +110,18 @@ class ValidationTest:
             for statistic, level in zip(fields, levels, strict=True)
         )
 
-    def detectable(
-        self,
-        title: str,
-        plain: Groups,
-        changed: Groups,
-        change: float,
-        *,
-        in_quadrature: bool = False,
-    ) -> DetectableError:
-        """Return the error of a parameter that is found with `VALIDATION.power`; arguments as of
-        `ParameterChange`.
+    def detectable(self, change: ParameterChange) -> DetectableError:
+        """Return the error of a parameter that is found with `VALIDATION.power`.
 
         Notes
         -----
         Numbers are taken as linear in the parameter, or in its square. The statistic that finds the
         least error counts, at the level that applies if it alone fails.
         """
-        parameter_change = ParameterChange(
-            title=title, plain=plain, changed=changed, change=change, in_quadrature=in_quadrature
-        )
         level = VALIDATION.level / max(1, self._count)
         best, finder = np.inf, ""
-        for name, test, shift in self._shifts(parameter_change):
-            low, high = 0.0, min(best, parameter_change.largest)
+        for name, test, shift in self._shifts(change):
+            low, high = 0.0, min(best, change.largest)
             if test.detects(shift * high, level) < VALIDATION.power:
                 continue
             for _ in range(10):
@@ -142,8 +130,8 @@ class ValidationTest:
                 low, high = (low, middle) if enough else (middle, high)
             best, finder = high, name
         return DetectableError(
-            title=title,
-            relative_error=parameter_change.relative(best) if finder else float("nan"),
+            title=change.title,
+            relative_error=change.relative(best) if finder else float("nan"),
             probability=VALIDATION.power,
             statistic=finder,
         )

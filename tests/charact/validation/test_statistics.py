@@ -88,12 +88,12 @@ def test_the_error_found_of_a_parameter_is_that_of_all_numbers_together(seed: in
     """
     rng = np.random.default_rng(seed)
     test = ValidationTest(_sets(rng), seed=seed, changes=[_change(0.3)])
-    found = test.detectable(**vars(_change(0.3)))
+    found = test.detectable(_change(0.3))
     assert found.statistic == SCORES
-    alone = ValidationTest(_sets(rng), seed=seed).detectable(**vars(_change(0.3)))
+    alone = ValidationTest(_sets(rng), seed=seed).detectable(_change(0.3))
     assert alone.statistic in SLOPES
     assert found.relative_error < alone.relative_error
-    noise = test.detectable(**vars(_change(0.3, in_quadrature=True)))
+    noise = test.detectable(_change(0.3, in_quadrature=True))
     # The same shift by a change of 0.3 is one of 0.69 of the square.
     assert (1.0 + noise.relative_error) ** 2 - 1.0 == pytest.approx(
         found.relative_error * 0.69 / 0.3, rel=0.02
