@@ -110,7 +110,7 @@ def require_regular_parts(folder: Path, what: str) -> None:
 
 # Processor time that the reader of a file may take, s, and for each megabyte of it: readers take a
 # hundredth of that
-READ_CPU_S, READ_CPU_S_PER_MB = 10.0, 1.0
+READ_CPU_S, READ_CPU_S_PER_MB = 5.0, 1.0
 
 
 class _OutOfTime(BaseException):

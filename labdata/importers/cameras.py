@@ -1,5 +1,6 @@
 """Readers of camera software files: Princeton Instruments SPE, Andor SIF, SER."""
 
+import io
 import struct
 from pathlib import Path
 from xml.etree import ElementTree
@@ -69,9 +70,18 @@ def _spe(path: Path) -> Recorded:
 
 def _sif(path: Path) -> Recorded:
     sif_parser = optional_module("sif_parser", "sif", path)
-    with path.open("rb") as file:
+    with _EndingFile(io.FileIO(path)) as file:
         data = np.asarray(sif_parser.np_open(file)[0])
     return Recorded(data=data, names=(FRAME, ROW, COL))
+
+
+class _EndingFile(io.BufferedReader):
+    """A file whose end is an error, since the library looks there for a next word for ever."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        if not (data := super().read(size)) and size:
+            raise EOFError("it is cut off")
+        return data
 
 
 def _ser(path: Path) -> Recorded:

@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 
 import cv2
+import h5py
 import numpy as np
 import tifffile
 
@@ -89,6 +90,20 @@ def _spe(path: Path) -> None:
     path.write_bytes(bytes(header) + _frames().tobytes())
 
 
+def _sif(path: Path) -> None:
+    header = "Andor Technology Multi-Channel File\n65538 1\n65550 0 0 1 1540956289 -60 " + 10 * " "
+    header += "0 0.1 0.2 0.1 1 \0 0 1e-6 0 1 1 0 0 1 " + 16 * "0 " + "1 0\nCamera\n"
+    header += f"{COLUMNS} {ROWS} 1\na \n65538 1\nt\n65538 {8 * ' '}0.1 0.2\n0\n0\n65539 "
+    header += 7 * "0\n" + "1\nx1\ny1\nz65541 1 1 1 1 3 1 1 1\n"
+    header += f"65538 1 {ROWS} {COLUMNS} 1 1 1\n" + 3 * "0\n"
+    path.write_bytes(header.encode() + _frames(np.float32).tobytes())
+
+
+def _hdf5(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["frames"] = _frames()
+
+
 def _avi(path: Path) -> None:
     video = cv2.VideoWriter(str(path), 0, 25, (COLUMNS, ROWS), isColor=False)
     for frame in _frames(np.uint8):
@@ -123,6 +138,8 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
     "pgm": ("a.pgm", _picture(np.uint16, ROWS, COLUMNS)),
     "ser": ("a.ser", _ser),
     "spe": ("a.spe", _spe),
+    "sif": ("a.sif", _sif),
+    "hdf5": ("a.h5", _hdf5),
     "avi": ("a.avi", _avi),
     "npy": ("a.npy", lambda path: np.save(path, _frames())),
     "npy of reals": ("a.npy", lambda path: np.save(path, _frames(np.float64))),

@@ -18,6 +18,7 @@ import tifffile
 import zarr
 
 from labdata import BadInput, file_io, open_lazy_stack, open_session, read_frames
+from labdata.importers import cameras
 from labdata.store.array_writer import ArrayWriter
 from tests.charact.cli.runner import charact
 from tests.fuzz.bounds import most_resident_mb
@@ -280,10 +281,22 @@ def test_a_stored_frame_that_is_a_pipe_is_not_waited_for(tmp_path, name):
 
 
 def test_a_reader_that_finds_no_end_is_stopped_in_a_sentence(tmp_path, monkeypatch):
+    def look_for_ever(path: Path) -> None:
+        while path:
+            pass
+
     monkeypatch.setattr(file_io, "READ_CPU_S", 0.2)
-    path = tmp_path / "cut.sif"
-    path.write_bytes(b"Andor Technology Multi-Channel File\n65538 1\n65559 0 0")
-    with pytest.raises(BadInput, match=r"within 0\.2 s of processor time, got no end in .*cut"):
+    monkeypatch.setattr(cameras, "read", look_for_ever)
+    (path := tmp_path / "a.spe").write_bytes(b"0")
+    with pytest.raises(BadInput, match=r"within 0\.2 s of processor time, got no end in .*a\.spe"):
+        read_frames(path)
+
+
+def test_a_sif_file_that_is_cut_off_is_refused_at_once(tmp_path):
+    (path := tmp_path / "cut.sif").write_bytes(
+        b"Andor Technology Multi-Channel File\n65538 1\n65559 0 0"
+    )
+    with pytest.raises(BadInput, match=r"must be whole and readable, got .*it is cut off"):
         read_frames(path)
 
 
