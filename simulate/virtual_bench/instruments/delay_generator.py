@@ -4,7 +4,7 @@ its AB output.
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from simulate.virtual_bench.faults import Faults
@@ -38,7 +38,6 @@ class Dg645Error(IntEnum):
     ILLEGAL_MODE = 11
     ILLEGAL_DELAY = 12
     ILLEGAL_LINK = 13
-    RECALL_FAILED = 14
     ILLEGAL_COMMAND = 110
     UNDEFINED_COMMAND = 111
     ILLEGAL_QUERY = 112
@@ -82,10 +81,8 @@ def _volts(low: float, high: float, factory: float, count: int = 0) -> Setting:
     return Setting(low, high, factory, count, "{:+.2f}", 0.01)
 
 
-def _seconds(
-    low: float, high: float, factory: float = 0.0, count: int = 0, step: float = STEP_S
-) -> Setting:
-    return Setting(low, high, factory, count, "{:+.12f}", step, Dg645Error.ILLEGAL_DELAY)
+def _seconds(low: float, high: float, factory: float = 0.0, step: float = STEP_S) -> Setting:
+    return Setting(low, high, factory, 0, "{:+.12f}", step, Dg645Error.ILLEGAL_DELAY)
 
 
 # Ranges as the maker's manual gives them; those of BURP, LOFF, TRAT and PRES are recalled, not
@@ -103,31 +100,10 @@ SETTINGS: dict[str, Setting] = {
     "LOFF": _volts(-2.0, 2.0, 0.0, OUTPUTS),
     "LPOL": Setting(0, 1, 1, OUTPUTS),
     "PRES": Setting(1, 2**15 - 1, 1, OUTPUTS),
-    "SSDL": _seconds(STEP_S, 1000.0, 1e-9, EDGES),
     "SHDP": Setting(0, 1, 1),
     **dict.fromkeys(("ADVT", "BURM", "BURT"), Setting(0, 1)),
     **dict.fromkeys(("*ESE", "*SRE", "INSE"), Setting(0, 255)),
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Memory:
-    """Values of all settings, by mnemonic and index (0 where there is none), and the edges'
-    delays.
-    """
-
-    values: dict[tuple[str, int], float] = field(
-        default_factory=lambda: {
-            (name, index): setting.factory
-            for name, setting in SETTINGS.items()
-            for index in range(max(1, setting.count))
-        }
-    )
-    delays: EdgeDelays = field(default_factory=lambda: EdgeDelays(_REFERENCES, start=0))
-
-    def copy(self) -> "Memory":
-        """Return an independent copy."""
-        return Memory(values=dict(self.values), delays=self.delays)
 
 
 class DelayGenerator(LineInstrument, GateGenerator):
@@ -139,9 +115,8 @@ class DelayGenerator(LineInstrument, GateGenerator):
 
     def __init__(self, *, external_hz: float = FIELD_HZ) -> None:
         self._external_hz = self._wired_hz = external_hz
-        self._saved: dict[int, Memory] = {}
         self._errors: deque[int] = deque()
-        self._recall(0)
+        self._reset()
         self.power_cycle()
 
     def power_cycle(self) -> None:
@@ -167,7 +142,7 @@ class DelayGenerator(LineInstrument, GateGenerator):
                 self._complain(refusal.code)
                 continue
             if answer is not None:
-                yield 2.0 if command.mnemonic in ("*TST", "*CAL") else self.command_s, answer
+                yield self.command_s, answer
 
     def _dispatch(self, command: Command) -> str | None:
         name = command.mnemonic
@@ -203,36 +178,23 @@ class DelayGenerator(LineInstrument, GateGenerator):
         )
         key = command.mnemonic, _within(numbers[0] if indices else 0, max(1, setting.count))
         if command.query:
-            return setting.form.format(setting.kind(self._memory.values[key]))
+            return setting.form.format(setting.kind(self._values[key]))
         if not setting.low <= numbers[-1] <= setting.high:
             raise RefusedCommand(setting.refusal_code)
-        self._memory.values[key] = (
+        self._values[key] = (
             round(numbers[-1] / setting.step) * setting.step if setting.step else numbers[-1]
         )
         return None
 
     def _now(self, mnemonic: str, index: int = 0) -> float:
-        return self._memory.values[mnemonic, index]
+        return self._values[mnemonic, index]
 
     # Delays
-
-    @property
-    def _delays(self) -> EdgeDelays:
-        return self._memory.delays
 
     def _set_delay(self, edge: int, reference: int, seconds: float) -> None:
         if not abs(seconds) < LONGEST_DELAY_S:
             raise RefusedCommand(Dg645Error.ILLEGAL_DELAY)
         self._move(edge, reference, round(seconds / STEP_S))
-
-    def _set_link(self, edge: int, reference: int) -> None:
-        self._move(edge, reference, self._delays.steps[_within(edge, EDGES)])
-
-    def _step_delay(self, edge: int, up: int) -> None:
-        steps = round(self._now("SSDL", _within(edge, EDGES)) / STEP_S)
-        self._move(
-            edge, self._delays.reference[edge], self._delays.steps[edge] + (steps if up else -steps)
-        )
 
     def _move(self, edge: int, reference: int, steps: int) -> None:
         if not 2 <= edge < EDGES:
@@ -246,7 +208,7 @@ class DelayGenerator(LineInstrument, GateGenerator):
             raise RefusedCommand(Dg645Error.ILLEGAL_LINK) from None
         if min(times) < 0 or max(times) * STEP_S >= LONGEST_DELAY_S:
             raise RefusedCommand(Dg645Error.ILLEGAL_DELAY)
-        self._memory = Memory(values=self._memory.values, delays=tried)
+        self._delays = tried
 
     def _get_delay(self, edge: int) -> str:
         return self._delays.text(_within(edge, EDGES), self._longest() if edge == 1 else None)
@@ -274,18 +236,14 @@ class DelayGenerator(LineInstrument, GateGenerator):
         self._errors.clear()
         self._event_status = self._instrument_status = 0
 
-    def _save(self, location: int) -> None:
-        if not 1 <= location <= 9:
-            raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
-        self._saved[location] = self._memory.copy()
-
-    def _recall(self, location: int) -> None:
-        if location and _within(location, 10) not in self._saved:
-            raise RefusedCommand(Dg645Error.RECALL_FAILED)
-        self._memory = self._saved[location].copy() if location else Memory()
-
-    def _set_terminator(self, *codes: int) -> None:
-        self.answer_end = bytes(code for code in codes if _within(code, 256))
+    def _reset(self) -> None:
+        """Set what the maker sets: values by mnemonic and index, 0 where there is none."""
+        self._values = {
+            (name, index): setting.factory
+            for name, setting in SETTINGS.items()
+            for index in range(max(1, setting.count))
+        }
+        self._delays = EdgeDelays(_REFERENCES, start=0)
 
     def _operation_complete(self) -> None:
         self._event_status |= StandardEvent.OPC
@@ -355,35 +313,20 @@ def _within(index: int, count: int) -> int:
 _QUERIES = {
     "*IDN": ((), lambda _: IDENTITY),
     "*OPC": ((), lambda _: "1"),
-    "*TST": ((), lambda _: "0"),
-    "*CAL": ((), lambda _: "0"),
     "*STB": ((), DelayGenerator._status_byte),
     "*ESR": ((), DelayGenerator._take_event_status),
     "INSR": ((), DelayGenerator._take_instrument_status),
     "LERR": ((), lambda generator: str(generator._errors.popleft() if generator._errors else 0)),
     "DLAY": ((int,), DelayGenerator._get_delay),
-    "LINK": (
-        (int,),
-        lambda generator, edge: str(generator._delays.reference[_within(edge, EDGES)]),
-    ),
-    "XTRM": (
-        (),
-        lambda generator: ",".join(str(code) for code in generator.answer_end.ljust(3, b"\0")),
-    ),
 }
 
 _SETS = {
-    "*RST": ((), lambda generator: generator._recall(0)),
+    "*RST": ((), DelayGenerator._reset),
     "*CLS": ((), DelayGenerator._clear),
     "*OPC": ((), DelayGenerator._operation_complete),
     "*WAI": ((), lambda _: None),
     "*TRG": ((), DelayGenerator._fire),
-    "*SAV": ((int,), DelayGenerator._save),
-    "*RCL": ((int,), DelayGenerator._recall),
     "DLAY": ((int, int, float), DelayGenerator._set_delay),
-    "LINK": ((int, int), DelayGenerator._set_link),
-    "SPDL": ((int, int), DelayGenerator._step_delay),
-    "XTRM": ((int, int, int), DelayGenerator._set_terminator),
 }
 
 
