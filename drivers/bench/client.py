@@ -17,6 +17,7 @@ from typing import Any, Self
 
 from drivers.bench.connection import (
     BEAT_S,
+    SILENCE_AT_REST_S,
     SILENCE_S,
     Beat,
     Connection,
@@ -88,6 +89,7 @@ class BenchClient:
         self._drivers: dict[Role, Any] = {}
         self._stamp_s, self._leave_number = time.monotonic(), -1
         self._left = self._over = False
+        self._is_hot = True  # Whether the tube may be hot by the last heartbeat or a later request
         self._taking_over = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -211,6 +213,8 @@ class BenchClient:
 
     def _request(self, request: Request, timeout_s: float | None = None) -> Any:
         reply = self._replies[request.number] = queue.SimpleQueue()
+        self._is_hot = True
+        self.alive()
         self._server.send(request)
         try:
             return self._await(reply, timeout_s)
@@ -249,7 +253,8 @@ class BenchClient:
                 self._server.send(Beat(age_s=age_s, delay_s=self._delay.delay_s))
                 next_beat_s = now_s + BEAT_S
             silence_s = now_s - self._heard_s
-            if self._server.gone or silence_s > SERVER_SILENCE_S + self._delay.slack_s():
+            longest_s = SERVER_SILENCE_S + self._delay.slack_s()
+            if silence_s > (longest_s if self._is_hot else SILENCE_AT_REST_S) or self._server.gone:
                 if not self._left:
                     self._take_over("has ended" if self._server.gone else "was silent")
                 self._over = True
@@ -257,6 +262,7 @@ class BenchClient:
     def _take(self, message: Any, descriptors: list[int]) -> None:
         if isinstance(message, Beat):
             self._delay.take(0.0, message.delay_s)
+            self._is_hot = message.is_hot or any(self._replies)  # 0: the opening
         elif isinstance(message, Ports):
             for role, descriptor in zip(message.roles, descriptors, strict=False):
                 self._ports[role] = descriptor

@@ -13,19 +13,21 @@ from labdata.errors import BadInput
 from labdata.instrument_config import Role
 
 BEAT_S = 0.1  # Heartbeat interval, s
-# Time without heartbeat after which the other side counts as hung, s: five intervals
-SILENCE_S = 0.5
+# Time without heartbeat after which the other side counts as hung, s: five intervals, and with the
+# tube at rest as long as a busy machine may take
+SILENCE_S, SILENCE_AT_REST_S = 0.5, 3.0
 LARGEST_BYTES = 1 << 17  # Largest message; a setup with calibrations has a few kilobytes
 
 
 @dataclass(frozen=True, kw_only=True)
 class Beat:
-    """A heartbeat, with the time since that of the run, s (0 for the server), and the scheduling
-    delay of its process, s.
+    """A heartbeat, with the time since that of the run, s (0 for the server), the scheduling delay
+    of its process, s, and whether the tube may be at gain or the gate open, which the server knows.
     """
 
     age_s: float = 0.0
     delay_s: float = 0.0
+    is_hot: bool = True
 
 
 # Multiple of the longest scheduling delay, of both sides, by which limits grow on a busy machine,

@@ -22,6 +22,7 @@ from typing import Any
 
 from drivers.bench.connection import (
     BEAT_S,
+    SILENCE_AT_REST_S,
     SILENCE_S,
     Beat,
     Connection,
@@ -126,7 +127,7 @@ class BenchServer:
                     return "the client leaves", message.number
                 self.take(message)
             if (now_s := self._clock()) >= next_beat_s:
-                self._client.send(Beat(delay_s=self._delay.delay_s))
+                self._client.send(Beat(delay_s=self._delay.delay_s, is_hot=self._is_hot))
                 next_beat_s = now_s + BEAT_S
             if reason := self.end_reason():
                 # Before the gate is shut, so that a living client does not record a dark frame as
@@ -136,11 +137,12 @@ class BenchServer:
             self.react()
 
     def take(self, message: Beat | Request) -> None:
-        """Take a message, without waiting."""
+        """Take a message, without waiting; a request is life of the run as well."""
+        now_s, age_s = self._clock(), message.age_s if isinstance(message, Beat) else 0.0
+        self._stamp_s = max(self._stamp_s, now_s - age_s)
         if isinstance(message, Beat):
-            now_s = self._clock()
             self._longest_silence_s = max(self._longest_silence_s, now_s - self._heard_s)
-            self._heard_s, self._stamp_s = now_s, now_s - message.age_s
+            self._heard_s = now_s
             self._delay.take(0.0, message.delay_s)
             if self._bench is not None:
                 self._bench.record_heartbeat(self._delay.slack_s())
@@ -157,7 +159,8 @@ class BenchServer:
             return f"the server got signal {self._stop_signal}"
         if self._client.gone:
             return "the client is gone"
-        if (silence_s := self._clock() - self._heard_s) > SILENCE_S + self._delay.slack_s():
+        longest_s = SILENCE_S + self._delay.slack_s() if self._is_hot else SILENCE_AT_REST_S
+        if (silence_s := self._clock() - self._heard_s) > longest_s:
             return f"the client was silent for {silence_s:.2f} s"
         return None
 
@@ -167,15 +170,21 @@ class BenchServer:
         """
         if self._bench is None or not self._is_open or self._bench.fault is not None:
             return
-        state = self._bench.interlock.state
         stalled_s, longest_s = self._clock() - self._stamp_s, STALLED_S + self._delay.slack_s()
-        if (not state.shut or state.mcp_v > 0.0) and stalled_s > longest_s:
+        if self._is_hot and stalled_s > longest_s:
             why = (
                 f"the run must show life every {longest_s:.2g} s, got {stalled_s:.1f} s of silence"
             )
             self._bench.fail(BenchError(why))
         else:
             self._bench.react()
+
+    @property
+    def _is_hot(self) -> bool:
+        """Whether the gate may be open or the tube at gain, once the bench is open."""
+        if self._bench is None or not self._is_open:
+            return False
+        return not self._bench.interlock.state.shut or self._bench.interlock.state.mcp_v > 0.0
 
     def end(self, reason: str) -> "SafeOrder":
         """Run a last safe action, and block all pending commands of the client."""

@@ -178,6 +178,7 @@ class Plant:
         later.
         """
         self.number += 1
+        self.stamp_s = self.lab.stamp_s = CLOCK.now_s  # an order is a sign of life of the run
         self.server.take(
             Request(number=self.number, command=command, arguments=arguments, named=named)
         )

@@ -126,6 +126,24 @@ def test_a_client_that_is_silent_for_half_a_second_ends_the_server(hot):
     assert not hot.is_hot
 
 
+def test_a_silence_at_rest_may_last_as_long_as_a_busy_machine_takes(bench):
+    bench.silent_until_s = float("inf")
+    bench.passes(2.5)
+    assert not bench.over
+    bench.passes(1.0)
+    assert bench.over
+
+
+def test_what_a_run_asks_for_after_a_slow_disk_counts_as_life(bench):
+    bench.run_hangs_until_s = float("inf")
+    bench.passes(2.5)
+    bench.ask("set_conditions", HOT)
+    bench.server.react()
+    assert bench.is_hot and not bench.all_said(Fault)
+    bench.passes(1.5)
+    assert not bench.is_hot
+
+
 def test_a_busy_machine_has_longer_limits_and_is_said_once(hot):
     said = []
     hot.server._delay._log = lambda event, **details: said.append((event, details))
