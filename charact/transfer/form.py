@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,6 +35,46 @@ class Parameter:
     def first(self) -> float:
         """Start value of an optimisation."""
         return self.start if np.isfinite(self.start) else self.mean
+
+
+class Parametric:
+    """What has parameters, in the order of a point's coordinates."""
+
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters."""
+        return tuple(parameter.unit for parameter in self.parameters)
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        return np.array([[parameter.low, parameter.high] for parameter in self.parameters])
+
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Mean and standard deviation of the priors, shape (parameter,)."""
+        return (
+            np.array([parameter.mean for parameter in self.parameters]),
+            np.array([parameter.sd for parameter in self.parameters]),
+        )
+
+    @property
+    def first(self) -> Array:
+        """Start point of an optimisation, shape (parameter,)."""
+        return np.array([parameter.first for parameter in self.parameters])
+
+    def log_prior(self, points: Array) -> Array:
+        """Return the log-prior up to a constant, -inf outside the bounds, shape (point,)."""
+        in_bounds = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
+        mean, sd = self.prior
+        return np.where(in_bounds, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
 
 
 # Half frequency before the data: a core below the pixel is possible, and not as likely for every

@@ -5,7 +5,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.extent_measurements import provenance
 from charact.estimators.bloom.findings import finding
@@ -15,13 +14,14 @@ from charact.estimators.bloom.series.halo_models import (
     WINGS,
     tube_priors,
 )
+from charact.estimators.bloom.series.optimum import BoundedOptimum, optimise_parameters
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
 from charact.transfer import spreads
-from charact.transfer.form import Parameter
+from charact.transfer.form import Parameter, Parametric
 from charact.verdict import judge
 from labdata import (
     Array,
@@ -49,7 +49,7 @@ def nodes() -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EdgeHaloLikelihood:
+class EdgeHaloLikelihood(Parametric):
     """Likelihood of the whitened strips of all stacks of one edge.
 
     `strips`: strips of every stack; `line`: the edge, of an area of finite or infinite width;
@@ -84,11 +84,6 @@ class EdgeHaloLikelihood:
         return (*common, *CORES[self.core])
 
     @cached_property
-    def bounds(self) -> Array:
-        """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([[parameter.low, parameter.high] for parameter in self.parameters])
-
-    @cached_property
     def _of_strips(self) -> tuple[tuple[Array, Array, Array], ...]:
         """Whitening matrix of each stack's used strips, and sine and cosine of the frequencies at
         all of them.
@@ -107,25 +102,28 @@ class EdgeHaloLikelihood:
 
     def log_probability(self, points: Array) -> Array:
         """Log-posterior with the optimum signal and background of every stack, shape (point,)."""
-        within_bounds = np.all(
-            (points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1
-        )
-        safe = np.where(within_bounds[:, None], points, self.bounds.mean(axis=1))
-        return np.where(within_bounds, -0.5 * (self.residuals(safe) ** 2).sum(axis=1), -np.inf)
+        prior = self.log_prior(points)
+        safe = np.where(np.isfinite(prior)[:, None], points, self.bounds.mean(axis=1))
+        return prior - 0.5 * (self.residuals(safe) ** 2).sum(axis=1)
 
     def residuals(self, points: Array) -> Array:
-        """Normalised residuals, those of the prior first, shape (point, number)."""
-        mean, sd = (
-            np.array([getattr(parameter, name) for parameter in self.parameters])
-            for name in ("mean", "sd")
-        )
-        out = [(points - mean) / sd]
+        """Normalised residuals, shape (point, number)."""
+        out = []
         for number, strips in enumerate(self.strips):
             stack_residuals, amplitudes = self.fit_level(number, points)
             # A clipped side below full scale.
             short = np.maximum(strips.least_light_dn - amplitudes[:, :1], 0.0)
             out += [stack_residuals, short / max(0.03 * strips.least_light_dn, 1e-9)]
         return np.concatenate(out, axis=1)
+
+    def residual_and_slopes(self, point: Array) -> tuple[Array, Array]:
+        """Normalised residuals, and minus their derivatives, shape (number, parameter)."""
+        low, high = self.bounds.T
+        step = 1e-4 * (high - low)
+        # Inside the bounds on either side.
+        step = np.where(point + step > high, -step, step)
+        residuals = self.residuals(np.concatenate([point[None], point + np.diag(step)]))
+        return residuals[0], (residuals[0] - residuals[1:]).T / step
 
     def fit_level(self, number: int, points: Array) -> tuple[Array, Array]:
         """Whitened residuals of one stack, shape (point, strip), and its signal and background,
@@ -172,34 +170,26 @@ class EdgeHaloLikelihood:
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeHaloOptimum:
-    """Best fit of a model: point, (parameter,), covariance, (parameter, parameter), and
-    log-probability.
-    """
+    """Best fit of a model."""
 
     problem: EdgeHaloLikelihood
-    point: Array
-    covariance: Array
-    log_probability: float
+    peak: BoundedOptimum
 
     @property
     def bic(self) -> float:
         """-2 log P + k ln N."""
-        free = len(self.point) - (0 if self.problem.halo else 3)
+        free = len(self.peak.point) - (0 if self.problem.halo else 3)
         number = sum(strips.unclipped.sum() for strips in self.problem.strips)
-        return free * float(np.log(number)) - 2.0 * self.log_probability
+        return free * float(np.log(number)) - 2.0 * self.peak.log_probability
 
     def posterior(self, context: Context) -> Posterior:
         """Posterior draws of the parameters."""
-        names, units = zip(
-            *((parameter.name, parameter.unit) for parameter in self.problem.parameters),
-            strict=True,
-        )
         return (laplace if context.quick else importance_sample)(
             self.problem.log_probability,
-            names=names,
-            units=units,
-            start=self.point,
-            covariance=self.covariance,
+            names=self.problem.names,
+            units=self.problem.units,
+            start=self.peak.point,
+            covariance=self.peak.covariance,
             seed=context.seed,
             bounds=self.problem.bounds,
         )
@@ -219,60 +209,24 @@ def optimise_edge_halo(
     )
     if diameter_px is not None:
         diameters = np.array([diameter_px])
-    offset, core = 0.5 * problem.bounds[3].sum(), [index.first for index in CORES[problem.core]]
+    offset, core = 0.5 * problem.bounds[3].sum(), [shape.first for shape in CORES[problem.core]]
     points = np.array(
         [[d, w, 0.1, offset, s, *core] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)]
     )
     order = np.argsort(problem.log_probability(points))[::-1]
-    free = np.ones(points.shape[1], bool)
-    free[0] = problem.halo and diameter_px is None
-    free[1:3] = problem.halo
-    return max(
-        (_optimise_from(problem, points[index], free) for index in order[:2]),
-        key=lambda peak: peak.log_probability,
-    )
-
-
-def _optimise_from(
-    problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.bool_]
-) -> EdgeHaloOptimum:
-    """Optimise the free parameters by least squares; covariance from the Jacobian."""
-    from scipy.optimize import least_squares
-
-    def all_parameters(points: Array) -> Array:
-        out = np.broadcast_to(start, (len(points), len(start))).copy()
-        out[:, free] = points
-        return out
-
-    low, high = problem.bounds[free].T
-    step = 1e-4 * (high - low)
-
-    def slopes(point: Array) -> Array:
-        # Inside the bounds on either side.
-        sign = np.where(point + step > high, -1.0, 1.0)
-        residuals = problem.residuals(
-            all_parameters(np.concatenate([point[None], point + np.diag(sign * step)]))
+    fixed = () if diameter_px is None else (0,)
+    peaks = [
+        optimise_parameters(
+            problem,
+            problem.residual_and_slopes,
+            points[index],
+            fixed if problem.halo else (0, 1, 2),
+            200,
+            1e-5,
         )
-        return ((residuals[1:] - residuals[0]) / (sign * step)[:, None]).T
-
-    first = np.clip(start[free], low + step, high - step)
-    optimum = least_squares(
-        lambda point: problem.residuals(all_parameters(point[None]))[0],
-        first,
-        jac=slopes,  # pyright: ignore[reportArgumentType]
-        bounds=(low, high),
-        x_scale=high - low,
-        max_nfev=40,
-    )
-    point = all_parameters(optimum.x[None])[0]
-    covariance = np.zeros((len(start), len(start)))
-    covariance[np.ix_(free, free)] = np.linalg.pinv(
-        optimum.jac.T @ optimum.jac + np.diag(((high - low) / 2.0) ** -2.0)
-    )
-    value = float(problem.log_probability(point[None])[0])
-    return EdgeHaloOptimum(
-        problem=problem, point=point, covariance=covariance, log_probability=value
-    )
+        for index in order[:2]
+    ]
+    return EdgeHaloOptimum(problem=problem, peak=max(peaks, key=lambda peak: peak.log_probability))
 
 
 @register("lit-edge", METHOD)
@@ -402,13 +356,14 @@ def _frame(
 
 def _check_edge_of_halo(best: EdgeHaloOptimum) -> None:
     """Refuse a halo without an edge in the profile, or one too large for the frame or the edge."""
-    diameter, line = best.point[0], best.problem.line
+    diameter, line = best.peak.point[0], best.problem.line
     for factor in (0.75, 1.3):
         off = float(np.clip(factor * diameter, *best.problem.bounds[0]))
         if off in best.problem.bounds[0]:
             continue
         if (
-            best.log_probability - optimise_edge_halo(best.problem, diameter_px=off).log_probability
+            best.peak.log_probability
+            - optimise_edge_halo(best.problem, diameter_px=off).peak.log_probability
             < 6.0
         ):
             raise Unmeasurable(
@@ -444,18 +399,20 @@ def _is_misfit(best: EdgeHaloOptimum) -> bool:
     """Return whether the strips deviate from the model by more than noise."""
     from scipy.special import chdtrc
 
-    problem, point = best.problem, best.point[None]
+    problem, point = best.problem, best.peak.point[None]
     total = sum(
         float((problem.fit_level(number, point)[0] ** 2).sum())
         for number in range(len(problem.strips))
     )
-    freedom = sum(int(strips.unclipped.sum()) - 2 for strips in problem.strips) - len(best.point)
+    freedom = sum(int(strips.unclipped.sum()) - 2 for strips in problem.strips) - len(
+        best.peak.point
+    )
     return bool(chdtrc(max(freedom, 1), total) < 1e-4)
 
 
 def _evidence(best: EdgeHaloOptimum) -> dict[str, Any]:
     """Strips of every stack with the model."""
-    point, strips, model = best.point[None], best.problem.strips, []
+    point, strips, model = best.peak.point[None], best.problem.strips, []
     for number in range(len(strips)):
         light, ground = best.problem.fit_level(number, point)[1][0]
         model.append((light * best.problem.shape(number, point)[0] + ground).tolist())
@@ -473,6 +430,6 @@ def _evidence(best: EdgeHaloOptimum) -> dict[str, Any]:
         "label": [stack_strips.label for stack_strips in strips],
         **of_strips,
         "model_dn": model,
-        "edge_px": float(best.point[3]),
-        "halo_diameter_px": float(best.point[0]),
+        "edge_px": float(best.peak.point[3]),
+        "halo_diameter_px": float(best.peak.point[0]),
     }

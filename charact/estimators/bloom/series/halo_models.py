@@ -9,7 +9,7 @@ import numpy as np
 
 from charact.estimators.bloom.transfer import frequencies
 from charact.transfer import spreads
-from charact.transfer.form import Parameter
+from charact.transfer.form import Parameter, Parametric
 from labdata import Array, Camera, has_tube
 
 Core = Literal["gaussian", "tube", "moffat", "matern"]
@@ -46,7 +46,7 @@ HALO_FRACTION = Parameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, st
 
 
 @dataclass(frozen=True, kw_only=True)
-class HaloModel:
+class HaloModel(Parametric):
     """Blur model of a point source.
 
     `core`, `halo`: families of core and halo; `reach_px`: radius of the outermost ring, which
@@ -85,35 +85,6 @@ class HaloModel:
             start=0.8 * self.reach_px,
         )
         return widest, *PROFILE, HALO_FRACTION
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return tuple(parameter.name for parameter in self.parameters)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of the parameters."""
-        return tuple(parameter.unit for parameter in self.parameters)
-
-    @cached_property
-    def bounds(self) -> Array:
-        """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([[parameter.low, parameter.high] for parameter in self.parameters])
-
-    @property
-    def first(self) -> Array:
-        """Start point of an optimisation, shape (parameter,)."""
-        return np.array([parameter.first for parameter in self.parameters])
-
-    def log_prior(self, points: Array) -> Array:
-        """Return the log-prior up to a constant, -inf outside the bounds, shape (point,)."""
-        in_bounds = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
-        mean, sd = (
-            np.array([getattr(parameter, name) for parameter in self.parameters])
-            for name in ("mean", "sd")
-        )
-        return np.where(in_bounds, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
 
     def at(self, points: Array) -> dict[str, Array]:
         """Map parameter names to the columns of points."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of
 from charact.estimators.bloom.series.likelihood import ModelParts, SeriesLikelihood
-from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
+from charact.estimators.bloom.series.optimum import BoundedOptimum, optimise
 from charact.estimators.bloom.transfer import frequencies
 from charact.transfer import spreads
 from charact.transfer.form import Parameter
@@ -157,8 +157,8 @@ class SaturatingModelParts(ModelParts):
 
 
 def fit_mcp_saturation(
-    problem: SeriesLikelihood, peak: SeriesOptimum
-) -> tuple[SaturatingSeriesLikelihood, SeriesOptimum] | None:
+    problem: SeriesLikelihood, peak: BoundedOptimum
+) -> tuple[SaturatingSeriesLikelihood, BoundedOptimum] | None:
     """Fit a saturating MCP from the optimum without saturation; None if the first step gains too
     little.
     """

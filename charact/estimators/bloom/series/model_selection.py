@@ -15,7 +15,7 @@ from charact.estimators.bloom.series.halo_models import (
 )
 from charact.estimators.bloom.series.likelihood import RingSeries, SeriesLikelihood, select_levels
 from charact.estimators.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
-from charact.estimators.bloom.series.optimum import SeriesOptimum, optimise
+from charact.estimators.bloom.series.optimum import BoundedOptimum, optimise
 from charact.estimators.bloom.series.rings import SECTORS
 from labdata import Array, Camera
 
@@ -37,7 +37,7 @@ class FittedHaloModel:
     """
 
     problem: SeriesLikelihood
-    peak: SeriesOptimum
+    peak: BoundedOptimum
     log_likelihood: float
     bic: float
 
@@ -209,7 +209,7 @@ def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:
     )
 
 
-def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloModel:
+def _candidate(problem: SeriesLikelihood, peak: BoundedOptimum) -> FittedHaloModel:
     misfit, value = problem.likeliest_misfit(peak.point)
     off = replace(problem, misfit=misfit)
     count = len(problem.form.names) + 2 * len(problem.series.data) + 2

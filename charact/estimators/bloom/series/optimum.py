@@ -1,18 +1,21 @@
-"""Optimum of a series' likelihood by bounded least squares, with the amplitudes of every stack
+"""Optimum of a likelihood by bounded least squares; of a series with the amplitudes of every stack
 projected out.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from charact.estimators.bloom.series.likelihood import SeriesLikelihood
 from charact.inference.gauss_newton import least_squares, linearise_residual
+from charact.transfer.form import Parametric
 from labdata import Array
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeriesOptimum:
+class BoundedOptimum:
     """Result of an optimisation: point, half the curvature and the range of its parameters, and
     log-probability.
     """
@@ -37,18 +40,33 @@ def optimise(
     fixed: tuple[int, ...] = (),
     iterations: int = 50,
     tolerance: float = 1e-2,
-) -> SeriesOptimum:
+) -> BoundedOptimum:
     """Find the optimum near a start; parameters `fixed` stay fixed."""
-    bounds = problem.form.bounds.copy()
-    for index in fixed:
-        bounds[index] = start[index]
-    mean, sd = (
-        np.array([getattr(parameter, name) for parameter in problem.form.parameters])
-        for name in ("mean", "sd")
+    return optimise_parameters(
+        problem.form, partial(whitened, problem), start, fixed, iterations, tolerance
     )
 
+
+def optimise_parameters(
+    form: Parametric,
+    residual_and_slopes: Callable[[Array], tuple[Array, Array]],
+    start: Array,
+    fixed: tuple[int, ...],
+    iterations: int,
+    tolerance: float,
+) -> BoundedOptimum:
+    """Find the optimum of whitened residuals near a start.
+
+    `residual_and_slopes`: data less model at a point, shape (datum,), and the model's Jacobian,
+    shape (datum, parameter).
+    """
+    bounds = form.bounds.copy()
+    for index in fixed:
+        bounds[index] = start[index]
+    mean, sd = form.prior
+
     def linearise(point: Array):
-        residual, slopes = whitened(problem, point)
+        residual, slopes = residual_and_slopes(point)
         return linearise_residual(residual, slopes.T, mean - point, sd**-2.0)
 
     optimum = least_squares(
@@ -60,11 +78,10 @@ def optimise(
         damping=1e-2,
         max_step=1.0,
     )
-    width = np.ptp(problem.form.bounds, axis=1)
-    return SeriesOptimum(
+    return BoundedOptimum(
         point=optimum.point,
         normal=optimum.at.normal,
-        width=width,
+        width=np.ptp(form.bounds, axis=1),
         log_probability=-0.5 * optimum.at.cost,
     )
 
