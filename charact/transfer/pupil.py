@@ -9,9 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Diameter of the obscuration over that of the pupil: telescopes have up to about a half.
 OBSCURATION = (0.0, 0.8)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from charact.transfer.form import MIN_LN
 from charact.transfer.stages import image_tube
 from charact.transfer.tables import disc, moffat_table, sine_integral
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Fractions of the halo's light with the densities 1/sqrt(1 - x^2) (rim), arccos(x)/x (central
 # peak), x^2 and x^12 (rim of finite width), with x the radius over the disc's radius; half of the

@@ -4,11 +4,10 @@ Shapes of frequencies and parameters broadcast.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from charact.transfer.tables import disc
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 
 def aperture(

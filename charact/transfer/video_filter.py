@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata import Array
 from labdata.camera.description import Camera, has_tube
-
-Array = NDArray[np.float64]
 
 # Bandwidths at which the transfer function is computed, in standard deviations of ln(bandwidth). A
 # polynomial of its logarithm interpolates within 3e-4 for a bandwidth known to 4 %.

@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.lit_edge_profile import smooth_variance
 from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.rings import SECTORS, geometry_of
 from charact.frames.clipping import is_cut
 from charact.method import Context
-
-Array = NDArray[np.float64]
+from labdata import Array, Mask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +24,7 @@ class Profile:
     radius_px: Array
     mean_dn: Array
     sd_dn: Array
-    usable: NDArray[np.bool_]
+    usable: Mask
 
 
 def profile_of(spot: PointStack, *, context: Context) -> Profile:

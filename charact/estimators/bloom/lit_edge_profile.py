@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.clipping import is_cut
-
-Array = NDArray[np.float64]
+from labdata import Array, Mask
 
 # Minimum number of rows along a straight edge.
 LEAST_ROWS = 24
@@ -73,7 +72,7 @@ class Strips:
     mean_dn: Array
     sd_dn: Array
     correlation: Array
-    unclipped: NDArray[np.bool_]
+    unclipped: Mask
     cut: bool
     least_light_dn: float = 0.0
 
@@ -114,7 +113,7 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
 
 def _side(
     image: NDArray,
-    lit: NDArray[np.bool_],
+    lit: Mask,
     level: float,
     *,
     upright: bool,
@@ -159,7 +158,7 @@ def _side(
     )
 
 
-def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) -> Array:
+def _crossings(image: NDArray, lit: Mask, level: float, side: int) -> Array:
     """Column at which each row leaves the illuminated area on one side; NaN where it does not."""
     values, mask = (image, lit) if side > 0 else (image[:, ::-1], lit[:, ::-1])
     width = values.shape[1]

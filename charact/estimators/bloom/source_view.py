@@ -10,8 +10,7 @@ from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
 from charact.frames.rounding import QUANTISATION_DN2
 from charact.frames.stack import Stack
-
-Array = NDArray[np.float64]
+from labdata import Array, Mask
 
 # Sectors of the full circle.
 SECTORS = 24
@@ -65,7 +64,7 @@ class Rings:
     radius: Array
     inside_fraction: Array
 
-    def mean(self, sectors: NDArray[np.bool_] | None = None) -> Array:
+    def mean(self, sectors: Mask | None = None) -> Array:
         """Ring means over the selected sectors, shape (ring,)."""
         chosen = np.ones(SECTORS, bool) if sectors is None else sectors
         return self.total[:, chosen].sum(axis=1) / np.maximum(
@@ -84,9 +83,7 @@ class Rings:
         lower = np.maximum((occupied - 1) // 2, 0)
         return np.where(occupied > 0, 0.5 * (cells[rows, lower] + cells[rows, upper]), 0.0)
 
-    def draws(
-        self, pixel_sd: Array, count: int, rng: np.random.Generator, sectors: NDArray[np.bool_]
-    ) -> Array:
+    def draws(self, pixel_sd: Array, count: int, rng: np.random.Generator, sectors: Mask) -> Array:
         """Draw ring means by a block bootstrap over sectors, shape (draw, ring).
 
         Random weights of the sectors preserve the correlation of noise between pixels, rings and

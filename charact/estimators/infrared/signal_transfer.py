@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from charact.estimators.infrared.thresholds import INFRARED
 from charact.estimators.noise.linear_fit import linear_fit
+from labdata import Array
 from labdata.errors import BadInput
 
-Array = NDArray[np.float64]
 ZERO_C = 273.15
 # Radiation constants, CODATA 2018: 2 h c^2 in W um^4 m-2 sr-1, and h c / k in um K.
 C1, C2 = 1.191042972e8, 1.438776877e4

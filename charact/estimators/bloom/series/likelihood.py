@@ -16,8 +16,7 @@ from charact.estimators.bloom.series.ring_loops import (
 )
 from charact.estimators.bloom.series.rings import HARDLY_CUT, LevelRings, RingNoise
 from charact.estimators.bloom.transfer import onto_nodes
-
-Array = NDArray[np.float64]
+from labdata import Array, Mask
 
 # Trial values of the relative model error.
 SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
@@ -40,7 +39,7 @@ class Misfit:
         return np.where(about_core(radius_px), self.core, self.outer)
 
 
-def about_core(radius_px: Array) -> NDArray[np.bool_]:
+def about_core(radius_px: Array) -> Mask:
     """Return which rings are near the core, shape (ring,)."""
     return radius_px < 4.0
 
@@ -105,7 +104,7 @@ class RingSeries:
 
     labels: tuple[str, ...]
     data: Array
-    cut: NDArray[np.bool_]
+    cut: Mask
     own_covariance: Array
     node_sd: Array
     sector_sd: Array
@@ -161,7 +160,7 @@ class RingSeries:
 PER_LEVEL = ("data", "cut", "own_covariance", "node_sd", "sector_sd", "averages")
 
 
-def select_levels(series: RingSeries, which: NDArray[np.bool_]) -> RingSeries:
+def select_levels(series: RingSeries, which: Mask) -> RingSeries:
     """Return some stacks of a series."""
     labels = tuple(
         label for label, is_selected in zip(series.labels, which, strict=True) if is_selected

@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from labdata import Array
+
 Places = NDArray[np.intp]
 
 

@@ -24,9 +24,8 @@ from charact.transfer.cores import EXPONENT
 from charact.transfer.form import HALF_FREQUENCY, table_of
 from charact.transfer.stages import fibres
 from charact.transfer.video_filter import PixelAndVideo, VideoFilter, powers
+from labdata import Array
 from labdata.camera.description import has_tube
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.curve import FINE, CurveFinding, Undo, crossing_frequency
 from charact.estimators.mtf.point.blur_models_2d import BUMP_WIDTH, BUMPS
@@ -27,9 +26,8 @@ from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES,
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.verdict import judge
+from labdata import Array, Mask
 from labdata.measurement import Measurement
-
-Array = NDArray[np.float64]
 
 REMEDIES = {
     "clipped": "an offset that keeps the noise of dark pixels above 0 DN",
@@ -97,9 +95,7 @@ def undersampled(numbers: Iterable[Measurement], window: Window) -> dict[float, 
     }
 
 
-def motion_findings(
-    frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]
-) -> list[CurveFinding]:
+def motion_findings(frames: Array, x: Array, y: Array, parity: Mask) -> list[CurveFinding]:
     """Return `interlace-motion` for a displacement between fields, `drift` for one through the
     stack.
 
@@ -121,7 +117,7 @@ def motion_findings(
     return out
 
 
-def _field_offset_px(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> float:
+def _field_offset_px(frames: Array, x: Array, y: Array, parity: Mask) -> float:
     """Return the distance between the columns in which odd and even rows show the source, px; 0:
     none.
     """

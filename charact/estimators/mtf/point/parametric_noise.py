@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.noise_law import NoiseLaw, masked_covariance
-
-Array = NDArray[np.float64]
+from labdata import Array, Mask
 
 # Lags of a pixel's neighbours, half of them, as opposite ones are equal.
 REACH_PX = 2
@@ -32,7 +31,7 @@ RADII_PX = np.linspace(0.0, 16.0, 80)
 
 
 def measure_surroundings_noise(
-    data: NDArray, row: int, col: int, neighbours: NDArray[np.bool_] | bool = False
+    data: NDArray, row: int, col: int, neighbours: Mask | bool = False
 ) -> NoiseLaw:
     """Return the noise far from a source, from frame differences, or in one frame from its own
     scatter.
@@ -73,9 +72,7 @@ def measure_surroundings_noise(
     return _fit_correlation(law, np.where(surroundings, centre, 0.0), surroundings, freedom)
 
 
-def _fit_correlation(
-    law: NoiseLaw, off: Array, surroundings: NDArray[np.bool_], freedom: float
-) -> NoiseLaw:
+def _fit_correlation(law: NoiseLaw, off: Array, surroundings: Mask, freedom: float) -> NoiseLaw:
     """Return the surroundings' noise with the correlation of neighbours, if significant."""
     products, pairs = (
         of_lags[tuple((LAGS + REACH_PX).T)]

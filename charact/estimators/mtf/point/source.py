@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.robust import robust_sd
+from labdata import Array, Mask
 from labdata.measurement import Result, make_refusal
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,9 +222,7 @@ def _least_spread(data: NDArray) -> float:
     return LIMITS.min_background_sd_dn if data.dtype.kind in "ui" else 1e-12
 
 
-def _surroundings(
-    shape: tuple[int, int], row: int, col: int, pitch_ratio: float
-) -> NDArray[np.bool_]:
+def _surroundings(shape: tuple[int, int], row: int, col: int, pitch_ratio: float) -> Mask:
     """Return the pixels beyond the surroundings of a position; in a small image the most distant
     quarter.
     """

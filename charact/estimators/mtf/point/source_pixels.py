@@ -26,8 +26,7 @@ from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.image_lag import ImageLagModel
 from charact.frames.noise_law import NoiseLaw
 from charact.frames.thresholds import CLIPPING
-
-Array = NDArray[np.float64]
+from labdata import Array, Mask
 
 # Trial half frequencies of the first estimate, cycles per column pitch.
 GUESSES = np.exp(np.linspace(np.log(0.03), np.log(0.8), 14))
@@ -60,7 +59,7 @@ class SourcePixels:
         return np.flatnonzero((np.hypot(x, y[:, None]) < 5.0).ravel() & self.window.keep.ravel())
 
     @property
-    def value_mask(self) -> NDArray[np.bool_]:
+    def value_mask(self) -> Mask:
         """Valid values among core pixels and rings, shape (value,)."""
         return np.append(self.window.keep.ravel(), np.ones(self.window.ring_dn.size, bool))
 
@@ -75,7 +74,7 @@ class SourcePixels:
         return self.window.deviations + self.window.core.ravel()
 
     @property
-    def cut(self) -> NDArray[np.bool_]:
+    def cut(self) -> Mask:
         """Values of the frames at full scale, shape (frame, pixel)."""
         if self.full_scale_dn is None:
             return np.zeros(self.window.deviations.shape, bool)
@@ -374,7 +373,7 @@ def _neighbours(site: SourcePixels, transfer: Array) -> Array:
 
 def _pixels_at_full_scale(
     site: SourcePixels,
-    hidden: NDArray[np.bool_],
+    hidden: Mask,
     matrix: Array,
     nuisance: Array,
     back: Array,

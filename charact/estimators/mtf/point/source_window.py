@@ -17,9 +17,8 @@ from charact.frames.clipping import is_clipped_at_black
 from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context
+from labdata import Array, Mask
 from labdata.camera.description import has_tube
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +34,7 @@ class Window:
     # x, y: positions of columns and rows from the centre of the core, column pitches
     x: Array
     y: Array
-    parity: NDArray[np.bool_]  # Field of every core pixel, shape (row x col,)
+    parity: Mask  # Field of every core pixel, shape (row x col,)
     ring_px: Array  # Distances of sample pixels of each ring, shape (ring, pixel), column pitches
     # ring_dn, ring_variance, ring_correlation: mean of each ring, its variance, shape (ring,), and
     # the correlation between rings, shape (ring, ring)
@@ -156,7 +155,7 @@ def source_window(stack: Stack, source: DetectedSource, context: Context) -> Win
 
 def neighbour_mask(
     shape: tuple[int, ...], neighbours: tuple[tuple[int, int], ...], pitch_ratio: float
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return the pixels that belong to neighbouring sources, shape (row, col)."""
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     mask = np.zeros(shape, bool)
@@ -165,7 +164,7 @@ def neighbour_mask(
     return mask
 
 
-def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -> NDArray[np.bool_]:
+def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -> Mask:
     """Return the core pixels that neither reach full scale nor follow such a pixel in a filtered
     row.
     """
@@ -183,7 +182,7 @@ def _valid_pixels(core: Array, full_scale_dn: float | None, *, filtered: bool) -
 def _rings(
     mean: Array,
     radius: Array,
-    surroundings: NDArray[np.bool_],
+    surroundings: Mask,
     row: int,
     col: int,
     border_px: float,

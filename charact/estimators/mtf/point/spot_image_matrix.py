@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.transfer.video_filter import VideoFilter
-
-Array = NDArray[np.float64]
+from labdata import Array
 
 # Radial panels, cycles per column pitch: dense where the halo's transfer oscillates.
 BORDERS = np.array(

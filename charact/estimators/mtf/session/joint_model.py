@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.mtf.session.thresholds import THRESHOLDS
 from charact.method import Context
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.extended import ExtendedComponent
 from charact.transfer.video_filter import PixelAndVideo, VideoFilter, powers
-
-Array = NDArray[np.float64]
+from labdata import Array, Mask
 
 
 class KnownCameraTransfer(PixelAndVideo):
@@ -99,7 +97,7 @@ class JointBlurModel:
         fy: Array,
         *,
         bend: Array | None,
-        excludes_halo: NDArray[np.bool_] | bool = False,
+        excludes_halo: Mask | bool = False,
     ) -> Array:
         """Return the MTF over aperture and described video, shape (n, parameter) and (f,) -> (n,
         f).
