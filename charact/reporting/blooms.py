@@ -13,8 +13,8 @@ from charact.reporting.style import (
     MODEL,
     THIRD,
     WARN,
+    arms,
     first_array,
-    has_all,
     panel,
     panels,
     plot_line,
@@ -23,94 +23,62 @@ from charact.reporting.style import (
 )
 
 Data = Mapping[str, Any]
+DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 0.9}
+# Error bars of 95 %.
+BARS: dict[str, Any] = {"fmt": "o", "color": DATA, "markersize": 4.5, "linewidth": 1}
+
+
+def _draw_levels(data: Data, abscissa: str, upper: Any, lower: Any) -> float:
+    """Draw means and model of each level, and below them the residuals; return the largest of these
+    in standard errors.
+    """
+    largest = 0.0
+    for colour, number in zip(COLOURS * 2, pick_levels(len(data["label"])), strict=False):
+        x, mean, sd, model = (
+            np.asarray(data[key][number], float)
+            for key in (abscissa, "mean_dn", "sd_dn", "model_dn")
+        )
+        used, label = np.asarray(data["used"][number], bool), str(data["label"][number])
+        plot_points(upper, x[used], mean[used], sd[used], color=colour, label=label, alpha=0.8)
+        plot_points(upper, x[~used], mean[~used], color=colour, alpha=0.3, marker="x")
+        plot_line(upper, x, model, color=colour, linewidth=1)
+        residuals = ((mean - model) / np.maximum(sd, 1e-9))[used]
+        plot_points(lower, x[used], residuals, color=colour, alpha=0.8)
+        largest = max(largest, float(np.abs(residuals).max(initial=0.0)))
+    lower.axhline(0.0, color=INK, linewidth=0.7)
+    lower.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
+    lower.set(ylabel="data - model\n(standard errors)")
+    return largest
 
 
 def plot_point_profile(data: Data) -> Any:
     """Plot the radial profiles of a point series with the joint fit, and the residuals in standard
     errors.
 
-    Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`,
-    `fitted_rings` (fitted rings), and with a fit `model_dn` and `residual_sd`. `halo_diameter_px`
-    and `full_scale_dn` are marked.
+    Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`, `used`
+    (fitted rings) and `model_dn`. `halo_diameter_px` and `full_scale_dn` are marked.
     """
-    fitted = has_all(data, "model_dn")
-    rows = 2 if fitted else 1
-    figure, grid = panels(
-        rows,
-        1,
-        size=(5.8, 5.2 if fitted else 4.0),
-        sharex=True,
-        height_ratios=(2.2, 1.0) if fitted else None,
-    )
-    axes = grid[0, 0]
-    for colour, number in zip(COLOURS * 2, pick_levels(len(data["label"])), strict=False):
-        radius, mean, sd = (
-            np.asarray(data[key][number], float) for key in ("radius_px", "mean_dn", "sd_dn")
-        )
-        fitted_rings = np.asarray(data["used"][number], bool)
-        plot_points(
-            axes,
-            radius[fitted_rings],
-            mean[fitted_rings],
-            sd[fitted_rings],
-            color=colour,
-            label=str(data["label"][number]),
-            alpha=0.8,
-        )
-        plot_points(
-            axes, radius[~fitted_rings], mean[~fitted_rings], color=colour, alpha=0.3, marker="x"
-        )
-        if not fitted:
-            continue
-        model = np.asarray(data["model_dn"][number], float)
-        plot_line(axes, radius, model, color=colour, linewidth=1)
-        residuals = (
-            np.asarray(data["residual_sd"][number], float)
-            if has_all(data, "residual_sd")
-            else (mean - model) / np.maximum(sd, 1e-9)
-        )
-        plot_points(
-            grid[1, 0], radius[fitted_rings], residuals[fitted_rings], color=colour, alpha=0.8
-        )
-    for plot_axes in grid[:, 0]:
-        if data.get("halo_diameter_px") is not None:
-            plot_axes.axvline(
-                data["halo_diameter_px"] / 2,
-                color=INK,
-                linestyle="--",
-                linewidth=0.9,
-                label="halo radius",
-            )
+    figure, grid = panels(2, 1, size=(5.8, 5.2), sharex=True, height_ratios=(2.2, 1.0))
+    axes, residual_axes = grid[:, 0]
+    limit = max(4.0, 1.1 * min(_draw_levels(data, "radius_px", axes, residual_axes), 12.0))
+    if data.get("halo_diameter_px") is not None:
+        for plot_axes in (axes, residual_axes):
+            plot_axes.axvline(data["halo_diameter_px"] / 2, label="halo radius", **DASHED)
     if data.get("full_scale_dn"):
         axes.axhline(
             data["full_scale_dn"], color=WARN, linestyle=":", linewidth=0.9, label="full scale"
         )
     means = np.concatenate([np.asarray(mean, float) for mean in data["mean_dn"]])
     low, high = float(np.nanmin(means)), float(np.nanmax(means))
-    axes.set(ylabel="mean of the ring (DN)")
     # A halo is a small step on a long slope; a logarithmic scale shows both.
-    axes.set_yscale("log" if low > 0 else "linear")
-    axes.set_ylim(0.93 * low if low > 0 else low - 0.05 * high, 1.3 * high)
+    axes.set(
+        ylabel="mean of the ring (DN)",
+        yscale="log" if low > 0 else "linear",
+        ylim=(0.93 * low if low > 0 else low - 0.05 * high, 1.3 * high),
+    )
     axes.legend(ncols=2)
-    grid[-1, 0].set(xlabel="distance from the source (column pitches, px)")
-    if fitted:
-        residual_axes = grid[1, 0]
-        residual_axes.axhline(0.0, color=INK, linewidth=0.7)
-        residual_axes.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
-        residual_limit = max(4.0, 1.1 * _largest(data, fitted))
-        residual_axes.set(
-            ylabel="data - model\n(standard errors)", ylim=(-residual_limit, residual_limit)
-        )
+    residual_axes.set(xlabel="distance from the source (column pitches, px)", ylim=(-limit, limit))
     return figure
-
-
-def _largest(data: Data, fitted: bool) -> float:
-    """Return the largest residual of the fitted rings in standard errors, at most 12."""
-    if not fitted or not has_all(data, "residual_sd"):
-        return 4.0
-    pairs = zip(data["residual_sd"], data["used"], strict=True)
-    largest = [np.abs(np.asarray(r, float)[np.asarray(u, bool)]).max(initial=0.0) for r, u in pairs]
-    return float(min(12.0, max(largest)))
 
 
 def plot_point_spread(data: Data) -> Any:
@@ -169,46 +137,19 @@ def plot_illuminated_edge(data: Data) -> Any:
     and the halo end.
 
     Reads `label`, and for each of these a list per level: `distance_px`, `mean_dn`, `sd_dn`,
-    `fitted_strips`, `model_dn`; `edge_px`, the true edge on the scale of the distances, and
+    `used` (fitted strips), `model_dn`; `edge_px`, the true edge on the scale of the distances, and
     `halo_diameter_px`.
     """
     figure, grid = panels(2, 1, size=(5.8, 4.8), sharex=True, height_ratios=(2.2, 1.0))
     upper, lower = grid[:, 0]
-    for colour, number in zip(COLOURS * 2, pick_levels(len(data["label"])), strict=False):
-        at, mean, sd, model = (
-            np.asarray(data[key][number], float)
-            for key in ("distance_px", "mean_dn", "sd_dn", "model_dn")
-        )
-        fitted_strips = np.asarray(data["used"][number], bool)
-        plot_points(
-            upper,
-            at[fitted_strips],
-            mean[fitted_strips],
-            sd[fitted_strips],
-            color=colour,
-            label=str(data["label"][number]),
-        )
-        plot_points(
-            upper, at[~fitted_strips], mean[~fitted_strips], color=colour, alpha=0.3, marker="x"
-        )
-        plot_line(upper, at[fitted_strips], model[fitted_strips], color=colour, linewidth=1)
-        plot_points(
-            lower,
-            at[fitted_strips],
-            (mean - model)[fitted_strips] / np.maximum(sd[fitted_strips], 1e-9),
-            color=colour,
-        )
+    _draw_levels(data, "distance_px", upper, lower)
     end = data["edge_px"] + data["halo_diameter_px"] / 2.0
     for axes in (upper, lower):
         axes.axvline(data["edge_px"], color=INK, linewidth=0.9, label="edge")
-        axes.axvline(end, color=INK, linestyle="--", linewidth=0.9, label="end of the halo")
+        axes.axvline(end, label="end of the halo", **DASHED)
     upper.set(ylabel="mean of the strip (DN)", yscale="log")
     upper.legend(ncols=2)
-    lower.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
-    lower.set(
-        xlabel="distance from the edge (column pitches, px)",
-        ylabel="data - model\n(standard errors)",
-    )
+    lower.set(xlabel="distance from the edge (column pitches, px)")
     return figure
 
 
@@ -238,7 +179,7 @@ def plot_bloom_series(data: Data) -> Any:
     if data.get("halo_px"):
         value, low, high = data["halo_px"]
         axes.axhspan(low, high, color=INK, alpha=0.15, linewidth=0)
-        axes.axhline(value, color=INK, linestyle="--", linewidth=0.9, label=f"halo, {value:.1f} px")
+        axes.axhline(value, label=f"halo, {value:.1f} px", **DASHED)
     elif stack_halos := [
         (at, halo_px)
         for at, halo_px in zip(x, data.get("halo_diameter_px", []), strict=False)
@@ -301,11 +242,9 @@ def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, predicted: Any)
         axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(at, middle, color=colour, linewidth=1)
     if points:
-        at, value, low, high = np.array(points, float).T
-        arms = np.maximum([value - low, high - value], 0.0)
-        axes.errorbar(
-            at, value, yerr=arms, fmt=marker, color=colour, markersize=4.5, linewidth=1, label=words
-        )
+        at, *interval = np.array(points, float).T
+        style = BARS | {"fmt": marker, "color": colour, "label": words}
+        axes.errorbar(at, interval[0], yerr=arms(*interval), **style)
     truth = data.get("truth", {}).get(quantity)
     if truth is not None:
         axes.plot(
@@ -336,16 +275,13 @@ def plot_spread_models(data: Data) -> Any:
     axes.set(xlabel="BIC above that of the best model (1):\nmodels beyond 10 are excluded")
     axes.grid(axis="y", alpha=0)
     criteria = axes.secondary_yaxis("right")
-    criteria.set_yticks(positions, [_criteria(row) for row in table], fontsize=7.0)
+    labels = [f"{row['bic_over_best']:.0f}; parameters: {row['parameters']}" for row in table]
+    for number, row in enumerate(table):
+        if (cross := row.get("foretold_chi2_per_ring")) is not None:
+            labels[number] += f"\ncross-validation: χ² {cross:.3g} per ring"
+    criteria.set_yticks(positions, labels, fontsize=7.0)
     criteria.tick_params(length=0)
     return figure
-
-
-def _criteria(row: Mapping[str, Any]) -> str:
-    """Return the label of a model, to the right of its bar."""
-    first = f"{row['bic_over_best']:.0f}; parameters: {row['parameters']}"
-    cross = row.get("foretold_chi2_per_ring")
-    return first if cross is None else f"{first}\ncross-validation: χ² {cross:.3g} per ring"
 
 
 def plot_smear(data: Data) -> Any:
@@ -358,16 +294,7 @@ def plot_smear(data: Data) -> Any:
     light, level, sd = (
         first_array(data, key) for key in ("light_per_row_dn", "level_dn", "level_sd_dn")
     )
-    axes.errorbar(
-        light,
-        level,
-        yerr=1.96 * sd,
-        fmt="o",
-        color=DATA,
-        markersize=4.5,
-        linewidth=1,
-        label="stack, 95 %",
-    )
+    axes.errorbar(light, level, yerr=1.96 * sd, label="stack, 95 %", **BARS)
     smear = float((light * level / sd**2).sum() / (light**2 / sd**2).sum())
     ends = np.geomspace(light.min(), light.max(), 50)
     axes.plot(ends, smear * ends, color=MODEL, label=f"smear {smear:.2g} of the column's light")
@@ -387,23 +314,11 @@ def plot_halo_uniformity(data: Data) -> Any:
     """
     figure, axes = panel((5.6, 3.2))
     measured = [n for n, diameter in enumerate(data["halo_diameter_px"]) if diameter is not None]
-    diameter = np.array([data["halo_diameter_px"][n] for n in measured], float)
-    ends = np.array([data["interval95_px"][n] for n in measured], float).reshape(-1, 2)
-    arms = np.maximum([diameter - ends[:, 0], ends[:, 1] - diameter], 0)
-    axes.errorbar(
-        measured,
-        diameter,
-        yerr=arms,
-        fmt="o",
-        color=DATA,
-        markersize=4.5,
-        linewidth=1,
-        label="one level, 95 %",
-    )
+    diameter = [data["halo_diameter_px"][n] for n in measured]
+    ends = np.array([data["interval95_px"][n] for n in measured], float).reshape(-1, 2).T
+    axes.errorbar(measured, diameter, yerr=arms(diameter, *ends), label="one level, 95 %", **BARS)
     if data.get("joint_px") is not None:
-        axes.axhline(
-            data["joint_px"], color=INK, linestyle="--", linewidth=0.9, label="all levels together"
-        )
+        axes.axhline(data["joint_px"], label="all levels together", **DASHED)
     axes.set_xticks(
         range(len(data["label"])), [str(label) for label in data["label"]], rotation=30, ha="right"
     )
@@ -423,16 +338,7 @@ def plot_series_stability(data: Data) -> Any:
     level, position_axes = grid[0]
     numbers = np.arange(len(data["label"]))
     background, sd = first_array(data, "background_dn"), first_array(data, "background_sd_dn")
-    level.errorbar(
-        numbers,
-        background,
-        yerr=1.96 * sd,
-        fmt="o",
-        color=DATA,
-        markersize=4.5,
-        linewidth=1,
-        label="stack, 95 %",
-    )
+    level.errorbar(numbers, background, yerr=1.96 * sd, label="stack, 95 %", **BARS)
     level.set_xticks(numbers, [str(label) for label in data["label"]], rotation=40, ha="right")
     level.set(xlabel="stack", ylabel="background over dark (DN)")
     level.legend()
