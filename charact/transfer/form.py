@@ -1,6 +1,6 @@
 """What a form of a blur is: parameters with their priors, a transfer and its slopes."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -75,6 +75,42 @@ class Parametric:
         in_bounds = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
         mean, sd = self.prior
         return np.where(in_bounds, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
+
+    @cached_property
+    def prior_precision(self) -> tuple[Array, Array]:
+        """Mean and precision of the priors, shape (parameter,); precision 0: flat."""
+        mean, sd = self.prior
+        return mean, sd**-2.0
+
+    def start(self, first: float) -> Array:
+        """Return a start point with a given first parameter, shape (parameter,)."""
+        return np.array([first, *self.first[1:]])
+
+
+class ProperPrior(Parametric):
+    """Parameters whose log-prior is that of a density, so that evidences can be compared."""
+
+    @property
+    def ln_volume(self) -> float:
+        """ln of the prior density at the mean of its Gaussian part."""
+        precision = self.prior_precision[1]
+        flat = precision == 0.0
+        widths = np.ptp(self.bounds[flat], axis=1)
+        return float(
+            0.5 * np.sum(np.log(precision[~flat] / (2.0 * np.pi))) - np.sum(np.log(widths))
+        )
+
+    def log_prior(self, points: Array) -> Array:
+        """Return ln of the prior density, -inf outside the bounds, shape (point,)."""
+        return super().log_prior(points) + self.ln_volume
+
+
+def flat_parameters(table: Mapping[str, tuple[str, tuple[float, float]]]) -> tuple[Parameter, ...]:
+    """Return parameters without priors from unit and bounds by name."""
+    return tuple(
+        Parameter(name=name, unit=unit, low=low, high=high, start=0.7 * low + 0.3 * high)
+        for name, (unit, (low, high)) in table.items()
+    )
 
 
 # Half frequency before the data: a core below the pixel is possible, and not as likely for every

@@ -1,10 +1,11 @@
 """Video filter: causal low-pass along the rows with an uncertain bandwidth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.transfer.form import Parameter, flat_parameters
 from labdata import Array
 from labdata.camera.description import Camera, has_tube
 
@@ -126,9 +127,12 @@ class PixelAndVideo:
     video: VideoFilter | None = None
 
     @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds by name of a parameter that is known within a range only."""
-        return self.video.parameters if self.video else {}
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The video's bandwidth where it is known within a range only."""
+        video = flat_parameters(self.video.parameters) if self.video else ()
+        return tuple(
+            replace(bandwidth, sd=self.video.ln_bandwidth_sd, start=0.0) for bandwidth in video
+        )
 
     def bend(self, fx: Array) -> Array | None:
         """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`;

@@ -274,7 +274,7 @@ def _posterior(
             density -= 0.5 * ((theta[:, 2] - float(fraction)) / prior_sd_of(fraction)) ** 2
         return density
 
-    starts = np.repeat(model.start[None], 40 * 23, axis=0)
+    starts = np.repeat(model.start(0.0)[None], 40 * 23, axis=0)
     grid = np.meshgrid(np.log(np.geomspace(0.03, 0.8, 40)), np.linspace(0.8, 3.0, 23))
     starts[:, 0], starts[:, 1] = (axis.ravel() for axis in grid)
     start = starts[int(np.argmax(log_probability(starts)))]
@@ -282,8 +282,8 @@ def _posterior(
     # Half frequency and exponent have a curved ridge, which a Gaussian approximation misses.
     drawn = (importance_sample if context.quick else sample_posterior)(
         log_probability,
-        names=tuple(model.parameters),
-        units=tuple(unit for unit, _ in model.parameters.values()),
+        names=model.names,
+        units=model.units,
         start=best,
         covariance=covariance,
         seed=context.seed,

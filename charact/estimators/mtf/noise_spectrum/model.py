@@ -21,7 +21,7 @@ from charact.inference.gauss_newton import ln_evidence
 from charact.method import Context
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.cores import EXPONENT
-from charact.transfer.form import HALF_FREQUENCY, table_of
+from charact.transfer.form import HALF_FREQUENCY, Parameter, Parametric, flat_parameters
 from charact.transfer.stages import fibres
 from charact.transfer.video_filter import PixelAndVideo, VideoFilter, powers
 from labdata import Array
@@ -140,7 +140,7 @@ WAVES = tuple(range(2, 8))
 
 
 @dataclass(frozen=True)
-class NonparametricBlur:
+class NonparametricBlur(Parametric):
     """-ln H = ln 2 exp(s), s a free smooth function of ln f.
 
     s = n ln(f/f2) + sum of a_k cos(k pi t)/k^2, t the place of ln f in its range: with normal
@@ -150,22 +150,14 @@ class NonparametricBlur:
 
     name = "free"
 
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
-        waves = {
-            f"wave_{k}": ("1", (-THRESHOLDS.cosine_bound, THRESHOLDS.cosine_bound)) for k in WAVES
-        }
-        return {**table_of((HALF_FREQUENCY, EXPONENT)), **waves}
-
     @cached_property
-    def bounds(self) -> Array:
-        """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([bound for _, bound in self.parameters.values()])
-
-    def start(self, half_frequency_cy_per_px: float) -> Array:
-        """Return a starting point of the optimisation."""
-        return np.array([np.log(half_frequency_cy_per_px), 1.5, *np.zeros(len(WAVES))])
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Half frequency and exponent, then the amplitudes of the waves."""
+        bound = THRESHOLDS.cosine_bound
+        waves = (
+            Parameter(name=f"wave_{k}", unit="1", low=-bound, high=bound, start=0.0) for k in WAVES
+        )
+        return (HALF_FREQUENCY, EXPONENT, *waves)
 
     def modulus(self, theta: Array, frequency: Array) -> Array:
         """Return the transfer, shape (n, parameter) and (f,), (1, f) or (n, f) -> (n, f)."""
@@ -208,7 +200,6 @@ TUBE = "exponential"
 SCATTER_PX, SCATTER_SHARE = 3.0, 0.08
 SCATTER_FRACTION = (0.0, 0.4)
 COMMON = ("ln_power", "white_share", "hidden_place", "ln_anisotropy")
-COMMON_UNITS = ("ln(DN^2)", "1", "1", "1")
 ANISOTROPY = (-1.5, 1.5)
 # Share of the mean power that is white: it may go below zero, else a camera without would be pushed
 # to one side.
@@ -216,6 +207,8 @@ WHITE = (-0.05, 1.0)
 # Position of the quantisation noise within its range; the Gaussian prior keeps the optimisation
 # regular where the range is narrow.
 QUANTISATION, QUANTISATION_PRIOR = (0.0, 1.0), (0.5, 0.5)
+# Units and bounds of the common parameters after the power.
+COMMON_BOUNDS = (("1", WHITE), ("1", QUANTISATION), ("1", ANISOTROPY))
 
 
 def readout_of(context: Context) -> KnownReadout:
@@ -236,7 +229,7 @@ def readout_of(context: Context) -> KnownReadout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpectrumLikelihood:
+class SpectrumLikelihood(Parametric):
     """Whittle's likelihood of a noise spectrum under one form of the transfer.
 
     The modes of noise are nearly independent complex Gaussians, so that a mean over n of them is
@@ -251,31 +244,15 @@ class SpectrumLikelihood:
     looks: Array
 
     @cached_property
-    def bounds(self) -> Array:
-        """Bounds of all parameters, shape (parameter, 2)."""
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Common parameters, then those of the form and of the video."""
         level = np.log(float(np.mean(self.spectrum.power_dn2)))
-        video = [bound for _, bound in self.known.parameters.values()]
-        return np.array(
-            [
-                (level - 12.0, level + 6.0),
-                WHITE,
-                QUANTISATION,
-                ANISOTROPY,
-                *self.shape.bounds,
-                *video,
-            ]
+        common = (("ln(DN^2)", (level - 12.0, level + 6.0)), *COMMON_BOUNDS)
+        return (
+            *flat_parameters(dict(zip(COMMON, common, strict=True))),
+            *self.shape.parameters,
+            *self.known.parameters,
         )
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all parameters."""
-        return (*COMMON, *self.shape.parameters, *self.known.parameters)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Their units."""
-        described = {**self.shape.parameters, **self.known.parameters}
-        return (*COMMON_UNITS, *(unit for unit, _ in described.values()))
 
     def blur_parameters(self, theta: Array) -> Array:
         """Return the form's parameters of all, shape (n, parameter)."""
@@ -353,7 +330,7 @@ class SpectrumLikelihood:
         described.
         """
         video = np.zeros(len(self.known.parameters))
-        return np.concatenate([common, self.shape.start(half_frequency_cy_per_px), video])
+        return np.concatenate([common, self.shape.start(np.log(half_frequency_cy_per_px)), video])
 
 
 @dataclass(frozen=True, kw_only=True)

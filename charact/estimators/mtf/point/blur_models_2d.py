@@ -4,7 +4,7 @@ A transfer is kept at radial frequencies and a few directions. Between direction
 in the cosine of twice the angle.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,21 +13,30 @@ from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES
 from charact.estimators.mtf.point.thresholds import PRIORS
 from charact.transfer.cores import ON_POINTS
 from charact.transfer.extended import ExtendedComponent
-from charact.transfer.form import table_of
+from charact.transfer.form import Parameter, ProperPrior, flat_parameters
 from charact.transfer.tables import disc
 from labdata import Array
 
 # Centres of the departure bumps in ln of frequency over half frequency, and their width.
 BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
-# Half frequencies of a tube at which a Gaussian blur is distinguishable, ln of cycles per column
-# pitch.
-TUBE = (float(np.log(0.02)), float(np.log(0.6)))
+# Parameters of a tube that a Gaussian blur multiplies: half frequencies at which that blur is
+# distinguishable, ln of cycles per column pitch, and the exponent of its tails.
+OF_LENS: dict[str, dict[str, float]] = {
+    "ln_half_frequency": {"low": float(np.log(0.02)), "high": float(np.log(0.6))},
+    "exponent": {
+        "low": PRIORS.tail[0],
+        "high": PRIORS.tail[1],
+        "mean": PRIORS.tail_prior[0],
+        "sd": PRIORS.tail_prior[1],
+        "start": 1.3,
+    },
+}
 # The video filter's bandwidth as a parameter, and the powers of its logarithm in the image, from 0.
 BANDWIDTH, BANDWIDTH_ORDERS = "ln_video_bandwidth", 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class BlurModel2D:
+class BlurModel2D(ProperPrior):
     """Transfer of blur and source, without aperture and video filter."""
 
     core: str  # Name of the core in `ON_POINTS`
@@ -65,91 +74,48 @@ class BlurModel2D:
         return len(ON_POINTS[self.core][0].parameters)
 
     @cached_property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
-        core = table_of(ON_POINTS[self.core][0].parameters)
-        if self.lens:
-            if "exponent" in core:
-                core["ln_half_frequency"], core["exponent"] = (
-                    ("ln(cy/px)", TUBE),
-                    ("1", PRIORS.tail),
-                )
-            core["blur_px"] = ("px", PRIORS.blur_px)
-        extended = self.wide.parameters if self.wide else {}
-        stretch = {} if self.round else {"stretch": ("1", PRIORS.stretch)}
-        out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **extended}
-        if self.departures:
-            bound = 4.0 * self.departures
-            out.update(
-                {f"departure_{number}": ("1", (-bound, bound)) for number in range(len(BUMPS))}
-            )
-        out.update(
-            {name: ("1", (-6.0 * sd, 6.0 * sd)) for name, _, sd in self.known if name == BANDWIDTH}
-        )
-        if isinstance(self.pinhole_px, tuple):
-            out["pinhole_px"] = ("px", self.pinhole_px)
-        return out
-
-    @cached_property
-    def bounds(self) -> Array:
-        """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([bound for _, bound in self.parameters.values()])
-
-    @cached_property
-    def prior(self) -> tuple[Array, Array]:
-        """Mean and precision of the Gaussian part of each parameter's prior; precision 0:
-        uniform.
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the core, lens, stretch, extended component, departures, video and
+        pinhole.
         """
-        names = list(self.parameters)
-        mean, precision = np.zeros((2, len(names)))
-        for index, parameter in enumerate(ON_POINTS[self.core][0].parameters):
-            mean[index], precision[index] = parameter.mean, parameter.sd**-2
-        if self.lens and "exponent" in names:
-            mean[1], precision[1] = PRIORS.tail_prior[0], PRIORS.tail_prior[1] ** -2
-        known = {"stretch": PRIORS.stretch_sd}
-        known.update({f"departure_{number}": self.departures for number in range(len(BUMPS))})
-        for index, name in enumerate(names):
-            if name in known:
-                precision[index] = known[name] ** -2
-        if self.wide is not None:
-            precision[self.blur_parameters] = PRIORS.wide_share_sd**-2
-        for name, value, sd in self.known:
-            mean[names.index(name)], precision[names.index(name)] = value, sd**-2
-        return mean, precision
+        core = ON_POINTS[self.core][0].parameters
+        lens, stretch, departures, bandwidth, pinhole = (), (), (), (), ()
+        if self.lens:
+            core = tuple(replace(part, **OF_LENS.get(part.name, {})) for part in core)
+            low, high = PRIORS.blur_px
+            lens = (Parameter(name="blur_px", unit="px", low=low, high=high, start=0.4),)
+        if not self.round:
+            low, high = PRIORS.stretch
+            sd = PRIORS.stretch_sd
+            stretch = (Parameter(name="stretch", unit="1", low=low, high=high, sd=sd),)
+        extended = flat_parameters(self.wide.parameters) if self.wide else ()
+        if extended:
+            extended = (replace(extended[0], sd=PRIORS.wide_share_sd), *extended[1:])
+        if self.departures:
+            bound, sd = 4.0 * self.departures, self.departures
+            departures = tuple(
+                Parameter(name=f"departure_{number}", unit="1", low=-bound, high=bound, sd=sd)
+                for number in range(len(BUMPS))
+            )
+        known = {name: {"mean": mean, "sd": sd, "start": mean} for name, mean, sd in self.known}
+        if BANDWIDTH in known:
+            bound = 6.0 * known[BANDWIDTH]["sd"]
+            bandwidth = (Parameter(name=BANDWIDTH, unit="1", low=-bound, high=bound),)
+        if isinstance(self.pinhole_px, tuple):
+            pinhole = flat_parameters({"pinhole_px": ("px", self.pinhole_px)})
+        every = (*core, *lens, *stretch, *extended, *departures, *bandwidth, *pinhole)
+        return tuple(replace(part, **known.get(part.name, {})) for part in every)
 
-    def log_prior(self, theta: Array) -> Array:
-        """Return ln of the prior density, -inf outside the bounds, shape (n, parameter) -> (n,)."""
-        bounds, (mean, precision) = self.bounds, self.prior
-        in_bounds = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
-        return np.where(
-            in_bounds, self.log_volume() - 0.5 * (theta - mean) ** 2 @ precision, -np.inf
-        )
+    def start(self, first: float) -> Array:
+        """As of `Parametric`; a described half frequency is where it begins."""
+        described = {name: mean for name, mean, _ in self.known}
+        return super().start(described.get("ln_half_frequency", first))
 
-    def log_volume(self) -> float:
-        """Return ln prior density at the mean of its Gaussian part."""
-        bounds, (_, precision) = self.bounds, self.prior
-        known = precision > 0
-        flat = -np.sum(np.log(bounds[~known, 1] - bounds[~known, 0]))
-        half = np.log(2.0) * (int(self.wide is not None) + int("defocus_square" in self.parameters))
-        return float(flat + half + 0.5 * np.sum(np.log(precision[known] / (2.0 * np.pi))))
-
-    def start(self, ln_half_frequency: float) -> Array:
-        """Return starting values."""
-        begin = {
-            **{shape.name: shape.start for shape in ON_POINTS[self.core][0].shape},
-            "ln_half_frequency": ln_half_frequency,
-            "blur_px": 0.4,
-            "stretch": 0.0,
-            **({"exponent": 1.3} if self.lens else {}),
-            **{f"departure_{number}": 0.0 for number in range(len(BUMPS))},
-            **{name: mean for name, mean, _ in self.known},
-        }
-        return np.array(
-            [
-                begin.get(name, 0.7 * low + 0.3 * high)
-                for name, (_, (low, high)) in self.parameters.items()
-            ]
-        )
+    @property
+    def ln_volume(self) -> float:
+        """As of `ProperPrior`, of which the priors at their border are half of a normal one."""
+        halves = int(self.wide is not None) + int("defocus_square" in self.names)
+        return super().ln_volume + halves * float(np.log(2.0))
 
     def camera(self, theta: Array, frequency: Array, cosine: Array) -> Array:
         """Return the transfer of the camera's blur, without aperture, shape (n, direction,
@@ -159,7 +125,7 @@ class BlurModel2D:
         pitch, shape (frequency,); `cosine`: cosine of twice the angle of each direction to the
         rows, shape (direction,).
         """
-        p = {name: theta[:, index] for index, name in enumerate(self.parameters)}
+        p = {name: theta[:, index] for index, name in enumerate(self.names)}
         lens = self._core(theta, p.get("stretch"), frequency, cosine)
         if self.lens:
             lens = lens * np.exp(-2.0 * (np.pi * p["blur_px"][:, None] * frequency) ** 2)[:, None]
@@ -217,13 +183,13 @@ class BlurModel2D:
         """Return ln of the video bandwidth over the described one, shape (n,); None: no
         parameter.
         """
-        names = list(self.parameters)
+        names = self.names
         return theta[:, names.index(BANDWIDTH)] if BANDWIDTH in names else None
 
     @property
     def bandwidth_order(self) -> int:
         """Number of powers of ln bandwidth in the image: 1 without the parameter."""
-        return BANDWIDTH_ORDERS if BANDWIDTH in self.parameters else 1
+        return BANDWIDTH_ORDERS if BANDWIDTH in self.names else 1
 
     def nodes(self, theta: Array) -> Array:
         """Return the transfer of blur and source times powers of ln bandwidth, for `pixel_matrix`,

@@ -245,9 +245,7 @@ def source_findings(
         effect = "light beyond the region is not included; MTF50 may be high by its fraction"
         out.append(finding("window-too-small", effect))
     at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)
-    bound = [
-        name for name, distance in zip(fit.form.parameters, at, strict=True) if distance < 1e-6
-    ]
+    bound = [name for name, distance in zip(fit.form.names, at, strict=True) if distance < 1e-6]
     if {"ln_half_frequency", "stretch"} & set(bound):
         out.append(
             finding(

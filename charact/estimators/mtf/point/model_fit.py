@@ -147,7 +147,7 @@ class PointFitter:
         covariance = covariance_at(optimum.normal, bounds)
         height = (
             -0.5 * optimum.cost
-            + form.log_volume()
+            + form.ln_volume
             - 0.5 * sum(float(np.log(source.curvature)) for source in sources)
         )
         return BlurModelFit2D(
@@ -168,7 +168,7 @@ class PointFitter:
         moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * 1e-5 * np.ptp(bounds, axis=1)
         nodes = form.nodes(np.concatenate([point[None], point + np.diag(moves)]))
         sources = [_source(source, nodes, moves) for source in self.pixels]
-        mean, precision = form.prior
+        mean, precision = form.prior_precision
         off = point - mean
         gradient, normal = -off * precision, np.diag(precision)
         for source in sources:

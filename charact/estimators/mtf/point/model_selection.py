@@ -88,10 +88,10 @@ def _likelihood(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
 def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurModelFit2D:
     """Fit a model; one with defocus from near focus and from far off."""
     near_focus = fitter.fit(form, start)
-    if "defocus_square" not in form.parameters:
+    if "defocus_square" not in form.names:
         return near_focus
     defocused = start.copy()
-    defocused[0], defocused[list(form.parameters).index("defocus_square")] = (
+    defocused[0], defocused[form.names.index("defocus_square")] = (
         start[0] + np.log(ACCURACY.defocus_start[0]),
         ACCURACY.defocus_start[1],
     )
@@ -135,9 +135,9 @@ def _light_of_core(site: SourcePixels) -> float:
 def start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
     """Return starting values of another model from the parameters in common."""
     start = form.start(float(fit.point[0]))
-    known = dict(zip(fit.form.parameters, fit.point, strict=True))
+    known = dict(zip(fit.form.names, fit.point, strict=True))
     return np.array(
-        [known.get(name, default) for name, default in zip(form.parameters, start, strict=True)]
+        [known.get(name, default) for name, default in zip(form.names, start, strict=True)]
     )
 
 
@@ -197,7 +197,7 @@ def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
     for blur in (0.3, 0.7):
         start = start_from(tube, form)
         start[0] += np.log(1.3)
-        start[list(form.parameters).index("blur_px")] = blur
+        start[form.names.index("blur_px")] = blur
         begun.append(fitter.fit(form, start))
     return min(begun, key=lambda fit: fit.cost)
 

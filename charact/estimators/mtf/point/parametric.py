@@ -383,8 +383,8 @@ def _posterior(
     """Sample the posterior of one blur model, by importance sampling if quick."""
     fit = model.fit
     arguments = {
-        "names": tuple(fit.form.parameters),
-        "units": tuple(unit for unit, _ in fit.form.parameters.values()),
+        "names": fit.form.names,
+        "units": fit.form.units,
         "start": fit.point,
         "covariance": fit.covariance,
         "seed": context.seed + number,

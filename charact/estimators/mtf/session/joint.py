@@ -158,7 +158,7 @@ def fit_joint_model(problem: JointLikelihood) -> JointFit:
     curvature.
     """
     walls, count = problem.form.bounds, problem.combinations
-    start = np.tile(problem.form.start, (24, 1))
+    start = np.tile(problem.form.start(0.0), (24, 1))
     start[:, 0] = np.linspace(walls[0, 0], walls[0, 1], 26)[1:-1]
     begun = start[int(np.argmax(problem.log_probability(start)))]
     point, _ = find_maximum(problem.log_probability, begun, walls, iterations=20)
@@ -170,7 +170,7 @@ def fit_joint_model(problem: JointLikelihood) -> JointFit:
         np.concatenate([np.ones(count), ratio * (ratio + margins)])[:, None] * slope
     )
     covariance = np.asarray(
-        np.linalg.inv(curvature + np.diag(problem.form.prior_precision)), np.float64
+        np.linalg.inv(curvature + np.diag(problem.form.regular_precision)), np.float64
     )
     height = float(problem.log_probability(point[None])[0])
     volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
@@ -387,8 +387,8 @@ def _posterior(fit: JointFit, context: Context, seed: int) -> Posterior:
     """
     form = fit.problem.form
     asked = {
-        "names": tuple(form.parameters),
-        "units": tuple(unit for unit, _ in form.parameters.values()),
+        "names": form.names,
+        "units": form.units,
         "start": fit.point,
         "covariance": fit.covariance,
         "seed": seed,

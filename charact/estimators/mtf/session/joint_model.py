@@ -11,6 +11,7 @@ from charact.estimators.mtf.session.thresholds import THRESHOLDS
 from charact.method import Context
 from charact.transfer.blur_model import BlurModel
 from charact.transfer.extended import ExtendedComponent
+from charact.transfer.form import Parameter, ProperPrior, flat_parameters
 from charact.transfer.video_filter import PixelAndVideo, VideoFilter, powers
 from labdata import Array, Mask
 
@@ -26,7 +27,7 @@ class KnownCameraTransfer(PixelAndVideo):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointBlurModel:
+class JointBlurModel(ProperPrior):
     """A form of the camera's transfer in all directions.
 
     M(fx, fy) = C(r/f2) exp(-2 (pi r)^2 b) [(1 - q) + q W(f)] A(fx, fy), with r^2 = fx^2 + (fy
@@ -52,36 +53,19 @@ class JointBlurModel:
         core = f"{self.core} x gaussian" if self.blurred else self.core
         return core if self.wide is None else f"{core} + {self.wide.name}"
 
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
-        blur = {"blur_px2": ("px2", (0.0, 3.0))} if self.blurred else {}
-        stretch = {"ln_vertical_stretch": ("1", (-1.0, 1.0))} if self.elliptical else {}
-        extended = self.wide.parameters if self.wide else {}
-        return {**self.family.parameters, **blur, **stretch, **extended, **self.known.parameters}
-
     @cached_property
-    def bounds(self) -> Array:
-        """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([bound for _, bound in self.parameters.values()])
-
-    @property
-    def start(self) -> Array:
-        """A starting point of the optimisation."""
-        extended = (
-            [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()]
-            if self.wide
-            else []
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of core, further blur, stretch, halo and video."""
+        blur = Parameter(name="blur_px2", unit="px2", low=0.0, high=3.0, start=0.3)
+        stretch = Parameter(
+            name="ln_vertical_stretch", unit="1", low=-1.0, high=1.0, sd=THRESHOLDS.stretch_sd
         )
-        blur, stretch = [0.3] * self.blurred, [0.0] * self.elliptical
-        return np.array(
-            [
-                *self.family.start(0.2),
-                *blur,
-                *stretch,
-                *extended,
-                *(0.0 for _ in self.known.parameters),
-            ]
+        return (
+            *self.family.parameters,
+            *[blur] * self.blurred,
+            *[stretch] * self.elliptical,
+            *(flat_parameters(self.wide.parameters) if self.wide else ()),
+            *self.known.parameters,
         )
 
     def transfer(self, theta: Array, fx: Array, fy: Array) -> Array:
@@ -119,35 +103,12 @@ class JointBlurModel:
         extended = self.wide.transfer(np.maximum(np.hypot(fx, fy), 1e-7), tail[:, 1:])
         return core * np.where(excludes_halo, 1.0, 1.0 - tail[:, :1] + tail[:, :1] * extended)
 
-    def log_prior(self, theta: Array) -> Array:
-        """Return ln of the prior density, -inf outside the bounds."""
-        bounds, size = self.bounds, self.family.core_parameters
-        free = np.arange(len(bounds)) >= size
-        density = self.family.log_prior(theta[:, :size])
-        if self.elliptical:
-            free[self._stretch_index] = False
-            density -= 0.5 * (theta[:, self._stretch_index] / THRESHOLDS.stretch_sd) ** 2
-            density -= np.log(THRESHOLDS.stretch_sd * np.sqrt(2.0 * np.pi))
-        if self.known.video and self.known.parameters:
-            free[-1] = False
-            density += self.known.video.log_prior(theta[:, -1])
-        density -= np.sum(np.log(bounds[free, 1] - bounds[free, 0]))
-        return np.where(
-            np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1), density, -np.inf
-        )
-
-    @cached_property
-    def prior_precision(self) -> Array:
+    @property
+    def regular_precision(self) -> Array:
         """Inverse variance of the prior of each parameter, flat ones as wide as their bounds, shape
         (parameter,).
         """
-        precision = 12.0 / np.ptp(self.bounds, axis=1) ** 2
-        precision[: self.family.core_parameters] += self.family.prior_precision[1]
-        if self.elliptical:
-            precision[self._stretch_index] += THRESHOLDS.stretch_sd**-2
-        if self.known.video and self.known.parameters:
-            precision[-1] += self.known.video.ln_bandwidth_sd**-2
-        return precision
+        return 12.0 / np.ptp(self.bounds, axis=1) ** 2 + self.prior_precision[1]
 
     @property
     def _stretch_index(self) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from charact.estimators.mtf.edge.thresholds import ACCURACY
 from charact.estimators.mtf.known_transfer import KnownTransfer
 from charact.transfer.blur_model import BlurModel
+from charact.transfer.form import table_of
 from charact.transfer.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
@@ -53,7 +54,7 @@ class EdgeForm:
         """Unit and bounds of each parameter: shift, core, departures, phases, extended component,
         bandwidth.
         """
-        core = list(self.family.parameters.items())
+        core = list(table_of(self.family.parameters).items())
         component = core[self.family.core_parameters :]
         bends = [(f"departure_{k}", ("1", (-6.0, 6.0))) for k in range(self._knots)]
         phases = [

@@ -344,7 +344,7 @@ def _fit_cores(fitter: EdgeFitter, slope_sd_per_px: float) -> list[EdgeFit]:
 
     def fit_core(core: str, former: EdgeFit | None) -> None:
         family = BlurModel(core=core)
-        start = np.concatenate([[0.0], family.start(guess)])
+        start = np.concatenate([[0.0], family.start(np.log(guess))])
         start[:2] = start[:2] if former is None else former.point[:2]
         fits.append(fitter.fit(family, start, slope_sd_per_px))
 
