@@ -198,19 +198,6 @@ def test_load_reaches_as_far_as_its_blur():
     assert load.sum() == pytest.approx(1e6 / (1e12 * GRID.cell_area_cm2 * 0.0167), rel=1e-6)
 
 
-@pytest.mark.parametrize("recovery_ms", [1.0, 10.0, 100.0])
-def test_channels_recover_with_their_time_constant(recovery_ms):
-    plate = _plate(recovery_ms=recovery_ms)
-    none, load = np.zeros((1, 1)), np.full((1, 1), 3.0)
-    state = load
-    for fields in range(1, 6):
-        _, state = plate.states_under(state, none)
-        assert state.item() == pytest.approx(3.0 * np.exp(-fields * 16.7 / recovery_ms))
-    for _ in range(int(np.ceil(20 * recovery_ms / 16.7))):
-        during, state = plate.states_under(state, load)
-    assert (during.item(), state.item()) == pytest.approx((3.0, 3.0), rel=1e-6)
-
-
 def test_mean_state_of_a_field_is_that_of_its_many_short_parts():
     whole, load, seen = _plate(recovery_ms=10.0), np.full((1, 1), 0.5), []
     state = start = np.full((1, 1), 2.0)
@@ -219,28 +206,6 @@ def test_mean_state_of_a_field_is_that_of_its_many_short_parts():
         seen.append(during.item())
     during, end = whole.states_under(start, load)
     assert (during.item(), end.item()) == pytest.approx((np.mean(seen), state.item()), rel=1e-9)
-
-
-def test_steady_light_through_depleted_plate_is_its_steady_map():
-    plate, light = _plate(depletion_blur_um=45.0), _point(300.0)
-    load = plate.load(light.values, GRID)
-    during, _ = plate.states_under(load, load)
-    assert plate.with_depletion(during).mean(light).values == pytest.approx(
-        plate.mean(light).values, rel=1e-5
-    )
-
-
-def test_draws_under_a_local_load_average_to_its_mean(seed):
-    plate, light = _plate(depletion_blur_um=45.0), _point(300.0)
-    loaded = plate.under_load(light, parts=2)
-    half = light.with_values(0.5 * light.values)
-    assert 2.0 * loaded.mean(half).values == pytest.approx(plate.mean(light).values, rel=1e-5)
-    rng = np.random.default_rng(seed)
-    sums = np.array(
-        [loaded.draw(half, rng).values[80:85, 100:105].sum(dtype=float) for _ in range(200)]
-    )
-    expected = plate.mean(light).values[80:85, 100:105].sum(dtype=float) / 2.0
-    assert abs(sums.mean() - expected) < 4.5 * sums.std(ddof=1) / np.sqrt(200)
 
 
 def test_multifibre_pattern_lowers_lines_and_keeps_the_gain():

@@ -121,17 +121,6 @@ def test_charge_is_poisson(level, seed):
     assert chi2 < stats.chi2.isf(3.4e-6, len(expected) - 1)
 
 
-def test_plate_saturates_to_half_at_its_saturation_current(sheet):
-    from labdata import Conditions
-
-    camera = CameraModel(sheet)
-    plate = camera.chain(Conditions()).stages[3]
-    per_s_cm2 = plate.saturation_e_per_s_cm2 / plate.gain
-    cell = per_s_cm2 * camera.field_s * camera.cells.cell_area_cm2
-    light = StageImage(values=np.full((8, 8), cell, np.float32), grid=camera.cells)
-    assert plate.gain_under_load(light).item() == pytest.approx(plate.gain / 2.0, rel=1e-5)
-
-
 # The cathode and its supply: the gate leaks by its ratio, bright light lowers the gap voltage and
 # widens its blur.
 
