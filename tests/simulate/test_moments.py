@@ -210,16 +210,12 @@ TABLE = [
 ]
 
 
-def _johnson(share: float) -> TubeShare:
-    return TubeShare(share=share, frequency_lp_per_mm=26.25, exponent=1.184)
-
-
 @pytest.mark.parametrize("row", TABLE)
 def test_blur_factor_and_correlations_are_those_of_table_5_2(row):
     share, *published = row
     for height_mm, expected in ((0.0213, published[:3]), (0.0425, published[3:])):
         blurs = (
-            _johnson(share),
+            TubeShare(share=share, frequency_lp_per_mm=26.25, exponent=1.184),
             GaussianFibres(),
             PixelAperture(width_mm=0.018, height_mm=height_mm),
         )

@@ -27,11 +27,11 @@ from tests.truth.blur import TrueBlur
 OUTCOMES = read()
 
 
-def quickest(count):
-    return sorted(OUTCOMES, key=lambda one: one.planned_s + one.exact_s)[:count]
-
-
-@pytest.mark.parametrize("before", quickest(2), ids=lambda one: f"case {one.number}")
+@pytest.mark.parametrize(
+    "before",
+    sorted(OUTCOMES, key=lambda one: one.planned_s + one.exact_s)[:2],
+    ids=lambda one: f"case {one.number}",
+)
 def test_a_case_measured_again_comes_out_as_in_the_table(before):
     again = measure_case(before.number)
     for name in ("light", "sensor", "bands", "bounces"):

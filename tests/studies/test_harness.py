@@ -83,10 +83,6 @@ def _raising(error: Exception):
     return function
 
 
-def _row(function, case: Case | None = None):
-    return run([_method("fake", function)], [case or _case()], context=Context())[0]
-
-
 LOPSIDED = make_measurement(
     "mtf50", "cy/px", TRUTH * 1.1, None, (TRUTH * 1.09, TRUTH * 2), method="fake"
 )
@@ -128,7 +124,7 @@ LOPSIDED = make_measurement(
     ],
 )
 def test_lies_are_silent_failures_and_refusals_are_not(function, truth, status, silent, covers):
-    row = _row(function, _case(truth))
+    row = run([_method("fake", function)], [_case(truth) or _case()], context=Context())[0]
     assert (row.status, row.silent, row.covers) == (status, silent, covers)
 
 

@@ -41,13 +41,9 @@ BAND = np.geomspace(0.01, 1.0, 40)
 THETA = {"exponential": [1.4], "moffat": [2.6], "two gaussians": [0.2, 1.2]}
 
 
-def point_of(core):
-    return np.array([[np.log(0.2), *THETA.get(core.name, [])]])
-
-
 @pytest.mark.parametrize("core", [GAUSSIAN, EXPONENTIAL, MOFFAT, AIRY], ids=lambda core: core.name)
 def test_a_stated_transfer_and_its_slopes_are_those_of_the_attenuation(core):
-    theta = point_of(core)
+    theta = np.array([[np.log(0.2), *THETA.get(core.name, [])]])
     implied = Core.transfer(core, theta, BAND)
     assert core.transfer(theta, BAND) == pytest.approx(implied, abs=1e-3)
     slopes = Core.derivatives(core, theta[0], BAND)

@@ -159,17 +159,19 @@ def measured() -> MeasuredDistribution:
     )
 
 
-def same_around() -> MeasuredDistribution:
-    return MeasuredDistribution(
-        polar_deg=np.array([10.0, 40.0, 90.0]),
-        azimuth_deg=np.zeros(1),
-        candela=np.array([[5.0, 2.0, 1.0]]),
-    )
-
-
 @pytest.mark.parametrize(
     "distribution",
-    [Isotropic(), Cosine(), SpotBeam(half_angle_deg=12.0), measured(), same_around()],
+    [
+        Isotropic(),
+        Cosine(),
+        SpotBeam(half_angle_deg=12.0),
+        measured(),
+        MeasuredDistribution(
+            polar_deg=np.array([10.0, 40.0, 90.0]),
+            azimuth_deg=np.zeros(1),
+            candela=np.array([[5.0, 2.0, 1.0]]),
+        ),
+    ],
 )
 def test_loops_know_where_lamps_shine(distribution, seed):
     rng = np.random.default_rng(seed)
