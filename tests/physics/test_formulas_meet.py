@@ -210,6 +210,15 @@ DRAWN = (
     "microchannel_plate.ion_event_size_pe",
 )
 OPEN_S = 0.0158
+IN_FRAMES = (
+    "image lag",
+    "line noise",
+    "ion events",
+    "noise between pulses",
+    "DSNU",
+    "dark events",
+    "mean of dark events",
+)
 
 
 def specimen_of(name: str, seed: int) -> Camera:

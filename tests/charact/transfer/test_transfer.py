@@ -30,6 +30,7 @@ from charact.transfer import (
     halo,
     powers,
     pupil,
+    spreads,
 )
 from labdata import load_sensor
 
@@ -281,6 +282,17 @@ def test_halo_transfer_at_low_frequency_follows_its_second_moment():
     for share, moment in ((1.0, radius**2 / 3), (0.0, radius**2 / 9)):
         drop = 1 - halo(np.pi * 2 * radius * f, np.array(share))[0]
         assert drop == pytest.approx(2 * (np.pi * f[0]) ** 2 * moment, rel=0.02)
+
+
+@pytest.mark.parametrize("exponent", [1.1, 1.105, 1.5, 2.5, 4.0])
+def test_the_transfer_of_a_moffat_wing_is_its_hankel_transform(exponent):
+    """2^(1-m)/Gamma(m) x^m K_m(x), m = b - 1 and x = 2 pi a f; exp(-x) at b = 3/2."""
+    frequency, radius = np.concatenate([[0.0], np.geomspace(1e-4, 1.25, 200)]), 3.0
+    x, order = 2.0 * np.pi * radius * frequency[1:], exponent - 1.0
+    expected = 2.0 ** (1.0 - order) / math.gamma(order) * x**order * kv(order, x)
+    found = spreads.moffat(frequency, np.array([radius]), np.array([exponent]))[0]
+    assert found == pytest.approx(np.append(1.0, expected), abs=2e-6)
+    assert exponent != 1.5 or found[1:] == pytest.approx(np.exp(-x), abs=2e-6)
 
 
 def test_aperture_vanishes_where_a_whole_period_falls_on_the_pixel():
