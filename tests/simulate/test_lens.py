@@ -241,39 +241,32 @@ def test_a_row_of_the_picture_is_centred_on_the_row_that_reads_it():
     assert centre == pytest.approx((grid.margin_rows + 8.0) * 4)
 
 
-@pytest.mark.parametrize(
-    ("value", "words"), [(np.nan, "finite"), (np.inf, "finite"), (-1e-9, "negative")]
-)
-def test_impossible_radiance_is_refused(lens, value, words):
-    cube = _lamp(1e-9)
-    radiance = cube.radiance.copy()
+def _with_one(value: float) -> RadianceCube:
+    radiance = _lamp(1e-9).radiance.copy()
     radiance[3, 5, 7] = value
-    with pytest.raises(BadInput, match=words):
-        lens.mean(RadianceCube(wavelength_nm=BANDS_NM, radiance=radiance))
+    return RadianceCube(wavelength_nm=BANDS_NM, radiance=radiance)
 
 
-def test_one_band_is_no_spectrum(lens):
-    with pytest.raises(BadInput, match="two bands"):
-        lens.mean(RadianceCube(wavelength_nm=np.array([600.0]), radiance=np.ones((1, 24, 40))))
+ONE_BAND = RadianceCube(wavelength_nm=np.array([600.0]), radiance=np.ones((1, 24, 40)))
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("call", "words"),
     [
-        {"f_number": 0.0},
-        {"transmission": -1.0},
-        {"vignetting_fraction": 1.0},
-        {"magnification": -0.1},
+        (lambda lens: lens.mean(_with_one(np.nan)), "finite"),
+        (lambda lens: lens.mean(_with_one(np.inf)), "finite"),
+        (lambda lens: lens.mean(_with_one(-1e-9)), "negative"),
+        (lambda lens: lens.mean(ONE_BAND), "two bands"),
+        (lambda lens: replace(lens, f_number=0.0), "f_number"),
+        (lambda lens: replace(lens, transmission=-1.0), "transmission"),
+        (lambda lens: replace(lens, vignetting_fraction=1.0), "vignetting_fraction"),
+        (lambda lens: replace(lens, magnification=-0.1), "magnification"),
+        (lambda _: image_placement.Radial(fraction=-0.2, corner_mm=8.0), "distortion"),
     ],
 )
-def test_impossible_lenses_are_refused(lens, change):
-    with pytest.raises(BadInput):
-        replace(lens, **change)
-
-
-def test_a_distortion_that_folds_the_picture_is_refused():
-    with pytest.raises(BadInput, match="distortion"):
-        image_placement.Radial(fraction=-0.2, corner_mm=8.0)
+def test_impossible_light_and_lenses_are_refused(lens, call, words):
+    with pytest.raises(BadInput, match=words):
+        call(lens)
 
 
 # A point of the scene lands in the frame where the truth's pixel and the distortions of lens and

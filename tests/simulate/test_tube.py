@@ -125,15 +125,19 @@ def test_charge_is_poisson(level, seed):
 # widens its blur.
 
 
+SUPPLY = {
+    "gap_v": 800.0,
+    "bright_source_v": 400.0,
+    "bright_source_lux": 1.0,
+    "gap_mm": 0.21,
+    "lateral_energy_ev": 0.1,
+}
+CATHODE = {"quantum_efficiency": 0.2, "gate_s": 1e-3, "ebi_per_s_cm2": 0.0}
+
+
 @pytest.fixture
 def supply() -> BrightSourceProtection:
-    return BrightSourceProtection(
-        gap_v=800.0,
-        bright_source_v=400.0,
-        bright_source_lux=1.0,
-        gap_mm=0.21,
-        lateral_energy_ev=0.1,
-    )
+    return BrightSourceProtection(**SUPPLY)
 
 
 def _transfer(blur, frequency: float) -> float:
@@ -191,21 +195,16 @@ def test_gate_open_all_the_field_has_nothing_to_leak(sheet):
 
 
 @pytest.mark.parametrize(
-    "change", [{"bright_source_v": 900.0}, {"bright_source_v": 0.0}, {"bright_source_lux": 0.0}]
+    ("make", "change"),
+    [
+        (BrightSourceProtection, SUPPLY | {"bright_source_v": 900.0}),
+        (BrightSourceProtection, SUPPLY | {"bright_source_v": 0.0}),
+        (BrightSourceProtection, SUPPLY | {"bright_source_lux": 0.0}),
+        (Photocathode, CATHODE | {"gate_s": 0.0}),
+        (Photocathode, CATHODE | {"gate_s": -1.0}),
+        (Photocathode, CATHODE | {"on_off_ratio": 0.5}),
+    ],
 )
-def test_impossible_supplies_are_refused(change):
-    given = {
-        "gap_v": 800.0,
-        "bright_source_v": 400.0,
-        "bright_source_lux": 1.0,
-        "gap_mm": 0.21,
-        "lateral_energy_ev": 0.1,
-    }
+def test_impossible_supplies_and_gates_are_refused(make, change):
     with pytest.raises(BadInput):
-        BrightSourceProtection(**given | change)
-
-
-@pytest.mark.parametrize("change", [{"gate_s": 0.0}, {"gate_s": -1.0}, {"on_off_ratio": 0.5}])
-def test_impossible_gates_are_refused(change):
-    with pytest.raises(BadInput):
-        Photocathode(**{"quantum_efficiency": 0.2, "gate_s": 1e-3, "ebi_per_s_cm2": 0.0} | change)
+        make(**change)

@@ -50,90 +50,106 @@ def test_the_shipped_imagers_have_the_geometry_of_their_class():
     assert not load_camera("pulnix-ag5745ef3").is_thermal
 
 
-def test_a_description_has_the_tables_of_one_kind(tmp_path):
-    tables = [read_toml(file_io.path_of_shipped("sensors", name)) for name in NAMES]
-    described = ThermalImagerFile
-    with pytest.raises(
-        BadInput, match="must have one of scanner, bolometer, cooled_array, got scanner, bolometer"
-    ):
-        from_mapping(tables[0] | {"bolometer": tables[1]["bolometer"]}, described)
-    with pytest.raises(BadInput, match="got none"):
-        from_mapping(
-            {key: value for key, value in tables[1].items() if key != "bolometer"},
-            ThermalImagerFile,
-        )
-    with pytest.raises(BadInput, match="unknown key 'netd' in bolometer; did you mean"):
-        from_mapping(
-            tables[1] | {"bolometer": tables[1]["bolometer"] | {"netd": 40}}, ThermalImagerFile
-        )
-    with pytest.raises(BadInput, match="a scanner must be interlaced and an array progressive"):
-        from_mapping(
-            tables[1] | {"video": tables[1]["video"] | {"interlaced": True}}, ThermalImagerFile
-        )
-    for name in NAMES:
-        save_sensor(load_camera(name), tmp_path / "again.toml")
-        assert load_camera(tmp_path / "again.toml") == load_camera(name)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_description_is_read_as_it_was_written(name, tmp_path):
+    save_sensor(load_camera(name), tmp_path / "again.toml")
+    assert load_camera(tmp_path / "again.toml") == load_camera(name)
+
+
+SCANNER, VOX, INSB = NAMES
+TABLES = {name: read_toml(file_io.path_of_shipped("sensors", name)) for name in NAMES}
+
+
+def vox_with(**tables):
+    """The bolometer's file with other tables, None for none."""
+    changed = {key: value for key, value in (TABLES[VOX] | tables).items() if value is not None}
+    return from_mapping(changed, ThermalImagerFile)
+
+
+def shown(source, photoelectrons_per_dn=None):
+    vox, asked = load_camera(VOX), {"photoelectrons_per_dn": photoelectrons_per_dn}
+    return simulate(SimulationRequest(source=source, **asked), vox, conditions_of(vox))
 
 
 @pytest.mark.parametrize(
-    ("name", "path", "value", "sentence"),
+    ("make", "sentence"),
     [
-        ("scanning-lwir", "band.short_um", 13.0, "short_um must lie below long_um, got 13 and 12"),
         (
-            "scanning-lwir",
-            "scanner.active_fraction",
-            1.0,
-            "active_fraction must lie between 0.05 and 0.98, got 1",
+            lambda: vox_with(scanner=TABLES[SCANNER]["scanner"]),
+            "must have one of scanner, bolometer, cooled_array, got scanner, bolometer",
+        ),
+        (lambda: vox_with(bolometer=None), "got none"),
+        (
+            lambda: vox_with(bolometer=TABLES[VOX]["bolometer"] | {"netd": 40}),
+            "unknown key 'netd' in bolometer; did you mean",
         ),
         (
-            "scanning-lwir",
-            "video.span_k",
-            700.0,
-            r"span_k must lie within -200 to 2000 C, got -328 to 372 C",
+            lambda: vox_with(video=TABLES[VOX]["video"] | {"interlaced": True}),
+            "a scanner must be interlaced and an array progressive",
         ),
-        (
-            "scanning-lwir",
-            "scanner.mirror_hz",
-            7000.0,
-            "all lines_per_field within a field, got 240 of 233.6 lines",
+        *(
+            (
+                lambda name=name, path=path, value=value: load_camera(name).with_values(
+                    {path: value}
+                ),
+                sentence,
+            )
+            for name, path, value, sentence in (
+                (
+                    SCANNER,
+                    "band.short_um",
+                    13.0,
+                    "short_um must lie below long_um, got 13 and 12",
+                ),
+                (
+                    SCANNER,
+                    "scanner.active_fraction",
+                    1.0,
+                    "active_fraction must lie between 0.05 and 0.98, got 1",
+                ),
+                (
+                    SCANNER,
+                    "video.span_k",
+                    700.0,
+                    r"span_k must lie within -200 to 2000 C, got -328 to 372 C",
+                ),
+                (
+                    SCANNER,
+                    "scanner.mirror_hz",
+                    7000.0,
+                    "all lines_per_field within a field, got 240 of 233.6 lines",
+                ),
+                (
+                    SCANNER,
+                    "scanner.clock_error_ns",
+                    1e6,
+                    "clock_error_ns must lie between -1000 and 1000, got 1e",
+                ),
+                (VOX, "bolometer.netd_mk", 0.0, "netd_mk must be positive, got 0"),
+                (
+                    INSB,
+                    "cooled_array.correction_low_c",
+                    40.0,
+                    "correction_low_c must lie below correction_high_c",
+                ),
+            )
         ),
-        (
-            "scanning-lwir",
-            "scanner.clock_error_ns",
-            1e6,
-            "clock_error_ns must lie between -1000 and 1000, got 1e",
+        (lambda: shown(np.ones((480, 640)), 1.0), "thermal imager needs an outdoor scene"),
+        (lambda: shown(Path("bench")), "a thermal imager needs an outdoor scene, got bench"),
+        *(
+            (
+                lambda option=option: conditions_of(load_camera(VOX), **option),
+                r"^[a-z_]+ needs a camera of visible light, got 'VOx LWIR 640'$",
+            )
+            for option in ({"gain": 3.0}, {"mcp_v": 700.0}, {"illuminance_lux": 1e-4})
         ),
-        ("vox-lwir-640", "bolometer.netd_mk", 0.0, "netd_mk must be positive, got 0"),
-        (
-            "insb-mwir-640",
-            "cooled_array.correction_low_c",
-            40.0,
-            "correction_low_c must lie below correction_high_c",
-        ),
+        (lambda: load_described_camera(VOX, "p43"), "phosphor needs a camera with a tube"),
+        (lambda: load_sensor(VOX), "must be an intensified camera"),
     ],
 )
-def test_what_no_imager_can_have_is_refused(name, path, value, sentence):
+def test_what_no_imager_can_have_or_show_is_refused_in_one_sentence(make, sentence):
     with pytest.raises(BadInput, match=sentence):
-        load_camera(name).with_values({path: value})
-
-
-def test_verbs_that_need_visible_light_or_a_tube_refuse_an_imager_in_one_sentence():
-    described = load_camera("vox-lwir-640")
-    picture = SimulationRequest(source=np.ones((480, 640)), photoelectrons_per_dn=1.0)
-    conditions = conditions_of(described)
-    with pytest.raises(BadInput, match="thermal imager needs an outdoor scene"):
-        simulate(picture, described, conditions)
-    with pytest.raises(BadInput, match="a thermal imager needs an outdoor scene, got bench"):
-        simulate(SimulationRequest(source=Path("bench")), described, conditions)
-    for option in ({"gain": 3.0}, {"mcp_v": 700.0}, {"illuminance_lux": 1e-4}):
-        with pytest.raises(
-            BadInput, match=r"^[a-z_]+ needs a camera of visible light, got 'VOx LWIR 640'$"
-        ):
-            conditions_of(described, **option)
-    with pytest.raises(BadInput, match="phosphor needs a camera with a tube"):
-        load_described_camera("vox-lwir-640", "p43")
-    with pytest.raises(BadInput, match="must be an intensified camera"):
-        load_sensor("vox-lwir-640")
+        make()
 
 
 def test_the_signal_of_a_black_body_is_its_radiance_in_the_band(camera):
@@ -186,18 +202,34 @@ def test_a_frame_follows_from_seed_and_number(camera, seed):
     assert not np.array_equal(camera.view_target(22.0, seed=seed + 1, count=1)[0], some[0])
 
 
-def test_radiance_and_effects_that_do_not_fit_are_refused(camera):
-    short, long = camera.band_um
-    with pytest.raises(BadInput, match="spectral bins must hold the band"):
-        camera.responses([short + 0.2, long])
-    with pytest.raises(BadInput, match=r"axes \(row, col, bin\) with 1 bins, got shape"):
-        camera.signal(np.ones((4, 4)), [short, long])
-    with pytest.raises(BadInput, match="radiances must be finite and not negative"):
-        camera.signal(-np.ones((4, 4, 1)), [short, long])
-    with pytest.raises(BadInput, match="a picture must have a whole number of cells in each of"):
-        next(camera.frames_of_signal(np.ones((7, 9)), seed=0))
-    with pytest.raises(BadInput, match="an effect must be one of optics blur, detector footprint"):
-        camera.without("jitter")
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (
+            lambda camera, short, long: camera.responses([short + 0.2, long]),
+            "spectral bins must hold the band",
+        ),
+        (
+            lambda camera, *band: camera.signal(np.ones((4, 4)), band),
+            r"axes \(row, col, bin\) with 1 bins, got shape",
+        ),
+        (
+            lambda camera, *band: camera.signal(-np.ones((4, 4, 1)), band),
+            "radiances must be finite and not negative",
+        ),
+        (
+            lambda camera, *_: next(camera.frames_of_signal(np.ones((7, 9)), seed=0)),
+            "a picture must have a whole number of cells in each of",
+        ),
+        (
+            lambda camera, *_: camera.without("jitter"),
+            "an effect must be one of optics blur, detector footprint",
+        ),
+    ],
+)
+def test_radiance_and_effects_that_do_not_fit_are_refused(camera, call, sentence):
+    with pytest.raises(BadInput, match=sentence):
+        call(camera, *camera.band_um)
 
 
 def test_plates_show_the_share_that_is_drawn():
