@@ -130,11 +130,7 @@ def test_draws_of_a_fitted_tube_follow_its_screen(sensor):
     assert changed.draws.values == ((15000.0 * factor,), (12000.0 * factor,))
 
 
-def test_a_missing_phosphor_is_refused_with_the_shipped_ones_and_one_of_ones_own_is_read(tmp_path):
-    with pytest.raises(
-        BadInput, match="one of p20, p43, p46, p47 or the path of a TOML file, got 'p11'"
-    ):
-        load_phosphor("p11")
+def test_a_phosphor_of_ones_own_is_read(tmp_path):
     own = replace(load_phosphor("p46"), name="mine")
     (tmp_path / "mine.toml").write_text(to_toml(own))
     assert load_phosphor(tmp_path / "mine.toml") == own
@@ -149,44 +145,12 @@ def camera() -> Camera:
     return load_camera("emccd-512")
 
 
-def test_a_camera_with_a_tube_is_a_sensor_and_one_without_is_not(camera):
-    assert load_camera("pulnix-ag5745ef3").has_tube and not camera.has_tube
-    with pytest.raises(
-        BadInput, match=r"must be an intensified camera, got 'EMCCD 512', which has no \[tube\]"
-    ):
-        load_sensor("emccd-512")
-
-
 def test_the_register_fills_the_scale_and_its_dark_current_is_gone_when_cooled(camera):
     video = camera.video
     span = 2**video.bit_depth - 1 - float(video.black_level_dn)
     assert span / float(video.conversion_gain_dn_per_e) == pytest.approx(8e5, rel=1e-3)
     colder = 2.0 ** ((-70.0 - 25.0) / float(camera.ccd.dark_current_doubling_k))
     assert float(camera.ccd.dark_current_e_per_s) * colder < 0.02
-
-
-def test_an_efficiency_other_than_the_highest_of_the_silicon_is_refused(camera) -> None:
-    with pytest.raises(BadInput, match=r"must be the silicon's highest, 0\.92, got 0\.5"):
-        replace(camera, ccd=replace(camera.ccd, quantum_efficiency=Parameter(value=0.5)))
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"register.em_gain": 0.5}, "em_gain must be at least 1, got 0.5"),
-        ({"register.clock_induced_e": -1.0}, "clock_induced_e must not be negative, got -1"),
-        ({"optics.focal_length_mm": 0.0}, "focal_length_mm must be positive, got 0"),
-    ],
-)
-def test_what_no_camera_can_have_is_refused(camera, changes, sentence):
-    with pytest.raises(BadInput) as error:
-        camera.with_values(changes)
-    assert str(error.value) == sentence
-
-
-def test_a_camera_without_a_tube_is_progressive_and_digital(camera):
-    with pytest.raises(BadInput, match="progressive and digital"):
-        replace(camera, video=replace(camera.video, interlaced=True))
 
 
 def test_a_session_of_such_a_camera_is_that_of_any_camera(camera, tmp_path):
@@ -234,20 +198,6 @@ def test_where_the_power_changes_the_gain_between_points_is_less_certain():
     assert bent.gain_at(750.0)[1] > 0.1
 
 
-@pytest.mark.parametrize("volts", [599.9, 900.1, float("nan")])
-def test_outside_the_table_nothing_is_said(volts):
-    with pytest.raises(BadInput, match="must lie within the gain table, 600 to 900"):
-        GAINS.gain_at(volts)
-
-
-@pytest.mark.parametrize(
-    "gains", [(1.0, 3.0, 2.0, 4.0), (0.0, 1.0, 2.0, 3.0), (1.0, 1.0, 2.0, 3.0), (1.0, 2.0)]
-)
-def test_a_table_that_does_not_rise_is_none(gains):
-    with pytest.raises(BadInput):
-        GainTable(source="x", mcp_v=VOLTS, luminous_gain=gains, relative_sd=(0.01,) * len(gains))
-
-
 # A lamp makes the light that is asked for, through the filter that is asked for, or says that it
 # cannot.
 
@@ -289,23 +239,62 @@ def test_the_filters_uncertainty_is_added_to_the_lamps():
     )
 
 
+EMCCD = load_camera("emccd-512")
+GAIN_RANGE = "must lie within the gain table, 600 to 900"
+
+
+def gains_of(gains: tuple[float, ...]) -> GainTable:
+    return GainTable(source="x", mcp_v=VOLTS, luminous_gain=gains, relative_sd=(0.01,) * len(gains))
+
+
 @pytest.mark.parametrize(
-    ("lux", "density", "rule"),
+    ("make", "words"),
     [
-        (2.0, None, "within the range of the lamp, 1e-07 to 1, got 2"),
-        (1e-8, None, "within the range of the lamp, 1e-07 to 1, got 1e-08"),
-        (1e-1, 3.0, "within the range of the lamp, 1e-05 to 0.001, got 0.1"),
-        (1e-4, 2.5, "filter_density must be one of the wheel's 0, 1, 2, 3, 4, 5, got 2.5"),
+        (
+            lambda: load_phosphor("p11"),
+            "one of p20, p43, p46, p47 or the path of a TOML file, got 'p11'",
+        ),
+        (
+            lambda: load_sensor("emccd-512"),
+            r"must be an intensified camera, got 'EMCCD 512', which has no \[tube\]",
+        ),
+        (
+            lambda: replace(EMCCD, ccd=replace(EMCCD.ccd, quantum_efficiency=Parameter(value=0.5))),
+            r"must be the silicon's highest, 0\.92, got 0\.5",
+        ),
+        (
+            lambda: replace(EMCCD, video=replace(EMCCD.video, interlaced=True)),
+            "progressive and digital",
+        ),
+        (
+            lambda: EMCCD.with_values({"register.em_gain": 0.5}),
+            r"^em_gain must be at least 1, got 0\.5$",
+        ),
+        (
+            lambda: EMCCD.with_values({"register.clock_induced_e": -1.0}),
+            "^clock_induced_e must not be negative, got -1$",
+        ),
+        (
+            lambda: EMCCD.with_values({"optics.focal_length_mm": 0.0}),
+            "^focal_length_mm must be positive, got 0$",
+        ),
+        *((lambda v=volts: GAINS.gain_at(v), GAIN_RANGE) for volts in (599.9, 900.1, math.nan)),
+        (lambda: gains_of((1.0, 3.0, 2.0, 4.0)), "luminous_gain"),
+        (lambda: gains_of((0.0, 1.0, 2.0, 3.0)), "luminous_gain"),
+        (lambda: gains_of((1.0, 1.0, 2.0, 3.0)), "luminous_gain"),
+        (lambda: gains_of((1.0, 2.0)), "at least two whole rows"),
+        (lambda: LAMP.setting(2.0), "within the range of the lamp, 1e-07 to 1, got 2"),
+        (lambda: LAMP.setting(1e-8), "within the range of the lamp, 1e-07 to 1, got 1e-08"),
+        (lambda: LAMP.setting(0.1, 3.0), "within the range of the lamp, 1e-05 to 0.001, got 0.1"),
+        (
+            lambda: LAMP.setting(1e-4, 2.5),
+            "filter_density must be one of the wheel's 0, 1, 2, 3, 4, 5, got 2.5",
+        ),
+        (lambda: replace(LAMP, source=" "), "source"),
+        (lambda: replace(LAMP, filter_density=()), "filter"),
+        (lambda: replace(LAMP, filter_density=(1.0, 1.0)), "filter"),
     ],
 )
-def test_what_the_lamp_cannot_make_is_refused(lux, density, rule):
-    with pytest.raises(BadInput, match=rule):
-        LAMP.setting(lux, density)
-
-
-@pytest.mark.parametrize(
-    "changes", [{"source": " "}, {"filter_density": ()}, {"filter_density": (1.0, 1.0)}]
-)
-def test_a_calibration_that_cannot_be_is_refused(changes):
-    with pytest.raises(BadInput):
-        LampCalibration(**{**vars(LAMP), **changes})
+def test_what_no_description_can_say_is_refused(make, words):
+    with pytest.raises(BadInput, match=words):
+        make()

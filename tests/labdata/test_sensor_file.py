@@ -15,7 +15,6 @@ from labdata import (
     save_sensor,
     sensor_names,
     to_mapping,
-    to_toml,
 )
 from labdata.camera import Draws, Parameter, camera_from_mapping
 
@@ -27,24 +26,24 @@ def sensor() -> Camera:
     return load_sensor("pulnix-ag5745ef3")
 
 
+def photons_of(camera: Camera) -> float:
+    """Photons of a photoelectron: lm/lm over lumens per photon and photoelectrons per lumen."""
+    lumen_s = float(camera.phosphor.luminous_efficacy_lm_per_w) * float(
+        camera.phosphor.photon_energy_ev
+    )
+    per_lumen_s = float(camera.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6
+    return float(camera.tube.luminous_gain) / lumen_s / per_lumen_s
+
+
 def test_the_luminous_gain_is_ten_thousand_photons_a_photoelectron(sensor):
     """Regression truth 3: 15,000 lm/lm at 1350 uA/lm is 10,229 photons per photoelectron."""
-    joule_per_photon = float(sensor.phosphor.photon_energy_ev) * ELECTRON_C
-    photons_per_lumen_s = 1.0 / (
-        float(sensor.phosphor.luminous_efficacy_lm_per_w) * joule_per_photon
-    )
-    electrons_per_lumen_s = (
-        float(sensor.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
-    )
-    photons = float(sensor.tube.luminous_gain) * photons_per_lumen_s / electrons_per_lumen_s
-    assert photons == pytest.approx(10229.0, rel=1e-3)
-    assert photons / float(sensor.microchannel_plate.electron_gain) == pytest.approx(
-        float(sensor.phosphor.photons_per_electron), rel=5e-3
-    )
+    assert photons_of(sensor) == pytest.approx(10229.0, rel=1e-3)
 
 
-def test_what_is_derived_follows_from_its_factors(sensor):
-    plate, taper, video = sensor.microchannel_plate, sensor.taper, sensor.video
+@pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
+def test_what_is_derived_follows_from_its_factors(name):
+    camera = load_sensor(name)
+    plate, taper, video = camera.microchannel_plate, camera.taper, camera.video
     open_area = float(plate.open_area_ratio)
     detected = float(plate.film_transmission) * (
         open_area + (1 - open_area) * float(plate.web_recovery)
@@ -53,8 +52,11 @@ def test_what_is_derived_follows_from_its_factors(sensor):
     fibres = float(taper.core_fraction) * float(taper.bulk_transmission)
     collected = (float(taper.numerical_aperture) / float(taper.demagnification)) ** 2 * fibres
     assert collected == pytest.approx(float(taper.transmission), rel=0.01)
+    assert photons_of(camera) / float(plate.electron_gain) == pytest.approx(
+        float(camera.phosphor.photons_per_electron), rel=5e-3
+    )
     full_scale = 2**video.bit_depth - 1
-    filled = (full_scale - float(video.black_level_dn)) / float(sensor.ccd.full_well_e)
+    filled = (full_scale - float(video.black_level_dn)) / float(camera.ccd.full_well_e)
     assert filled == pytest.approx(float(video.conversion_gain_dn_per_e), rel=1e-3)
 
 
@@ -134,13 +136,8 @@ def test_draws_inside_the_ranges_are_cameras_that_see(sensor, seed):
                 if q.low is not None
             }
         )
-        sensitivity = float(drawn.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6
-        efficacy, energy = (
-            drawn.phosphor.luminous_efficacy_lm_per_w,
-            drawn.phosphor.photon_energy_ev,
-        )
-        photons = float(drawn.tube.luminous_gain) / (float(efficacy) * float(energy)) / sensitivity
-        electrons = photons * float(drawn.taper.transmission) * float(drawn.ccd.quantum_efficiency)
+        electrons = float(drawn.taper.transmission) * float(drawn.ccd.quantum_efficiency)
+        electrons *= photons_of(drawn)
         filled_by = float(drawn.ccd.full_well_e) / electrons
         # photoelectrons that fill a field pixel; the reference says 40 to 160
         assert 10 < filled_by < 500
@@ -151,11 +148,13 @@ def test_draws_inside_the_ranges_are_cameras_that_see(sensor, seed):
         assert float(drawn.phosphor.slow_decay_ms) > 5 * float(drawn.phosphor.fast_decay_ms)
 
 
-def test_a_sensor_written_and_read_is_the_same(sensor, tmp_path):
-    drawn = sensor.with_values({"tube.post_gain_share": 0.7})
-    for one in (sensor, drawn):
+@pytest.mark.parametrize("name", sensor_names())
+def test_a_description_written_and_read_is_the_same(name, tmp_path):
+    camera = load_camera(name)
+    path = next(path for path, one in camera.parameters().items() if one.low is not None)
+    for one in (camera, camera.with_values({path: camera.parameters()[path].low})):
         save_sensor(one, tmp_path / "s.toml")
-        assert load_sensor("s.toml", relative_to=tmp_path) == one
+        assert load_camera("s.toml", relative_to=tmp_path) == one
 
 
 def test_posterior_draws_survive_the_file_to_the_last_bit(sensor, seed, tmp_path):
@@ -221,12 +220,6 @@ def test_what_is_wrong_in_a_sensor_file_is_named_with_its_place(sensor, path, va
     assert str(error.value) == sentence
 
 
-def test_every_shipped_description_loads_and_its_toml_is_stable():
-    for name in sensor_names():
-        camera = load_camera(name)
-        assert to_toml(camera_from_mapping(to_mapping(camera))) == to_toml(camera)
-
-
 IMPOSSIBLE = [
     ("optics.f_number", 0.0, "f_number must be positive, got 0"),
     ("optics.vignetting_fraction", 1.5, "vignetting_fraction must lie between 0 and 1, got 1.5"),
@@ -270,67 +263,56 @@ def test_what_no_camera_can_have_is_refused_when_the_camera_is_made(sensor, path
     assert str(error.value) == sentence
 
 
-def test_a_table_of_efficiency_rises_in_wavelength(sensor):
-    cathode = sensor.photocathode
-    with pytest.raises(BadInput, match="the wavelengths of an efficiency table must rise"):
-        replace(cathode, wavelength_nm=cathode.wavelength_nm[::-1])
-    with pytest.raises(BadInput, match="as many efficiencies, got 20 and 21"):
-        replace(cathode, wavelength_nm=cathode.wavelength_nm[1:])
-    with pytest.raises(BadInput, match="stages must be at least 1, got 0"):
-        replace(sensor.microchannel_plate, stages=0)
-    with pytest.raises(BadInput, match=r"bit_depth must lie between 1 and 16, got 17"):
-        replace(sensor.video, bit_depth=17)
+@pytest.mark.parametrize(
+    ("section", "change", "words"),
+    [
+        (
+            "photocathode",
+            lambda cathode: {"wavelength_nm": cathode.wavelength_nm[::-1]},
+            "the wavelengths of an efficiency table must rise",
+        ),
+        (
+            "photocathode",
+            lambda cathode: {"wavelength_nm": cathode.wavelength_nm[1:]},
+            "as many efficiencies, got 20 and 21",
+        ),
+        ("microchannel_plate", {"stages": 0}, "stages must be at least 1, got 0"),
+        ("video", {"bit_depth": 17}, r"bit_depth must lie between 1 and 16, got 17"),
+        (
+            "video",
+            {"bandwidth_mhz": None},
+            "without bandwidth_mhz must have no analog video, got lines, pixel_clock_mhz",
+        ),
+        (
+            "video",
+            {"sync_jitter_ns": None},
+            "with bandwidth_mhz must have all its analog video, got no sync_jitter_ns",
+        ),
+        (
+            "video",
+            {"automatic_gain_s": None},
+            "with automatic_gain must have automatic_gain_range_db",
+        ),
+    ],
+)
+def test_what_no_section_can_be_is_refused(sensor, section, change, words):
+    part = getattr(sensor, section)
+    with pytest.raises(BadInput, match=words):
+        replace(part, **(change(part) if callable(change) else change))
 
 
-def test_a_digital_camera_has_no_analog_video_and_an_analog_one_all_of_it(sensor):
-    with pytest.raises(
-        BadInput,
-        match="without bandwidth_mhz must have no analog video, got lines, pixel_clock_mhz",
-    ):
-        replace(sensor.video, bandwidth_mhz=None)
-    with pytest.raises(
-        BadInput, match="with bandwidth_mhz must have all its analog video, got no sync_jitter_ns"
-    ):
-        replace(sensor.video, sync_jitter_ns=None)
-    with pytest.raises(BadInput, match="with automatic_gain must have automatic_gain_range_db"):
-        replace(sensor.video, automatic_gain_s=None)
+def test_the_analog_camera_has_the_filter_of_its_sheet(sensor):
     assert not sensor.video.digital
     assert sensor.video.low_pass == (6.5, 14.318, 3)
 
 
-def test_the_digital_intensified_camera_follows_from_its_numbers():
-    """Peak efficiency 0.50; what is derived follows from its factors; more than its 18 mm do not
-    fall on the CCD.
-    """
+def test_the_digital_intensified_camera_has_its_peak_efficiency_and_fits_the_ccd():
+    """0.50 at the peak; more than its 18 mm do not fall on the CCD."""
     camera = load_sensor("gen3-digital-iccd")
     peak = max(camera.photocathode.relative_quantum_efficiency)
     scale = float(camera.photocathode.luminous_sensitivity_ua_per_lm) / 1996.0
     assert peak * scale == pytest.approx(0.50, rel=0.01)
-    plate, taper = camera.microchannel_plate, camera.taper
-    open_area = float(plate.open_area_ratio)
-    detected = float(plate.film_transmission) * (
-        open_area + (1 - open_area) * float(plate.web_recovery)
-    )
-    assert detected == pytest.approx(float(plate.detection_probability), rel=1e-3)
-    fibres = float(taper.core_fraction) * float(taper.bulk_transmission)
-    assert fibres * float(taper.numerical_aperture) ** 2 == pytest.approx(
-        float(taper.transmission), rel=1e-3
-    )
-    photons = float(camera.tube.luminous_gain) / (
-        float(camera.phosphor.luminous_efficacy_lm_per_w)
-        * float(camera.phosphor.photon_energy_ev)
-        * float(camera.photocathode.luminous_sensitivity_ua_per_lm)
-        * 1e-6
-    )
-    assert photons / float(camera.phosphor.photons_per_electron) == pytest.approx(
-        float(plate.electron_gain), rel=5e-3
-    )
-    filled = (2**camera.video.bit_depth - 1 - float(camera.video.black_level_dn)) / float(
-        camera.ccd.full_well_e
-    )
-    assert filled == pytest.approx(float(camera.video.conversion_gain_dn_per_e), rel=1e-3)
-    assert camera.video.digital
-    assert camera.video.low_pass is None
+    assert camera.video.digital and camera.video.low_pass is None
     diagonal_mm = 1e-3 * np.hypot(camera.ccd.columns * 13.0, camera.ccd.rows * 13.0)
     assert diagonal_mm == pytest.approx(18.0, rel=0.05)
 

@@ -14,7 +14,6 @@ from labdata import (
     load_camera,
     load_sensor,
     read_toml,
-    save_sensor,
 )
 from labdata.camera import ThermalImagerFile
 from simulate import SimulationRequest, conditions_of, load_described_camera, simulate
@@ -48,12 +47,6 @@ def test_the_shipped_imagers_have_the_geometry_of_their_class():
     assert pitches[1:] == [pytest.approx((0.68, 0.68)), pytest.approx((0.30, 0.30))]
     assert all(load_camera(name).is_thermal for name in NAMES)
     assert not load_camera("pulnix-ag5745ef3").is_thermal
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_description_is_read_as_it_was_written(name, tmp_path):
-    save_sensor(load_camera(name), tmp_path / "again.toml")
-    assert load_camera(tmp_path / "again.toml") == load_camera(name)
 
 
 SCANNER, VOX, INSB = NAMES
