@@ -203,7 +203,9 @@ def gain_loss(values: Values, signal_dn: ArrayLike) -> Array:
     return current_a / (_field_pixel_m2(values) * 1e4) / limit
 
 
-def reading_variance(values: Values, more_e2: ArrayLike = 0.0, warmth: ArrayLike = 1.0) -> Array:
+def reading_variance(
+    values: Values, more_e2: Array | float = 0.0, warmth: Array | float = 1.0
+) -> Array:
     """Return the variance of reading a dark, K^2 (r^2 + d) sum w^2, shape (n,), DN^2.
 
     Read noise r and dark charge d, by the warmth of the chip over that at 25 C, pass the video

@@ -146,7 +146,7 @@ def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
     from scipy.special import chdtri
 
     best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
-    values, parts = model.values(best[None]), collections.Counter()
+    values, parts = model.values(best[None]), collections.defaultdict[str, float](float)
     for observation in model.observed:
         parts[observation.name] += float(observation.chi_squared(values)[0])
     parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])

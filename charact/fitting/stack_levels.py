@@ -23,7 +23,7 @@ class SessionStacks(Stacks[StackLevel]):
     """Darks of known noise and flats of a session of a described camera, and what it measured."""
 
     session: Session
-    camera: Camera
+    camera: Camera  # pyright: ignore[reportGeneralTypeIssues] - no default, unlike that of the base
     levels: tuple[StackLevel, ...]  # all darks and flats within the linear range
 
     @property

@@ -25,14 +25,17 @@ class ComparedStack(Protocol):
     @property
     def label(self) -> str:
         """Label of the stack."""
+        ...
 
     @property
     def mean_dn(self) -> float:
         """Mean over pixels and frames, DN."""
+        ...
 
     @property
     def variance_dn2(self) -> float:
         """Temporal variance of a pixel, mean over pixels, DN^2."""
+        ...
 
 
 class MeasuredStack(ComparedStack, Protocol):
@@ -41,22 +44,27 @@ class MeasuredStack(ComparedStack, Protocol):
     @property
     def conditions(self) -> Conditions:
         """Conditions of the stack."""
+        ...
 
     @property
     def mean_sd_dn(self) -> float:
         """Standard error of the mean, DN."""
+        ...
 
     @property
     def variance_sd_dn2(self) -> float:
         """Standard error of the temporal variance, DN^2; nan of a single frame."""
+        ...
 
     @property
     def spatial_variance_dn2(self) -> float:
         """Variance of the fixed pattern over pixels, DN^2."""
+        ...
 
     @property
     def spatial_sd_dn2(self) -> float:
         """Standard error of the variance of the fixed pattern, DN^2."""
+        ...
 
 
 S_co = TypeVar("S_co", bound=ComparedStack, covariant=True)

@@ -129,9 +129,11 @@ class PixelAndVideo:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The video's bandwidth where it is known within a range only."""
-        video = flat_parameters(self.video.parameters) if self.video else ()
+        if self.video is None:
+            return ()
         return tuple(
-            replace(bandwidth, sd=self.video.ln_bandwidth_sd, start=0.0) for bandwidth in video
+            replace(bandwidth, sd=self.video.ln_bandwidth_sd, start=0.0)
+            for bandwidth in flat_parameters(self.video.parameters)
         )
 
     def bend(self, fx: Array) -> Array | None:

@@ -55,7 +55,7 @@ class TargetMotion:
 
     def max_lift(self, mtf: float, frequency_cy_per_px: float) -> float | None:
         """Return the most by which an MTF without the motion is higher; None: unbounded."""
-        lift = float(self.undo(np.float64(frequency_cy_per_px), np.float64(mtf))) - mtf
+        lift = float(self.undo(np.array(frequency_cy_per_px), np.array(mtf))) - mtf
         return lift if np.isfinite(lift) else None
 
 

@@ -315,11 +315,11 @@ def _linearity(
 
 
 def without_flats(
-    darks,
+    darks: Sequence[StackStatistics],
     series: FlatSeries | None,
     single: list[str],
     *,
-    quantity=("system_gain", "DN/e-"),
+    quantity: tuple[str, str] = ("system_gain", "DN/e-"),
     **fields: Any,
 ) -> list[Measurement]:
     """Return the quantities of darks alone, and the refusal of the gain."""

@@ -199,7 +199,7 @@ def _least_squares(design: Array, value: Array) -> Array:
     """
     normal = design @ design.T
     normal += np.diag(1e-9 * np.diag(normal) + 1e-300)
-    return np.linalg.solve(normal, design @ value)
+    return np.asarray(np.linalg.solve(normal, design @ value), np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,8 +286,11 @@ def _profile_sums(value: Array, position: Array) -> tuple[Array, Array]:
     cell = position.astype(np.int64)
     cells = np.concatenate([cell, cell + 1])
     weights = np.concatenate([1.0 - position + cell, position - cell])
-    sums = np.bincount(cells, weights * np.tile(value, 2), CELLS_PX.size)
-    return sums, np.bincount(cells, weights, CELLS_PX.size)
+    sums, counts = (
+        np.bincount(cells, weight, CELLS_PX.size).astype(np.float64)
+        for weight in (weights * np.tile(value, 2), weights)
+    )
+    return sums, counts
 
 
 def displacement_weights(
