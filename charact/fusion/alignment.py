@@ -35,26 +35,26 @@ def align_bands(
     `FUSION.flagged_shift_px`, but not if poses are known: they are closer than a shift measured
     from edges that two bands do not share. Geometry and shift are one interpolation.
     """
-    fixed, found = bands[0], [bands[0]]
-    places: list[Placement | None] = [None]
+    fixed, aligned = bands[0], [bands[0]]
+    placements: list[Placement | None] = [None]
     for band, source in zip(bands[1:], sources[1:], strict=True):
         placement, notes = place_source(sources[0], source, distance_m)
-        moved = band if placement is None else move_band(band, placement)
+        placed = band if placement is None else move_band(band, placement)
         posed = are_posed(sources[0].geometry, source.geometry)
         if not (registered or posed):
-            shift = measure_shift(*(display_plane(one, bloom=True) for one in (fixed, moved)))
+            shift = measure_shift(*(display_plane(shown, bloom=True) for shown in (fixed, placed)))
             if shift.least_px > FUSION.flagged_shift_px:
                 placement = (placement or _identity(band)).shifted(shift.shift_px)
-                moved = move_band(band, placement)
+                placed = move_band(band, placement)
                 across, down = shift.shift_px
                 notes = (
                     *notes,
                     f"{band.name} was moved by its measured shift of {down:.2f} rows and "
                     f"{across:.2f} columns",
                 )
-        found.append(replace(moved, notes=(*moved.notes, *notes)))
-        places.append(placement)
-    return found, places
+        aligned.append(replace(placed, notes=(*placed.notes, *notes)))
+        placements.append(placement)
+    return aligned, placements
 
 
 def place_source(
@@ -63,10 +63,14 @@ def place_source(
     """Return the place of fixed pixels in a moving frame, None if the frames are on one grid, and
     notes on the way.
     """
-    one, other = fixed.geometry, moving.geometry
-    same = fixed.stack.shape[1:] == moving.stack.shape[1:]
-    if one is None or other is None or (same and not are_posed(one, other)):
-        if not same:
+    fixed_geometry, moving_geometry = fixed.geometry, moving.geometry
+    same_grid = fixed.stack.shape[1:] == moving.stack.shape[1:]
+    if (
+        fixed_geometry is None
+        or moving_geometry is None
+        or (same_grid and not are_posed(fixed_geometry, moving_geometry))
+    ):
+        if not same_grid:
             sizes = " and ".join(
                 f"{source.name} {source.stack.shape[1]} x {source.stack.shape[2]}"
                 for source in (fixed, moving)
@@ -80,12 +84,12 @@ def place_source(
         return None, (
             f"{moving.name}: warp and parallax were left out: poses of the cameras are unknown",
         )
-    placement = place_pixels(one, other, distance_m=distance_m)
+    placement = place_pixels(fixed_geometry, moving_geometry, distance_m=distance_m)
     if placement.outside.all():
         raise BadInput(
             f"the fields of view must overlap, got none of {fixed.name} in {moving.name}"
         )
-    return placement, (_way(one, other, distance_m, moving.name, placement),)
+    return placement, (_way(fixed_geometry, moving_geometry, distance_m, moving.name, placement),)
 
 
 def _way(
@@ -125,27 +129,27 @@ def move_band(band: Band, placement: Placement) -> Band:
     leaves.
     """
     rows, cols = band.image.shape
-    away = np.abs(placement.col - 0.5 * (cols - 1)), np.abs(placement.row - 0.5 * (rows - 1))
-    beyond = (away[0] > 0.5 * cols) | (away[1] > 0.5 * rows)
-    lost = placement.unseen | beyond
+    distance = np.abs(placement.col - 0.5 * (cols - 1)), np.abs(placement.row - 0.5 * (rows - 1))
+    off_frame = (distance[0] > 0.5 * cols) | (distance[1] > 0.5 * rows)
+    no_data = placement.unseen | off_frame
     if band.no_data is not None:
-        lost = lost | (placement.warp(band.no_data.astype(np.float32)) > 0.5)
+        no_data = no_data | (placement.warp(band.no_data.astype(np.float32)) > 0.5)
     law = band.noise
     if law is not None:
         power, factor = placement.noise_change
         blur = blur_px_of(min(factor, 1.0))
-        shot, read = (float(np.hypot(one, blur)) for one in (law.blur_px, law.read_blur_px))
+        shot, read = (float(np.hypot(blur_px, blur)) for blur_px in (law.blur_px, law.read_blur_px))
         law = replace(law.scaled(power), blur_px=shot, read_blur_px=read)
-    return replace(band, image=placement.warp(band.image), noise=law, no_data=lost)
+    return replace(band, image=placement.warp(band.image), noise=law, no_data=no_data)
 
 
-def common_field(places: Sequence[Placement | None]) -> tuple[int, int, int, int] | None:
+def common_field(placements: Sequence[Placement | None]) -> tuple[int, int, int, int] | None:
     """Return ROW, COL, HEIGHT, WIDTH of the pixels that lie inside all frames; None: all pixels do.
 
     From the whole frame, the side with the largest share of pixels outside is moved inwards until
     there is none.
     """
-    outside = [place.outside for place in places if place is not None]
+    outside = [placement.outside for placement in placements if placement is not None]
     if not outside or not (lost := np.logical_or.reduce(outside)).any():
         return None
     top, left, bottom, right = 0, 0, *lost.shape
@@ -180,11 +184,11 @@ def crop_band(band: Band, region: tuple[int, int, int, int]) -> Band:
     cut = np.s_[row : row + height, col : col + width]
     bloom = band.bloom
     if bloom is not None:
-        moved = [replace(one, row=one.row - row, col=one.col - col) for one in bloom.sources]
-        inside = [
-            one
-            for one in moved
-            if not one.has_known_signal or (0 <= one.row < height and 0 <= one.col < width)
+        sources = [replace(lamp, row=lamp.row - row, col=lamp.col - col) for lamp in bloom.sources]
+        in_view = [
+            lamp
+            for lamp in sources
+            if not lamp.has_known_signal or (0 <= lamp.row < height and 0 <= lamp.col < width)
         ]
         bloom = replace(
             bloom,
@@ -193,7 +197,7 @@ def crop_band(band: Band, region: tuple[int, int, int, int]) -> Band:
             blooming_dn=bloom.blooming_dn[cut],
             clipped=bloom.clipped[cut],
             near_border=bloom.near_border[cut],
-            sources=tuple(inside),
+            sources=tuple(in_view),
         )
     no_data = None if band.no_data is None or not band.no_data[cut].any() else band.no_data[cut]
     return replace(band, image=band.image[cut], bloom=bloom, no_data=no_data)

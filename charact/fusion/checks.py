@@ -22,12 +22,12 @@ def find_problems(
     """
     findings, notes = [], []
     for number, plane in enumerate(planes):
-        found = (
+        plane_findings = (
             noise_finding(plane, finest[number] if finest else None),
             *rim_findings(plane),
             hole_finding(plane),
         )
-        findings += [one for one in found if one]
+        findings += [finding for finding in plane_findings if finding]
     if not any(plane.clipped is not None or plane.restored for plane in planes):
         notes.append("no lamp in view: the bloom step was left out")
     return tuple(findings), tuple(notes)
@@ -41,26 +41,26 @@ def registration_finding(planes: Sequence[Plane]) -> tuple[Finding | None, tuple
     """
     fixed, notes, finding = planes[0], [], None
     for plane in planes[1:]:
-        found = measure_shift(fixed, plane)
+        shift = measure_shift(fixed, plane)
         name = f"{plane.band.name} against {fixed.band.name}"
-        if not np.isfinite(found.magnitude_px):
+        if not np.isfinite(shift.magnitude_px):
             notes.append(
-                f"the shift of {name} could not be measured ({found.reason}): registration is as "
+                f"the shift of {name} could not be measured ({shift.reason}): registration is as "
                 "given"
             )
             continue
-        across, down = found.interval_px(0.95)
+        across, down = shift.interval_px(0.95)
         text = (
-            f"{found.shift_px[1]:.2f} rows [{down[0]:.2f}, {down[1]:.2f}] and "
-            f"{found.shift_px[0]:.2f} columns [{across[0]:.2f}, {across[1]:.2f}] (95 %)"
+            f"{shift.shift_px[1]:.2f} rows [{down[0]:.2f}, {down[1]:.2f}] and "
+            f"{shift.shift_px[0]:.2f} columns [{across[0]:.2f}, {across[1]:.2f}] (95 %)"
         )
-        if found.least_px > FUSION.refused_shift_px:
+        if shift.least_px > FUSION.refused_shift_px:
             rule = f"bands must be registered within {FUSION.refused_shift_px:g} px"
             raise BadInput(f"{rule}, got {name} shifted by {text}")
-        if found.least_px > FUSION.flagged_shift_px:
+        if shift.least_px > FUSION.flagged_shift_px:
             effect = f"{name} is shifted by {text}; a shift of 2 px costs a third of d'^2"
             finding = Finding(flag="unregistered", effect=effect, remedy="registration to one grid")
-        elif found.status != "ok":
+        elif shift.status != "ok":
             notes.append(f"the shift of {name} is not known well: {text}")
     return finding, tuple(notes)
 
@@ -87,8 +87,8 @@ def noise_finding(plane: Plane, detail: Image | None = None) -> Finding | None:
         return Finding(flag="uncalibrated", effect=effect, remedy="`sensor`, or a measured session")
     detail = map_samples(decompose(plane.value, 1)[0]) if detail is None else detail
     relative = detail * detail / np.maximum(plane.variance(0), np.float32(1e-12))
-    seen = relative if plane.hole is None else relative[~map_samples(plane.hole)]
-    ratio = float(np.median(seen)) / 0.4549 if seen.size else np.inf
+    shown = relative if plane.hole is None else relative[~map_samples(plane.hole)]
+    ratio = float(np.median(shown)) / 0.4549 if shown.size else np.inf
     if FUSION.least_noise_ratio <= ratio <= FUSION.most_noise_ratio:
         return None
     effect = f"the finest details of {name} have {ratio:.2g} times the variance of the stated noise"
@@ -98,12 +98,12 @@ def noise_finding(plane: Plane, detail: Image | None = None) -> Finding | None:
 
 def hole_finding(plane: Plane) -> Finding | None:
     """Return the finding of a band with too few pixels that carry information."""
-    share = 0.0 if plane.hole is None else float(plane.hole.mean())
-    if share <= FUSION.most_holes:
+    hole_fraction = 0.0 if plane.hole is None else float(plane.hole.mean())
+    if hole_fraction <= FUSION.most_holes:
         return None
     effect = (
-        f"{100 * share:.2g} % of {plane.band.name} are clipped, occluded or of unknown blooming; "
-        "they hold the other bands alone"
+        f"{100 * hole_fraction:.2g} % of {plane.band.name} are clipped, occluded or of unknown "
+        "blooming; they hold the other bands alone"
     )
     return Finding(flag="clipped", effect=effect, remedy="a shorter exposure or lower gain")
 
@@ -112,21 +112,21 @@ def rim_findings(plane: Plane) -> list[Finding]:
     """Return the findings of halos whose rim is left in the frame after subtraction: radius or
     amount is wrong.
     """
-    found = []
+    findings = []
     for source in plane.band.bloom.sources if plane.band.bloom else ():
-        place = f"at row {source.row:.0f}, col {source.col:.0f} of {plane.band.name}"
+        position = f"at row {source.row:.0f}, col {source.col:.0f} of {plane.band.name}"
         if not source.has_known_signal:
-            effect = f"a lamp {place} has unknown blooming ({source.reason})"
-            found.append(
+            effect = f"a lamp {position} has unknown blooming ({source.reason})"
+            findings.append(
                 Finding(flag="saturated", effect=effect, remedy="a shorter exposure or lower gain")
             )
             continue
         step = rim_step(plane, source.row, source.col)
         if step is not None and abs(step[0]) > max(FUSION.most_rim_share, FUSION.rim_sd * step[1]):
-            effect = f"the halo {place} leaves {100 * step[0]:.0f} % of its step at the rim"
+            effect = f"the halo {position} leaves {100 * step[0]:.0f} % of its step at the rim"
             remedy = "halo diameter and fraction of this camera, from a point series"
-            found.append(Finding(flag="model-misfit", effect=effect, remedy=remedy))
-    return found
+            findings.append(Finding(flag="model-misfit", effect=effect, remedy=remedy))
+    return findings
 
 
 # Width of the rings inside and outside of a rim, px: a radius 4 px off puts most of the step into
@@ -149,26 +149,26 @@ def rim_step(plane: Plane, row: float, col: float) -> tuple[float, float] | None
     values, amount = plane.value[window], np.asarray(bloom.blooming_dn[window], np.float32)
     rows, cols = np.ogrid[: values.shape[0], : values.shape[1]]
     down, across = (rows + (top - row)).astype(np.float32), (cols + (left - col)).astype(np.float32)
-    away, angle = np.hypot(down, across), np.arctan2(down, across)
-    good = np.isfinite(amount) & (away < REACH_PX)
-    good &= True if plane.hole is None else ~plane.hole[window]
-    sector = np.minimum((angle[good] + np.pi) * (SECTORS / (2.0 * np.pi)), SECTORS - 1).astype(int)
-    place = away[good].astype(int) * SECTORS + sector
+    radius, angle = np.hypot(down, across), np.arctan2(down, across)
+    valid = np.isfinite(amount) & (radius < REACH_PX)
+    valid &= True if plane.hole is None else ~plane.hole[window]
+    sector = np.minimum((angle[valid] + np.pi) * (SECTORS / (2.0 * np.pi)), SECTORS - 1).astype(int)
+    cell = radius[valid].astype(int) * SECTORS + sector
     count, left_over, subtracted = (
-        np.bincount(place, weight, REACH_PX * SECTORS).reshape(REACH_PX, SECTORS)
-        for weight in (None, values[good], amount[good])
+        np.bincount(cell, weight, REACH_PX * SECTORS).reshape(REACH_PX, SECTORS)
+        for weight in (None, values[valid], amount[valid])
     )
     inner = int(np.argmax(count.sum(axis=1) > SECTORS)) + 2
     steps = _ring_steps(left_over, count)[inner + RING_PX :]
-    own = np.nanmedian(_ring_steps(subtracted, count)[inner + RING_PX :], axis=1)
-    scale = float(np.nanmax(own, initial=0.0)) / (plane.span[1] - plane.span[0])
+    halo_step = np.nanmedian(_ring_steps(subtracted, count)[inner + RING_PX :], axis=1)
+    scale = float(np.nanmax(halo_step, initial=0.0)) / (plane.span[1] - plane.span[0])
     if not scale > FUSION.least_rim:
         return None
     middle = np.nanmedian(steps, axis=1)
     number = np.isfinite(steps).sum(axis=1)
     error = 1.25 * np.nanstd(steps, axis=1) / np.sqrt(np.maximum(number, 1))
     # Beyond the rim of the subtracted halo nothing of it is left.
-    rim = int(np.nanargmax(own)) + 2 * RING_PX
+    rim = int(np.nanargmax(halo_step)) + 2 * RING_PX
     usable = (number >= SECTORS // 2) & (np.arange(number.size) <= rim)
     if not usable.any():
         return None
@@ -180,13 +180,15 @@ def _ring_steps(total: NDArray, count: NDArray) -> NDArray:
     """Return the mean of the ring inside less that outside of each radius, shape (radius, sector);
     NaN if unknown.
     """
-    sums, numbers = (np.cumsum(np.pad(one, ((1, 0), (0, 0))), axis=0) for one in (total, count))
+    sums, numbers = (
+        np.cumsum(np.pad(sectors, ((1, 0), (0, 0))), axis=0) for sectors in (total, count)
+    )
     ends = (
         np.clip(np.arange(REACH_PX) + RING_PX, 0, REACH_PX),
         np.clip(np.arange(REACH_PX) - RING_PX, 0, REACH_PX),
     )
     at = np.arange(REACH_PX)
     with np.errstate(invalid="ignore", divide="ignore"):
-        inside = (sums[at] - sums[ends[1]]) / (numbers[at] - numbers[ends[1]])
-        outside = (sums[ends[0]] - sums[at]) / (numbers[ends[0]] - numbers[at])
-    return inside - outside
+        inner_mean = (sums[at] - sums[ends[1]]) / (numbers[at] - numbers[ends[1]])
+        outer_mean = (sums[ends[0]] - sums[at]) / (numbers[ends[0]] - numbers[at])
+    return inner_mean - outer_mean

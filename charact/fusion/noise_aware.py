@@ -68,7 +68,11 @@ def fuse_noise_aware(
     picture, weights, finest = fuse_levels(planes)
     spread = level_uncertainty(planes, weights) if uncertainty else None
     findings, notes = find_problems(planes, finest) if check else ((), ())
-    empty = [plane.band.name for plane, own in zip(planes, weights, strict=True) if own[-1] == 0.0]
+    empty = [
+        plane.band.name
+        for plane, plane_weights in zip(planes, weights, strict=True)
+        if plane_weights[-1] == 0.0
+    ]
     notes = (*notes, *(f"{name} holds nothing beyond its noise and was left out" for name in empty))
     return finish("noise-aware", planes, picture, spread, findings=findings, notes=notes)
 
@@ -89,12 +93,12 @@ def fuse_levels(
     out, weights = [], [[] for _ in planes]
     for level in range(levels):
         precisions = [
-            _precision(plane, level) * np.float32(1.0 if one else 1e-6)
-            for plane, one in zip(planes, shown, strict=True)
+            _precision(plane, level) * np.float32(1.0 if is_shown else 1e-6)
+            for plane, is_shown in zip(planes, shown, strict=True)
         ]
         noise = np.asarray(np.float32(1.0) / sum(precisions))
         details = [pyramid[level] for pyramid in pyramids]
-        detail = weighted_sum(details, [one * noise for one in precisions])
+        detail = weighted_sum(details, [precision * noise for precision in precisions])
         # Where no band is known the noise is a million times higher, and there are no details.
         mean_noise = float(np.mean(noise[noise < 1e3 * np.min(noise)]))
         power = max(
@@ -103,12 +107,12 @@ def fuse_levels(
         )
         shrink = np.float32(power) / (np.float32(power) + noise)
         out.append(weigh(detail, shrink, details[0]))
-        for own, precision in zip(weights, precisions, strict=True):
-            own.append(precision * noise * shrink)
-    shares = [np.float32(one / sum(shown)) for one in shown]
-    out.append(weighted_sum([pyramid[levels] for pyramid in pyramids], shares))
-    for own, share in zip(weights, shares, strict=True):
-        own.append(share)
+        for plane_weights, precision in zip(weights, precisions, strict=True):
+            plane_weights.append(precision * noise * shrink)
+    fractions = [np.float32(is_shown / sum(shown)) for is_shown in shown]
+    out.append(weighted_sum([pyramid[levels] for pyramid in pyramids], fractions))
+    for plane_weights, fraction in zip(weights, fractions, strict=True):
+        plane_weights.append(fraction)
     return collapse(out), weights, finest
 
 
@@ -174,9 +178,13 @@ def fuse_colour(
             np.square(deviations(planes, weights)).transpose(1, 2, 0) @ np.square(mixture).T
         )
         # The share of a band is that in the contrasts of all colours.
-        seen = np.abs(mixture).sum(axis=0)
+        contrast = np.abs(mixture).sum(axis=0)
         _, share = level_uncertainty(
-            planes, [[one * seen[k] for one in own] for k, own in enumerate(weights)]
+            planes,
+            [
+                [weight * contrast[k] for weight in plane_weights]
+                for k, plane_weights in enumerate(weights)
+            ],
         )
         spread = sd, share
     findings, notes = find_problems(planes, finest) if check else ((), ())
@@ -190,13 +198,14 @@ def restore_bands(
     `fuse_levels`.
     """
     pictures, weights, finest = zip(*(fuse_levels([plane]) for plane in planes), strict=True)
-    return list(pictures), [own for (own,) in weights], [own for (own,) in finest]
+    return list(pictures), [single for (single,) in weights], [single for (single,) in finest]
 
 
 def deviations(planes: Sequence[Plane], weights: Sequence[LevelWeights]) -> list[Image]:
     """Return the standard deviation of each restored band, shape (row, col)."""
     return [
-        level_uncertainty([plane], [own])[0] for plane, own in zip(planes, weights, strict=True)
+        level_uncertainty([plane], [plane_weights])[0]
+        for plane, plane_weights in zip(planes, weights, strict=True)
     ]
 
 
@@ -257,17 +266,20 @@ def make_colour_table(
         got = f"{len(bands)} and {materials.shape}"
         raise BadInput(f"a colour table needs two bands and materials of their size, got {got}")
     planes = display_planes(bands, bloom=True)
-    places = [np.clip(one * SIZE, 0, SIZE - 1).astype(int) for one in restore_bands(planes)[0]]
+    table_index = [
+        np.clip(restored * SIZE, 0, SIZE - 1).astype(int) for restored in restore_bands(planes)[0]
+    ]
     known = np.isin(materials, list(colours))
     if not known.any():
         raise BadInput(f"a colour table needs pixels of the materials {sorted(colours)}, got none")
-    cell = (places[0] * SIZE + places[1])[known]
+    cell = (table_index[0] * SIZE + table_index[1])[known]
     count = np.bincount(cell, minlength=SIZE**2).reshape(SIZE, SIZE)
     numbers = np.unique(materials)
     paint = np.array([colours.get(int(number), (0.0, 0.0, 0.0)) for number in numbers])
-    own = paint[np.searchsorted(numbers, materials[known])]
+    pixel_colour = paint[np.searchsorted(numbers, materials[known])]
     sums = np.stack(
-        [np.bincount(cell, own[:, k], SIZE**2).reshape(SIZE, SIZE) for k in range(3)], axis=-1
+        [np.bincount(cell, pixel_colour[:, k], SIZE**2).reshape(SIZE, SIZE) for k in range(3)],
+        axis=-1,
     )
     nearest = distance_transform_edt(count == 0, return_distances=False, return_indices=True)
     table = (sums / np.maximum(count, 1)[..., None])[tuple(np.asarray(nearest))]
@@ -290,11 +302,11 @@ def fuse_by_table(bands: Sequence[Band], table: ColourTable, *, uncertainty: boo
     planes = display_planes(bands, bloom=True, spans=spans)
     restored, weights, finest = restore_bands(planes)
     sizes = table.colours.shape[:2]
-    places = [
+    table_index = [
         np.clip(own * size - 0.5, 0.0, size - 1.0)
         for own, size in zip(restored, sizes, strict=True)
     ]
-    picture = _look_up(table.colours, places)
+    picture = _look_up(table.colours, table_index)
     spread = None
     if uncertainty:
         own = zip(deviations(planes, weights), sizes, strict=True)
@@ -303,9 +315,9 @@ def fuse_by_table(bands: Sequence[Band], table: ColourTable, *, uncertainty: boo
             cv2.GaussianBlur(one, (0, 0), cols, sigmaY=rows)
             for one in (table.colours, table.colours**2)
         )
-        sd = _look_up(np.sqrt(np.maximum(square - mean**2, 0.0)), places)
+        sd = _look_up(np.sqrt(np.maximum(square - mean**2, 0.0)), table_index)
         parts = [
-            np.abs(_look_up(slope, places)).sum(axis=-1) + 1e-6
+            np.abs(_look_up(slope, table_index)).sum(axis=-1) + 1e-6
             for slope in np.gradient(mean, axis=(0, 1))
         ]
         spread = sd, np.stack([part / sum(parts) for part in parts])
@@ -313,7 +325,7 @@ def fuse_by_table(bands: Sequence[Band], table: ColourTable, *, uncertainty: boo
     return finish("colour-table", planes, picture, spread, findings=findings, notes=notes)
 
 
-def _look_up(table: Image, places: Sequence[Image]) -> Image:
+def _look_up(table: Image, table_index: Sequence[Image]) -> Image:
     """Return the entries of a table at rows and columns, linearly interpolated."""
-    rows, cols = (np.asarray(one, np.float32) for one in places)
+    rows, cols = (np.asarray(index, np.float32) for index in table_index)
     return cv2.remap(np.ascontiguousarray(table, np.float32), cols, rows, cv2.INTER_LINEAR)

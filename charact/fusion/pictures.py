@@ -100,21 +100,21 @@ def fuse_all(
     # Every method states a standard deviation by the noise law.
     noise = (
         [noise_finding(plane) for plane in planes]
-        if any(one.name not in AWARE for one in chosen)
+        if any(method.name not in AWARE for method in chosen)
         else []
     )
     pictures = {}
-    for one in chosen:
-        found = one.function(bands, spans=spans)
-        assert isinstance(found, Fused)
+    for method in chosen:
+        fused = method.function(bands, spans=spans)
+        assert isinstance(fused, Fused)
         findings = [
-            finding for finding in (shift, *(() if one.name in AWARE else noise)) if finding
+            finding for finding in (shift, *(() if method.name in AWARE else noise)) if finding
         ]
         rows = tuple(
-            judge(row.with_(notes=(*row.notes, *notes)), findings) for row in found.measurements
+            judge(row.with_(notes=(*row.notes, *notes)), findings) for row in fused.measurements
         )
-        marks = found.marks | np.uint8(MARKS["unregistered"]) if shift else found.marks
-        pictures[one.name] = replace(found, measurements=rows, marks=marks)
+        marks = fused.marks | np.uint8(MARKS["unregistered"]) if shift else fused.marks
+        pictures[method.name] = replace(fused, measurements=rows, marks=marks)
     return pictures
 
 
@@ -126,10 +126,10 @@ def pair_frames(sources: Sequence[Source]) -> tuple[list[tuple[int, ...]], tuple
     time stamps frames go by their number. No frames that agree in time, or stacks of unlike length
     without time stamps, are BadInput.
     """
-    first, *others = sources
+    first, *other_sources = sources
     count = len(first.stack)
     if any(source.stack.time_s.size == 0 for source in sources):
-        if any(len(source.stack) != count for source in others):
+        if any(len(source.stack) != count for source in other_sources):
             lengths = " and ".join(f"{len(source.stack)} of {source.name}" for source in sources)
             raise BadInput(
                 f"stacks without time stamps must have equally many frames, got {lengths}"
@@ -137,27 +137,31 @@ def pair_frames(sources: Sequence[Source]) -> tuple[list[tuple[int, ...]], tuple
         return [(i,) * len(sources) for i in range(count)], (
             "frames were paired by their number: no time stamps",
         )
-    columns, kept = [np.arange(count)], np.ones(count, bool)
-    worst = 0.0
-    for other in others:
-        time_s, own = other.stack.time_s, first.stack.time_s
-        nearest = np.abs(time_s[None, :] - own[:, None]).argmin(axis=1)
-        apart = np.abs(time_s[nearest] - own)
-        steps = [float(np.median(np.diff(times))) for times in (time_s, own) if times.size > 1]
-        kept &= apart <= 0.5 * max(steps, default=np.inf) * 1.01
+    columns, paired = [np.arange(count)], np.ones(count, bool)
+    largest_s = 0.0
+    for other in other_sources:
+        time_s, first_time_s = other.stack.time_s, first.stack.time_s
+        nearest = np.abs(time_s[None, :] - first_time_s[:, None]).argmin(axis=1)
+        interval_s = np.abs(time_s[nearest] - first_time_s)
+        steps = [
+            float(np.median(np.diff(times))) for times in (time_s, first_time_s) if times.size > 1
+        ]
+        paired &= interval_s <= 0.5 * max(steps, default=np.inf) * 1.01
         columns.append(nearest)
-        worst = max(worst, float(apart[kept].max(initial=0.0)))
-    if not kept.any():
+        largest_s = max(largest_s, float(interval_s[paired].max(initial=0.0)))
+    if not paired.any():
         raise BadInput(
             "frames must be taken at the same time, got no pair within half a frame interval"
         )
-    notes = [f"frames were paired by time, at most {1e3 * worst:.3g} ms apart"]
-    if not kept.all():
+    notes = [f"frames were paired by time, at most {1e3 * largest_s:.3g} ms apart"]
+    if not paired.all():
         notes.append(
-            f"{np.count_nonzero(~kept)} of {count} frames of {first.name} have no partner and "
+            f"{np.count_nonzero(~paired)} of {count} frames of {first.name} have no partner and "
             f"were left out"
         )
-    return [tuple(int(column[i]) for column in columns) for i in np.flatnonzero(kept)], tuple(notes)
+    return [tuple(int(column[i]) for column in columns) for i in np.flatnonzero(paired)], tuple(
+        notes
+    )
 
 
 def held_spans(
@@ -166,15 +170,17 @@ def held_spans(
     """Return one display span of each band for a sequence: medians over frames, so that brightness
     does not flicker.
     """
-    some = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, SPAN_FRAMES).astype(int))]
+    sampled_pairs = [
+        pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, SPAN_FRAMES).astype(int))
+    ]
     spans = [
         {plane.band.name: plane.span for plane in display_planes(bands(pair), bloom=True)}
-        for pair in some
+        for pair in sampled_pairs
     ]
     return {
         name: (
-            float(np.median([one[name][0] for one in spans])),
-            float(np.median([one[name][1] for one in spans])),
+            float(np.median([spans_of_pair[name][0] for spans_of_pair in spans])),
+            float(np.median([spans_of_pair[name][1] for spans_of_pair in spans])),
         )
         for name in spans[0]
     }
@@ -207,16 +213,19 @@ def fuse_sequence(
     def read(number: int, pair: tuple[int, ...]) -> Band:
         return band_of(sources[number], pair[number], bloom=bloom, seed=seed)
 
-    def place(found: Sequence[Band], pair: tuple[int, ...]) -> list[Band]:
-        at = places
+    def place(bands: Sequence[Band], pair: tuple[int, ...]) -> list[Band]:
+        placements = places
         if moving:
-            now = [source.at_frame(frame) for source, frame in zip(sources, pair, strict=True)]
-            at = [None, *(place_source(now[0], other, distance_m)[0] for other in now[1:])]
-        moved = [
-            band if one is None else move_band(band, one)
-            for band, one in zip(found, at, strict=True)
+            posed = [source.at_frame(frame) for source, frame in zip(sources, pair, strict=True)]
+            placements = [
+                None,
+                *(place_source(posed[0], other, distance_m)[0] for other in posed[1:]),
+            ]
+        placed = [
+            band if placement is None else move_band(band, placement)
+            for band, placement in zip(bands, placements, strict=True)
         ]
-        return moved if region is None else [crop_band(band, region) for band in moved]
+        return placed if region is None else [crop_band(band, region) for band in placed]
 
     count = range(len(sources))
     spans = held_spans(lambda pair: place([read(k, pair) for k in count], pair), pairs) | (
@@ -225,9 +234,9 @@ def fuse_sequence(
     streams = [map(read, repeat(number), pairs) for number in count]
     if recursive is not None:
         streams = [filter_bands(stream, recursive) for stream in streams]
-    for pair, *found in zip(pairs, *streams, strict=True):
+    for pair, *bands in zip(pairs, *streams, strict=True):
         yield fuse(
-            place(found, pair),
+            place(bands, pair),
             method=method,
             colour=colour,
             spans=spans,
@@ -316,12 +325,12 @@ def motion_of(image: Image, mean: Image, law: NoiseLaw, number: Image, settled: 
     light = np.maximum(cv2.GaussianBlur(mean, (0, 0), FILTER.scales_px[1]), np.float32(0.0))
     power = law.gain_dn * light * band_variance(law.blur_px) + law.read_dn**2 * band_variance(0.0)
     # The mean of n - 1 earlier frames has noise of its own.
-    own = 1.0 + np.maximum(1.0 / np.maximum(number - 1.0, 1.0), np.float32(settled))
-    deviation = np.abs(small - large) / np.sqrt(own * power + 1e-12)
+    variance_factor = 1.0 + np.maximum(1.0 / np.maximum(number - 1.0, 1.0), np.float32(settled))
+    deviation = np.abs(small - large) / np.sqrt(variance_factor * power + 1e-12)
     low, high = FILTER.gate_sd
-    moved = np.clip((deviation - low) / (high - low), 0.0, 1.0).astype(np.float32)
+    motion = np.clip((deviation - low) / (high - low), 0.0, 1.0).astype(np.float32)
     side = 2 * FILTER.reach_px + 1
-    return cv2.dilate(moved, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    return cv2.dilate(motion, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
 
 
 def band_variance(blur_px: float) -> float:
@@ -340,8 +349,8 @@ def variance_ratio(gain: float, correlation: float = 0.0) -> float:
     It is g/(2 - g) (1 + r (1 - g))/(1 - r (1 - g)) for noise whose correlation from frame to frame
     is r, r^2, ... as of image lag; r = 0: g/(2 - g).
     """
-    kept = correlation * (1.0 - gain)
-    return gain / (2.0 - gain) * (1.0 + kept) / (1.0 - kept)
+    memory = correlation * (1.0 - gain)
+    return gain / (2.0 - gain) * (1.0 + memory) / (1.0 - memory)
 
 
 def filtered_law(law: NoiseLaw, gain: float, correlation: float = 0.0) -> NoiseLaw:

@@ -61,7 +61,7 @@ def fuse_pca(bands: Sequence[Band], *, spans: Spans = None, uncertainty: bool = 
     # Every third pixel of a row: the covariance of a picture needs no more.
     covariance = np.cov(np.stack([plane.value[:, ::3].ravel() for plane in planes]))
     first = np.abs(np.linalg.eigh(covariance)[1][:, -1])
-    return _mixture("pca", planes, [float(one) for one in first / first.sum()], uncertainty)
+    return _mixture("pca", planes, [float(weight) for weight in first / first.sum()], uncertainty)
 
 
 @register("fusion", "inverse-noise")
@@ -85,10 +85,10 @@ def fuse_inverse_noise(
             if clip is None
             else lamp_pixels(plane.band.image >= np.float32(FUSION.clip_share * clip))
         )
-        seen = 1.0 if lamps is None else (~map_samples(lamps)).astype(np.float32)
-        precisions.append(seen / np.maximum(power, np.float32(1e-9)))
+        unclipped = 1.0 if lamps is None else (~map_samples(lamps)).astype(np.float32)
+        precisions.append(unclipped / np.maximum(power, np.float32(1e-9)))
     total = np.maximum(sum(precisions), np.float32(1e-9))
-    weights = [one / total for one in precisions]
+    weights = [precision / total for precision in precisions]
     picture = weighted_sum([plane.value for plane in planes], weights)
     return finish(
         "inverse-noise",
@@ -162,7 +162,9 @@ def fuse_guided(bands: Sequence[Band], *, spans: Spans = None, uncertainty: bool
     weights: list[list[Image]] = []
     for image, own in zip(images, saliency, strict=True):
         chosen = (own == largest).astype(np.float32)
-        weights.append([guided_filter(image, chosen, *one) for one in (BASE_FILTER, DETAIL_FILTER)])
+        weights.append(
+            [guided_filter(image, chosen, *settings) for settings in (BASE_FILTER, DETAIL_FILTER)]
+        )
     for part in (0, 1):
         total = np.maximum(sum(own[part] for own in weights), np.float32(1e-3))
         for own in weights:
@@ -193,18 +195,20 @@ def guided_filter(
     + b; a and b are averaged over windows. After halvings of the size they are interpolated (He and
     Sun, arXiv:1505.00996), which holds where a is small.
     """
-    g, p = (halved(one, halvings) for one in (guide, image))
+    g, p = (halved(picture, halvings) for picture in (guide, image))
     side = (2 * round((2 * radius + 1) / 2 ** (halvings + 1) - 0.5) + 1,) * 2
     mean_g, offset, scratch = cv2.blur(g, side), cv2.blur(p, side), np.empty_like(g)
-    slope, variance = (cv2.blur(cv2.multiply(g, one, scratch), side) for one in (p, g))
+    slope, variance = (cv2.blur(cv2.multiply(g, picture, scratch), side) for picture in (p, g))
     slope -= cv2.multiply(mean_g, offset, scratch)
     variance -= cv2.multiply(mean_g, mean_g, scratch)
     variance += np.float32(regularisation)
     cv2.divide(slope, variance, slope)
     offset -= cv2.multiply(slope, mean_g, scratch)
-    slope, offset = (cv2.blur(one, side, out) for one, out in ((slope, variance), (offset, mean_g)))
+    slope, offset = (
+        cv2.blur(picture, side, out) for picture, out in ((slope, variance), (offset, mean_g))
+    )
     if halvings:
-        slope, offset = (cv2.resize(one, guide.shape[::-1]) for one in (slope, offset))
+        slope, offset = (cv2.resize(picture, guide.shape[::-1]) for picture in (slope, offset))
     return cv2.add(cv2.multiply(slope, guide, slope), offset, slope)
 
 
@@ -234,18 +238,21 @@ def fuse_opponent(bands: Sequence[Band], *, spans: Spans = None, uncertainty: bo
         for plane in planes[:2]
     )
     scratch = np.empty_like(first)
-    v_on, t_on = (_oppose(one, one, np.empty_like(one), scratch) for one in (first, second))
+    v_on, t_on = (
+        _oppose(centre, centre, np.empty_like(centre), scratch) for centre in (first, second)
+    )
     red, blue = (
         _oppose(*pair, np.empty_like(first), scratch) for pair in ((t_on, v_on), (v_on, t_on))
     )
     picture = cv2.merge([red, v_on, blue])
-    found = None
+    spread = None
     if uncertainty:
         # The derivative of a stage by its centre, where centre and surround are alike, is 1/(A + 2
         # C).
         slopes = [
-            np.sqrt(plane.pixel_variance) / (SHUNT + 2.0 * reduce_image(one, FUSION.map_level)[-1])
-            for one, plane in zip((first, second), planes, strict=False)
+            np.sqrt(plane.pixel_variance)
+            / (SHUNT + 2.0 * reduce_image(centre, FUSION.map_level)[-1])
+            for centre, plane in zip((first, second), planes, strict=False)
         ]
         second_stage = 0.5 / (SHUNT + 1.0)
         maps = np.stack([second_stage * slopes[1], slopes[0], second_stage * slopes[0]], axis=-1)
@@ -256,11 +263,11 @@ def fuse_opponent(bands: Sequence[Band], *, spans: Spans = None, uncertainty: bo
         )
         share = np.zeros((len(planes), *first.shape), np.float32)
         share[:2] = 0.5
-        found = sd, share
+        spread = sd, share
     low, high = SHOWN_PERCENT
     notes = [f"codes of 8 bits show each colour from its percentile {low:g} to {high:g}"]
     notes += ["only the first two bands are used"] if len(planes) > 2 else []
-    return finish("opponent", planes, picture, found, notes=notes, shown_percent=SHOWN_PERCENT)
+    return finish("opponent", planes, picture, spread, notes=notes, shown_percent=SHOWN_PERCENT)
 
 
 def _oppose(centre_of: Image, surround_of: Image, out: Image, scratch: Image) -> Image:

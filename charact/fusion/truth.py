@@ -204,21 +204,25 @@ def truth_scores(
         return planes + CONTROL_NOISE_DN / 255.0 * full * noise
 
     columns = [
-        _restoration(one, truth, scale)
-        for one, scale in ((pictures, full), (noisy(pictures), full), (frames[:, :1], None))
+        _restoration(column_pictures, truth, scale)
+        for column_pictures, scale in (
+            (pictures, full),
+            (noisy(pictures), full),
+            (frames[:, :1], None),
+        )
     ]
     if absent is not None:
         without, raw = _planes(absent[0]), np.asarray(absent[1], float)
         bound = _detection(frames, raw, truth)
         pairs = (pictures, without), (noisy(pictures), noisy(without)), (frames[:, :1], raw[:, :1])
         for column, pair in zip(columns, pairs, strict=True):
-            found = _detection(*pair, truth)
-            for number, value in found.items():
+            detected = _detection(*pair, truth)
+            for number, value in detected.items():
                 column[f"detectability_{number}"] = float(np.sqrt(max(value, 0.0)))
                 column[f"efficiency_{number}"] = (
                     value / bound[number] if bound[number] > 0.0 else None
                 )
-            column["efficiency"] = sum(found.values()) / max(sum(bound.values()), 1e-12)
+            column["efficiency"] = sum(detected.values()) / max(sum(bound.values()), 1e-12)
     return tuple(Score(name, "1", *(column[name] for column in columns)) for name in columns[0])
 
 
@@ -237,32 +241,34 @@ def _restoration(
     fitted).
     """
     fitted = np.stack([fit_to_truth(planes, truth) for planes in pictures])
-    left = fitted - truth.picture
-    errors = [restoration_errors(one, truth) for one in left]
-    found: dict[str, float | None] = {
-        f"restoration_error_{zone}": float(np.mean([one[zone] for one in errors]))
+    error = fitted - truth.picture
+    errors = [restoration_errors(picture_error, truth) for picture_error in error]
+    scores: dict[str, float | None] = {
+        f"restoration_error_{zone}": float(
+            np.mean([error_of_zone[zone] for error_of_zone in errors])
+        )
         if zone in errors[0]
         else None
         for zone in truth.zones
     }
-    found["rim_step"] = rim_step_of(left.mean(axis=0), truth)
+    scores["rim_step"] = rim_step_of(error.mean(axis=0), truth)
     shown = fitted[:, None] if full is None else pictures / full
     codes = np.clip(255.0 * truth.display, 0.0, 255.0)
     shares = [
-        artefact_share(codes[0], codes[1], np.clip(255.0 * one, 0.0, 255.0))
-        for one in shown.mean(axis=1)
+        artefact_share(codes[0], codes[1], np.clip(255.0 * picture, 0.0, 255.0))
+        for picture in shown.mean(axis=1)
     ]
-    found["artefact_share"] = float(np.mean(shares))
-    return found
+    scores["artefact_share"] = float(np.mean(shares))
+    return scores
 
 
-def restoration_errors(left: Array, truth: FusionTruth) -> dict[str, float]:
+def restoration_errors(error: Array, truth: FusionTruth) -> dict[str, float]:
     """Return the rms of what a fitted picture differs from the truth over its spread, by the zones
     that have pixels.
     """
     zones = {zone: mask for zone, mask in truth.zones.items() if mask.any()}
     return {
-        zone: float(np.sqrt(np.mean(left[mask] ** 2)) / truth.picture.std())
+        zone: float(np.sqrt(np.mean(error[mask] ** 2)) / truth.picture.std())
         for zone, mask in zones.items()
     }
 
@@ -273,44 +279,50 @@ def fit_to_truth(planes: Array, truth: FusionTruth) -> Array:
     """
     dark = truth.zones["dark"]
     smooth = [
-        cv2.GaussianBlur(np.asarray(one, np.float64), (0, 0), 2.0)[dark]
-        for one in (*planes, truth.picture)
+        cv2.GaussianBlur(np.asarray(plane, np.float64), (0, 0), 2.0)[dark]
+        for plane in (*planes, truth.picture)
     ]
     columns = np.stack([*smooth[:-1], np.ones_like(smooth[0])], axis=1)
     *gains, offset = np.linalg.lstsq(columns, smooth[-1], rcond=1e-6)[0]
     return np.tensordot(gains, planes, axes=1) + offset
 
 
-def rim_step_of(left: Array, truth: FusionTruth) -> float | None:
+def rim_step_of(error: Array, truth: FusionTruth) -> float | None:
     """Return the largest step left at the rim of a halo over the contrast of an object; None where
     there is none.
     """
     contrasts = []
     for number in _numbers(truth):
         mask = (truth.objects == number).astype(np.uint8)
-        near, far = (
+        object_grown, ground_grown = (
             cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * r + 1,) * 2))
             for r in TRUTH.ground_px
         )
         contrasts.append(
-            abs(truth.picture[mask > 0].mean() - truth.picture[(far > 0) & (near == 0)].mean())
+            abs(
+                truth.picture[mask > 0].mean()
+                - truth.picture[(ground_grown > 0) & (object_grown == 0)].mean()
+            )
         )
     usable = np.logical_or.reduce([mask for zone, mask in truth.zones.items() if zone != "core"])
-    rows, cols = np.indices(left.shape)
+    rows, cols = np.indices(error.shape)
     steps, sectors, width = [], TRUTH.sectors, TRUTH.rim_px
     for row, col, radius in truth.halos:
-        away = np.hypot(rows - row, cols - col) - radius
+        distance = np.hypot(rows - row, cols - col) - radius
         sector = ((np.arctan2(rows - row, cols - col) / (2.0 * np.pi) + 0.5) * sectors).astype(
             int
         ) % sectors
-        sides = [usable & (away >= -width) & (away < 0.0), usable & (away >= 0.0) & (away < width)]
+        sides = [
+            usable & (distance >= -width) & (distance < 0.0),
+            usable & (distance >= 0.0) & (distance < width),
+        ]
         counts = [np.bincount(sector[side], None, sectors) for side in sides]
-        inside, outside = (
-            np.bincount(sector[side], left[side], sectors) / np.maximum(count, 1)
+        inner_mean, outer_mean = (
+            np.bincount(sector[side], error[side], sectors) / np.maximum(count, 1)
             for side, count in zip(sides, counts, strict=True)
         )
-        if (both := np.minimum(*counts) > width).any():
-            steps.append(abs(float(np.median((inside - outside)[both]))))
+        if (filled := np.minimum(*counts) > width).any():
+            steps.append(abs(float(np.median((inner_mean - outer_mean)[filled]))))
     return max(steps) / float(np.median(contrasts)) if steps and contrasts else None
 
 
@@ -327,17 +339,21 @@ def artefact_share(visible: Array, thermal: Array, fused: Array) -> float:
     strength, angle = _slope(fused)
     total, weight, added = np.zeros_like(strength), 0.0, np.ones(strength.shape, bool)
     for band in (visible, thermal):
-        own, own_angle = _slope(band)
-        ratio = np.minimum(own, strength) / np.maximum(np.maximum(own, strength), 1e-12)
-        alignment = np.abs(np.abs(own_angle - angle) - np.pi / 2.0) * 2.0 / np.pi
-        kept = np.sqrt(
+        band_strength, band_angle = _slope(band)
+        ratio = np.minimum(band_strength, strength) / np.maximum(
+            np.maximum(band_strength, strength), 1e-12
+        )
+        alignment = np.abs(np.abs(band_angle - angle) - np.pi / 2.0) * 2.0 / np.pi
+        preserved = np.sqrt(
             sigmoid(ratio, *TRUTH.artefact_strength)
             * sigmoid(alignment, *TRUTH.artefact_orientation)
         )
-        own_weight = np.where(own >= TRUTH.artefact_least, own**1.5, TRUTH.artefact_weak)
-        total += (1.0 - kept) * own_weight
-        weight += float(own_weight.sum())
-        added &= strength > own
+        band_weight = np.where(
+            band_strength >= TRUTH.artefact_least, band_strength**1.5, TRUTH.artefact_weak
+        )
+        total += (1.0 - preserved) * band_weight
+        weight += float(band_weight.sum())
+        added &= strength > band_strength
     return float(total[added].sum()) / weight
 
 
@@ -356,18 +372,23 @@ def _numbers(truth: FusionTruth) -> list[int]:
 
 def _detection(present: Array, absent: Array, truth: FusionTruth) -> dict[int, float]:
     """Return d'^2 of each object in pictures (frame, plane, row, col) with and without objects."""
-    found = {}
+    d2_of_object = {}
     for number in _numbers(truth):
         mask = truth.objects == number
-        row, col = (round(one.mean()) for one in np.nonzero(mask))
-        reach = TRUTH.window_px
-        window = np.s_[max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1]
+        row, col = (round(index.mean()) for index in np.nonzero(mask))
+        reach_px = TRUTH.window_px
+        window = np.s_[
+            max(0, row - reach_px) : row + reach_px + 1, max(0, col - reach_px) : col + reach_px + 1
+        ]
         templates = object_channels(mask[window])
         outputs = [
-            np.einsum("krc,fprc->fpk", templates, one[(..., *window)]) for one in (present, absent)
+            np.einsum("krc,fprc->fpk", templates, frames[(..., *window)])
+            for frames in (present, absent)
         ]
-        found[number] = detectability2(*(one.reshape(len(one), -1) for one in outputs))
-    return found
+        d2_of_object[number] = detectability2(
+            *(output.reshape(len(output), -1) for output in outputs)
+        )
+    return d2_of_object
 
 
 def object_channels(mask: Mask) -> Array:
@@ -380,10 +401,16 @@ def object_channels(mask: Mask) -> Array:
     away2 = (rows - (rows * weight).sum()) ** 2 + (cols - (cols * weight).sum()) ** 2
     x = 2.0 * np.pi * away2 / TRUTH.channel_px**2
     polynomials = (np.ones_like(x), 1 - x, 1 - 2 * x + x**2 / 2, 1 - 3 * x + 1.5 * x**2 - x**3 / 6)
-    blurred, wide = (
+    blurred, more_blurred = (
         np.asarray(cv2.GaussianBlur(soft, (0, 0), sigma), np.float64) for sigma in (1.0, 2.5)
     )
-    return np.stack([blurred, blurred - wide, *(np.exp(-x / 2.0) * one for one in polynomials)])
+    return np.stack(
+        [
+            blurred,
+            blurred - more_blurred,
+            *(np.exp(-x / 2.0) * polynomial for polynomial in polynomials),
+        ]
+    )
 
 
 def detectability2(present: Array, absent: Array) -> float:
@@ -404,15 +431,17 @@ def detectability2(present: Array, absent: Array) -> float:
     4
     """
     n, m = len(present), len(absent)
-    scatter = [(len(one) - 1) * np.atleast_2d(np.cov(one.T)) for one in (present, absent)]
+    scatter = [
+        (len(outputs) - 1) * np.atleast_2d(np.cov(outputs.T)) for outputs in (present, absent)
+    ]
     covariance = sum(scatter) / max(n + m - 2, 1)
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > 1e-9 * values[-1]
-    p = int(kept.sum())
+    independent = values > 1e-9 * values[-1]
+    p = int(independent.sum())
     if n + m <= p + 3:
         needed = f"more than {p + 3} frames with and without objects"
         raise BadInput(f"detection with {p} channels needs {needed}, got {n + m}")
-    difference = vectors.T[kept] @ ((present.mean(axis=0) - absent.mean(axis=0)) / scale)
-    raw = float(np.sum(difference**2 / values[kept]))
+    difference = vectors.T[independent] @ ((present.mean(axis=0) - absent.mean(axis=0)) / scale)
+    raw = float(np.sum(difference**2 / values[independent]))
     return raw * (n + m - p - 3) / (n + m - 2) - p * (1.0 / n + 1.0 / m)
