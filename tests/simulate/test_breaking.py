@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
@@ -60,6 +61,19 @@ def sentence(refusal: BaseException) -> str:
     assert "\n" not in words and 20 < len(words) < 400
     assert "got" in words or "but" in words
     return words
+
+
+def refused(make: Callable[[], object]) -> None:
+    """Assert that what cannot be made is refused in one sentence."""
+    with pytest.raises(BadInput) as refusal:
+        make()
+    sentence(refusal.value)
+
+
+def small_camera(description: Camera, rows: int = ROWS, columns: int = COLUMNS) -> CameraModel:
+    return camera_from_description(
+        replace(description, ccd=replace(description.ccd, rows=rows, columns=columns))
+    )
 
 
 def with_error(codes: Array) -> tuple[float, float]:
@@ -237,10 +251,7 @@ def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_shipped_camera_of_one_pixel_sees(name, seed):
-    description = load_camera(name)
-    camera = camera_from_description(
-        replace(description, ccd=replace(description.ccd, rows=1, columns=1))
-    )
+    camera = small_camera(load_camera(name), 1, 1)
     dark, lit = (codes_of(camera, level, Conditions(), seed, frames=4) for level in (0.0, 1e5))
     assert lit.mean() > dark.mean()
 
@@ -259,9 +270,7 @@ def test_the_smallest_frames_are_made_in_memory_of_their_own():
 
 @pytest.mark.parametrize("shape", [(0, 5), (5, 0), (-3, 4)])
 def test_frames_without_pixels_are_refused(shape, plain):
-    with pytest.raises(BadInput) as refused:
-        plain(*shape)
-    sentence(refused.value)
+    refused(lambda: plain(*shape))
 
 
 # Radiance and pictures.
@@ -276,31 +285,24 @@ def _cube(value: float) -> RadianceCube:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e-9])
 def test_radiance_that_is_none_is_refused(name, value):
-    description = load_camera(name)
-    camera = camera_from_description(
-        replace(description, ccd=replace(description.ccd, rows=ROWS, columns=COLUMNS))
-    )
-    with pytest.raises(BadInput) as refused:
-        mcp_input_from_radiance(camera, _cube(value), Conditions())
-    sentence(refused.value)
+    camera = small_camera(load_camera(name))
+    refused(lambda: mcp_input_from_radiance(camera, _cube(value), Conditions()))
 
 
 @pytest.mark.parametrize(
     "wavelength", [[500.0, math.nan], [600.0, 500.0], [500.0, 500.0], [-5.0, 500.0], [0.0, 500.0]]
 )
 def test_wavelengths_that_are_none_are_refused(wavelength, sheet):
-    with pytest.raises(BadInput) as refused:
+    def make() -> None:
         cube = RadianceCube(wavelength_nm=np.array(wavelength), radiance=np.ones((2, 4, 4)))
-        small = replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS))
-        mcp_input_from_radiance(camera_from_description(small), cube, Conditions())
-    sentence(refused.value)
+        mcp_input_from_radiance(small_camera(sheet), cube, Conditions())
+
+    refused(make)
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-12, 1.0, 1e12])
 def test_radiance_of_any_size_gives_codes(level, sheet, seed):
-    camera = camera_from_description(
-        replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS))
-    )
+    camera = small_camera(sheet)
     cube = RadianceCube(wavelength_nm=NM, radiance=np.full((len(NM), 4, 4), level))
     light = mcp_input_from_radiance(camera, cube, Conditions())
     assert np.isfinite(light.values).all() and (level == 0.0 or light.values.mean() > 0.0)
@@ -318,9 +320,7 @@ def test_radiance_of_any_size_gives_codes(level, sheet, seed):
 def test_one_pixel_of_any_brightness_neither_wraps_nor_darkens_the_picture(
     photoelectrons, sheet, seed
 ):
-    camera = camera_from_description(
-        replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS))
-    )
+    camera = small_camera(sheet)
     picture = np.zeros(camera.shape)
     picture[12, 16] = photoelectrons
     codes = codes_of(camera, picture, Conditions(), seed, frames=4)
@@ -362,10 +362,7 @@ def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plai
 
 @pytest.mark.parametrize("gate_ns", [0.0, -5.0, math.nan, math.inf, 1e9])
 def test_gates_that_are_none_are_refused(gate_ns, plain):
-    with pytest.raises(BadInput) as refused:
-        camera = CameraModel(plain(ROWS, COLUMNS))
-        camera.chain(Conditions(gate_ns=gate_ns))
-    sentence(refused.value)
+    refused(lambda: CameraModel(plain(ROWS, COLUMNS)).chain(Conditions(gate_ns=gate_ns)))
 
 
 @pytest.mark.parametrize(
@@ -373,10 +370,11 @@ def test_gates_that_are_none_are_refused(gate_ns, plain):
 )
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_conditions_that_are_none_are_refused(name, value, bench, seed):
-    given: dict[str, Any] = {"illuminance_lux": 1e-4} | {name: value}
-    with pytest.raises(BadInput) as refused:
-        bench.expose("flat", Target(), Conditions(**given), frames=1, seed=seed)
-    sentence(refused.value)
+    def make() -> None:
+        asked = Conditions(**{"illuminance_lux": 1e-4} | {name: value})
+        bench.expose("flat", Target(), asked, frames=1, seed=seed)
+
+    refused(make)
 
 
 @pytest.mark.parametrize("temperature_c", [-273.0, 80.0, 300.0, 2000.0])
@@ -467,11 +465,9 @@ def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes
     ids=str,
 )
 def test_descriptions_that_contradict_themselves_are_refused(changes, sheet):
-    with pytest.raises(BadInput) as refused:
-        description: Camera = sheet
-        for stage, fields in changes.items():
-            description = replace(
-                description, **{stage: replace(getattr(description, stage), **fields)}
-            )
-        CameraModel(description).chain(Conditions())
-    sentence(refused.value)
+    ((stage, fields),) = changes.items()
+    refused(
+        lambda: CameraModel(
+            replace(sheet, **{stage: replace(getattr(sheet, stage), **fields)})
+        ).chain(Conditions())
+    )
