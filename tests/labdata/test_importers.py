@@ -92,12 +92,41 @@ def test_a_last_page_that_leads_back_to_an_earlier_one_is_refused(tmp_path, to):
         read_frames(path)
 
 
-def test_pages_of_several_sizes_are_refused(tmp_path):
-    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
-        file.write(np.zeros((5, 7), np.uint8), metadata=None)
-        file.write(np.zeros((4, 7), np.uint8), metadata=None)
-    with pytest.raises(BadInput, match="must have one shape"):
-        read_frames(tmp_path / "a.tif")
+def two_pages(path: Path) -> None:
+    for shape in ((5, 7), (4, 7)):
+        tifffile.imwrite(path, np.zeros(shape, np.uint8), metadata=None, append=True)
+
+
+ARRAYS = [np.zeros(5), np.zeros((2, 3, 4, 5)), np.array([["a", "b"]]), np.zeros((2, 2), complex)]
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "rule"),
+    [
+        ("a.tif", two_pages, "must have one shape"),
+        (
+            "a.tif",
+            lambda path: tifffile.imwrite(path, pixels("u1"), photometric="miniswhite"),
+            "must rise with light, got the type MINISWHITE",
+        ),
+        (
+            "a.npy",
+            lambda path: np.save(path, np.array([[{}]], dtype=object), allow_pickle=True),
+            "must hold one whole array of numbers",
+        ),
+        *(("a.npy", lambda path, data=data: np.save(path, data), "must ") for data in ARRAYS),
+        (
+            "a.tif",
+            lambda path: tifffile.imwrite(path, pixels("u1"), photometric="minisblack"),
+            "of a colour picture or a mosaic, got plane 'r' of a",
+        ),
+    ],
+)
+def test_what_is_no_stack_of_grey_pictures_is_refused(tmp_path, name, write, rule):
+    """Pickled objects are never loaded."""
+    write(tmp_path / name)
+    with pytest.raises(BadInput, match=rule):
+        read_frames(tmp_path / name, plane="r" if "plane" in rule else None)
 
 
 @pytest.mark.parametrize("planar", ["contig", "separate"])
@@ -201,12 +230,6 @@ def test_a_picture_that_is_not_finite_is_refused_with_its_name(tmp_path, bad):
         read_frames(tmp_path / "a.tif")
 
 
-def test_a_picture_that_falls_with_light_is_refused(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", pixels("u1", (5, 7)), photometric="miniswhite")
-    with pytest.raises(BadInput, match="must rise with light, got the type MINISWHITE"):
-        read_frames(tmp_path / "a.tif")
-
-
 @pytest.mark.parametrize("shape", [(0, 10), (10, 0), (0, 0), (0, 4, 5), (3, 0, 5)])
 def test_an_array_without_pixels_is_refused_by_its_shape(tmp_path, shape):
     import zarr
@@ -223,26 +246,6 @@ def test_an_array_without_pixels_is_refused_by_its_shape(tmp_path, shape):
             BadInput, match=rf"must hold pixels, got the shape {re.escape(str(shape))}.*{name}"
         ):
             read_frames(tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    "data", [np.zeros(5), np.zeros((2, 3, 4, 5)), np.array([["a", "b"]]), np.zeros((2, 2), complex)]
-)
-def test_an_array_that_is_no_stack_of_pictures_is_refused(tmp_path, data):
-    np.save(tmp_path / "a.npy", data)
-    with pytest.raises(BadInput):
-        read_frames(tmp_path / "a.npy")
-
-
-def test_pickled_objects_are_never_loaded(tmp_path):
-    np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
-    with pytest.raises(BadInput, match="must hold one whole array of numbers"):
-        read_frames(tmp_path / "a.npy")
-
-
-def test_a_colour_plane_of_a_grey_picture_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="of a colour picture or a mosaic, got plane 'r' of a"):
-        read_frames(written(tmp_path, "a.tif"), plane="r")
 
 
 @pytest.mark.parametrize(("bits", "kind"), [(10, "u2"), (12, "u2"), (14, "i4"), (16, "u2")])

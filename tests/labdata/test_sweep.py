@@ -194,41 +194,34 @@ def test_the_tighter_of_plan_and_tube_holds():
     assert held.overridden == () and held.known
 
 
-def test_a_limit_above_the_tubes_needs_an_override():
-    with pytest.raises(
-        BadInput,
-        match=r"limits.mcp_v must not exceed the tube's 900 \(a single plate.*\[\[override\]\]",
-    ):
-        limits_in_force(Limits(mcp_v=950.0), SENSOR)
-
-
 def test_an_override_holds_and_is_told_with_both_reasons():
-    held = limits_in_force(
-        Limits(), SENSOR, (Override(limit="mcp_v", value=950.0, reason="a stack of two"),)
-    )
+    held = limits_in_force(Limits(), SENSOR, (override(),))
     assert held.mcp_v == 950.0
     (told,) = held.overridden
     assert told.startswith("The tube's limit mcp_v of 900 (a single plate")
     assert told.endswith("was overridden to 950: a stack of two.")
 
 
+def override(**wrong) -> Override:
+    return Override(**{"limit": "mcp_v", "value": 950.0, "reason": "a stack of two", **wrong})
+
+
 @pytest.mark.parametrize(
-    ("wrong", "rule"),
+    ("make", "rule"),
     [
-        ({"limit": "colour"}, "must name one of mcp_v, ramp_v_per_s"),
-        ({"value": 0.0}, "must be positive, got 0 for mcp_v"),
-        ({"reason": "  "}, "must say its reason, got none for mcp_v"),
+        (lambda: override(limit="colour"), "must name one of mcp_v, ramp_v_per_s"),
+        (lambda: override(value=0.0), "must be positive, got 0 for mcp_v"),
+        (lambda: override(reason="  "), "must say its reason, got none for mcp_v"),
+        (lambda: limits_in_force(Limits(), SENSOR, (override(), override())), "overridden once"),
+        (
+            lambda: limits_in_force(Limits(mcp_v=950.0), SENSOR),
+            r"limits.mcp_v must not exceed the tube's 900 \(a single plate.*\[\[override\]\]",
+        ),
     ],
 )
-def test_an_override_is_explicit(wrong, rule):
+def test_a_limit_above_the_tubes_needs_one_explicit_override(make, rule):
     with pytest.raises(BadInput, match=rule):
-        Override(**{"limit": "mcp_v", "value": 950.0, "reason": "a stack of two", **wrong})
-
-
-def test_one_limit_is_overridden_once():
-    twice = Override(limit="mcp_v", value=950.0, reason="why")
-    with pytest.raises(BadInput, match="overridden once"):
-        limits_in_force(Limits(), SENSOR, (twice, twice))
+        make()
 
 
 def test_an_unknown_tube_is_taken_for_a_delicate_and_strong_one():

@@ -171,19 +171,37 @@ def test_a_bright_scene_is_blurred_by_the_protected_gap(plain):
     assert bright.sum() == pytest.approx(dim.sum(), rel=1e-2)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_impossible_photoelectrons_are_refused(camera, value):
-    image = np.zeros(camera.shape)
-    image[3, 3] = value
-    with pytest.raises(BadInput, match="finite and not negative"):
-        mcp_input_from_photoelectrons(camera, image, Conditions())
-
-
-def test_pictures_of_another_shape_and_scenes_within_the_lens_are_refused(camera):
-    with pytest.raises(BadInput, match="the frame's shape"):
-        mcp_input_from_photoelectrons(camera, np.zeros((4, 4)), Conditions())
-    with pytest.raises(BadInput, match="twice the focal length"):
-        mcp_input_from_radiance(camera, _scene(1e-4, 1.0), Conditions(), distance_m=0.01)
+@pytest.mark.parametrize(
+    ("make", "rule"),
+    [
+        *(
+            (
+                lambda camera, value=value: mcp_input_from_photoelectrons(
+                    camera, np.where(np.eye(*camera.shape), value, 0.0), Conditions()
+                ),
+                "finite and not negative",
+            )
+            for value in (np.nan, np.inf, -1.0)
+        ),
+        (
+            lambda camera: mcp_input_from_photoelectrons(camera, np.zeros((4, 4)), Conditions()),
+            "the frame's shape",
+        ),
+        (
+            lambda camera: mcp_input_from_radiance(
+                camera, _scene(1e-4, 1.0), Conditions(), distance_m=0.01
+            ),
+            "twice the focal length",
+        ),
+        (lambda _: Register(gain=0.5), "gain"),
+        (lambda _: Register(gain=np.inf), "gain"),
+        (lambda _: Register(stages=0), "stages"),
+        (lambda _: Register(clock_induced_e=-1.0), "clock_induced_e"),
+    ],
+)
+def test_impossible_light_and_registers_are_refused(camera, make, rule):
+    with pytest.raises(BadInput, match=rule):
+        make(camera)
 
 
 def test_descriptions_become_cameras_with_or_without_a_tube(sheet, silicon):
@@ -400,14 +418,6 @@ def test_exposure_and_gain_out_of_reach_are_refused(description):
     ):
         with pytest.raises(BadInput):
             camera.chain(conditions)
-
-
-@pytest.mark.parametrize(
-    "change", [{"gain": 0.5}, {"gain": np.inf}, {"stages": 0}, {"clock_induced_e": -1.0}]
-)
-def test_impossible_registers_are_refused(change):
-    with pytest.raises(BadInput):
-        Register(**change)
 
 
 def test_a_pattern_beyond_the_dark_charge_is_of_offsets_without_hot_pixels():

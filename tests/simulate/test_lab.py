@@ -296,16 +296,6 @@ def test_ring_of_a_pinhole_reflects_the_room_faintly(scene):
     assert image.min() >= 0.0
 
 
-@pytest.mark.parametrize(
-    ("kind", "target"),
-    [("bars", Target()), ("point", Target()), ("scene", Target())],
-    ids=["bars", "point", "scene"],
-)
-def test_target_without_what_its_kind_needs_is_refused(scene, kind, target):
-    with pytest.raises(BadInput):
-        render_bench(scene, kind, target, VIEW, NM)
-
-
 def test_unknown_scene_is_refused(tmp_path):
     with pytest.raises(BadInput):
         load_scene(tmp_path / "none.toml")
@@ -316,6 +306,25 @@ def test_unknown_scene_is_refused(tmp_path):
         load_scene(bad)
 
 
-def test_cube_needs_a_plane_for_each_wavelength():
-    with pytest.raises(BadInput, match="band, row, col"):
-        RadianceCube(wavelength_nm=NM, radiance=np.zeros((2, 4, 4)))
+@pytest.mark.parametrize(
+    ("make", "rule"),
+    [
+        *(
+            (lambda scene, kind=kind: render_bench(scene, kind, Target(), VIEW, NM), rule)
+            for kind, rule in (
+                ("bars", "frequency_cy_per_px, got none"),
+                ("point", "positive pinhole_px, got None"),
+                ("scene", "must be dark, flat, edge, bars or point, got 'scene'"),
+            )
+        ),
+        (
+            lambda _: RadianceCube(wavelength_nm=NM, radiance=np.zeros((2, 4, 4))),
+            "band, row, col",
+        ),
+    ],
+)
+def test_a_target_without_what_its_kind_needs_and_a_cube_of_other_bands_are_refused(
+    scene, make, rule
+):
+    with pytest.raises(BadInput, match=rule):
+        make(scene)

@@ -218,15 +218,21 @@ def test_parts_of_an_exposure_add_up_to_the_whole(camera):
     assert np.allclose(2.0 * half, plate.mean(light).values, rtol=1e-5)
 
 
-@pytest.mark.parametrize("change", [{"mcp_v": -1.0}, {"gate_ns": 0.0}, {"gate_ns": 3e7}])
-def test_conditions_out_of_bounds_are_refused(camera, change):
-    with pytest.raises(BadInput):
-        camera.chain(Conditions(**change))
-
-
-def test_parameters_out_of_bounds_are_refused():
-    with pytest.raises(BadInput, match="full_well_e must be positive, got 0"):
-        Ccd(quantum_efficiency=0.3, full_well_e=0.0)
+@pytest.mark.parametrize(
+    ("make", "rule"),
+    [
+        (lambda camera: camera.chain(Conditions(mcp_v=-1.0)), "mcp_v"),
+        (lambda camera: camera.chain(Conditions(gate_ns=0.0)), "gate"),
+        (lambda camera: camera.chain(Conditions(gate_ns=3e7)), "gate"),
+        (
+            lambda _: Ccd(quantum_efficiency=0.3, full_well_e=0.0),
+            "full_well_e must be positive, got 0",
+        ),
+    ],
+)
+def test_conditions_and_parameters_out_of_bounds_are_refused(camera, make, rule):
+    with pytest.raises(BadInput, match=rule):
+        make(camera)
 
 
 # Images after each stage show the light on its way: every stage once, in order, with its levels

@@ -236,21 +236,26 @@ def test_a_sound_pair_is_not_flagged(sound) -> None:
     assert not any(flags.values()), flags
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_values_that_are_not_finite_are_refused(pair, value: float) -> None:
-    image = np.zeros((240, 320))
-    image[5, 5] = value
-    with pytest.raises(BadInput, match="every pixel must be finite"):
-        bands_of(pair, (image, np.zeros_like(image)), with_map=False)
-
-
-def test_one_band_and_an_empty_span_are_refused(bands) -> None:
-    with pytest.raises(BadInput, match="two bands or more"):
-        fuse(bands[:1])
-    with pytest.raises(BadInput, match="wider than 0"):
-        fuse(bands, spans={"visible": (3.0, 3.0)})
-    with pytest.raises(BadInput, match="one of the bands"):
-        fuse(bands, spans={"red": (0.0, 3.0)})
+@pytest.mark.parametrize(
+    ("make", "rule"),
+    [
+        *(
+            (
+                lambda pair, _, value=value: bands_of(
+                    pair, (np.full((240, 320), value), np.zeros((240, 320))), with_map=False
+                ),
+                "every pixel must be finite",
+            )
+            for value in (np.nan, np.inf)
+        ),
+        (lambda _, bands: fuse(bands[:1]), "two bands or more"),
+        (lambda _, bands: fuse(bands, spans={"visible": (3.0, 3.0)}), "wider than 0"),
+        (lambda _, bands: fuse(bands, spans={"red": (0.0, 3.0)}), "one of the bands"),
+    ],
+)
+def test_values_bands_and_spans_that_cannot_be_are_refused(pair, bands, make, rule) -> None:
+    with pytest.raises(BadInput, match=rule):
+        make(pair, bands)
 
 
 # Rules of the literature against exact forms: the guided filter at every pixel, and opponent

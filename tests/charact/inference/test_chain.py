@@ -303,18 +303,24 @@ def test_a_hole_in_the_posterior_is_sampled_around():
     assert squares.mean() == pytest.approx(2.25, abs=4.5 * 2.0 / np.sqrt(2000))
 
 
-def test_a_start_where_nothing_is_possible_is_refused():
-    with pytest.raises(ValueError, match="no point near the start"):
-        draw(lambda points: np.full(len(points), -np.inf), 2, seed=1)
-
-
 # Walkers fewer than twice the parameters.
 
 
-@pytest.mark.parametrize(("dimensions", "walkers"), [(13, 25), (2, 7)])
-def test_walkers_fewer_than_twice_the_parameters_are_refused(dimensions, walkers):
-    with pytest.raises(BadInput, match=f"got {walkers}"):
-        draw(normal, dimensions, seed=1, walkers=walkers)
+@pytest.mark.parametrize(
+    ("make", "error", "rule"),
+    [
+        (lambda: draw(normal, 13, seed=1, walkers=25), BadInput, "got 25"),
+        (lambda: draw(normal, 2, seed=1, walkers=7), BadInput, "got 7"),
+        (
+            lambda: draw(lambda points: np.full(len(points), -np.inf), 2, seed=1),
+            ValueError,
+            "no point near the start",
+        ),
+    ],
+)
+def test_walkers_fewer_than_twice_the_parameters_or_without_a_start_are_refused(make, error, rule):
+    with pytest.raises(error, match=rule):
+        make()
 
 
 def test_twice_the_parameters_are_enough():

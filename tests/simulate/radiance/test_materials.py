@@ -183,45 +183,6 @@ def bad_table(**change):
     return MeasuredTable(**{**keys, **{k: v for k, v in change.items() if k != "at"}})
 
 
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (
-            lambda: bad_table(table=np.full((1, 10, 10, 7), 0.4)),
-            "must not give off more light than arrives, got 1.2",
-        ),
-        (
-            lambda: bad_table(at=[((0, 2, 7), 0.3)]),
-            "the same with light and eye exchanged, got a difference of 0.1",
-        ),
-        (
-            lambda: bad_table(at=[((0, 0, 3, 2), 0.3), ((0, 3, 0, 2), 0.3)]),
-            "must not depend on the azimuth",
-        ),
-        (lambda: bad_table(polar_deg=POLAR[::-1]), "polar_deg of a measured BRDF must ascend"),
-        (lambda: bad_table(polar_deg=0.9 * POLAR), "polar_deg must run from 0 to 90"),
-        (lambda: bad_table(at=[((0, 0, 0, 0), -1.0)]), "finite and not negative"),
-        (
-            lambda: Metal(reflectance=grey(0.5), roughness=0.0),
-            r"roughness must lie between 0.002 and 1, got 0",
-        ),
-        (
-            lambda: Glossy(reflectance=grey(0.5), roughness=0.1, refractive_index=1.0),
-            r"must lie in \(1, 4\], got 1",
-        ),
-        (
-            lambda: Retroreflector(
-                retroreflectance=grey(0.5), reflectance=grey(0.1), half_width_deg=0.0
-            ),
-            "half_width_deg must lie",
-        ),
-    ],
-)
-def test_impossible_surfaces_are_refused_in_a_sentence(make, says):
-    with pytest.raises(BadInput, match=says):
-        make()
-
-
 @every
 def test_nothing_shines_through_from_below(brdf):
     down = np.array([[0.3, 0.0, -np.sqrt(0.91)]])
@@ -281,35 +242,65 @@ def test_one_share_stands_for_all_wavelengths():
     assert leaf.transmittance_at([400.0, 600.0, 900.0]) == pytest.approx(0.3)
 
 
+WRONG_MATERIALS = [
+    ({"reflectance": [0.6], "transmittance": [0.6]}, "nor exceed 1 together, got 0.6 and 0.6"),
+    ({"reflectance": [-0.1]}, "must not be negative"),
+    ({"wavelength_nm": [500.0, 400.0], "reflectance": [0.1, 0.1]}, "wavelengths must ascend"),
+    (
+        {"wavelength_nm": [400.0, 500.0, 600.0], "reflectance": [0.1, 0.1]},
+        "3 wavelengths, 2 and 1",
+    ),
+    ({"finish": "metal"}, "roughness must be given for a metal material"),
+    ({"roughness": 0.2}, "roughness must not be given for a diffuse material"),
+    (
+        {"finish": "glossy", "roughness": 2.0, "refractive_index": 1.5},
+        "roughness must lie between",
+    ),
+    ({"finish": "shiny"}, "finish"),
+    ({"emissivity": 1.5}, r"emissivity must lie between 0 and 1, got 1.5"),
+    ({"colour": 1.0}, "colour"),
+]
+
+
 @pytest.mark.parametrize(
-    ("keys", "says"),
+    ("make", "says"),
     [
-        ({"reflectance": [0.6], "transmittance": [0.6]}, "nor exceed 1 together, got 0.6 and 0.6"),
-        ({"reflectance": [-0.1]}, "must not be negative"),
-        ({"wavelength_nm": [500.0, 400.0], "reflectance": [0.1, 0.1]}, "wavelengths must ascend"),
         (
-            {"wavelength_nm": [400.0, 500.0, 600.0], "reflectance": [0.1, 0.1]},
-            "3 wavelengths, 2 and 1",
+            lambda: bad_table(table=np.full((1, 10, 10, 7), 0.4)),
+            "must not give off more light than arrives, got 1.2",
         ),
-        ({"finish": "metal"}, "roughness must be given for a metal material"),
-        ({"roughness": 0.2}, "roughness must not be given for a diffuse material"),
         (
-            {"finish": "glossy", "roughness": 2.0, "refractive_index": 1.5},
-            "roughness must lie between",
+            lambda: bad_table(at=[((0, 2, 7), 0.3)]),
+            "the same with light and eye exchanged, got a difference of 0.1",
         ),
-        ({"finish": "shiny"}, "finish"),
-        ({"emissivity": 1.5}, r"emissivity must lie between 0 and 1, got 1.5"),
-        ({"colour": 1.0}, "colour"),
+        (
+            lambda: bad_table(at=[((0, 0, 3, 2), 0.3), ((0, 3, 0, 2), 0.3)]),
+            "must not depend on the azimuth",
+        ),
+        (lambda: bad_table(polar_deg=POLAR[::-1]), "polar_deg of a measured BRDF must ascend"),
+        (lambda: bad_table(polar_deg=0.9 * POLAR), "polar_deg must run from 0 to 90"),
+        (lambda: bad_table(at=[((0, 0, 0, 0), -1.0)]), "finite and not negative"),
+        (
+            lambda: Metal(reflectance=grey(0.5), roughness=0.0),
+            r"roughness must lie between 0.002 and 1, got 0",
+        ),
+        (
+            lambda: Glossy(reflectance=grey(0.5), roughness=0.1, refractive_index=1.0),
+            r"must lie in \(1, 4\], got 1",
+        ),
+        (
+            lambda: Retroreflector(
+                retroreflectance=grey(0.5), reflectance=grey(0.1), half_width_deg=0.0
+            ),
+            "half_width_deg must lie",
+        ),
+        *((lambda keys=keys: from_mapping(keys, Material), says) for keys, says in WRONG_MATERIALS),
+        (lambda: material("gold"), r"one of aluminium, asphalt.*got 'gold'"),
     ],
 )
-def test_impossible_materials_are_refused_in_a_sentence(keys, says):
+def test_impossible_surfaces_and_materials_are_refused_in_a_sentence(make, says):
     with pytest.raises(BadInput, match=says):
-        from_mapping(keys, Material)
-
-
-def test_an_unknown_material_gets_the_list_of_known_ones():
-    with pytest.raises(BadInput, match=r"one of aluminium, asphalt.*got 'gold'"):
-        material("gold")
+        make()
 
 
 # Materials of .glb files: by names of the library, by colour with the slab of paint, and refused.

@@ -103,44 +103,46 @@ def test_a_scene_reads_keyframes_and_stands_still_at_each_time():
     assert still.at(3.0) is still
 
 
+BOX = {"label": "box", "shape": "box", "size_m": (1, 1, 1), "material": "a"}
+STILL = {
+    SceneCamera: {"position_m": (0.0, 0.0, 1.0), "look_at_m": (0.0, 1.0, 1.0)},
+    Object: BOX | {"instances": (Pose(),)},
+}
+
+
 @pytest.mark.parametrize(
-    ("keyframes", "words"),
+    ("thing", "keyframes", "words"),
     [
         (
+            Object,
+            KEYS,
+            "an object with keyframes must have no copies, got 1 of 'box'",
+        ),
+        (
+            SceneCamera,
             (CameraKeyframe(time_s=0.0, roll_deg=1.0),),
             "times of keyframes must ascend from 0 s, got 0 s after 0 s",
         ),
         (
+            SceneCamera,
             (CameraKeyframe(time_s=2.0, roll_deg=1.0), CameraKeyframe(time_s=1.0, roll_deg=1.0)),
             "got 1 s after 2 s",
         ),
         (
+            SceneCamera,
             (CameraKeyframe(time_s=1.0),),
             "a keyframe must state a pose, got none at 1 s of the camera",
         ),
         (
+            SceneCamera,
             (CameraKeyframe(time_s=1.0, roll_deg=np.nan),),
             "places and angles of keyframes must be finite",
         ),
     ],
 )
-def test_keyframes_that_are_none_are_refused(keyframes, words):
+def test_keyframes_that_are_none_are_refused(thing, keyframes, words):
     with pytest.raises(BadInput, match=words):
-        SceneCamera(position_m=(0.0, 0.0, 1.0), look_at_m=(0.0, 1.0, 1.0), keyframe=keyframes)
-
-
-def test_an_object_with_copies_has_no_keyframes():
-    with pytest.raises(
-        BadInput, match="an object with keyframes must have no copies, got 1 of 'box'"
-    ):
-        Object(
-            label="box",
-            shape="box",
-            size_m=(1, 1, 1),
-            material="a",
-            instances=(Pose(),),
-            keyframe=KEYS,
-        )
+        thing(**STILL[thing], keyframe=keyframes)
 
 
 def test_a_view_is_rendered_anew_only_where_something_stands_otherwise():
