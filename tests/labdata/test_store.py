@@ -104,6 +104,14 @@ def frame(level: int) -> np.ndarray:
     return np.full(SHAPE, level, np.uint8)
 
 
+def append_all(folder: Path, *levels: int) -> None:
+    """Append frames to an array behind those that it has, and close it."""
+    array = ArrayWriter(folder / "a.zarr", SHAPE, np.uint8)
+    for level in levels:
+        array.append(frame(level), float(len(array)), len(array))
+    array.close()
+
+
 def writer_of(folder: Path, **keys) -> SessionWriter:
     return SessionWriter.create(folder, name="test", **keys)
 
@@ -146,9 +154,7 @@ def test_frames_come_back_with_their_stamps_numbers_and_losses(tmp_path):
 
 
 def test_a_black_frame_has_its_chunk_like_any_other(tmp_path):
-    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
-    array.append(frame(0), 0.0, 0)
-    array.close()
+    append_all(tmp_path, 0)
     assert (tmp_path / "a.zarr" / "c.0.0.0").stat().st_size == frame(0).nbytes
 
 
@@ -226,22 +232,15 @@ def test_frames_written_together_are_the_same_as_one_after_the_other(tmp_path):
 def test_an_array_does_not_show_a_frame_that_was_torn_by_a_crash(tmp_path):
     import zarr
 
-    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
-    array.append(frame(1), 0.0, 0)
+    append_all(tmp_path, 1)
     (tmp_path / "a.zarr" / "c.1.0.0").write_bytes(b"torn")
-    array.close()
     assert zarr.open_array(tmp_path / "a.zarr", mode="r").shape[0] == 1
-    again = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
-    again.append(frame(2), 1.0, 1)
-    again.close()
+    append_all(tmp_path, 2)
     assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [1, 2]
 
 
 def test_a_last_line_cut_short_is_not_acknowledged_and_stays_where_it_is(tmp_path):
-    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
-    for n in range(3):
-        array.append(frame(n), n, n)
-    array.close()
+    append_all(tmp_path, 0, 1, 2)
     journal = tmp_path / "a.zarr" / "journal.jsonl"
     whole = journal.read_bytes()
     for cut in range(len(whole)):
@@ -250,59 +249,42 @@ def test_a_last_line_cut_short_is_not_acknowledged_and_stays_where_it_is(tmp_pat
         complete = (whole[:cut] + b"\n").count(b"}\n")
         assert len(store.read_journal(tmp_path / "a.zarr").frames) == complete
     journal.write_bytes(whole[:-5])
-    again = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
-    assert len(again) == 2
-    again.append(frame(9), 2, 2)
-    again.close()
+    append_all(tmp_path, 9)
     assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [0, 1, 9]
     assert journal.read_bytes().startswith(whole[:-5] + b"\n")
     assert (tmp_path / "a.zarr" / "c.2.0.0.aside-1").read_bytes() == frame(2).tobytes()
 
 
-def test_a_full_disk_is_a_sentence_and_the_frames_so_far_are_kept(tmp_path, monkeypatch):
+@pytest.mark.parametrize("file", ["", "journal.jsonl"])
+def test_a_full_disk_is_a_sentence_and_what_it_did_not_take_whole_leaves_nothing_behind(
+    tmp_path, monkeypatch, file
+):
+    """Full for every file, and for the lines of the journal alone."""
     array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
     array.append(frame(1), 0, 0)
+    fsync = os.fsync
 
     def full(descriptor):
-        raise OSError(28, "No space left on device")
+        if os.readlink(f"/proc/self/fd/{descriptor}").endswith(file):
+            raise OSError(28, "No space left on device")
+        fsync(descriptor)
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", full)
         with pytest.raises(
             BadInput, match="the disk must take every frame, got 'No space left on device' after 1 "
         ):
-            array.append(frame(2), 1, 1)
-    assert not list((tmp_path / "a.zarr").glob(".*.partial"))
-    array.append(frame(3), 2, 2)
-    array.close()
-    assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [1, 3]
-
-
-def test_lines_that_the_disk_did_not_take_whole_leave_nothing_behind(tmp_path, monkeypatch):
-    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
-    array.append(frame(1), 0, 0)
-    fsync = os.fsync
-
-    def full(descriptor):
-        if os.readlink(f"/proc/self/fd/{descriptor}").endswith("journal.jsonl"):
-            raise OSError(28, "No space left on device")
-        fsync(descriptor)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "fsync", full)
-        with pytest.raises(BadInput, match="after 1 frames"):
             array.extend([Frame(pixels=frame(n), number=n, time_s=n) for n in (2, 3)])
+    assert not list((tmp_path / "a.zarr").glob(".*.partial"))
     array.append(frame(4), 4, 4)
     array.close()
     read = store.read(tmp_path / "a.zarr")
-    assert (read.frame_number.tolist(), read.lost_frames, read.notes) == ([0, 4], 0, ())
+    assert (read.frame_number.tolist(), read.data[:, 0, 0].tolist()) == ([0, 4], [1, 4])
+    assert (read.lost_frames, read.notes) == (0, ())
 
 
 def test_a_frame_that_changed_on_the_disk_is_refused(tmp_path):
-    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
-    for n in range(3):
-        array.append(frame(n), n, n)
-    array.close()
+    append_all(tmp_path, 0, 1, 2)
     chunk = tmp_path / "a.zarr" / "c.1.0.0"
     content = bytearray(chunk.read_bytes())
     content[5] ^= 1
