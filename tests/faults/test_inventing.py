@@ -1,5 +1,9 @@
 """Programs of faults over emulated instruments are judged as they are, and shrink."""
 
+import os
+import time
+from dataclasses import replace
+
 import pytest
 
 from tests.faults.inventing import trial
@@ -22,6 +26,14 @@ def test_a_tube_is_safe_in_time_after_faults_and_a_judge_without_patience_sees_i
     assert verdict.broken == () and 0.0 < verdict.hot_s["supply"] < trial.LIMIT_S
     monkeypatch.setattr(trial, "LIMIT_S", -trial.SLACK_S)
     assert "supply on for" in " ".join(attempt((away, KILLED), 0).broken)
+
+
+@pytest.mark.wires
+def test_a_disk_whose_every_sync_takes_half_a_second_ends_no_run(monkeypatch):
+    sync, steps = os.fsync, tuple(replace(step, frames=9) for step in trial.PLAN.steps)
+    monkeypatch.setattr(trial, "PLAN", replace(trial.PLAN, steps=steps))
+    monkeypatch.setattr(os, "fsync", lambda file: (time.sleep(0.5), sync(file)))
+    assert attempt((), 0).ended == "all frames are stored"
 
 
 @pytest.mark.wires
