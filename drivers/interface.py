@@ -143,17 +143,14 @@ class Bench(Protocol):
 
     def frame_seen(self, levels: FrameLevels) -> None:
         """Report the saturation of a frame, without waiting."""
-        ...
 
     def verify(self) -> None:
         """Compare gate and supply with their settings; a difference is a BenchError and makes the
         tube safe.
         """
-        ...
 
     def check(self) -> None:
         """Record a heartbeat of the run, and raise an error of the bench since the last check."""
-        ...
 
     def patience(self, seconds: float) -> AbstractContextManager[None]:
         """Suspend the heartbeat for a time; the gate must be shut."""
@@ -161,11 +158,9 @@ class Bench(Protocol):
 
     def safe(self) -> None:
         """Shut the gate and order the high voltage off."""
-        ...
 
     def safe_at_once(self) -> None:
         """Order the safe state without waiting, from any thread."""
-        ...
 
     @property
     def last_words(self) -> str:
@@ -188,7 +183,6 @@ class Operator(Protocol):
 
     def darken(self) -> None:
         """Block the light, without waiting."""
-        ...
 
     def place(
         self,

@@ -298,7 +298,6 @@ class Watcher(Protocol):
 
     def see(self, pixels: NDArray) -> None:
         """Take the next frame, shape (row, col), DN."""
-        ...
 
     def enough(self) -> str | None:
         """Return a sentence if the criterion of the step is met, else None."""

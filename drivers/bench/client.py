@@ -35,6 +35,7 @@ from drivers.bench.safe_state import (
     SafeStateReport,
     make_safe,
     say_on_stderr,
+    tell_failures,
 )
 from drivers.bench.setup import BenchSetup, remember_bench
 from drivers.errors import BenchError, BenchServerLost
@@ -325,11 +326,7 @@ class BenchClient:
             sentences[0] += (
                 f"; the bench server, process {self.process.pid}, goes on until they are seen safe"
             )
-        sentences += [unwritten] if unwritten else []
-        for sentence in sentences:
-            if error is None:
-                raise BenchError(sentence)
-            error.add_note(sentence)
+        tell_failures((*sentences, unwritten), error)
 
     def _hang_up(self) -> None:
         self._over = True

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import BenchSetup
-from drivers.bench.state import Command, FilterMoved, FilterRead, LightRead, SetLight, TurnFilter
+from drivers.bench.state import Command, FilterRead, LightRead, SetLight, TurnFilter
 from drivers.errors import BenchError, BenchStopped
 from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
@@ -115,7 +115,7 @@ class LightControl(ABC):
             return
         filters, wheel = len(lamp.filter_density), self.stations.get("filter-wheel")
         if wheel is not None:
-            self.interlock.tell(FilterMoved())
+            self.interlock.tell(FilterRead(known=False))
         source = self.stations["light-source"].driver
         source.identify()
         source.prepare(limit_a=lamp.limit_a)
@@ -145,7 +145,7 @@ class LightControl(ABC):
             return
         wheel.watched = False
         if wheel.driver.position() != position:
-            self._permit(TurnFilter(position=position))
+            self._permit(TurnFilter())
             wheel.driver.turn_to(position)
         self._take_filter(position)
 
@@ -154,7 +154,7 @@ class LightControl(ABC):
         assert self._setup.lamp is not None
         if 1 <= position <= len(self._setup.lamp.filter_density):
             self._position = position
-            self.interlock.tell(FilterRead(position=position))
+            self.interlock.tell(FilterRead(known=True))
             self.stations["filter-wheel"].watched = True
 
 

@@ -9,10 +9,9 @@ from typing import Any, Self
 
 from drivers.bench.client import BenchClient
 from drivers.bench.light_control import GuardedLight
-from drivers.bench.safe_state import say_on_stderr
+from drivers.bench.safe_state import say_on_stderr, tell_failures
 from drivers.bench.setup import BenchSetup
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
-from drivers.errors import BenchError
 from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
 from labdata import BadInput, EventLog
@@ -74,10 +73,6 @@ class LocalBench(TubeBench):
         """
         self.make_safe("asked for").require_whole()
 
-    def safe_at_once(self) -> None:
-        """Make the tube safe now, from any thread."""
-        self.make_safe("asked for at once")
-
     @property
     def last_words(self) -> str:
         """Final state of the tube, with manual steps if it may be hot; empty before the safe
@@ -94,13 +89,7 @@ class LocalBench(TubeBench):
         report = self.make_safe("the bench is left")
         unwritten = self.close()
         self._log.close()
-        if error is not None:
-            for sentence in filter(None, ("" if report.whole else report.not_whole(), unwritten)):
-                error.add_note(sentence)
-            return
-        report.require_whole()
-        if unwritten:
-            raise BenchError(unwritten)
+        tell_failures((None if report.whole else report.not_whole(), unwritten), error)
 
 
 def open_bench(

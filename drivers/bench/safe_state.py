@@ -4,7 +4,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -97,6 +97,14 @@ class SafeStateReport:
         """Raise BenchError if the safe state was not verified."""
         if not self.whole:
             raise BenchError(self.not_whole())
+
+
+def tell_failures(sentences: Iterable[str | None], error: BaseException | None) -> None:
+    """Raise the first sentence as BenchError, or add all as notes to an earlier error."""
+    for sentence in filter(None, sentences):
+        if error is None:
+            raise BenchError(sentence)
+        error.add_note(sentence)
 
 
 class Crew:

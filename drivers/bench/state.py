@@ -112,9 +112,7 @@ class SetLight:
 
 @dataclass(frozen=True, kw_only=True)
 class TurnFilter:
-    """Turn the filter wheel to `position`; other filters pass through the light on the way."""
-
-    position: int
+    """Turn the filter wheel; other filters pass through the light on the way."""
 
     def state_when_sent(self, state: TubeState) -> TubeState:
         # The filter is unknown until read.
@@ -169,21 +167,13 @@ class LightRead:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterMoved:
-    """There is a filter wheel at an unknown position."""
-
-    def state_after(self, state: TubeState) -> TubeState:
-        return replace(state, filter_known=False)
-
-
-@dataclass(frozen=True, kw_only=True)
 class FilterRead:
-    """The filter wheel was read at `position`."""
+    """The filter wheel was read at a calibrated position, or is not `known` yet."""
 
-    position: int
+    known: bool
 
     def state_after(self, state: TubeState) -> TubeState:
-        return replace(state, filter_known=True)
+        return replace(state, filter_known=self.known)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,7 +224,6 @@ Event = (
     | GateRead
     | GainRead
     | LightRead
-    | FilterMoved
     | FilterRead
     | DarkSeen
     | FrameSeen

@@ -48,11 +48,9 @@ class ConformancePair(Protocol):
         "panel" needs a setting: of a gate "source", "idle level", "width" or "busy" (every second
         trigger is lost), of a supply "voltage" or "on".
         """
-        ...
 
     def heal(self) -> None:
         """End all faults, and clear a trip as at the instrument."""
-        ...
 
 
 Rule = Callable[[ConformancePair], None]

@@ -99,10 +99,9 @@ class DelayGenerator(Gate):
         self._verify_delay("gate delay", EDGE_A, 0, delay_ns)
         return self._verify_delay("gate width", EDGE_B, EDGE_A, width_ns)
 
-    def _refuse_errors(self, command: str) -> None:
-        if code := self.line.query_int("LERR?"):
-            meaning = ERRORS.get(code, "an error it does not explain")
-            raise self.line.rejection(f"accept {command!r}", f"error {code}: {meaning}", code=code)
+    def _error(self) -> tuple[int, str]:
+        code = self.line.query_int("LERR?")
+        return code, f"error {code}: {ERRORS.get(code, 'an error it does not explain')}"
 
 
 MODEL = InstrumentModel(

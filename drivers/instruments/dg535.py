@@ -79,14 +79,10 @@ class Dg535(Gate):
         self._verify_delay("gate delay", A, T0, delay_ns)
         return self._verify_delay("gate width", B, A, width_ns)
 
-    def _refuse_errors(self, command: str) -> None:
-        if status := self.line.query_int("ES"):
-            meanings = ", ".join(meaning for bit, meaning in enumerate(ERRORS) if status >> bit & 1)
-            raise self.line.rejection(
-                f"accept {command!r}",
-                f"error status {status}: {meanings or 'unexplained'}",
-                code=status,
-            )
+    def _error(self) -> tuple[int, str]:
+        status = self.line.query_int("ES")
+        meanings = ", ".join(meaning for bit, meaning in enumerate(ERRORS) if status >> bit & 1)
+        return status, f"error status {status}: {meanings or 'unexplained'}"
 
 
 MODEL = InstrumentModel(

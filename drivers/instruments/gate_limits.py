@@ -135,10 +135,6 @@ class Gate(Instrument):
     def _program(self, *, width_ns: float, rate_hz: float, delay_ns: float, sync: Sync) -> float:
         """Set and read back all but the trigger source of a shut gate; return the width, ns."""
 
-    @abstractmethod
-    def _refuse_errors(self, command: str) -> None:
-        """Raise InstrumentRejected if the instrument did not accept a command."""
-
     def _require_triggers(self, rate_hz: float, *, is_external: bool) -> None:
         status, now_s = self.line.query_int(self.status_question), time.monotonic()
         if status & self.lost_bit:
@@ -147,11 +143,6 @@ class Gate(Instrument):
             self._triggered_s = now_s
         elif is_external and now_s - self._triggered_s >= MISSED_TRIGGERS / rate_hz:
             raise self.line.rejection(f"be triggered {rate_hz:g} times a second", "no trigger")
-
-    def _set(self, *commands: str) -> None:
-        for command in commands:
-            self.line.write(command)
-        self._refuse_errors("; ".join(commands))
 
     def _verify(self, setting: str, question: str, value: float, *, tolerance: float = 0.0) -> None:
         """Read a setting back and keep the answer; one that is not as it was set is

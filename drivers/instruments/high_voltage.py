@@ -101,17 +101,11 @@ class HighVoltage(Supply):
             raise self._wrong_output(goal_v, f"{now_v:g} V")
         return now_v
 
-    def _set(self, command: str) -> None:
-        self.line.write(command)
-        if code := self.line.query_int("*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
-            meaning = (
-                "not possible in its present state or range"
-                if code & EXECUTION_ERROR
-                else "not understood"
-            )
-            raise self.line.rejection(
-                f"accept {command!r}", f"event status {code}: {meaning}", code=code
-            )
+    def _error(self) -> tuple[int, str]:
+        code = self.line.query_int("*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR)
+        is_state = bool(code & EXECUTION_ERROR)
+        meaning = "not possible in its present state or range" if is_state else "not understood"
+        return code, f"event status {code}: {meaning}"
 
     def _status(self) -> int:
         return self.line.query_int("*STB?")

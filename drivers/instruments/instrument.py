@@ -29,6 +29,18 @@ class Instrument(ABC):
         only query it.
         """
 
+    def _set(self, *commands: str) -> None:
+        """Send settings; an error that the instrument then reports is InstrumentRejected."""
+        for command in commands:
+            self.line.write(command)
+        code, sentence = self._error()
+        if code:
+            raise self.line.rejection(f"accept {'; '.join(commands)!r}", sentence, code=code)
+
+    def _error(self) -> tuple[int, str]:
+        """Return and clear the errors of the last commands: a code, 0 for none, and a sentence."""
+        return 0, ""
+
     def _identity(self, question: str, form: str, kinds: str) -> str:
         """Query the identity; a reply of another form is InstrumentReplyError."""
         identity = self.line.ask(question)

@@ -60,18 +60,11 @@ class LightSource(Instrument):
         self.look()
         return self.line.query_float("cc?") * 1e-3
 
-    def _set(self, command: str) -> None:
-        self.line.write(command)
-        code, meaning = self._error()
-        if code:
-            raise self.line.rejection(f"accept {command!r}", f"error {code}: {meaning}", code=code)
-
     def _error(self) -> tuple[int, str]:
-        """Return and clear the last error."""
         answer = self.line.ask("e?")
         if (match := _ERROR.fullmatch(answer)) is None:
             raise self.line.reply_error("answer e? with a code and its meaning", repr(answer))
-        return int(match[1]), match[2].strip()
+        return int(match[1]), f"error {match[1]}: {match[2].strip()}"
 
 
 def _milliamperes(current_a: float) -> int:

@@ -35,16 +35,14 @@ class PowerMeter(Instrument):
         """Power on the head, W."""
         return self.line.query_float("MEAS:POW?")
 
-    def _set(self, command: str) -> None:
-        self.line.write(command)
+    def _error(self) -> tuple[int, str]:
         answer = self.line.ask("SYST:ERR?")
         match = _ERROR.fullmatch(answer)
         if match is None:
             raise self.line.reply_error(
                 "answer SYST:ERR? with a code and its meaning", repr(answer)
             )
-        if code := int(match[1]):
-            raise self.line.rejection(f"accept {command!r}", f"error {code}: {match[2]}", code=code)
+        return int(match[1]), f"error {int(match[1])}: {match[2]}"
 
 
 LIGHT_METER = InstrumentModel(

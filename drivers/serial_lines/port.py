@@ -26,7 +26,6 @@ class Port(Protocol):
 
     def send(self, data: bytes) -> None:
         """Send bytes."""
-        ...
 
     def receive(self, timeout_s: float) -> bytes:
         """Return received bytes, waiting at most `timeout_s` for the first; empty if there are
@@ -38,7 +37,6 @@ class Port(Protocol):
         """Reopen a lost port, or another path in its place; InstrumentDisconnected if it is
         missing.
         """
-        ...
 
     def fileno(self) -> int:
         """File descriptor of the open port, or -1."""
@@ -46,7 +44,6 @@ class Port(Protocol):
 
     def close(self) -> None:
         """Close the port."""
-        ...
 
 
 class _DescriptorPort:

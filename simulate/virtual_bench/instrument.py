@@ -35,15 +35,12 @@ class SerialInstrument(Protocol):
 
     def advance(self, now_s: float, faults: Faults) -> None:
         """Advance the physics to a time, s."""
-        ...
 
     def publish(self, folder: Path) -> None:
         """Publish the outputs that changed."""
-        ...
 
     def power_cycle(self) -> None:
         """Lose power and get it back."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,10 +139,6 @@ class BusInstrument(VirtualInstrument):
     def clear(self) -> None:
         """Device clear: empty both buffers."""
         self._input = self._output = b""
-
-    @abstractmethod
-    def serial_poll(self) -> int:
-        """Status byte by serial poll."""
 
     @abstractmethod
     def power_cycle(self) -> None:

@@ -102,11 +102,6 @@ class PrologixAdapter:
             return self._set_address(arguments)
         if name == "ver":
             return VERSION
-        if name == "spoll":
-            polled = self._bus.get(int(arguments[0]) if arguments else self._address)
-            return [] if polled is None else str(polled.serial_poll())
-        if name == "srq":
-            return str(int(any(instrument.serial_poll() & 64 for instrument in self._bus.values())))
         if name == "clr":
             if instrument := self._bus.get(self._address):
                 instrument.clear()

@@ -96,42 +96,48 @@ class ScriptedFault:
     ] = ()  #: For the front panel: what is entered there, in the instrument's own language
 
     def __post_init__(self) -> None:
-        if not self.at_s >= 0.0 or not self.for_s > 0.0:
-            raise BadInput(
+        places = _OF.get(self.kind, (self.instrument,))
+        rules = (
+            (
+                self.at_s >= 0.0 and self.for_s > 0.0,
                 f"a fault must strike at 0 s or later for some time, got {self.at_s:g} and "
-                f"{self.for_s:g} s"
-            )
-        if (self.kind in _OF_THE_CAMERA) != (self.instrument == "camera"):
-            raise BadInput(
+                f"{self.for_s:g} s",
+            ),
+            (
+                (self.kind in _OF_THE_CAMERA) == (self.instrument == "camera"),
                 f"a camera must suffer one of {', '.join(_OF_THE_CAMERA)}, and no other, got "
-                f"{self.words}"
-            )
-        if self.instrument not in _OF.get(self.kind, (self.instrument,)):
-            raise BadInput(
-                f"a fault of kind {self.kind!r} must be of {' or '.join(_OF[self.kind])}, got "
-                f"{self.words}"
-            )
-        if self.instrument == "surroundings" and self.kind != "room light":
-            raise BadInput(
-                f"the surroundings must suffer room light, and nothing else, got {self.words}"
-            )
-        if (self.kind == "front panel") != bool(self.panel):
-            raise BadInput(
-                f"panel must hold commands for a front panel, and for no other, got {self.panel}"
-            )
-        if (self.kind in _COUNTED) != (self.value is not None):
-            counted = ", ".join(_COUNTED)
-            raise BadInput(
-                f"value must be given for {counted}, and for no other, got {self.value} for "
-                f"{self.kind}"
-            )
-        if self.kind == "packet loss" and not 0.0 < (self.value or 0.0) <= 1.0:
-            raise BadInput(f"the share of packets lost must lie between 0 and 1, got {self.value}")
+                f"{self.words}",
+            ),
+            (
+                self.instrument in places,
+                f"a fault of kind {self.kind!r} must be of {' or '.join(places)}, got {self.words}",
+            ),
+            (
+                self.instrument != "surroundings" or self.kind == "room light",
+                f"the surroundings must suffer room light, and nothing else, got {self.words}",
+            ),
+            (
+                (self.kind == "front panel") == bool(self.panel),
+                f"panel must hold commands for a front panel, and for no other, got {self.panel}",
+            ),
+            (
+                (self.kind in _COUNTED) == (self.value is not None),
+                f"value must be given for {', '.join(_COUNTED)}, and for no other, got "
+                f"{self.value} for {self.kind}",
+            ),
+            (
+                self.kind != "packet loss" or 0.0 < (self.value or 0.0) <= 1.0,
+                f"the share of packets lost must lie between 0 and 1, got {self.value}",
+            ),
+        )
+        for is_kept, sentence in rules:
+            if not is_kept:
+                raise BadInput(sentence)
 
     @property
     def words(self) -> str:
         """Description of the fault."""
-        much = "" if self.value is None else f" ({self.value:g} {_COUNTED[self.kind]})"
+        much = "" if self.value is None else f" ({self.value:g} {_COUNTED.get(self.kind, '')})"
         return f"{self.kind} of {self.instrument}{much}"
 
     @property

@@ -22,7 +22,6 @@ from drivers.bench.interlock import REACTIONS, RULES, Interlock
 from drivers.bench.state import (
     DarkSeen,
     Failed,
-    FilterMoved,
     FilterRead,
     GainRead,
     GateRead,
@@ -150,12 +149,12 @@ def unread():
 def hot():
     """An interlock in a sound hot state: gate open at gain, light out, dark seen."""
     tube = unread()
-    tube.tell(FilterMoved())
+    tube.tell(FilterRead(known=False))
     for event in (
         GateRead(width_ns=0.0, rate_hz=0.0),
         GainRead(mcp_v=0.0),
         LightRead(illuminance_lux=0.0),
-        FilterRead(position=1),
+        FilterRead(known=True),
         Heard(now_s=100.0),
     ):
         tube.tell(event)
@@ -200,11 +199,11 @@ def light(lux: float, **changes) -> SetLight:
         ),
         (
             LightRead(illuminance_lux=1e-4),
-            TurnFilter(position=2),
+            TurnFilter(),
             "must be out while a filter turns, got up to 0.0001",
         ),
         (
-            FilterMoved(),
+            FilterRead(known=False),
             light(1e-4),
             "the filter must be read before there is light, got none read before 0.0001 lux",
         ),

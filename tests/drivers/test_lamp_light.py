@@ -84,7 +84,7 @@ def test_a_filter_turns_in_the_dark_only(bench, virtual):
         with pytest.raises(
             InterlockRefused, match=r"the light must be out while a filter turns, got up to 2.5e-05"
         ):
-            bench.interlock.permit(TurnFilter(position=1))
+            bench.interlock.permit(TurnFilter())
         lit: list[float] = []
         turns = virtual.ports["filter-wheel"]
         send, turns.send = (

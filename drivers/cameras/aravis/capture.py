@@ -135,9 +135,12 @@ class AravisCapture(FrameCapture):
             "arv_camera_create_stream", self._connection.camera, None, None
         )
         if self._connection.address is not None:
-            self._library.fix_socket_buffer(stream, SOCKET_BUFFER_BYTES)
-            self._library.wait_for_packets(stream, LATE_PACKET_S)
-            self._library.ask_for_lost_packets(stream, self._resend)
+            self._library.set_up_stream(
+                stream,
+                buffer_bytes=SOCKET_BUFFER_BYTES,
+                longest_s=LATE_PACKET_S,
+                resend=self._resend,
+            )
         payload = self._library.call("arv_camera_get_payload", self._connection.camera)
         for _ in range(self._buffers(payload)):
             self._give_back(self._library.plain("arv_buffer_new", payload, None))

@@ -142,29 +142,23 @@ class Aravis:
         self.call(name, camera, byref(low), byref(high))
         return low.value, high.value
 
-    def fix_socket_buffer(self, stream: int, size_bytes: int) -> None:
-        """Give a GigE Vision stream a receive buffer of a fixed size."""
+    def set_up_stream(
+        self, stream: int, *, buffer_bytes: int, longest_s: float, resend: bool
+    ) -> None:
+        """Give a GigE Vision stream a receive buffer of a fixed size; set how long an incomplete
+        frame waits after its last packet, s, and whether missing packets are requested again.
+        """
         self._gobject.g_object_set(
             c_void_p(stream),
             b"socket-buffer",
             c_int(0),  # ARV_GV_STREAM_SOCKET_BUFFER_FIXED
             b"socket-buffer-size",
-            c_int(size_bytes),
+            c_int(buffer_bytes),
+            b"frame-retention",
+            c_uint(round(longest_s * 1e6)),
+            b"packet-resend",
+            c_int(int(resend)),
             c_void_p(None),
-        )
-
-    def wait_for_packets(self, stream: int, longest_s: float) -> None:
-        """Set how long an incomplete frame of a GigE Vision stream waits after its last packet,
-        s.
-        """
-        self._gobject.g_object_set(
-            c_void_p(stream), b"frame-retention", c_uint(round(longest_s * 1e6)), c_void_p(None)
-        )
-
-    def ask_for_lost_packets(self, stream: int, wanted: bool) -> None:
-        """Set whether a GigE Vision stream requests missing packets again."""
-        self._gobject.g_object_set(
-            c_void_p(stream), b"packet-resend", c_int(1 if wanted else 0), c_void_p(None)
         )
 
     def packets(self, stream: int) -> tuple[int, int]:

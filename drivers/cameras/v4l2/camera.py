@@ -202,12 +202,7 @@ class V4l2Settings:
     def form(self) -> Any:
         """Return the format in force."""
         form = Format(type=CAPTURE)
-        query_device(
-            self._device,
-            structures.GET_FORMAT,
-            form,
-            f"camera {self._identifier} must report its image format",
-        )
+        self._query(structures.GET_FORMAT, form, "must report its image format")
         return form
 
     def standard(self) -> int:
@@ -232,18 +227,14 @@ class V4l2Settings:
         pix.height = rows // fields.rows_of(1, pix.field)
         # The driver derives these from the others.
         pix.bytesperline = pix.sizeimage = 0
-        self._ask_format(form)
+        rule = "must take a picture format"
+        self._query(structures.SET_FORMAT, form, rule)
         if complaint := self._complaint(settings, form, code=pix.pixelformat):
-            self._ask_format(before)
+            self._query(structures.SET_FORMAT, before, rule)
             raise BadInput(complaint)
 
-    def _ask_format(self, form: Any) -> None:
-        query_device(
-            self._device,
-            structures.SET_FORMAT,
-            form,
-            f"camera {self._identifier} must take a picture format",
-        )
+    def _query(self, request: structures.Request, structure: Any, rule: str) -> None:
+        query_device(self._device, request, structure, f"camera {self._identifier} {rule}")
 
     def _complaint(self, settings: CameraSettings, form: Any, *, code: int) -> str | None:
         """Return the first difference between the format in force and the requested one; None if
@@ -309,20 +300,17 @@ class V4l2Settings:
             period.numerator,
             period.denominator,
         )
-        self._ask_parameters(parameters)
+        rule = "must take a frame rate"
+        self._query(structures.SET_PARAMETERS, parameters, rule)
         is_now = self._frame_rate_hz()
         if is_now is None or not math.isclose(is_now, frame_rate_hz, rel_tol=0.01):
             if before is not None:
-                self._ask_parameters(before)
+                self._query(structures.SET_PARAMETERS, before, rule)
             raise BadInput(
                 f"camera {self._identifier} must accept the requested frame rate, "
                 f"{frame_rate_hz:g} Hz, but reads back "
                 f"{'none' if is_now is None else f'{is_now:g}'}"
             )
-
-    def _ask_parameters(self, parameters: Any) -> None:
-        rule = f"camera {self._identifier} must take a frame rate"
-        query_device(self._device, structures.SET_PARAMETERS, parameters, rule)
 
     def _parameters(self) -> Any:
         parameters = StreamParameters(type=CAPTURE)

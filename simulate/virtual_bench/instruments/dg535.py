@@ -84,9 +84,6 @@ class Dg535(BusInstrument, GateGenerator):
         self._clear_settings()
         self._errors, self._status = 0, 0
 
-    def serial_poll(self) -> int:
-        return self._status
-
     def power_cycle(self) -> None:
         """Power cycle: settings stay, registers and buffers are cleared."""
         self.clear()

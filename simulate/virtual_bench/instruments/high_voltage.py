@@ -72,8 +72,7 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
             self._event_status |= StandardEvent.QYE
         return super().talk()
 
-    def serial_poll(self) -> int:
-        """Status byte by serial poll; the latches stay."""
+    def _status_byte(self) -> int:
         stable = self._on and abs(self.output_v - self._goal_v()) < 1.0
         event = bool(self._event_status & self._switches["*ESE"])
         byte = (
@@ -159,7 +158,7 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
         if name == "*ESR":
             value, self._event_status = read_register(self._event_status, bit)
         else:
-            value, remaining_bits = read_register(self.serial_poll(), bit)
+            value, remaining_bits = read_register(self._status_byte(), bit)
             self._latched &= remaining_bits | ~LATCHED
         return str(value)
 

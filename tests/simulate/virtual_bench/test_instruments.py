@@ -335,7 +335,7 @@ def test_auto_reads_after_every_write_and_makes_sets_query_errors(adapter):
 
 
 def test_nobody_at_the_address_is_silence(adapter):
-    assert said(adapter, b"++addr 9\n*IDN?\n++read eoi\n++spoll\n") == b""
+    assert said(adapter, b"++addr 9\n*IDN?\n++read eoi\n") == b""
 
 
 @pytest.mark.parametrize(
@@ -366,12 +366,6 @@ def test_without_terminator_or_eoi_the_instrument_waits_for_more(adapter):
     assert said(adapter, b"++read eoi\n") == b""
     said(adapter, b"++clr\n++eoi 1\n")
     assert said(adapter, b"VSET?\n++read eoi\n") == b"0\n"
-
-
-def test_a_serial_poll_shows_that_a_message_waits_and_takes_nothing(adapter):
-    said(adapter, b"VSET?\n")
-    assert said(adapter, b"++spoll\n++spoll 14\n") == b"16\r\n16\r\n"
-    assert said(adapter, b"++read eoi\n") == b"0\n"
 
 
 def test_a_mark_can_follow_the_end_of_an_answer(adapter):
