@@ -115,6 +115,11 @@ STUDIES = {
         arguments=("--strikes", "5", "--seed", "20260", "--keep", "docs/validation/faults.md"),
         about="random faults on the virtual bench: docs/validation/faults.md; 40 minutes",
     ),
+    "invented-faults": Study(
+        module="tests.faults.inventing",
+        arguments=("--seconds", "600"),
+        about="random programs of faults, those that fail shrunk: printed; 10 minutes",
+    ),
     "rehearsal": Study(
         module="tests.faults.rehearsal",
         arguments=("--keep", "docs/validation/rehearsal.md"),

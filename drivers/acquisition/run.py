@@ -177,7 +177,7 @@ class Run:
         The light is off while gate and gain change.
         """
         asked = step.conditions
-        with clock.wire():
+        with clock.timing("wire_s"):
             light = self.operator.place(kind=step.kind, target=step.target, illuminance_lux=0.0)
             with self.bench.patience(
                 15.0
@@ -210,7 +210,7 @@ class Run:
         self, conditions: Conditions, clock: StepClock
     ) -> tuple[Conditions, tuple[str, ...]]:
         """Read the auxiliary meters after settling; a time-out is noted."""
-        with clock.wire():
+        with clock.timing("wire_s"):
             read, silent = self.bench.read_meters()
         for sentence in silent:
             self.log("meter silent", sentence=sentence)
@@ -227,7 +227,7 @@ class Run:
 
     def _wait(self, seconds: float, clock: StepClock) -> None:
         """Let gain and light settle, checking the bench."""
-        with clock.settling():
+        with clock.timing("settling_s"):
             until_s = time.monotonic() + seconds
             while (left_s := until_s - time.monotonic()) > 0.0:
                 self._look()
@@ -296,7 +296,7 @@ class Run:
             return (), enough
         allowed = step.max_saturated_fraction
         with ExitStack() as running:
-            with clock.wire():
+            with clock.timing("wire_s"):
                 capture = running.enter_context(
                     self.camera.capture(
                         frames=step.frames - stored_frames,
@@ -307,7 +307,7 @@ class Run:
             try:
                 with self._doubting(stack):
                     for frame in clock.waiting_for(capture):
-                        with clock.wire():
+                        with clock.timing("wire_s"):
                             self._show(step, frame.pixels, allowed)
                             self._look()
                         self._freshness.see(frame)
@@ -324,7 +324,7 @@ class Run:
                 with suppress(BadInput):
                     stack.lose(capture.losses)
                 raise
-            with clock.wire():
+            with clock.timing("wire_s"):
                 running.close()
         return capture.losses, enough
 
@@ -367,7 +367,7 @@ class Run:
 
     def _shut(self, step: Step, stack: StoredStack, clock: StepClock) -> None:
         """Verify the settings of the tube, then shut the gate before any target moves."""
-        with self._doubting(stack), clock.wire():
+        with self._doubting(stack), clock.timing("wire_s"):
             self.bench.verify()
             self.bench.set_conditions(replace(step.conditions, gate_ns=None))
 

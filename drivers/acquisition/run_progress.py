@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 T = TypeVar("T")
 
@@ -17,28 +17,19 @@ class StepClock:
         self.settling_s = 0.0  # Settle time of the plan, s
 
     @contextmanager
-    def wire(self) -> Iterator[None]:
-        """Add the time of the block to that of instruments and camera."""
+    def timing(self, part: Literal["wire_s", "settling_s"]) -> Iterator[None]:
+        """Add the time of the block to that of instruments and camera, or to the settle time."""
         began_s = time.monotonic()
         try:
             yield
         finally:
-            self.wire_s += time.monotonic() - began_s
-
-    @contextmanager
-    def settling(self) -> Iterator[None]:
-        """Add the time of the block to the settle time."""
-        began_s = time.monotonic()
-        try:
-            yield
-        finally:
-            self.settling_s += time.monotonic() - began_s
+            setattr(self, part, getattr(self, part) + time.monotonic() - began_s)
 
     def waiting_for(self, frames: Iterable[T]) -> Iterator[T]:
         """Yield frames; the time until each arrives counts as time of the camera."""
         coming = iter(frames)
         while True:
-            with self.wire():
+            with self.timing("wire_s"):
                 frame = next(coming, None)
             if frame is None:
                 return

@@ -27,6 +27,7 @@ from labdata.errors import BadInput
 from simulate.virtual_bench import aravis_library as aravis
 from simulate.virtual_bench.faults import FaultFile, Faults
 from simulate.virtual_bench.outputs import TargetPlacement, read_outputs
+from simulate.virtual_bench.process import end_processes
 from simulate.virtual_bench.tube import Scene, VirtualTube
 
 LOOPBACK = "127.0.0.1"
@@ -257,7 +258,6 @@ def tell(message: dict[str, str]) -> None:
 
 
 READY_S = 300.0  # A cold start compiles the loops of the frames, a minute of processor time
-STOP_S = 3.0
 
 
 class CameraProcess:
@@ -341,11 +341,7 @@ class CameraProcess:
         return json.loads(line) if line else None
 
     def _stop(self) -> None:
-        self._process.terminate()
-        try:
-            self._process.wait(timeout=STOP_S)
-        except subprocess.TimeoutExpired:
-            self.kill()
+        end_processes(self._process)
         if self._process.stdout:
             self._process.stdout.close()
 

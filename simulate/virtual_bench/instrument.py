@@ -166,16 +166,16 @@ class StandardEvent(IntFlag):
 
 
 class RefusedCommand(Exception):
-    """The instrument refuses a command; `code` is its error code or the bit of its status
-    register.
+    """The instrument refuses a command; `code` is its error code, the bit of its status register,
+    or its words.
     """
 
-    def __init__(self, code: int) -> None:
+    def __init__(self, code: Any) -> None:
         super().__init__(code)
         self.code = code
 
 
-def parse_number(text: str, kind: type, code: int) -> Any:
+def parse_number(text: str, kind: type, code: object) -> Any:
     """Return the finite number of a command; any other text is refused with a code."""
     try:
         value = kind(text)

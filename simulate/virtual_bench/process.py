@@ -13,6 +13,18 @@ START_S = 10.0
 STOP_S = 3.0
 
 
+def end_processes(*processes: subprocess.Popen) -> None:
+    """Ask processes to end, and kill those that do not in time."""
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        try:
+            process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
 class VirtualInstruments:
     """The serial instruments of one virtual bench, each a process of its own.
 
@@ -102,14 +114,7 @@ class VirtualInstruments:
 
     def stop(self) -> None:
         """Switch them off."""
-        for process in self._processes.values():
-            process.terminate()
-        for process in self._processes.values():
-            try:
-                process.wait(STOP_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        end_processes(*self._processes.values())
         self._processes.clear()
 
     def _start(self, instrument: str) -> subprocess.Popen:

@@ -9,9 +9,9 @@ from drivers.acquisition.run_progress import RunProgress, StepClock, duration
 
 def test_only_what_is_neither_wire_nor_settling_is_our_own():
     clock = StepClock()
-    with clock.wire():
+    with clock.timing("wire_s"):
         time.sleep(0.03)
-    with clock.settling():
+    with clock.timing("settling_s"):
         time.sleep(0.02)
 
     def frames():

@@ -5,7 +5,13 @@ and a slow start.
 import math
 
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.instrument import LOAD_OHM, VirtualModel, VoltageSource
+from simulate.virtual_bench.instrument import (
+    LOAD_OHM,
+    RefusedCommand,
+    VirtualModel,
+    VoltageSource,
+    parse_number,
+)
 
 IDENTITY = "480012;3.15;3000V;100uA"
 HARDWARE_LIMIT_PERCENT = 30  # position of the rotary switch
@@ -18,10 +24,6 @@ LONGEST_BREAK_MS = 255
 SETTLED_V = 1.0
 MANUAL, POSITIVE = 1, 4
 SYNTAX, WRONG_CHANNEL = "????", "?WCN"
-
-
-class _Refused(Exception):
-    """The unit answers with an error."""
 
 
 class IsegSupply(VoltageSource):
@@ -62,8 +64,8 @@ class IsegSupply(VoltageSource):
     def _answer(self, line: str) -> list[tuple[float, bytes]]:
         try:
             answer = self._obey(line)
-        except _Refused as refusal:
-            answer = str(refusal)
+        except RefusedCommand as refusal:
+            answer = str(refusal.code)
         return [(COMMAND_S, b""), *self._spoken(answer)]
 
     def _spoken(self, answer: str) -> list[tuple[float, bytes]]:
@@ -76,14 +78,14 @@ class IsegSupply(VoltageSource):
         if name == "W":
             return self._break(value) if mark else f"{self._break_said:03d}"
         if len(name) != 2 or not name[1].isdigit():
-            raise _Refused(SYNTAX)
+            raise RefusedCommand(SYNTAX)
         if name[1] != "1":
-            raise _Refused(WRONG_CHANNEL)
+            raise RefusedCommand(WRONG_CHANNEL)
         if mark:
             sets = {"D": self._set_voltage, "V": self._set_ramp, "L": self._set_trip}
             if name[0] not in sets:
-                raise _Refused(SYNTAX)
-            sets[name[0]](_number(value))
+                raise RefusedCommand(SYNTAX)
+            sets[name[0]](parse_number(value, float, SYNTAX))
             return ""
         asks = {
             "U": lambda: _format_scaled(self.output_v, -1),
@@ -99,25 +101,25 @@ class IsegSupply(VoltageSource):
             "A": lambda: "000",
         }
         if name[0] not in asks:
-            raise _Refused(SYNTAX)
+            raise RefusedCommand(SYNTAX)
         return asks[name[0]]()
 
     def _break(self, value: str) -> str:
-        milliseconds = round(_number(value))
+        milliseconds = round(parse_number(value, float, SYNTAX))
         if not 0 <= milliseconds <= LONGEST_BREAK_MS:
-            raise _Refused(SYNTAX)
+            raise RefusedCommand(SYNTAX)
         self._break_ms = self._break_said = milliseconds
         return ""
 
     def _set_voltage(self, volts: float) -> None:
         limit_v = 3000.0 * HARDWARE_LIMIT_PERCENT / 100.0
         if not 0 <= volts <= limit_v:
-            raise _Refused(f"? UMAX={limit_v:04.0f}")
+            raise RefusedCommand(f"? UMAX={limit_v:04.0f}")
         self._set_v = round(volts, 2)
 
     def _set_ramp(self, volts_per_s: float) -> None:
         if volts_per_s != round(volts_per_s) or not 2 <= volts_per_s <= 255:
-            raise _Refused(SYNTAX)
+            raise RefusedCommand(SYNTAX)
         self._ramp_v_per_s = round(volts_per_s)
 
     def _set_trip(self, current: float) -> None:
@@ -167,16 +169,6 @@ class IsegSupply(VoltageSource):
 def _format_scaled(value: float, exponent: int) -> str:
     """Format a number as the SHQ does: sign, five digits, signed exponent, no E."""
     return f"{round(value / 10.0**exponent):+06d}{exponent:+03d}"
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise _Refused(SYNTAX) from None
-    if not math.isfinite(value):
-        raise _Refused(SYNTAX)
-    return value
 
 
 MODEL = VirtualModel(
