@@ -68,7 +68,7 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
     streak_px = np.stack(
         [np.where(smeared, row_distance.max() + 1.0, side_px) for side_px in (above_px, below_px)]
     )
-    streaked_cols = _around(streak_px.max(axis=0) > 0, round(spot.col) - columns.first_col)
+    streaked_cols = run_through(streak_px.max(axis=0) > 0, round(spot.col) - columns.first_col)
     if not streaked_cols.any():
         return mask
     widened_px = ndimage.maximum_filter1d(
@@ -124,7 +124,7 @@ def _half_width(spot: PointStack) -> int:
     bright = source_rows_mean - spot.dark_dn > 0.5 * min(
         source_rows_mean.max() - spot.dark_dn, 0.5 * (spot.full_scale_dn - spot.dark_dn)
     )
-    run = np.flatnonzero(_around(bright, col))
+    run = np.flatnonzero(run_through(bright, col))
     bright_half_px = int(np.abs(run - col).max()) if len(run) else 0
     # Video filter or smear carry the signal into at least 5 columns, 3 beyond the bright ones.
     return max(5, bright_half_px + 3)
@@ -207,7 +207,7 @@ def _reach(columns: ColumnArtefacts, side: int) -> tuple[Array, Array]:
     return out, excess[outer].mean(axis=0) / noise
 
 
-def _around(bright: Mask, position: int) -> Mask:
+def run_through(bright: Mask, position: int) -> Mask:
     """The run of true values through a position, which may be off by one."""
     from scipy import ndimage
 

@@ -234,9 +234,13 @@ def provenance(context, **settings: Any) -> Provenance:
     return Provenance(version=__version__, seed=context.seed, settings=known | settings)
 
 
-def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
-    """Overload of each source: its signal over the signal that reaches full scale; None where
-    unknown.
+def series_evidence(
+    spots: tuple[PointStack, ...], halos: dict[str, float] | None = None
+) -> dict[str, Any]:
+    """Bloom diameter, streak and halo diameter by overload, for the report.
+
+    The overload is a source's signal over that which reaches full scale, from the brightest stack
+    below it.
     """
     clear = [
         spot
@@ -245,33 +249,19 @@ def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
         and spot.significance > DETECTED
         and spot.image.max() < 0.8 * spot.full_scale_dn
     ]
-    if not clear:
-        return [None] * len(spots)
-    spot = max(clear, key=lambda stack: stack.exposure_lux_ns or 0.0)
-    peak = float(
-        spot.image[
-            round(spot.row) - 3 : round(spot.row) + 4, round(spot.col) - 3 : round(spot.col) + 4
-        ].max()
-    )
-    per_light = (
-        (peak - spot.dark_dn) / (spot.full_scale_dn - spot.dark_dn) / (spot.exposure_lux_ns or 1.0)
-    )
-    return [
-        None if stack.exposure_lux_ns is None else stack.exposure_lux_ns * per_light
-        for stack in spots
-    ]
-
-
-def series_evidence(
-    spots: tuple[PointStack, ...], halos: dict[str, float] | None = None
-) -> dict[str, Any]:
-    """Bloom diameter, streak and halo diameter by overload, for the report."""
-    overload = overload_of_stacks(spots)
-    known = all(value is not None for value in overload)
+    known = bool(clear) and all(spot.exposure_lux_ns is not None for spot in spots)
+    overload: list[float] = list(range(1, len(spots) + 1))
+    if known:
+        spot = max(clear, key=lambda stack: stack.exposure_lux_ns or 0.0)
+        row, col = round(spot.row), round(spot.col)
+        peak = float(spot.image[row - 3 : row + 4, col - 3 : col + 4].max())
+        relative = (peak - spot.dark_dn) / (spot.full_scale_dn - spot.dark_dn)
+        per_light = relative / (spot.exposure_lux_ns or 1.0)
+        overload = [(stack.exposure_lux_ns or 0.0) * per_light for stack in spots]
     return {
         "figure": "bloom-series",
         "label": [spot.label for spot in spots],
-        "overload": overload if known else list(range(1, len(spots) + 1)),
+        "overload": overload,
         "overload_known": known,
         "illuminance_lux": [spot.conditions.illuminance_lux for spot in spots],
         "gate_ns": [spot.conditions.gate_ns for spot in spots],

@@ -75,7 +75,13 @@ def check_consistency(
         for series in watched
         if any(check.flag == "lag" for check in findings[series.spot.label])
     )
-    for label, checks in _between(watched, findings, _dark_variance(session)).items():
+    dark_variances = [
+        float(stack.data.var(axis=0, ddof=1, dtype=np.float64).mean())
+        for entry in session.of_kind("dark")
+        if len(stack := entry.read()) > 1
+    ]
+    dark_variance = float(np.median(dark_variances)) if dark_variances else None
+    for label, checks in _between(watched, findings, dark_variance).items():
         findings[label] += checks
     out = [*_depressions(watched, findings, **fields), *recoveries(still, context.seed, **fields)]
     evidence = {
@@ -250,13 +256,3 @@ def dark_level_error(
     mean = float(weight @ level / weight.sum())
     scatter = float(np.sqrt(weight @ (level - mean) ** 2 / max(len(level) - 1, 1)))
     return mean, float(max(scatter, 1.0) / np.sqrt(weight.sum()))
-
-
-def _dark_variance(session: Session) -> float | None:
-    """Temporal variance of the dark frames, DN^2; None with fewer than two frames."""
-    variances = [
-        float(stack.data.var(axis=0, ddof=1, dtype=np.float64).mean())
-        for entry in session.of_kind("dark")
-        if len(stack := entry.read()) > 1
-    ]
-    return float(np.median(variances)) if variances else None

@@ -115,6 +115,8 @@ def rings_of(image: Array, polar: Polar) -> Rings:
     return Rings(total=total, count=count, radius=radius, inside_fraction=count.sum(axis=1) / full)
 
 
+# Distance from full scale, standard deviations of a pixel, within which noise is clipped.
+NEAR_TOP = 5.0
 # Range of signal, fractions of full scale, in which photon noise is measured.
 LIGHT = (0.1, 0.7)
 SMOOTHING_PX = 1.0
@@ -122,19 +124,26 @@ SMOOTHING_PX = 1.0
 APART_ROWS = 3
 
 
-def mean_with_clipping(mean: Array, noise: NoiseLaw, top: float) -> tuple[Array, Array]:
-    """Return the mean of a noisy signal clipped at `top`, and the unclipped fraction; shapes of
-    `mean`.
+def clipped_mean(mean: Array, sd: Array, top: float) -> tuple[Array, Array]:
+    """Return the mean of a signal with Gaussian noise clipped at `top`, and the unclipped fraction;
+    shape of `mean`.
     """
     from scipy.special import ndtr
 
-    sd = noise.sd(np.minimum(mean, top))
-    z = np.clip((top - mean) / sd, -30.0, 30.0)
-    unclipped_fraction = ndtr(z)
-    density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
-    return np.where(
-        z >= 30.0, mean, mean * unclipped_fraction - sd * density + top * (1.0 - unclipped_fraction)
-    ), unclipped_fraction
+    z = (top - mean) / sd
+    read, unclipped_fraction = np.minimum(mean, top), (z > 0).astype(float)
+    near_top = np.abs(z) < NEAR_TOP
+    if near_top.any():
+        at, near_sd = z[near_top], np.broadcast_to(sd, z.shape)[near_top]
+        density = np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi)
+        unclipped_fraction[near_top] = ndtr(at)
+        read[near_top] = top - near_sd * (at * unclipped_fraction[near_top] + density)
+    return read, unclipped_fraction
+
+
+def mean_with_clipping(mean: Array, noise: NoiseLaw, top: float) -> tuple[Array, Array]:
+    """Return `clipped_mean` of a signal with the noise of one frame."""
+    return clipped_mean(mean, noise.sd(np.minimum(mean, top)), top)
 
 
 def noise_of(
@@ -188,17 +197,14 @@ def _line(
         # Medians, since pixels at the end of a streak or under a moving source vary by more than
         # their noise.
         at_lit = float(np.median(signal[lit]))
-        of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
+        # Median over mean of chi squared (Wilson and Hilferty, 1931).
+        median_ratio = (1.0 - 2.0 / (9.0 * max(frames - 1, 1))) ** 3
+        of_lit = float(np.median(variance[lit])) / median_ratio
         slope, floor = max(of_lit - QUANTISATION_DN2, 0.0) / at_lit, QUANTISATION_DN2
         if at_lit >= 1.5 * at_faint:
             slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
             floor = max(of_faint - slope * at_faint, QUANTISATION_DN2)
     return NoiseLaw(gain_dn=slope, read_dn=floor**0.5, correlation_factor=correlation_factor)
-
-
-def _median_share(freedom: int) -> float:
-    """Median over mean of chi squared (Wilson and Hilferty, 1931)."""
-    return (1.0 - 2.0 / (9.0 * freedom)) ** 3
 
 
 @dataclass(frozen=True, kw_only=True)

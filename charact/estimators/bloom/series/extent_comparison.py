@@ -63,7 +63,10 @@ def compare_extents(
                 READ[extent.quantity](spot),
                 light[series.labels.index(spot.label)],
             )
-            joined = spot.label in streaked and _stands_apart(curve, level)
+            inner = int(np.argmax(curve < level))
+            joined = spot.label in streaked and bool(
+                curve[inner] < level and (curve[inner:] >= level).any()
+            )
             off = joined or _is_off(series.node_px, curve, level, extent.interval95)
             alone = off or read is None or read.pulled or read.contour is None
             diameter = _diameter(series.node_px, curve, level)
@@ -153,9 +156,3 @@ def _diameter(node_px: Array, light_dn: Array, level_dn: float) -> float:
     node = int(nodes_below[0])
     step_fraction = (light_dn[node - 1] - level_dn) / (light_dn[node - 1] - light_dn[node])
     return 2.0 * float(node_px[node - 1] + step_fraction * (node_px[node] - node_px[node - 1]))
-
-
-def _stands_apart(light_dn: Array, level_dn: float) -> bool:
-    """Whether the signal rises above the threshold again farther out."""
-    nodes_below = np.flatnonzero(light_dn < level_dn)
-    return bool(len(nodes_below)) and bool((light_dn[nodes_below[0] :] >= level_dn).any())

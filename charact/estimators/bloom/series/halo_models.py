@@ -7,10 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from charact.estimators.bloom.transfer import frequencies
 from charact.transfer import spreads
 from charact.transfer.form import Parameter, Parametric
 from labdata import Array, Camera, has_tube
+
+# Frequencies, cycles per column pitch, and weights of the transforms, for the sharpest core and the
+# outermost ring of a series.
+FREQUENCIES, _ = QUADRATURE = spreads.quadrature(1.25, 300)
 
 Core = Literal["gaussian", "tube", "moffat", "matern"]
 # Cores tried: of any camera, and of cameras with a tube.
@@ -91,12 +94,9 @@ class HaloModel(Parametric):
         return dict(zip(self.names, points.T, strict=True))
 
     def transform(self, points: Array) -> Array:
-        """Transfer function of the complete model, shape (draw, frequency)."""
-        return self.core_transform(points) * self.halo_factor(points)
-
-    def core_transform(self, points: Array) -> Array:
-        """Transfer function of core, wing and pixel, shape (draw, frequency)."""
-        return self.add_wing(self.blur_transform(points), points) * pixel_of(self.pitch_ratio)
+        """Transfer function of core, wing, pixel and halo, shape (draw, frequency)."""
+        core = self.add_wing(self.blur_transform(points), points) * pixel_of(self.pitch_ratio)
+        return core * self.halo_factor(points)
 
     def add_wing(self, blur: Array, points: Array) -> Array:
         """Add the core's wing to a blur, shape (draw, frequency)."""
@@ -104,9 +104,9 @@ class HaloModel(Parametric):
             return blur
         of = self.at(points)
         if self.core == "matern":
-            wing = spreads.matern(frequencies(), of["wing_sd"], of["wing_peak"])
+            wing = spreads.matern(FREQUENCIES, of["wing_sd"], of["wing_peak"])
         else:
-            wing = spreads.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
+            wing = spreads.moffat(FREQUENCIES, of["wing_radius"], of["wing_exponent"])
         return spreads.mix(blur, of["wing_share"], wing)
 
     def halo_factor(self, points: Array) -> Array:
@@ -119,18 +119,18 @@ class HaloModel(Parametric):
     def blur_transform(self, points: Array) -> Array:
         """Transfer function of the core without wing and pixel, shape (draw, frequency)."""
         of = self.at(points)
-        blur = spreads.gaussian(frequencies(), of["core_sd"] ** 2)
+        blur = spreads.gaussian(FREQUENCIES, of["core_sd"] ** 2)
         if self.core == "tube":
-            blur = blur * spreads.tube(frequencies(), of["core_frequency"], of["core_exponent"])
+            blur = blur * spreads.tube(FREQUENCIES, of["core_frequency"], of["core_exponent"])
         return blur
 
     def halo_transform(self, points: Array) -> Array | None:
         """Transfer function of the halo alone, shape (draw, frequency); None without a halo."""
         of = self.at(points)
         if self.halo == "disc":
-            return spreads.halo_disc(frequencies(), of["halo_diameter"], profile_of(of))
+            return spreads.halo_disc(FREQUENCIES, of["halo_diameter"], profile_of(of))
         return (
-            spreads.gaussian(frequencies(), of["halo_sd"] ** 2) if self.halo == "gaussian" else None
+            spreads.gaussian(FREQUENCIES, of["halo_sd"] ** 2) if self.halo == "gaussian" else None
         )
 
 
@@ -142,7 +142,19 @@ def profile_of(of: Mapping[str, Array]) -> Array:
 @lru_cache(maxsize=4)
 def pixel_of(pitch_ratio: float) -> Array:
     """Transfer function of the pixel aperture, shape (frequency,)."""
-    return spreads.pixel_of_all_directions(frequencies(), pitch_ratio)
+    return spreads.pixel_of_all_directions(FREQUENCIES, pitch_ratio)
+
+
+def onto_nodes(node_px: Array) -> Array:
+    """Return the matrix that takes transforms to light at radii, shape (frequency, node); not to be
+    written to.
+    """
+    return _onto_nodes(np.asarray(node_px, np.float64).tobytes())
+
+
+@lru_cache(maxsize=4)
+def _onto_nodes(nodes: bytes) -> Array:
+    return spreads.hankel_matrix(QUADRATURE, np.frombuffer(nodes))
 
 
 def tube_priors(sensor: Camera | None) -> tuple[Parameter, ...]:

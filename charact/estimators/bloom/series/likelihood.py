@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.bloom.series.halo_models import HaloModel
+from charact.estimators.bloom.series.halo_models import HaloModel, onto_nodes
 from charact.estimators.bloom.series.ring_loops import (
     best_step,
     lost_at_top,
@@ -15,7 +15,7 @@ from charact.estimators.bloom.series.ring_loops import (
     whiten_rings,
 )
 from charact.estimators.bloom.series.rings import HARDLY_CUT, LevelRings, RingNoise
-from charact.estimators.bloom.transfer import onto_nodes
+from charact.estimators.bloom.source_view import NEAR_TOP, clipped_mean
 from labdata import Array, Mask
 
 # Trial values of the relative model error.
@@ -69,22 +69,6 @@ def modes_of(covariance: Array) -> Modes:
     return Modes(variance=np.maximum(variance, 0.0), modes=modes)
 
 
-def most_likely_misfit(of_core: Array, of_outer: Array) -> tuple[Misfit, float]:
-    """Return the most likely relative errors near the core and beyond, and the log-likelihood of
-    both.
-
-    `of_core`, `of_outer`: log-likelihoods for each trial error, shape (trial,).
-    """
-    outer = int(np.argmax(of_outer))
-    # Few rings near the core, to which the core was fitted, would underestimate the error.
-    core = outer + int(np.argmax(of_core[outer:]))
-    return Misfit(outer=float(SHARES[outer]), core=float(SHARES[core])), float(
-        of_outer[outer] + of_core[core]
-    )
-
-
-# Distance from full scale, in standard deviations of a pixel, within which noise is clipped.
-NEAR_TOP = 5.0
 # Minimum signal of a ring for its relative error, DN.
 LEAST_LIGHT_DN = 1e-6
 
@@ -252,34 +236,21 @@ class SeriesLikelihood:
         )
 
     @cached_property
-    def white_data(self) -> Array:
-        """Whitened ring means, shape (level, ring)."""
-        return (self.whitener @ self.series.data[..., None])[..., 0]
-
-    @cached_property
-    def white_even(self) -> Array:
-        """Whitened ring means of a uniform signal of 1 DN, shape (level, ring)."""
-        return (self.whitener @ self.series.averages.sum(axis=-1)[..., None])[..., 0]
-
-    @cached_property
-    def uncut_data(self) -> Array:
-        """Ring means weighted by the unclipped rings' precision, shape (level, ring)."""
-        return self.uncut_weight * self.series.data
-
-    @cached_property
-    def uncut_even(self) -> Array:
-        """Ring means of a uniform 1 DN weighted by the unclipped rings' precision, shape (level,
-        ring).
-        """
-        return self.uncut_weight * self.series.averages.sum(axis=-1)
-
-    @cached_property
     def uncut_weight(self) -> Array:
         """Reciprocal standard error of each unclipped ring, 0 of the others, shape (level, ring),
         1/DN.
         """
         variance = np.diagonal(self.series.covariance(self.misfit), axis1=1, axis2=2)
         return ~self.series.cut / np.sqrt(variance)
+
+    @cached_property
+    def weighted_rings(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Ring means as measured and of a uniform signal of 1 DN: whitened, and weighted by the
+        unclipped rings' precision, shape (level, ring) each.
+        """
+        rings = self.series.data, self.series.averages.sum(axis=-1)
+        white, even = ((self.whitener @ means[..., None])[..., 0] for means in rings)
+        return (white, even), (self.uncut_weight * rings[0], self.uncut_weight * rings[1])
 
     def log_probability(self, points: Array) -> Array:
         """Log-posterior with the optimum amplitudes of every stack, shape (point,)."""
@@ -312,7 +283,11 @@ class SeriesLikelihood:
 
     def solve_amplitudes_of(self, parts: ModelParts) -> AmplitudeSolution:
         """Find the optimum amplitudes of all stacks for given model parts."""
-        amplitudes = self._of_uncut_rings(parts.uncut)
+        # First those of the unclipped rings, correlations neglected.
+        data, even = (
+            np.broadcast_to(rings[..., None], parts.uncut.shape) for rings in self.weighted_rings[1]
+        )
+        amplitudes = best_step(parts.uncut, even, data)[0]
         residual, slopes = self.whiten(parts, amplitudes)
         for _ in range(self.steps):
             step, promise = best_step(slopes[0], slopes[1], residual)
@@ -322,14 +297,6 @@ class SeriesLikelihood:
             residual, slopes = self.whiten(parts, amplitudes)
         return AmplitudeSolution(amplitudes=amplitudes, residual=residual, slopes=slopes)
 
-    def _of_uncut_rings(self, uncut: Array) -> Array:
-        """Initial amplitudes from the unclipped rings, correlations neglected."""
-        unit_background, data = (
-            np.broadcast_to(rings[..., None], uncut.shape)
-            for rings in (self.uncut_even, self.uncut_data)
-        )
-        return best_step(uncut, unit_background, data)[0]
-
     def whiten(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
         """Whitened residuals, shape (level, ring, point), and their slopes, (amplitude, level,
         ring, point).
@@ -338,9 +305,8 @@ class SeriesLikelihood:
         levels, nodes, parts_lost, points = lost.shape
         of_rings = self.series.ring_means(lost.reshape(levels, nodes, parts_lost * points))
         lost = of_rings.reshape(levels, of_rings.shape[1], parts_lost, points)
-        return residuals_and_slopes(
-            parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener
-        )
+        data, even = self.weighted_rings[0]
+        return residuals_and_slopes(parts.white, even, data, amplitudes, lost, self.whitener)
 
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point).
@@ -355,26 +321,11 @@ class SeriesLikelihood:
         """Signal at the nodes, shape (level, node, point), DN."""
         return parts.unclipped * amplitudes[:, :1] + amplitudes[:, 1:]
 
-    def read(self, light_dn: Array, sd_dn: Array) -> tuple[Array, Array]:
-        """Mean grey value and its slope at nodes, shape (level, node, point)."""
-        from scipy.special import ndtr
-
-        full = self.series.full_dn
-        z = (full - light_dn) / sd_dn[..., None]
-        read, slope = np.minimum(light_dn, full), (z > 0).astype(float)
-        near_full_scale = np.abs(z) < NEAR_TOP
-        if near_full_scale.any():
-            at, sd = z[near_full_scale], np.broadcast_to(sd_dn[..., None], z.shape)[near_full_scale]
-            below_probability = ndtr(at)
-            slope[near_full_scale] = below_probability
-            read[near_full_scale] = full - sd * (
-                at * below_probability + np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi)
-            )
-        return read, slope
-
     def rings(self, points: Array) -> Array:
         """Expected ring means with clipping, shape (level, ring, point), DN."""
-        return self.series.averages @ self.read(self.light_at(points), self.series.node_sd)[0]
+        light = self.light_at(points)
+        sd = self.series.node_sd[..., None]
+        return self.series.averages @ clipped_mean(light, sd, self.series.full_dn)[0]
 
     def light_at(self, points: Array) -> Array:
         """Signal at the nodes with optimum amplitudes, shape (level, node, point), DN."""
@@ -386,8 +337,11 @@ class SeriesLikelihood:
         light = np.maximum(self.series.light, LEAST_LIGHT_DN)
         residual = (self.series.data - self.rings(point[None])[..., 0]) / light
         is_core = about_core(self.series.radius_px)
-        core, outer = self.series.own_modes
-        misfit, value = most_likely_misfit(
-            core.log_likelihoods(residual[:, is_core]), outer.log_likelihoods(residual[:, ~is_core])
-        )
-        return misfit, value - float(np.log(light).sum())
+        core_modes, outer_modes = self.series.own_modes
+        of_core = core_modes.log_likelihoods(residual[:, is_core])
+        of_outer = outer_modes.log_likelihoods(residual[:, ~is_core])
+        outer = int(np.argmax(of_outer))
+        # Few rings near the core, to which the core was fitted, would underestimate the error.
+        core = outer + int(np.argmax(of_core[outer:]))
+        value = float(of_outer[outer] + of_core[core]) - float(np.log(light).sum())
+        return Misfit(outer=float(SHARES[outer]), core=float(SHARES[core])), value

@@ -5,10 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
-from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of
+from charact.estimators.bloom.series.halo_models import FREQUENCIES, HaloModel, pixel_of
 from charact.estimators.bloom.series.likelihood import ModelParts, SeriesLikelihood
 from charact.estimators.bloom.series.optimum import BoundedOptimum, optimise
-from charact.estimators.bloom.transfer import frequencies
+from charact.estimators.bloom.source_view import clipped_mean
 from charact.transfer import spreads
 from charact.transfer.form import Parameter
 from labdata import Array, Camera, has_tube
@@ -76,13 +76,13 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
         at = self.series.node_px
         weight = np.gradient(at)
         weight[[0, -1]] /= 2.0
-        return j0(2.0 * np.pi * frequencies()[:, None] * at) * (2.0 * np.pi * at * weight)
+        return j0(2.0 * np.pi * FREQUENCIES[:, None] * at) * (2.0 * np.pi * at * weight)
 
     def parts(self, points: Array) -> "SaturatingModelParts":
         """Return the model of unit signal at points."""
         behind, before = self.form.behind(points), self.form.before(points)
         load = before * spreads.gaussian(
-            frequencies(), np.full(len(points), self.form.neighbourhood_px**2)
+            FREQUENCIES, np.full(len(points), self.form.neighbourhood_px**2)
         )
         recorded, arriving, loading = (
             (transform @ self.series.onto_nodes).T for transform in (before * behind, before, load)
@@ -104,7 +104,8 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
             super().light(parts, amplitudes),
             self._light_loss(parts, amplitudes),
         )
-        read, slope = self.read(linear_light - loss, self.series.node_sd)
+        sd = self.series.node_sd[..., None]
+        read, slope = clipped_mean(linear_light - loss, sd, self.series.full_dn)
         return np.stack(
             [
                 linear_light - read,

@@ -5,9 +5,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from charact.estimators.bloom.column_artefacts import column_artefact_mask
+from charact.estimators.bloom.column_artefacts import column_artefact_mask, run_through
 from charact.estimators.bloom.defects import bad_pixels
 from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.likelihood import RingSeries, series_of
@@ -191,13 +190,8 @@ def _upright_px(
     """
     row, col = round(centre[0]), round(centre[1])
     cut = image >= 0.98 * full_dn
-    height, width = _run(cut[:, col], row) * pitch_ratio, float(_run(cut[row], col))
+    if not cut[row, col]:
+        return 0.0
+    height = run_through(cut[:, col], row).sum() * pitch_ratio
+    width = float(run_through(cut[row], col).sum())
     return min(height / 2.0, 8.0) + ADJACENT_RINGS if height > width + 2.0 else 0.0
-
-
-def _run(line: NDArray[np.bool_], at: int) -> int:
-    """Length of the run of true values through a position."""
-    if not line[at]:
-        return 0
-    ends = np.flatnonzero(~np.concatenate([[False], line, [False]]))
-    return int(ends[ends > at + 1][0] - ends[ends <= at][-1] - 1) if len(ends) else 0

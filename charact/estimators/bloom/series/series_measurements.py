@@ -7,11 +7,9 @@ import numpy as np
 
 from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import PointStack
-from charact.estimators.bloom.series.halo_models import HaloModel, pixel_of, profile_of
-from charact.estimators.bloom.series.likelihood import AmplitudeSolution
+from charact.estimators.bloom.series.halo_models import HaloModel, onto_nodes, pixel_of, profile_of
 from charact.estimators.bloom.series.mcp_saturation import SaturatingSeriesLikelihood
 from charact.estimators.bloom.series.model_selection import FittedHaloModel
-from charact.estimators.bloom.transfer import onto_nodes
 from charact.frames.robust import robust_sd
 from charact.inference.diagnostics import crowds_at_bound
 from charact.transfer import spreads
@@ -251,7 +249,10 @@ def halo_measurements(fit: FittedSeries) -> list[Measurement]:
     middle = float(np.median(posterior["halo_diameter"]))
     chi2, freedom = levels_apart(stack_diameters)
     wider = np.sqrt(max(1.0, chi2 / freedom)) if freedom else 1.0
-    wider = wider * _noise_unknown(group, len(posterior.draws), posterior.seed)
+    # The noise is estimated from few frames: Student's t.
+    few = max(min(spot.frames for spot in group) - 1, 3)
+    spread = np.random.default_rng(posterior.seed).chisquare(few, len(posterior.draws))
+    wider = wider * np.sqrt(few / spread)
     draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
     if nearest_px(group) < middle:
         rng = np.random.default_rng([posterior.seed or 0, 1])
@@ -287,14 +288,6 @@ def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
     rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
     sd = np.hypot(0.004 * rimmed * diameter_px, 0.05)
     return sd * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
-
-
-def _noise_unknown(group: tuple[PointStack, ...], draws: int, seed: int | None) -> Array:
-    """Factors for the uncertainty of a noise estimate from few frames (Student's), shape
-    (draw,).
-    """
-    freedom = max(min(spot.frames for spot in group) - 1, 3)
-    return np.sqrt(freedom / np.random.default_rng(seed).chisquare(freedom, draws))
 
 
 def _model_error_factors(
@@ -354,10 +347,16 @@ def glare_measurements(fit: FittedSeries) -> list[Measurement]:
     solved = best.problem.solve_amplitudes(posterior.draws[:200])
     rows, cols = group[0].image.shape
     area = rows * cols * best.form.pitch_ratio
-    sd = _background_sd(solved)
+    source, background = solved.slopes
+    aa, ab, bb = (
+        (first * second).sum(axis=1)
+        for first, second in ((source, source), (source, background), (background, background))
+    )
+    # Standard error of each stack's background, shape (level, point).
+    sd = np.sqrt(np.maximum(aa / np.maximum(aa * bb - ab**2, 1e-300), 1e-12))
     ratios = [
-        glare(light, background, error, area)
-        for light, background, error in zip(
+        glare(light, level, error, area)
+        for light, level, error in zip(
             solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True
         )
     ]
@@ -441,13 +440,3 @@ def mcp_saturation_measurements(fit: FittedSeries) -> list[Measurement]:
             measurement_from_draws("core_compression", "1", draws, stack=label, **fit.fields)
         )
     return [judge(number, findings) for number in out]
-
-
-def _background_sd(solved: AmplitudeSolution) -> Array:
-    """Standard error of each stack's background, shape (level, point)."""
-    source, background = solved.slopes
-    aa, ab, bb = (
-        (first * second).sum(axis=1)
-        for first, second in ((source, source), (source, background), (background, background))
-    )
-    return np.sqrt(np.maximum(aa / np.maximum(aa * bb - ab**2, 1e-300), 1e-12))
