@@ -29,7 +29,9 @@ def plot_bloom_frames(data: Data) -> Any:
     cols = min(3, len(shown))
     rows = -(-len(shown) // cols)
     figure, grid = panels(rows, cols, size=(2.15 * cols + 0.3, 2.25 * rows + 0.5))
-    half = _half_side(data)
+    diameters = [float(d) for d in (*data["bloom_diameter_px"], data.get("halo_diameter_px")) if d]
+    # Half the side of the image over the diameter of the halo or of the largest bloom.
+    half = 0.5 * max(40, 1.5 * max(diameters, default=0.0))
     for axes, number in zip(grid.ravel(), shown, strict=False):
         _frame(axes, data, number, half)
     for axes in grid.ravel()[len(shown) :]:
@@ -40,13 +42,6 @@ def plot_bloom_frames(data: Data) -> Any:
         axes.set_ylabel("row (px)")
     figure.legend(handles=_handles(data), loc="outside lower center", ncols=4)
     return figure
-
-
-def _half_side(data: Data) -> float:
-    """Return half the side of the image, column pitches."""
-    largest = [float(d) for d in (*data["bloom_diameter_px"], data.get("halo_diameter_px")) if d]
-    # Side of the image over the diameter of the halo or of the largest bloom.
-    return 0.5 * max(40, 1.5 * max(largest, default=0.0))
 
 
 def _frame(axes: Any, data: Data, number: int, half: float) -> None:

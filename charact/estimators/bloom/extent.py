@@ -254,11 +254,6 @@ class Extent:
         """Equal-area diameter, column pitches."""
         return float(2.0 * np.sqrt(self.area / np.pi))
 
-    @property
-    def has_contour(self) -> bool:
-        """Whether the noise permits a single contour."""
-        return self.contour is not None
-
 
 def extent_at(
     view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed: int = 0

@@ -101,7 +101,7 @@ def findings_of(spot: PointStack, extent: Extent) -> list[Finding]:
     checks = {
         "quantised": is_quantised(spot),
         "window-too-small": extent.touches_border,
-        "low-signal": is_uncertain or not (extent.has_contour or extent.pulled),
+        "low-signal": is_uncertain or (extent.contour is None and not extent.pulled),
         "several-targets": any(
             extent.region[row, col] for row, col in pixels if row < rows and col < cols
         ),
@@ -168,7 +168,7 @@ def _measurement_around(
 def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
     if spot.half is None:
         return _below_level("bloom_ellipticity", "1", spot, "bloom_diameter", **common)
-    if not spot.half.has_contour and not spot.half.pulled:
+    if spot.half.contour is None and not spot.half.pulled:
         return make_refusal(
             "bloom_ellipticity", "1", "the noise prevents a contour of the region", **common
         )

@@ -212,7 +212,7 @@ def fit_signal_transfer(
     draws = INFRARED.draws
     choice = rng.choice(len(candidates), draws, p=probability)
     scale = np.sqrt(sums[choice] / rng.chisquare(freedom, draws))
-    best, error = (np.array(values) for values in zip(*(_slope(fit) for fit in fits), strict=True))
+    best, error = np.array([(fit.best[1], fit.covariance[1, 1] ** 0.5) for fit in fits]).T
     slope = best[choice] + error[choice] * scale * rng.standard_normal(draws)
     any_background = rng.uniform(temperature_k.min(), temperature_k.max(), draws)
     background = any_background if background_k is None else np.full(draws, background_k)
@@ -241,11 +241,6 @@ def _place(response: Response, temperature_k: float | Array, reference_k: float)
     return (
         response.radiance(temperature_k) - response.radiance(reference_k)
     ) / response.derivative(reference_k)
-
-
-def _slope(fit) -> tuple[float, float]:
-    """Return the slope of a line and its standard error."""
-    return float(fit.best[1]), float(np.sqrt(fit.covariance[1, 1]))
 
 
 def _parabola(

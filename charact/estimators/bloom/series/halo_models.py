@@ -45,6 +45,7 @@ PROFILE = tuple(
         spreads.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True
     )
 )
+HALO_SD = Parameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0)
 HALO_FRACTION = Parameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
 
 
@@ -65,21 +66,9 @@ class HaloModel(Parametric):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters in the order of a point's coordinates."""
-        return self._core_parameters() + self._halo_parameters()
-
-    def _core_parameters(self) -> tuple[Parameter, ...]:
-        if self.core == "tube":
-            return (*tube_priors(self.sensor), CORE_SD)
-        return CORE_SD, *WINGS.get(self.core, ())
-
-    def _halo_parameters(self) -> tuple[Parameter, ...]:
-        if self.halo == "none":
-            return ()
-        if self.halo == "gaussian":
-            return Parameter(
-                name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0
-            ), HALO_FRACTION
+        """Parameters in the order of a point's coordinates, the core's first."""
+        of_core = CORE_SD, *WINGS.get(self.core, ())
+        core = (*tube_priors(self.sensor), CORE_SD) if self.core == "tube" else of_core
         widest = Parameter(
             name="halo_diameter",
             unit="px",
@@ -87,7 +76,12 @@ class HaloModel(Parametric):
             high=1.7 * self.reach_px,
             start=0.8 * self.reach_px,
         )
-        return widest, *PROFILE, HALO_FRACTION
+        halo = {
+            "none": (),
+            "gaussian": (HALO_SD, HALO_FRACTION),
+            "disc": (widest, *PROFILE, HALO_FRACTION),
+        }
+        return core + halo[self.halo]
 
     def at(self, points: Array) -> dict[str, Array]:
         """Map parameter names to the columns of points."""

@@ -31,7 +31,7 @@ class SaturatingHaloModel(HaloModel):
             post_gain_share = replace(
                 post_gain_share, mean=float(self.sensor.tube.post_gain_share), sd=0.15
             )
-        return (*self._core_parameters(), *self._halo_parameters(), PLATE_LOAD, post_gain_share)
+        return (*super().parameters, PLATE_LOAD, post_gain_share)
 
     def behind(self, points: Array) -> Array:
         """Transfer function of the blur after the gain, pixel included, shape (draw, frequency)."""

@@ -287,7 +287,8 @@ def covariance(site: SourcePixels, mean: Array, light: float) -> Array:
         out[:size, :size] += (
             ACCURACY.phosphor_pattern**2 * np.outer(mean[:size], mean[:size]) * pattern
         )
-    out[size:, size:] = window.ring_covariance(site.ring_variance())
+    ring_sd = np.sqrt(site.ring_variance())
+    out[size:, size:] = window.ring_correlation * np.outer(ring_sd, ring_sd)
     out += np.diag((ACCURACY.model_relative_sd * (mean + 0.1 * float(mean.max()))) ** 2)
     return out + rounding(site, mean)
 

@@ -57,13 +57,6 @@ class Window:
     # column pitches
     neighbour_ring_px: Array
 
-    def ring_covariance(self, variance: Array) -> Array:
-        """Return the covariance of the rings' means for given variances, shape (ring, ring),
-        DN^2.
-        """
-        sd = np.sqrt(variance)
-        return self.ring_correlation * np.outer(sd, sd)
-
     @cached_property
     def distances(self) -> Array:
         """Distances between core pixels, shape (pixel, pixel), px."""

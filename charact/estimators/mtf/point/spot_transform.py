@@ -5,7 +5,6 @@ light.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import charact
 from charact.estimators.mtf.curve import CurveFinding, crossing_frequency, widen_by
@@ -149,9 +148,12 @@ def _spots(
     # normalisation.
     has_lost_light = bool(cut) or is_wide or has_tube(context.camera)
     tail, tail_sd = _tail(spots, radius)
-    has_lost_light |= tail > max(LIMITS.max_border_light, 3.0 * tail_sd) or _has_halo(
-        stack.data, radius, ring
-    )
+    # A background ring brighter than its surroundings is part of a halo.
+    bare = (radius >= ACCURACY.background_radius_px) & (radius < 22.0)
+    over = background - stack.data[:, bare].mean(axis=1)
+    over_sd = ACCURACY.lag_factor * over.std(ddof=1) / np.sqrt(len(over))
+    has_lost_light |= tail > max(LIMITS.max_border_light, 3.0 * tail_sd)
+    has_lost_light |= bool(over.mean() > LIMITS.min_halo_excess_sd * over_sd)
     raised = (
         ("saturated", saturated),
         ("several-targets", source.has_others),
@@ -167,16 +169,6 @@ def _spots(
         np.asarray(spots, np.float64),
         [*(finding(flag, EFFECTS[flag]) for flag, is_raised in raised if is_raised), *motion],
         missing,
-    )
-
-
-def _has_halo(data: NDArray, radius: Array, ring: NDArray[np.bool_]) -> bool:
-    """Return whether the background ring is brighter than its surroundings: part of a halo."""
-    bare = (radius >= ACCURACY.background_radius_px) & (radius < 22.0)
-    over = data[:, ring].mean(axis=1) - data[:, bare].mean(axis=1)
-    return bool(
-        over.mean()
-        > LIMITS.min_halo_excess_sd * ACCURACY.lag_factor * over.std(ddof=1) / np.sqrt(len(over))
     )
 
 
@@ -232,14 +224,15 @@ def _direction(
     sd = np.hypot(scale * curves[1:].std(axis=0, ddof=1), missing * curves[0])
     measurements = []
     for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1)):
-        crossing = crossing_frequency(FREQUENCY, curves, level)
+        crossing, reason = crossing_frequency(FREQUENCY, curves, level), ""
         if not np.isfinite(crossing).all():
             reason = f"the MTF must fall to {level:g} below {FREQUENCY[-1]:g} cy/px"
-            measurements.append(make_refusal(quantity, "cy/px", reason, **common))
-            continue
-        if np.interp(crossing, FREQUENCY, passed).min() < LIMITS.min_pinhole_mtf:
-            transmitted = f"{LIMITS.min_pinhole_mtf:g} of the contrast"
-            reason = f"a pinhole of {pinhole_px:g} px must transmit {transmitted} at this frequency"
+        elif np.interp(crossing, FREQUENCY, passed).min() < LIMITS.min_pinhole_mtf:
+            reason = (
+                f"a pinhole of {pinhole_px:g} px must transmit {LIMITS.min_pinhole_mtf:g} of the "
+                "contrast at this frequency"
+            )
+        if reason:
             measurements.append(make_refusal(quantity, "cy/px", reason, **common))
             continue
         error = float(

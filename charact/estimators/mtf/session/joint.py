@@ -169,9 +169,9 @@ def fit_joint_model(problem: JointLikelihood) -> JointFit:
     curvature = slope.T @ (
         np.concatenate([np.ones(count), ratio * (ratio + margins)])[:, None] * slope
     )
-    covariance = np.asarray(
-        np.linalg.inv(curvature + np.diag(problem.form.regular_precision)), np.float64
-    )
+    # A flat prior counts as one of the variance of its bounds.
+    precision = 12.0 / np.ptp(walls, axis=1) ** 2 + problem.form.prior_precision[1]
+    covariance = np.asarray(np.linalg.inv(curvature + np.diag(precision)), np.float64)
     height = float(problem.log_probability(point[None])[0])
     volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
     return JointFit(

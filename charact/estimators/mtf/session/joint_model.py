@@ -89,7 +89,8 @@ class JointBlurModel(ProperPrior):
         Frequencies are cycles per column pitch; `bend` is `known.bend` of `fx`; `excludes_halo`:
         where it is normalised to a window narrower than the halo, whose light is then left out.
         """
-        size, stretch_index = self.family.core_parameters, self._stretch_index
+        size = self.family.core_parameters
+        stretch_index = size + self.blurred
         stretch = np.exp(theta[:, stretch_index : stretch_index + 1]) if self.elliptical else 1.0
         radius = np.maximum(np.hypot(fx, fy / stretch), 1e-7)
         core = self.family.modulus(theta[:, :size], radius)
@@ -102,14 +103,3 @@ class JointBlurModel(ProperPrior):
         tail = theta[:, stretch_index + self.elliptical :][:, : len(self.wide.parameters)]
         extended = self.wide.transfer(np.maximum(np.hypot(fx, fy), 1e-7), tail[:, 1:])
         return core * np.where(excludes_halo, 1.0, 1.0 - tail[:, :1] + tail[:, :1] * extended)
-
-    @property
-    def regular_precision(self) -> Array:
-        """Inverse variance of the prior of each parameter, flat ones as wide as their bounds, shape
-        (parameter,).
-        """
-        return 12.0 / np.ptp(self.bounds, axis=1) ** 2 + self.prior_precision[1]
-
-    @property
-    def _stretch_index(self) -> int:
-        return self.family.core_parameters + self.blurred
