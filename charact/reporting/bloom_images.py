@@ -12,7 +12,7 @@ from charact.estimators.bloom.posterior_psf import spread_of
 from charact.method import Context
 from charact.reporting.blooms import EXTENTS, pick_levels
 from charact.reporting.style import DATA, MODEL, THIRD, WARN, panels
-from labdata import BadInput, Result, Session, StackEntry, write_atomically
+from labdata import BadInput, Result, Session, write_atomically
 
 Data = Mapping[str, Any]
 
@@ -25,6 +25,9 @@ def plot_bloom_frames(data: Data) -> Any:
     given, `dark_dn`, `full_scale_dn`, `bloom_diameter_px` and `streak_length_px` (or None);
     `halo_diameter_px`, common to all, or None; `aspect`, row pitch over column pitch.
     """
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
     shown = pick_levels(len(data["label"]))
     cols = min(3, len(shown))
     rows = -(-len(shown) // cols)
@@ -40,7 +43,18 @@ def plot_bloom_frames(data: Data) -> Any:
         axes.set_xlabel("column (px)")
     for axes in grid[:, 0]:
         axes.set_ylabel("row (px)")
-    figure.legend(handles=_handles(data), loc="outside lower center", ncols=4)
+    lines = [
+        ("bloom, half of full scale", DATA, "-"),
+        ("halo", THIRD, "--"),
+        ("streak", MODEL, "-"),
+    ]
+    handles = [
+        Line2D([], [], color=colour, linestyle=style, label=words)
+        for words, colour, style in lines
+        if words != "halo" or data.get("halo_diameter_px")
+    ]
+    handles.append(Patch(facecolor=WARN, alpha=0.45, label="full scale"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return figure
 
 
@@ -108,24 +122,6 @@ def _tint(axes: Any, mask: NDArray, extent: tuple[float, float, float, float]) -
     axes.imshow(layer, extent=extent, interpolation="nearest")
 
 
-def _handles(data: Data) -> list[Any]:
-    """Return the legend entries."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    halo = (
-        [Line2D([], [], color=THIRD, linestyle="--", label="halo")]
-        if data.get("halo_diameter_px")
-        else []
-    )
-    return [
-        Line2D([], [], color=DATA, label="bloom, half of full scale"),
-        *halo,
-        Line2D([], [], color=MODEL, label="streak"),
-        Patch(facecolor=WARN, alpha=0.45, label="full scale"),
-    ]
-
-
 def plot_bloom_map(data: Data) -> Any:
     """Plot a frame, the fraction of every pixel's signal that is blooming, and its standard
     uncertainty.
@@ -177,32 +173,26 @@ def add_extent_data(session: Session, result: Result) -> dict[str, dict[str, Any
     """Return the figure data of a result; that of a point series with measured and predicted
     extents and frames.
     """
-    out = dict(result.evidence)
+    out, extents = dict(result.evidence), {}
+    for m in result.measurements:
+        if m.quantity in EXTENTS and m.value is not None and m.stack is not None:
+            interval = m.interval95 or (m.value, m.value)
+            extents.setdefault(m.quantity, {})[m.stack] = [m.value, *interval]
+    halos = [
+        [m.value, *m.interval95]
+        for m in result.find("halo_diameter")
+        if m.value is not None and m.interval95 is not None
+    ]
     series = [name for name, data in out.items() if data.get("figure") == "bloom-series"]
     for name in series:
         out[name] = {
             **out[name],
-            **_extents_with_intervals(result),
+            "measured": extents,
+            "halo_px": halos[0] if halos else None,
             "foretold": _predict_diameters(out[name], result),
         }
     frames = _bloom_frame_data(session, out[series[0]], result) if series else None
     return out if frames is None else {**out, "frames of the point series": frames}
-
-
-def _extents_with_intervals(result: Result) -> dict[str, Any]:
-    """Return extents by quantity and stack, and the halo diameter, with 95 % intervals."""
-    extents: dict[str, dict[str, list[float]]] = {}
-    for m in result.measurements:
-        if m.quantity in EXTENTS and m.value is not None and m.stack is not None:
-            extents.setdefault(m.quantity, {})[m.stack] = [
-                m.value,
-                *(m.interval95 or (m.value, m.value)),
-            ]
-    halo = [
-        m for m in result.find("halo_diameter") if m.value is not None and m.interval95 is not None
-    ]
-    line = [halo[0].value, *halo[0].interval95] if halo and halo[0].interval95 else None
-    return {"measured": extents, "halo_px": line}
 
 
 def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] | None:
@@ -222,9 +212,13 @@ def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] |
     density = np.maximum.accumulate(spread.density(radius)[:, ::-1], axis=1)[:, ::-1]
     light = np.array(data["overload"], float)
     overload = np.geomspace(light.min(), light.max(), 120)
-    levels = _threshold_fractions(data, _background_fraction(data, result, overload))
+    # Thresholds above the background, fractions of full scale above dark.
+    background = _background_fraction(data, result, overload)
+    levels = {"bloom_diameter": 0.5 - background, "bloom_diameter_clip": 1.0 - background}
     diameters = {
-        quantity: _diameters(density, radius, overload, level) for quantity, level in levels.items()
+        quantity: _diameters(density, radius, overload, level)
+        for quantity, level in levels.items()
+        if (level > 0).all()
     }
     return {"overload": overload.tolist(), **diameters}
 
@@ -246,17 +240,6 @@ def _background_fraction(data: dict[str, Any], result: Result, overload: NDArray
         return np.zeros(len(overload))
     at, level = np.array(known).T
     return np.maximum(np.interp(overload, at, (level - dark) / (full - dark)), 0.0)
-
-
-def _threshold_fractions(data: dict[str, Any], background: NDArray) -> dict[str, NDArray]:
-    """Return the thresholds above background at every overload, as fractions of full scale above
-    dark.
-    """
-    levels = {"bloom_diameter": 0.5 - background, "bloom_diameter_clip": 1.0 - background}
-    faint = data.get("background_dn")
-    if isinstance(faint, int | float) or (isinstance(faint, list) and any(faint)):
-        levels["bloom_diameter_background"] = background
-    return {name: level for name, level in levels.items() if (level > 0).all()}
 
 
 def _diameters(
@@ -282,13 +265,9 @@ def _bloom_frame_data(
     labels = [label for label in data["label"] if label in by_label]
     if not labels:
         return None
-    frames = [_mean(by_label[label]) for label in labels]
+    frames = [by_label[label].read().data.mean(axis=0) for label in labels]
     number = [data["label"].index(label) for label in labels]
-    position = _source_position(frames, float(np.median(data["dark_dn"])))
-    rows, cols = (
-        data.get(key) or [at] * len(data["label"])
-        for key, at in zip(("row", "col"), position, strict=True)
-    )
+    row, col = _source_position(frames, float(np.median(data["dark_dn"])))
     extents = {
         key: [(data["measured"].get(quantity, {}).get(label) or [None])[0] for label in labels]
         for key, quantity in (
@@ -302,18 +281,14 @@ def _bloom_frame_data(
         "figure": "bloom-frames",
         "label": labels,
         "frame_dn": frames,
-        "row": [rows[n] for n in number],
-        "col": [cols[n] for n in number],
+        "row": [row] * len(labels),
+        "col": [col] * len(labels),
         "dark_dn": [data["dark_dn"][n] for n in number],
         "full_scale_dn": [data["full_scale_dn"][n] for n in number],
         "halo_diameter_px": (data.get("halo_px") or [None])[0],
         "aspect": aspect_of(session),
         **extents,
     }
-
-
-def _mean(entry: StackEntry) -> NDArray:
-    return entry.read().data.mean(axis=0)
 
 
 def _source_position(frames: list[NDArray], dark_dn: float) -> tuple[float, float]:

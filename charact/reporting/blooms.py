@@ -168,7 +168,7 @@ def plot_bloom_series(data: Data) -> Any:
 
     Reads `label` and the data of `exposure`; `measured`, by quantity and label [value, low, high]
     of 95 %, and without it the lists `bloom_diameter_px` and `streak_length_px`; `halo_px` [value,
-    low, high], else each level's `halo_diameter_px`; `foretold`, the diameters predicted by the
+    low, high]; `foretold`, the diameters predicted by the
     fitted spread: `overload`, and by quantity [low, median, high] lists, shown as lines; `truth`,
     by quantity a list for the stacks.
     """
@@ -180,43 +180,22 @@ def plot_bloom_series(data: Data) -> Any:
         value, low, high = data["halo_px"]
         axes.axhspan(low, high, color=INK, alpha=0.15, linewidth=0)
         axes.axhline(value, label=f"halo, {value:.1f} px", **DASHED)
-    elif stack_halos := [
-        (at, halo_px)
-        for at, halo_px in zip(x, data.get("halo_diameter_px", []), strict=False)
-        if halo_px
-    ]:
-        plot_points(
-            axes,
-            *zip(*stack_halos, strict=True),
-            color=INK,
-            markersize=5,
-            marker="D",
-            mfc="none",
-            label="halo, before blur",
-        )
     if not any(shown):
         write_note(axes, "No stack exceeds any of the thresholds.")
     if not label.startswith("stack"):
         axes.set_xscale("log")
     axes.set(xlabel=label, ylabel="diameter or length (column pitches, rows; px)")
-    _set_height(axes, data)
+    # A logarithmic ordinate where one diameter is far larger than the others.
+    measured = data.get("measured", {})
+    values = [estimate[0] for quantity in measured.values() for estimate in quantity.values()]
+    halves = [estimate[0] for estimate in measured.get("bloom_diameter", {}).values()]
+    if values and max(values) > 2.0 * max(*halves, (data.get("halo_px") or [0.0])[0], 0.0):
+        axes.set(yscale="log", ylim=(2.0, 1.3 * max(values)))
+    else:
+        axes.set_ylim(bottom=0.0)
     lines = ", lines: predicted by the fit" if predicted else ""
     axes.legend(title=f"diameter at{lines}" if any(shown) else None, alignment="left")
     return figure
-
-
-def _set_height(axes: Any, data: Data) -> None:
-    """Set a linear ordinate, or a logarithmic one if one diameter is far larger than the others."""
-    measured = data.get("measured", {})
-    values = [estimate[0] for quantity in measured.values() for estimate in quantity.values()]
-    half_diameters = [estimate[0] for estimate in measured.get("bloom_diameter", {}).values()] + [
-        (data.get("halo_px") or [0.0])[0]
-    ]
-    if values and max(values) > 2.0 * max(half_diameters):
-        axes.set_yscale("log")
-        axes.set_ylim(2.0, 1.3 * max(values))
-    else:
-        axes.set_ylim(bottom=0.0)
 
 
 def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, predicted: Any) -> bool:

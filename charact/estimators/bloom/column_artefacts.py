@@ -374,7 +374,7 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
         return [make_refusal(name, unit, reason, **common) for name, unit in names]
     streak = streak_of(spot, context)
     findings = []
-    if streak.meets_border or spot.touches_border:
+    if streak.meets_border or (spot.half is not None and spot.half.touches_border):
         findings.append(finding("window-too-small"))
     if streak.uneven:
         findings.append(

@@ -252,11 +252,6 @@ class PointStack:
         lux = self.conditions.illuminance_lux
         return None if lux is None else lux * (self.conditions.gate_ns or 1.0)
 
-    @property
-    def touches_border(self) -> bool:
-        """Whether the bloom extends to the border of the frame."""
-        return self.half is not None and self.half.touches_border
-
 
 def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack, ...]:
     """Read all point stacks one at a time, in two passes: locate the sources, then measure them."""

@@ -271,7 +271,11 @@ def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
     out = np.full((3, len(number)), np.nan)
     for level in number:
         alone = replace(best.problem, series=select_levels(best.problem.series, number == level))
-        significance = _significance(alone, best.peak.point, fraction_index)
+        # Square root of twice the loss in log-probability without halo.
+        bare = best.peak.point.copy()
+        bare[fraction_index] = best.form.bounds[fraction_index, 0]
+        with_halo, without = alone.log_probability(np.array([best.peak.point, bare]))
+        significance = float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
         out[2, level] = significance
         if significance > 8.0:
             peak = optimise(alone, best.peak.point, fixed=fixed, iterations=6)
@@ -282,14 +286,6 @@ def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
                 np.sqrt(max(covariance[free.index(at), free.index(at)], 0.0)),
             )
     return out[0], out[1], out[2]
-
-
-def _significance(alone: SeriesLikelihood, point: Array, fraction_index: int) -> float:
-    """Square root of twice the loss in log-probability of a stack without halo."""
-    bare = point.copy()
-    bare[fraction_index] = alone.form.bounds[fraction_index, 0]
-    with_halo, without = alone.log_probability(np.array([point, bare]))
-    return float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
 
 
 def is_uneven(series: RingSeries) -> bool:

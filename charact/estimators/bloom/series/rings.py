@@ -259,15 +259,11 @@ class RingNoise:
         sd = self.pixel_sd(level_dn) * np.sqrt(
             self.sharing[: len(count)] / count * min(self.fewer / frames, 1.0)
         )
-        rounding = np.diag(self.rounding_sd(level_dn) ** 2 + 0.01**2)
+        # Rounding shifts a mean by at most exp(-2 pi^2 s^2)/pi for noise of s DN. Rare pulses do
+        # not dither the values between them: below 1 DN only the dark noise counts.
+        rounding_sd = np.exp(-2.0 * np.pi**2 * self.pixel_sd(level_dn - 1.0) ** 2) / np.pi
+        rounding = np.diag(rounding_sd**2 + 0.01**2)
         return self._matrix[: len(count), : len(count)] * np.outer(sd, sd) + rounding
-
-    def rounding_sd(self, level_dn: Array) -> Array:
-        """Return the rounding error of a mean, DN: at most exp(-2 pi^2 s^2)/pi for noise of s DN.
-
-        Rare pulses do not dither the values between them: below 1 DN only the dark noise counts.
-        """
-        return np.exp(-2.0 * np.pi**2 * self.law.sd(level_dn - self.dark_dn - 1.0) ** 2) / np.pi
 
     @cached_property
     def _matrix(self) -> Array:
