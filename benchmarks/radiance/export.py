@@ -36,7 +36,7 @@ def export(case: Case, folder: Path) -> None:
         "even_sky": case.even_sky,
     }
     (into / "scene.json").write_text(json.dumps(told))
-    if not dome.dark and case.even_sky is None:
+    if not dome.is_dark and case.even_sky is None:
         np.save(into / "sky.npy", dome.radiance(_sky_directions())[:, 0].reshape(SKY_SHAPE))
 
 

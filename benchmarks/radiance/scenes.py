@@ -58,7 +58,7 @@ class Case:
     @property
     def open_air(self) -> bool:
         """Whether it has a sky."""
-        return not self.stage.lighting.environment_map.dark
+        return not self.stage.lighting.environment_map.is_dark
 
 
 def cases() -> tuple[Case, ...]:

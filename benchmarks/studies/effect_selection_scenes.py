@@ -11,8 +11,8 @@ import numpy as np
 from labdata import Conditions, load_camera
 from simulate.camera.scene_to_photoelectrons import camera_from_description
 from simulate.outdoor_rendering import OutdoorRendering, render_sensor_of
+from simulate.radiance.integrator.camera_rays import radiance_along
 from simulate.radiance.integrator.integrator_settings import IntegratorSettings
-from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from simulate.radiance.lamps.spectra import KINDS
 from simulate.radiance.materials import material, material_names
 from simulate.radiance.outdoor.materials import MaterialSpec

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         internal_transmittance,
         material,
         material_names,
-        pane_shares,
+        pane_fractions,
     )
     from simulate.radiance.scene import LabScene, load_bench, load_scene
     from simulate.radiance.spectrum import (
@@ -65,7 +65,7 @@ __all__ = [
     "material",
     "material_names",
     "outline_cells",
-    "pane_shares",
+    "pane_fractions",
     "planck",
     "rayleigh_depth",
     "render_bench",
@@ -86,7 +86,7 @@ __getattr__ = import_on_first_use(
         "simulate.radiance.cube": "RadianceCube band_widths",
         "simulate.radiance.lab_target": "TargetView outline_cells render_bench target_outlines",
         "simulate.radiance.materials": (
-            "Material clearest internal_transmittance material material_names pane_shares"
+            "Material clearest internal_transmittance material material_names pane_fractions"
         ),
         "simulate.radiance.scene": "LabScene load_bench load_scene",
         "simulate.radiance.spectrum": (

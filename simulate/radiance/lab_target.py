@@ -243,6 +243,6 @@ def _is_open(kind: Kind, target: Target, place_px: Array) -> NDArray[np.bool_]:
     return np.full(len(place_px), kind == "flat")
 
 
-def _meets_ring(holder: Holder, place_m: Array, view: TargetView) -> NDArray[np.bool_]:
-    radius_px = np.hypot(place_m[:, 0], place_m[:, 1]) / view.metre_per_px
+def _meets_ring(holder: Holder, position_m: Array, view: TargetView) -> NDArray[np.bool_]:
+    radius_px = np.hypot(position_m[:, 0], position_m[:, 1]) / view.metre_per_px
     return (holder.inner_radius_px < radius_px) & (radius_px < holder.outer_radius_px)

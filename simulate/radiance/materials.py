@@ -206,7 +206,7 @@ def internal_transmittance(transmittance: ArrayLike, refractive_index: float) ->
     return 2.0 * through / (once + np.sqrt(once**2 + 4.0 * (face * through) ** 2))
 
 
-def pane_shares(
+def pane_fractions(
     cosine: Array, transmittance: Array, refractive_index: float
 ) -> tuple[Array, Array]:
     """Return reflectance and transmittance of a pane for unpolarised light, each of shape (ray,

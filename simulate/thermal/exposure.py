@@ -148,10 +148,10 @@ class Spots:
     normal: Array
 
     @classmethod
-    def on(cls, surfaces: Surfaces, face: Index, place_m: Array) -> "Spots":
+    def on(cls, surfaces: Surfaces, face: Index, position_m: Array) -> "Spots":
         """Return spots at positions on faces."""
         normal = surfaces.tracer.normals(face)
-        return cls(start_m=surfaces.tracer.above(face, place_m, normal), normal=normal)
+        return cls(start_m=surfaces.tracer.above(face, position_m, normal), normal=normal)
 
 
 def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:

@@ -14,7 +14,7 @@ from simulate.radiance.brdf.glossy import Glossy, Metal
 from simulate.radiance.brdf.microfacet import dielectric
 from simulate.radiance.brdf.protocol import Brdf, Lambert, Reflectance
 from simulate.radiance.integrator.spectral_scene import BsdfSet
-from simulate.radiance.materials import pane_shares
+from simulate.radiance.materials import pane_fractions
 from simulate.radiance.outdoor.materials import MaterialSpec, Slab
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.thermal.air import WINDOWS_UM, InfraredAir
@@ -147,7 +147,9 @@ class InfraredSurfaces:
         transmittance = np.zeros((len(glass), self.clear.shape[1]))
         for number in np.unique(material[glass]):
             of = np.flatnonzero(material[glass] == number)
-            transmittance[of] = pane_shares(cosine[glass[of]], self.clear[number], GLASS_INDEX)[1]
+            transmittance[of] = pane_fractions(cosine[glass[of]], self.clear[number], GLASS_INDEX)[
+                1
+            ]
         return glass, transmittance
 
     def change_by_lit_interiors(self, sky: Surroundings, ground: Array) -> float:

@@ -11,12 +11,12 @@ from simulate.radiance.brdf.protocol import Brdf
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.sampling import (
-    EvenNumbers,
+    LowDiscrepancyNumbers,
     SequenceSlice,
     low_discrepancy_points,
     shading_frames,
 )
-from simulate.radiance.integrator.spectral_scene import ShadingPoints, within
+from simulate.radiance.integrator.spectral_scene import ShadingPoints, local_direction
 from simulate.thermal.air import InfraredAir
 from simulate.thermal.exposure import Spots, Views, precise_view
 from simulate.thermal.infrared_sky import Surroundings
@@ -106,13 +106,13 @@ class InfraredTracer:
         tracer = facets.surfaces.tracer
         origin, towards = self.viewpoint.rays(row, col)
         hit = tracer.hits(origin, towards)
-        met, radiance = hit.met, self.sky.radiance(towards)
+        met, radiance = hit.rays, self.sky.radiance(towards)
         position_m = origin[met] + hit.range_m[met, None] * towards[met]
         points = self.surfaces.bsdfs.points(
             facets.surfaces, hit.face[met], position_m, towards[met]
         )
         spots = Spots.on(facets.surfaces, points.face, position_m)
-        views = precise_view(facets.surfaces, spots, sequence.some(met))
+        views = precise_view(facets.surfaces, spots, sequence.select(met))
         kelvin, incoming = (
             self.temperatures.spots_k(facets.of_faces(points.face), spots, views),
             self._diffuse(views),
@@ -122,11 +122,11 @@ class InfraredTracer:
         if len(behind):
             spots = Spots(start_m=start_m[behind], normal=points.normal[behind])
             incoming[behind] = self._diffuse(
-                precise_view(facets.surfaces, spots, sequence.some(met[behind]))
+                precise_view(facets.surfaces, spots, sequence.select(met[behind]))
             )
         albedo = np.pi * self.surfaces.bsdfs.diffuse_brdf(points)
         for which, brdf in points.glossy:
-            outgoing = within(shading_frames(points.normal[which]), points.outgoing[which])
+            outgoing = local_direction(shading_frames(points.normal[which]), points.outgoing[which])
             albedo[which] = brdf.albedo(outgoing, self.air.centre_nm).T
             incoming[which] = self._mirrored(
                 points.normal[which], outgoing, start_m[which], brdf, rng
@@ -144,7 +144,7 @@ class InfraredTracer:
         lit = self._lit(points, start_m)
         if len(lit) and SUN not in self.without:
             assert self.sky.sun is not None
-            some = points.some(lit)
+            some = points.select(lit)
             cosine = some.normal @ self.sky.sun
             value = self.surfaces.bsdfs.value(
                 some, np.broadcast_to(self.sky.sun, some.normal.shape)
@@ -215,7 +215,7 @@ class InfraredTracer:
             part = slice(first, first + batch_points)
             count = len(normal[part])
             out = np.repeat(outgoing[part], self.mirror_rays, axis=0)
-            numbers = cast(np.random.Generator, EvenNumbers(count, self.mirror_rays, rng))
+            numbers = cast(np.random.Generator, LowDiscrepancyNumbers(count, self.mirror_rays, rng))
             local, density = brdf.sample(out, numbers)
             weight = (
                 brdf.value(local, out, self.air.centre_nm) * np.maximum(local[:, 2], 0.0) / density
@@ -243,13 +243,13 @@ class InfraredTracer:
         tracer = facets.surfaces.tracer
         hit = tracer.hits(start_m, direction)
         radiance = self.sky.radiance(direction)
-        face = hit.face[hit.met]
+        face = hit.face[hit.rays]
         light = self.of_facets[facets.of_faces(face)]
         if panes and self.surfaces.clear.any():
-            facing, cosine = tracer.facing(face, direction[hit.met])
+            facing, cosine = tracer.facing(face, direction[hit.rays])
             clear, through = self._clear(facets.surfaces.material_of[face & ROW], cosine)
             if len(clear):
-                rays = hit.met[clear]
+                rays = hit.rays[clear]
                 pane_position_m = start_m[rays] + hit.range_m[rays, None] * direction[rays]
                 behind = self._along(
                     tracer.above(face[clear], pane_position_m, -facing[clear]),
@@ -259,8 +259,8 @@ class InfraredTracer:
                 light[clear] += through * (behind - light[clear])
         if BETWEEN not in self.without:
             ground = self.air.black_body(self.air.temperature_k)
-            light = ground + self._through[self._step_of(hit.range_m[hit.met])] * (light - ground)
-        radiance[hit.met] = light
+            light = ground + self._through[self._step_of(hit.range_m[hit.rays])] * (light - ground)
+        radiance[hit.rays] = light
         return radiance
 
     def _lit(self, points: ShadingPoints, start_m: Array) -> Index:

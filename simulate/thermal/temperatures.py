@@ -216,7 +216,7 @@ class Temperatures:
         row, col = (axis.ravel() for axis in grid)
         origin, towards = viewpoint.rays(row + 0.5, col + 0.5)
         hit = surfaces.tracer.hits(origin, towards)
-        met = hit.met
+        met = hit.rays
         spots = Spots.on(
             surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met]
         )

@@ -308,7 +308,7 @@ def test_light_is_displaced_by_each_distortion_in_turn(name):
     expected, before = landed * focal_px, place * focal_px
 
     grid = light.grid
-    values = light.values[(..., *grid.inside)].astype(float)
+    values = light.values[(..., *grid.frame_slices)].astype(float)
     values = values.reshape(values.shape[0] // grid.per_row, grid.per_row, -1, grid.per_column).sum(
         axis=(1, 3)
     )

@@ -196,13 +196,13 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     # The cells of one pixel amid the frame, in which there is hardly ever more than one pulse.
     expected[42:44, 42:44] = 0.01
     alone = replace(light, expected=expected, ions_per_field=0.0)
-    screen, near_e, found = _screen(camera, alone, seed), alone.near_e(camera.shape), []
+    screen, near_e, found = _screen(camera, alone, seed), alone.compact_charge_e(camera.shape), []
     for frame in range(8000):
         screen.expose(frame, [alone], 1.0, lambda work, rows, block: work(0, rows))
         image = screen.shown[0, 0] + near_e
         if image.max() > 1e-3 * light.gain.mean():
             found.append(image.max() / image.sum())
-    places = light.kernel.shares.reshape(-1, *light.kernel.shares.shape[2:])
+    places = light.kernel.fractions.reshape(-1, *light.kernel.fractions.shape[2:])
     brightest = places.max(axis=(1, 2)) / places.sum(axis=(1, 2))
     levels = np.quantile(brightest, [0.2, 0.4, 0.6, 0.8]) * 1.0001
     seen = (np.array(found)[:, None] < levels).mean(axis=0)

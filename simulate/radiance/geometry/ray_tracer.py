@@ -31,7 +31,7 @@ class Hits:
     range_m: Array
 
     @property
-    def met(self) -> NDArray[np.int64]:
+    def rays(self) -> NDArray[np.int64]:
         """Indices of the rays that hit a surface."""
         return np.flatnonzero(self.face != NOTHING)
 
@@ -90,14 +90,14 @@ class RayTracer:
         cosine = -np.einsum("ij,ij->i", normal, direction)
         return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * normal, np.abs(cosine)
 
-    def above(self, face: NDArray[np.integer], place_m: Array, side: Array) -> Array:
+    def above(self, face: NDArray[np.integer], position_m: Array, side: Array) -> Array:
         """Return positions (point, 3) on triangles displaced towards the side of a normal, as
         starts of rays, m.
         """
         # Column by column: ten times as fast in NumPy as over rows of three.
-        distance = reduce(np.maximum, np.abs(place_m - self.centre_m).T)
+        distance = reduce(np.maximum, np.abs(position_m - self.centre_m).T)
         shift = np.maximum(self.clearance_m[face & ROW], CLEARANCE_SHARE * distance)
-        return place_m + shift[:, None] * side
+        return position_m + shift[:, None] * side
 
 
 def tracer(

@@ -251,12 +251,12 @@ class Surfaces:
         # Embree's scene cannot be pickled: it is built again.
         return {name: value for name, value in vars(self).items() if name != "tracer"}
 
-    def near(self, place_m: Array, radius_m: float) -> Iterator[tuple[Array, str]]:
+    def near(self, position_m: Array, radius_m: float) -> Iterator[tuple[Array, str]]:
         """Yield triangles that a sphere may touch, in parts (face, corner, 3), m, and names of
         their objects.
         """
         corners = self.mesh.corners_m
-        close = _boxes_touch(corners, place_m, radius_m)
+        close = _boxes_touch(corners, position_m, radius_m)
         for number in np.unique(self.object_of[close]):
             yield corners[close[self.object_of[close] == number]], self.objects[number]
         row = len(self.mesh.faces)
@@ -264,7 +264,7 @@ class Surfaces:
             size = np.cbrt(np.linalg.det(mesh.turn))
             # Centre of the sphere in the frame of each copy.
             centre_in_copy = (
-                np.einsum("cji,cj->ci", mesh.turn, place_m - mesh.shift_m) / size[:, None] ** 2
+                np.einsum("cji,cj->ci", mesh.turn, position_m - mesh.shift_m) / size[:, None] ** 2
             )
             low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
             copy_radius = (radius_m / size)[:, None]
@@ -274,16 +274,16 @@ class Surfaces:
                 )
             ):
                 placed = mesh.vertices_m @ mesh.turn[copy].T + mesh.shift_m[copy]
-                close = _boxes_touch(placed[mesh.faces], place_m, radius_m)
+                close = _boxes_touch(placed[mesh.faces], position_m, radius_m)
                 if len(close):
                     yield placed[mesh.faces[close]], self.objects[self.object_of[row]]
             row += len(mesh.faces)
 
 
-def _boxes_touch(corners_m: Array, place_m: Array, radius_m: float) -> NDArray[np.int64]:
+def _boxes_touch(corners_m: Array, position_m: Array, radius_m: float) -> NDArray[np.int64]:
     """Return which triangles (face, corner, 3) have bounding boxes that overlap a sphere's."""
-    overlaps = (corners_m.min(axis=1) <= place_m + radius_m) & (
-        corners_m.max(axis=1) >= place_m - radius_m
+    overlaps = (corners_m.min(axis=1) <= position_m + radius_m) & (
+        corners_m.max(axis=1) >= position_m - radius_m
     )
     return np.flatnonzero(overlaps.all(axis=1))
 

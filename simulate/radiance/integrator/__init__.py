@@ -7,6 +7,7 @@ from labdata.lazy_names import import_on_first_use
 if TYPE_CHECKING:
     from simulate.radiance.integrator.auxiliary_layers import truth
     from simulate.radiance.integrator.cache_smoothing import Nodes
+    from simulate.radiance.integrator.camera_rays import radiance_along
     from simulate.radiance.integrator.environment_map import SkyImportance, black
     from simulate.radiance.integrator.integrator_settings import (
         IntegratorSettings,
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
         lamp_arrays,
         lamp_pattern,
     )
-    from simulate.radiance.integrator.outgoing_radiance import radiance_along
     from simulate.radiance.integrator.renderer import render_scene
     from simulate.radiance.integrator.spectral_scene import Air, BsdfSet, Panes, SpectralScene
     from simulate.radiance.integrator.subpixel_sources import add_small_sources
@@ -70,7 +70,7 @@ __getattr__ = import_on_first_use(
         "simulate.radiance.integrator.light_sources": (
             "DiscLight LampLight Lighting Panels lamp_arrays lamp_pattern"
         ),
-        "simulate.radiance.integrator.outgoing_radiance": "radiance_along",
+        "simulate.radiance.integrator.camera_rays": "radiance_along",
         "simulate.radiance.integrator.renderer": "render_scene",
         "simulate.radiance.integrator.spectral_scene": "Air BsdfSet Panes SpectralScene",
         "simulate.radiance.integrator.subpixel_sources": "add_small_sources",

@@ -52,16 +52,16 @@ class AuxiliaryLayers:
         is_edge = np.zeros(self.material.shape, bool)
         for axis in (0, 1):
             all_rows = (slice(None),) * axis
-            first, second = (*all_rows, slice(None, -1)), (*all_rows, slice(1, None))
-            differs = (self.object[first] != self.object[second]) | (
-                self.material[first] != self.material[second]
+            near_side, far_side = (*all_rows, slice(None, -1)), (*all_rows, slice(1, None))
+            differs = (self.object[near_side] != self.object[far_side]) | (
+                self.material[near_side] != self.material[far_side]
             )
             if shadows:
-                differs |= self.shadow[first] != self.shadow[second]
-            facing = np.sum(self.normal[first] * self.normal[second], axis=-1)
-            differs |= (facing < SAME_NORMAL) & (self.object[first] >= 0)
-            is_edge[first] |= differs
-            is_edge[second] |= differs
+                differs |= self.shadow[near_side] != self.shadow[far_side]
+            normal_cosine = np.sum(self.normal[near_side] * self.normal[far_side], axis=-1)
+            differs |= (normal_cosine < SAME_NORMAL) & (self.object[near_side] >= 0)
+            is_edge[near_side] |= differs
+            is_edge[far_side] |= differs
         return is_edge
 
     def save(self, path: Path, geometry: Mapping[str, ArrayLike]) -> None:
@@ -81,52 +81,54 @@ class AuxiliaryLayers:
         np.savez_compressed(path, **maps)
 
 
-def truth(stage: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
+def truth(scene: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
     """Return the auxiliary layers of a view."""
-    surfaces, count = stage.surfaces, view.shape[0] * view.shape[1]
+    surfaces, count = scene.surfaces, view.shape[0] * view.shape[1]
     row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
-    origin, towards = view.rays(row, col)
-    hit = surfaces.tracer.hits(origin, towards)
-    met = hit.met
-    points = stage.points(hit, origin, towards, met)
+    origin, direction = view.rays(row, col)
+    hit = surfaces.tracer.hits(origin, direction)
+    rays = hit.rays
+    points = scene.points(hit, origin, direction, rays)
     layers = {
         "material": np.full(count, -1, np.int16),
         "object": np.full(count, -1, np.int32),
         "normal": np.zeros((count, 3), np.float32),
         "shadow": np.zeros(count, np.uint32),
     }
-    row_of = hit.face[met] & ROW
-    met_values = (
+    row_of = hit.face[rays] & ROW
+    hit_values = (
         surfaces.material_of[row_of],
         surfaces.object_of[row_of],
         points.normal,
-        _shadows(stage, points),
+        _shadows(scene, points),
     )
-    for layer, values in zip(layers.values(), met_values, strict=True):
-        layer[met] = values
+    for layer, values in zip(layers.values(), hit_values, strict=True):
+        layer[rays] = values
     layers["range_m"] = hit.range_m.astype(np.float32)
-    shaped = {
+    shaped_layers = {
         name: values.reshape(*view.shape, *values.shape[1:]) for name, values in layers.items()
     }
     return AuxiliaryLayers(
-        **shaped,
+        **shaped_layers,
         temperature_k=np.full(view.shape, np.nan, np.float32),
         materials=surfaces.materials,
         objects=surfaces.objects,
-        sources=stage.lighting.names,
+        sources=scene.lighting.names,
     )
 
 
-def _shadows(stage: SpectralScene, points: ShadingPoints) -> NDArray[np.uint32]:
+def _shadows(scene: SpectralScene, points: ShadingPoints) -> NDArray[np.uint32]:
     """Return the bits of the sources whose centres are not visible from the points."""
-    shadow_bits, tracer = np.zeros(len(points), np.uint32), stage.surfaces.tracer
-    for bit, light in enumerate((*stage.lighting.discs, *stage.lighting.lamps)[:BITS]):
+    shadow_bits, tracer = np.zeros(len(points), np.uint32), scene.surfaces.tracer
+    for bit, light in enumerate((*scene.lighting.discs, *scene.lighting.lamps)[:BITS]):
         if isinstance(light, DiscLight):
-            way, length_limit = np.broadcast_to(light.direction, points.normal.shape), None
+            vector, length_limit = np.broadcast_to(light.direction, points.normal.shape), None
         else:
-            way, length_limit = light.position_m - points.place_m, SHORT
-        dark = dot(way, points.normal) <= 0.0
-        lit = np.flatnonzero(~dark)
-        dark[lit] = tracer.is_occluded(ray_starts(points, lit, tracer), way[lit], length_limit)
-        shadow_bits |= dark.astype(np.uint32) << np.uint32(bit)
+            vector, length_limit = light.position_m - points.position_m, SHORT
+        is_dark = dot(vector, points.normal) <= 0.0
+        lit = np.flatnonzero(~is_dark)
+        is_dark[lit] = tracer.is_occluded(
+            ray_starts(points, lit, tracer), vector[lit], length_limit
+        )
+        shadow_bits |= is_dark.astype(np.uint32) << np.uint32(bit)
     return shadow_bits

@@ -14,9 +14,9 @@ from simulate.radiance.integrator.integrator_settings import Run, local_mean
 # Neighbours belong to one smooth surface if their normals differ by less than acos(0.98) = 11
 # degrees, and if neither deviates from the other's plane by more than this fraction of their
 # distance, or by the single-precision error.
-SAME_NORMAL, OFF_PLANE, LEAST_OFF_M = 0.98, 0.05, 1e-5
+SAME_NORMAL, OFF_PLANE, MIN_HEIGHT_M = 0.98, 0.05, 1e-5
 # A plane fit needs at least this many nodes, else the mean is used; and rows of nodes in one job.
-ENOUGH, STRIP = 4, 16
+MIN_NODES, STRIP = 4, 16
 Array = NDArray[np.floating]
 Rows = NDArray[np.int64]
 
@@ -27,35 +27,45 @@ class Nodes:
 
     row: Rows  # of the nodes that see a surface, shape (node,)
     col: Rows
-    place_m: Array  # shape (row, col, 3)
+    position_m: Array  # shape (row, col, 3)
     normal: Array
     face: Rows  # triangles, -1 where there is no surface, shape (row, col)
 
     @classmethod
     def of(
-        cls, row: Rows, col: Rows, shape: tuple[int, int], place_m: Array, normal: Array, face: Rows
+        cls,
+        row: Rows,
+        col: Rows,
+        shape: tuple[int, int],
+        position_m: Array,
+        normal: Array,
+        face: Rows,
     ) -> "Nodes":
         """Return a grid of positions and normals (node, 3) and triangles (node,) at rows and
         columns (node,).
         """
         grid = cls(row, col, np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.full(shape, NOTHING))
-        grid.place_m[row, col], grid.normal[row, col], grid.face[row, col] = place_m, normal, face
+        grid.position_m[row, col], grid.normal[row, col], grid.face[row, col] = (
+            position_m,
+            normal,
+            face,
+        )
         return grid
 
     @property
-    def there(self) -> NDArray[np.bool_]:
+    def has_surface(self) -> NDArray[np.bool_]:
         """Whether there is a surface, shape (row, col)."""
         return self.face != NOTHING
 
-    def spread(self, values: NDArray) -> NDArray:
+    def on_grid(self, values: NDArray) -> NDArray:
         """Return values (node, ...) on the grid, zero without a surface."""
-        grid = np.zeros((*self.there.shape, *values.shape[1:]), values.dtype)
+        grid = np.zeros((*self.has_surface.shape, *values.shape[1:]), values.dtype)
         grid[self.row, self.col] = values
         return grid
 
-    def near(self, values: Array, half_width: int) -> Array:
+    def local_mean(self, values: Array, half_width: int) -> Array:
         """Return means of values (row, col) over squares of nodes around each."""
-        return local_mean(values, self.there, half_width)
+        return local_mean(values, self.has_surface, half_width)
 
     def smooth(self, values: Array, width: NDArray[np.int64], run: Run) -> Array:
         """Return values (row, col, band) smoothed over windows of half widths (row, col), nodes."""
@@ -64,7 +74,7 @@ class Nodes:
         def strip(first: int) -> None:
             _fit(
                 values,
-                self.place_m,
+                self.position_m,
                 self.normal,
                 self.face,
                 width,
@@ -76,64 +86,64 @@ class Nodes:
         list(run(strip, list(range(0, rows, STRIP))))
         return smoothed
 
-    def between(
-        self, values: NDArray[np.float32], row: Array, col: Array, place_m: Array, normal: Array
+    def interpolate(
+        self, values: NDArray[np.float32], row: Array, col: Array, position_m: Array, normal: Array
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Interpolate values (row, col, band) at points; return also which points had a node on
         their surface.
 
         Coordinates (point,) are integers at nodes; positions and normals have shape (point, 3).
         """
-        interpolated, has = (
+        interpolated, has_node = (
             np.zeros((len(row), values.shape[2]), np.float32),
             np.zeros(len(row), np.bool_),
         )
         _interpolate(
             values,
-            self.place_m,
+            self.position_m,
             self.normal,
             self.face,
             row,
             col,
-            place_m,
+            position_m,
             normal,
             interpolated,
-            has,
+            has_node,
         )
-        return interpolated, has
+        return interpolated, has_node
 
 
-def all_alike(
-    place_m: Array, normal: Array, other_place_m: Array, other_normal: Array
+def same_surface_pairs(
+    position_m: Array, normal: Array, other_position_m: Array, other_normal: Array
 ) -> NDArray[np.bool_]:
     """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape
     (pair,).
     """
-    same_surface = np.empty(len(place_m), np.bool_)
-    _all_alike(place_m, normal, other_place_m, other_normal, same_surface)
+    same_surface = np.empty(len(position_m), np.bool_)
+    _compare_surfaces(position_m, normal, other_position_m, other_normal, same_surface)
     return same_surface
 
 
 @numba.njit(**INLINED)
-def alike(position: Any, normal: Any, other_position: Any, other_normal: Any) -> bool:
+def is_same_surface(position: Any, normal: Any, other_position: Any, other_normal: Any) -> bool:
     """Return whether two points lie on one smooth surface."""
-    facing, off, off_other, square = 0.0, 0.0, 0.0, 0.0
+    normal_cosine, height, other_height, square = 0.0, 0.0, 0.0, 0.0
     for axis in range(3):
         step = other_position[axis] - position[axis]
-        facing += normal[axis] * other_normal[axis]
-        off += normal[axis] * step
-        off_other += other_normal[axis] * step
+        normal_cosine += normal[axis] * other_normal[axis]
+        height += normal[axis] * step
+        other_height += other_normal[axis] * step
         square += step * step
-    limit = OFF_PLANE * np.sqrt(square) + LEAST_OFF_M
-    return facing > SAME_NORMAL and abs(off) < limit and abs(off_other) < limit
+    limit = OFF_PLANE * np.sqrt(square) + MIN_HEIGHT_M
+    return normal_cosine > SAME_NORMAL and abs(height) < limit and abs(other_height) < limit
 
 
 @numba.njit(**COMPILED)
-def _all_alike(
+def _compare_surfaces(
     position: Any, normal: Any, other_position: Any, other_normal: Any, same_surface: Any
 ) -> None:
     for pair in range(len(same_surface)):
-        same_surface[pair] = alike(
+        same_surface[pair] = is_same_surface(
             position[pair], normal[pair], other_position[pair], other_normal[pair]
         )
 
@@ -169,7 +179,9 @@ def _fit(
                     # Nodes on one triangle are on one surface.
                     if face[i, j] != centre_face and (
                         face[i, j] == NOTHING
-                        or not alike(position[r, c], normal[r, c], position[i, j], normal[i, j])
+                        or not is_same_surface(
+                            position[r, c], normal[r, c], position[i, j], normal[i, j]
+                        )
                     ):
                         continue
                     x, y = float(j - c), float(i - r)
@@ -187,9 +199,9 @@ def _fit(
             # Constant of the normal equations, by Cramer's rule.
             a, p, q = xx * yy - xy * xy, xy * y1 - x1 * yy, x1 * xy - xx * y1
             determinant = n * a + x1 * p + y1 * q
-            flat = n < ENOUGH or determinant < 1e-6 * n * max(xx * yy, 1e-30)
+            is_mean = n < MIN_NODES or determinant < 1e-6 * n * max(xx * yy, 1e-30)
             for b in range(bands):
-                if flat:
+                if is_mean:
                     smoothed[r, c, b] = plane[0, b] / n
                 else:
                     smoothed[r, c, b] = (
@@ -205,23 +217,23 @@ def _interpolate(
     face: Any,
     row: Any,
     col: Any,
-    at: Any,
-    facing: Any,
+    point: Any,
+    point_normal: Any,
     interpolated: Any,
-    has: Any,
+    has_node: Any,
 ) -> None:
     """Interpolate nodes at points (ray,) between them, among nodes on the same surface."""
     rows, columns, bands = values.shape
     for ray in range(len(row)):
-        top, first_column = int(np.floor(row[ray])), int(np.floor(col[ray]))
+        first_row, first_column = int(np.floor(row[ray])), int(np.floor(col[ray]))
         total = 0.0
         for margin in range(2):
-            for i in range(max(top - margin, 0), min(top + 2 + margin, rows)):
+            for i in range(max(first_row - margin, 0), min(first_row + 2 + margin, rows)):
                 for j in range(
                     max(first_column - margin, 0), min(first_column + 2 + margin, columns)
                 ):
-                    if face[i, j] == NOTHING or not alike(
-                        at[ray], facing[ray], position[i, j], normal[i, j]
+                    if face[i, j] == NOTHING or not is_same_surface(
+                        point[ray], point_normal[ray], position[i, j], normal[i, j]
                     ):
                         continue
                     span = 1.0 + margin
@@ -234,7 +246,7 @@ def _interpolate(
                         interpolated[ray, b] += weight * values[i, j, b]
             if total > 0.0:
                 break
-        has[ray] = total > 0.0
+        has_node[ray] = total > 0.0
         if total > 0.0:
             for b in range(bands):
                 interpolated[ray, b] /= total

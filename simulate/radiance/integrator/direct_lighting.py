@@ -18,7 +18,7 @@ from simulate.radiance.integrator.spectral_scene import BsdfSet, ShadingPoints, 
 
 Array = NDArray[np.floating]
 # Transmittance of air over lengths (ray,), m: shape (ray, band).
-Through = Callable[[Array], NDArray[np.float32]]
+AirTransmittance = Callable[[Array], NDArray[np.float32]]
 # Indices of illuminated points, and their outgoing radiance, shape (point, band).
 Lit = tuple[NDArray[np.int64], NDArray[np.float32]]
 
@@ -26,7 +26,7 @@ Lit = tuple[NDArray[np.int64], NDArray[np.float32]]
 class LightSamples(NamedTuple):
     """Samples of sources, at most one for each point, without occlusion, shape (sample, ...)."""
 
-    which: NDArray[np.int64]  # points
+    points: NDArray[np.int64]  # indices of the points
     direction: Array  # unit direction by which the BSDF is evaluated
     target: Array  # vector from the point to the sampled position; a direction for sun and moon
     factor: Array  # irradiance over the spectrum
@@ -35,82 +35,91 @@ class LightSamples(NamedTuple):
 
 
 def reflect(
-    stage: SpectralScene,
+    scene: SpectralScene,
     points: ShadingPoints,
     samples: LightSamples,
-    through: Through | None = None,
+    air_transmittance: AirTransmittance | None = None,
 ) -> Lit:
     """Return the reflected light of sources, as far as surfaces do not occlude it, through panes
     and air.
     """
-    length_limit, panes = None if samples.distance_m is None else SHORT, stage.bsdfs.panes
-    start = ray_starts(points, samples.which, stage.surfaces.tracer)
-    clear = np.flatnonzero(~stage.surfaces.tracer.is_occluded(start, samples.target, length_limit))
-    lit = samples.which[clear]
-    light = stage.bsdfs.value(points.some(lit), samples.direction[clear])
-    light *= samples.factor[clear, None].astype(np.float32)
-    light *= samples.spectrum if samples.spectrum.ndim == 1 else samples.spectrum[clear]
-    if through is not None and samples.distance_m is not None:
-        light *= through(samples.distance_m[clear])
+    length_limit, panes = None if samples.distance_m is None else SHORT, scene.bsdfs.panes
+    start = ray_starts(points, samples.points, scene.surfaces.tracer)
+    unoccluded = np.flatnonzero(
+        ~scene.surfaces.tracer.is_occluded(start, samples.target, length_limit)
+    )
+    lit = samples.points[unoccluded]
+    light = scene.bsdfs.value(points.select(lit), samples.direction[unoccluded])
+    light *= samples.factor[unoccluded, None].astype(np.float32)
+    light *= samples.spectrum if samples.spectrum.ndim == 1 else samples.spectrum[unoccluded]
+    if air_transmittance is not None and samples.distance_m is not None:
+        light *= air_transmittance(samples.distance_m[unoccluded])
     if panes is not None:
-        behind, pane_transmittance = panes.transmittance_along(
-            start[clear], samples.target[clear], length_limit
+        pane_rays, pane_transmittance = panes.transmittance_along(
+            start[unoccluded], samples.target[unoccluded], length_limit
         )
-        light[behind] *= pane_transmittance
+        light[pane_rays] *= pane_transmittance
     return lit, light
 
 
 def sample_disc(points: ShadingPoints, disc: DiscLight, rng: np.random.Generator) -> LightSamples:
     """Draw a point of sun or moon, uniform over its solid angle, for each point."""
     count, limb_cosine = len(points), np.cos(disc.angular_radius_rad)
-    up, turn = 1.0 - rng.random(count) * (1.0 - limb_cosine), 2.0 * np.pi * rng.random(count)
-    sine = np.sqrt(np.maximum(1.0 - up**2, 0.0))
-    local = np.stack([sine * np.cos(turn), sine * np.sin(turn), up], axis=1)
-    towards = local @ shading_frames(disc.direction[None])[0]
-    cosine = dot(points.normal, towards)
+    z, azimuth = 1.0 - rng.random(count) * (1.0 - limb_cosine), 2.0 * np.pi * rng.random(count)
+    sine = np.sqrt(np.maximum(1.0 - z**2, 0.0))
+    local = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), z], axis=1)
+    direction = local @ shading_frames(disc.direction[None])[0]
+    cosine = dot(points.normal, direction)
     lit = np.flatnonzero(cosine > 0.0)
-    return LightSamples(lit, towards[lit], towards[lit], cosine[lit], disc.irradiance)
+    return LightSamples(lit, direction[lit], direction[lit], cosine[lit], disc.irradiance)
 
 
 def lamp_factor(points: ShadingPoints, lamp: LampLight) -> tuple[Array, Array, Array]:
     """Return unit directions to a lamp, distances, m, and its unoccluded irradiance over its
     spectrum.
     """
-    way = lamp.position_m - points.place_m
-    distance = np.linalg.norm(way, axis=1)
-    towards = way / distance[:, None]
-    cosine = np.maximum(dot(points.normal, towards), 0.0)
-    return towards, distance, cosine * lamp.per_sr(-towards) / distance**2
+    vector = lamp.position_m - points.position_m
+    distance = np.linalg.norm(vector, axis=1)
+    direction = vector / distance[:, None]
+    cosine = np.maximum(dot(points.normal, direction), 0.0)
+    return direction, distance, cosine * lamp.per_sr(-direction) / distance**2
 
 
 def sample_lamp(points: ShadingPoints, lamp: LampLight, rng: np.random.Generator) -> LightSamples:
     """Draw a point of a lamp's disc for each point; its irradiance is that of its centre."""
-    towards, distance, factor = lamp_factor(points, lamp)
+    direction, distance, factor = lamp_factor(points, lamp)
     lit = np.flatnonzero(factor > 0.0)
-    radius, turn = lamp.radius_m * np.sqrt(rng.random(len(lit))), 2.0 * np.pi * rng.random(len(lit))
-    across = shading_frames(towards[lit])
-    target = (distance[lit, None] * towards[lit]) + radius[:, None] * (
-        np.cos(turn)[:, None] * across[:, 0] + np.sin(turn)[:, None] * across[:, 1]
+    radius, azimuth = (
+        lamp.radius_m * np.sqrt(rng.random(len(lit))),
+        2.0 * np.pi * rng.random(len(lit)),
     )
-    return LightSamples(lit, towards[lit], target, factor[lit], lamp.spectrum, distance[lit])
+    frame = shading_frames(direction[lit])
+    target = (distance[lit, None] * direction[lit]) + radius[:, None] * (
+        np.cos(azimuth)[:, None] * frame[:, 0] + np.sin(azimuth)[:, None] * frame[:, 1]
+    )
+    return LightSamples(lit, direction[lit], target, factor[lit], lamp.spectrum, distance[lit])
 
 
 def sample_one_lamp(
     points: ShadingPoints, lamps: tuple[LampLight, ...], rng: np.random.Generator
 ) -> Iterator[tuple[str, LightSamples]]:
     """Yield names and samples of lamps; one lamp a point is drawn, by its unoccluded irradiance."""
-    might = np.stack([lamp_factor(points, lamp)[2] * lamp.spectrum.sum() for lamp in lamps])
-    total = might.sum(axis=0)
-    chance = np.divide(might, total, out=np.zeros_like(might), where=total > 0.0)
-    chosen = (np.cumsum(chance, axis=0) < rng.random(len(points))).sum(axis=0)
+    lamp_irradiance = np.stack(
+        [lamp_factor(points, lamp)[2] * lamp.spectrum.sum() for lamp in lamps]
+    )
+    total = lamp_irradiance.sum(axis=0)
+    probability = np.divide(
+        lamp_irradiance, total, out=np.zeros_like(lamp_irradiance), where=total > 0.0
+    )
+    drawn_lamp = (np.cumsum(probability, axis=0) < rng.random(len(points))).sum(axis=0)
     for number, lamp in enumerate(lamps):
-        which = np.flatnonzero((chosen == number) & (total > 0.0))
-        if len(which):
-            samples = sample_lamp(points.some(which), lamp, rng)
-            lit = which[samples.which]
+        rows = np.flatnonzero((drawn_lamp == number) & (total > 0.0))
+        if len(rows):
+            samples = sample_lamp(points.select(rows), lamp, rng)
+            lit = rows[samples.points]
             yield (
                 lamp.name,
-                samples._replace(which=lit, factor=samples.factor / chance[number, lit]),
+                samples._replace(points=lit, factor=samples.factor / probability[number, lit]),
             )
 
 
@@ -129,33 +138,38 @@ def sample_panels(
     outliers.
     """
     panel, panel_point = panels.draw(len(points), rng)
-    way = panel_point - points.place_m
-    distance = np.linalg.norm(way, axis=1)
-    towards = np.divide(
-        way, distance[:, None], out=np.zeros_like(way), where=distance[:, None] > 0.0
+    vector = panel_point - points.position_m
+    distance = np.linalg.norm(vector, axis=1)
+    direction = np.divide(
+        vector, distance[:, None], out=np.zeros_like(vector), where=distance[:, None] > 0.0
     )
-    cosine, leaving = dot(points.normal, towards), -dot(panels.normal[panel], towards)
-    lit = np.flatnonzero((cosine > 0.0) & (leaving > 0.0))
-    panel, towards, distance, face = (
+    cosine, source_cosine = dot(points.normal, direction), -dot(panels.normal[panel], direction)
+    lit = np.flatnonzero((cosine > 0.0) & (source_cosine > 0.0))
+    panel, direction, distance, face = (
         panel[lit],
-        towards[lit],
+        direction[lit],
         distance[lit],
         panels.face[panel[lit]],
     )
     target = tracer.above(face, panel_point[lit], panels.normal[panel]) - ray_starts(
         points, lit, tracer
     )
-    by_area = panels.per_m2_of_face[face] * distance**2 / leaving[lit]
-    by_gathering = gather_rays * bsdfs.density(points.some(lit), towards) if gather_rays else 0.0
-    factor, glow = cosine[lit] / (by_area + by_gathering), panels.spectra[panels.kind_of_face[face]]
-    return LightSamples(lit, towards, target, factor, glow, distance)
+    panel_density = panels.per_m2_of_face[face] * distance**2 / source_cosine[lit]
+    gather_density = (
+        gather_rays * bsdfs.density(points.select(lit), direction) if gather_rays else 0.0
+    )
+    factor, glow = (
+        cosine[lit] / (panel_density + gather_density),
+        panels.spectra[panels.kind_of_face[face]],
+    )
+    return LightSamples(lit, direction, target, factor, glow, distance)
 
 
 def gather_mis_weight(
     panels: Panels,
     face: NDArray[np.int64],
     range_m: Array,
-    leaving: Array,
+    source_cosine: Array,
     density: Array,
     rays: int,
 ) -> Array:
@@ -164,19 +178,19 @@ def gather_mis_weight(
 
     Parameters
     ----------
-    panels, face, range_m, leaving
+    panels, face, range_m, source_cosine
         Panels, triangles hit, distances, m, and cosines at them, shape (ray,).
     density, rays
         Sampling density of the gather rays in those directions, sr-1, shape (ray,), and gather rays
         of each point.
     """
-    by_area = panels.per_m2_of_face[face] * range_m**2 / np.maximum(leaving, 1e-12)
-    return np.where(leaving > 0.0, rays * density / (rays * density + by_area), 0.0)
+    panel_density = panels.per_m2_of_face[face] * range_m**2 / np.maximum(source_cosine, 1e-12)
+    return np.where(source_cosine > 0.0, rays * density / (rays * density + panel_density), 0.0)
 
 
-def ray_starts(points: ShadingPoints, which: NDArray[np.int64], tracer: RayTracer) -> Array:
+def ray_starts(points: ShadingPoints, rows: NDArray[np.int64], tracer: RayTracer) -> Array:
     """Return where rays from some of the points start, shape (ray, 3), m."""
-    return tracer.above(points.face[which], points.place_m[which], points.normal[which])
+    return tracer.above(points.face[rows], points.position_m[rows], points.normal[rows])
 
 
 def dot(a: Array, b: Array) -> Array:

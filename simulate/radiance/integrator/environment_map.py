@@ -17,7 +17,7 @@ from simulate.radiance.integrator.sampling import fraction
 Array = NDArray[np.floating]
 # Cells of the radiance table, in height and azimuth; step between the normals of the irradiance
 # table.
-HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
+HEIGHTS, AZIMUTHS, NORMAL_STEP_DEG = 90, 120, 4.0
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class EnvironmentMap:
     irradiance_table: NDArray[np.float32]
 
     @property
-    def dark(self) -> bool:
+    def is_dark(self) -> bool:
         """Whether it emits no light."""
         return not self.radiance_table.any()
 
@@ -60,9 +60,9 @@ def environment_map(sky: Callable[[Array], Array]) -> EnvironmentMap:
     (band, n).
     """
     height = np.linspace(0.0, 0.5 * np.pi, HEIGHTS + 1)
-    azimuth = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
+    azimuth = np.linspace(0.0, 2.0 * np.pi, AZIMUTHS + 1)
     table = np.asarray(sky(_directions(height, azimuth)), np.float32).T
-    table = np.ascontiguousarray(table).reshape(HEIGHTS + 1, AROUND + 1, -1)
+    table = np.ascontiguousarray(table).reshape(HEIGHTS + 1, AZIMUTHS + 1, -1)
     return EnvironmentMap(table, _irradiance(table))
 
 
@@ -71,10 +71,10 @@ def sphere(light: Callable[[Array], Array]) -> EnvironmentMap:
     `EnvironmentMap.irradiance`.
     """
     table = np.asarray(light(_directions(*_normals())), np.float32).T
-    tilts, turns = (len(axis) for axis in _normals())
+    n_heights, n_azimuths = (len(axis) for axis in _normals())
     return EnvironmentMap(
         np.zeros((2, 2, table.shape[1]), np.float32),
-        np.ascontiguousarray(table).reshape(tilts, turns, -1),
+        np.ascontiguousarray(table).reshape(n_heights, n_azimuths, -1),
     )
 
 
@@ -90,7 +90,7 @@ def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
     bands = table.shape[2]
     if not table.any():
         return np.zeros((2, 2, bands), np.float32)
-    rows, columns = HEIGHTS, AROUND
+    rows, columns = HEIGHTS, AZIMUTHS
     sine = (np.arange(rows) + 0.5) / rows
     directions = _directions(np.arcsin(sine), 2.0 * np.pi * (np.arange(columns) + 0.5) / columns)
     sample_sr = 2.0 * np.pi / len(directions)
@@ -98,23 +98,28 @@ def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
         _interpolate(table, np.arcsin(directions[:, 2]) / (0.5 * np.pi), azimuth_turns(directions))
         * sample_sr
     )
-    tilt, turn = _normals()
-    normals = _directions(tilt, turn).astype(np.float32)
-    towards = directions.T.astype(np.float32)
-    parts = [np.maximum(part @ towards, 0.0) @ radiance for part in np.array_split(normals, 16)]
-    return np.concatenate(parts).reshape(len(tilt), len(turn), bands)
+    height, azimuth = _normals()
+    normals = _directions(height, azimuth).astype(np.float32)
+    transposed_directions = directions.T.astype(np.float32)
+    integrals = [
+        np.maximum(normal_part @ transposed_directions, 0.0) @ radiance
+        for normal_part in np.array_split(normals, 16)
+    ]
+    return np.concatenate(integrals).reshape(len(height), len(azimuth), bands)
 
 
 def _normals() -> tuple[Array, Array]:
     """Heights and azimuths of the irradiance table."""
-    tilts, turns = round(180.0 / NORMAL_STEP_DEG) + 1, round(360.0 / NORMAL_STEP_DEG) + 1
-    return 0.5 * np.pi - np.linspace(0.0, np.pi, tilts), np.linspace(0.0, 2.0 * np.pi, turns)
+    tilts, azimuths = round(180.0 / NORMAL_STEP_DEG) + 1, round(360.0 / NORMAL_STEP_DEG) + 1
+    return 0.5 * np.pi - np.linspace(0.0, np.pi, tilts), np.linspace(0.0, 2.0 * np.pi, azimuths)
 
 
 def _directions(height: Array, azimuth: Array) -> Array:
-    up, turn = np.meshgrid(height, azimuth, indexing="ij")
-    flat = np.cos(up)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sin(up)], axis=-1).reshape(-1, 3)
+    height, azimuth = np.meshgrid(height, azimuth, indexing="ij")
+    cosine = np.cos(height)
+    return np.stack(
+        [cosine * np.cos(azimuth), cosine * np.sin(azimuth), np.sin(height)], axis=-1
+    ).reshape(-1, 3)
 
 
 def azimuth_turns(direction: Array) -> Array:
@@ -122,25 +127,27 @@ def azimuth_turns(direction: Array) -> Array:
     return fraction(np.arctan2(direction[:, 1], direction[:, 0]) / (2.0 * np.pi))
 
 
-def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDArray[np.float32]:
+def _interpolate(
+    table: NDArray[np.float32], height_fraction: Array, width_fraction: Array
+) -> NDArray[np.float32]:
     """Interpolate a table (row, col, band) linearly at fractions of its height and width, shape
     (point, band).
     """
     rows, columns, bands = table.shape
-    row, col = down * (rows - 1), across * (columns - 1)
-    top, first_column = (
+    row, col = height_fraction * (rows - 1), width_fraction * (columns - 1)
+    first_row, first_column = (
         np.minimum(row.astype(np.int64), rows - 2),
         np.minimum(col.astype(np.int64), columns - 2),
     )
     row_fraction, column_fraction = (
         (position - cell).astype(np.float32)[:, None]
-        for position, cell in ((row, top), (col, first_column))
+        for position, cell in ((row, first_row), (col, first_column))
     )
-    flat, first = table.reshape(-1, bands), top * columns + first_column
-    upper = flat[first]
-    upper += column_fraction * (flat[first + 1] - upper)
-    lower = flat[first + columns]
-    lower += column_fraction * (flat[first + columns + 1] - lower)
+    cells, first_cell = table.reshape(-1, bands), first_row * columns + first_column
+    upper = cells[first_cell]
+    upper += column_fraction * (cells[first_cell + 1] - upper)
+    lower = cells[first_cell + columns]
+    lower += column_fraction * (cells[first_cell + columns + 1] - lower)
     lower -= upper
     lower *= row_fraction
     upper += lower
@@ -151,7 +158,7 @@ def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDAr
 class SkyImportance:
     """Sampling probabilities of the cells of the environment map, by their light."""
 
-    cumulated: Array  # height by height, shape (cell,)
+    cumulative: Array  # height by height, shape (cell,)
     per_sr: Array  # shape (height, azimuth), sr-1
 
     @classmethod
@@ -159,7 +166,7 @@ class SkyImportance:
         """Return the sampling probabilities of a sky, or None where it is too uniform to gain from
         them.
         """
-        if environment.dark:
+        if environment.is_dark:
             return None
         corners = environment.radiance_table.sum(axis=2, dtype=np.float64)
         mean = 0.25 * (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:])
@@ -168,32 +175,32 @@ class SkyImportance:
         light = mean * cell_sr
         if 2.0 * np.pi * (mean * light).sum() < LIMITS.min_sky_contrast * light.sum() ** 2:
             return None
-        chance = light / light.sum()
-        return cls(np.cumsum(chance.ravel()), chance / cell_sr)
+        probability = light / light.sum()
+        return cls(np.cumsum(probability.ravel()), probability / cell_sr)
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Draw unit directions, uniform over the solid angle of each cell, shape (count, 3)."""
-        heights, around = self.per_sr.shape
+        n_heights, n_azimuths = self.per_sr.shape
         cell = np.minimum(
-            np.searchsorted(self.cumulated, rng.random(count), side="right"), self.per_sr.size - 1
+            np.searchsorted(self.cumulative, rng.random(count), side="right"), self.per_sr.size - 1
         )
-        sine = np.sin(np.linspace(0.0, 0.5 * np.pi, heights + 1))
-        row, col = np.divmod(cell, around)
-        up = sine[row] + rng.random(count) * (sine[row + 1] - sine[row])
-        turn = 2.0 * np.pi * (col + rng.random(count)) / around
-        flat = np.sqrt(np.maximum(1.0 - up**2, 0.0))
-        return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up])
+        sine = np.sin(np.linspace(0.0, 0.5 * np.pi, n_heights + 1))
+        row, col = np.divmod(cell, n_azimuths)
+        z = sine[row] + rng.random(count) * (sine[row + 1] - sine[row])
+        azimuth = 2.0 * np.pi * (col + rng.random(count)) / n_azimuths
+        cosine = np.sqrt(np.maximum(1.0 - z**2, 0.0))
+        return np.column_stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), z])
 
     def density(self, direction: Array) -> Array:
         """Return the density of `draw` in unit directions (ray, 3), sr-1, zero below the
         horizon.
         """
-        heights, around = self.per_sr.shape
-        row = np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)) / (0.5 * np.pi) * heights
-        col = azimuth_turns(direction) * around
+        n_heights, n_azimuths = self.per_sr.shape
+        row = np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)) / (0.5 * np.pi) * n_heights
+        col = azimuth_turns(direction) * n_azimuths
         cell = (
-            np.minimum(row.astype(np.int64), heights - 1),
-            np.minimum(col.astype(np.int64), around - 1),
+            np.minimum(row.astype(np.int64), n_heights - 1),
+            np.minimum(col.astype(np.int64), n_azimuths - 1),
         )
         return np.where(direction[:, 2] >= 0.0, self.per_sr[cell], 0.0)
 
@@ -202,15 +209,15 @@ def sky_arrays(environment: EnvironmentMap, bright: SkyImportance | None) -> tup
     """Return tables, whether there is light, probabilities (empty without importance sampling) and
     sines of heights.
     """
-    cumulated, per_sr = (
-        (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulated, bright.per_sr)
+    cumulative, per_sr = (
+        (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulative, bright.per_sr)
     )
     sines = np.sin(np.linspace(0.0, 0.5 * np.pi, len(per_sr) + 1))
     return (
         environment.radiance_table,
         environment.irradiance_table,
-        not environment.dark,
-        cumulated,
+        not environment.is_dark,
+        cumulative,
         per_sr,
         sines,
     )
@@ -236,24 +243,24 @@ def sky_irradiance(
 
 @numba.njit(**INLINED)
 def _add(
-    table: Any, down: float, x: float, y: float, fraction: float, weight: Any, total: Any
+    table: Any, height_fraction: float, x: float, y: float, fraction: float, weight: Any, total: Any
 ) -> None:
     """Add the interpolated value of a table at a fraction of its height and the azimuth of a
     direction.
     """
     rows, columns, bands = table.shape
-    row, col = down * (rows - 1), np.arctan2(y, x) / (2.0 * np.pi)
+    row, col = height_fraction * (rows - 1), np.arctan2(y, x) / (2.0 * np.pi)
     col = (col - np.floor(col)) * (columns - 1)
-    top, first_column = min(int(row), rows - 2), min(int(col), columns - 2)
-    row_fraction, column_fraction = row - top, col - first_column
+    first_row, first_column = min(int(row), rows - 2), min(int(col), columns - 2)
+    row_fraction, column_fraction = row - first_row, col - first_column
     for band in range(bands):
         upper = (
-            table[top, first_column, band] * (1.0 - column_fraction)
-            + table[top, first_column + 1, band] * column_fraction
+            table[first_row, first_column, band] * (1.0 - column_fraction)
+            + table[first_row, first_column + 1, band] * column_fraction
         )
         lower = (
-            table[top + 1, first_column, band] * (1.0 - column_fraction)
-            + table[top + 1, first_column + 1, band] * column_fraction
+            table[first_row + 1, first_column, band] * (1.0 - column_fraction)
+            + table[first_row + 1, first_column + 1, band] * column_fraction
         )
         total[band] += (
             fraction * weight[band] * (upper * (1.0 - row_fraction) + lower * row_fraction)
@@ -261,24 +268,29 @@ def _add(
 
 
 @numba.njit(**INLINED)
-def bright_density(per_sr: Any, x: float, y: float, z: float) -> float:
-    """Return the density with which `bright_way` draws a unit direction above the horizon, sr-1;
-    zero without any.
+def sky_density(per_sr: Any, x: float, y: float, z: float) -> float:
+    """Return the density with which `draw_sky_direction` draws a unit direction above the
+    horizon, sr-1; zero without any.
     """
-    heights, around = per_sr.shape
-    if heights == 0:
+    n_heights, n_azimuths = per_sr.shape
+    if n_heights == 0:
         return 0.0
     col = np.arctan2(y, x) / (2.0 * np.pi)
-    row = min(int(np.arcsin(min(z, 1.0)) / (0.5 * np.pi) * heights), heights - 1)
-    return per_sr[row, min(int((col - np.floor(col)) * around), around - 1)]
+    row = min(int(np.arcsin(min(z, 1.0)) / (0.5 * np.pi) * n_heights), n_heights - 1)
+    return per_sr[row, min(int((col - np.floor(col)) * n_azimuths), n_azimuths - 1)]
 
 
 @numba.njit(**INLINED)
-def bright_way(cumulated: Any, sines: Any, a: float, b: float, c: float, way: Any) -> None:
+def draw_sky_direction(
+    cumulative: Any, sines: Any, a: float, b: float, c: float, direction: Any
+) -> None:
     """Set a direction drawn by the brightness of the sky, from three uniform numbers."""
-    around = len(cumulated) // (len(sines) - 1)
-    cell = min(np.searchsorted(cumulated, a, side="right"), len(cumulated) - 1)
-    row, col = cell // around, cell % around
-    way[2] = sines[row] + b * (sines[row + 1] - sines[row])
-    turn, flat = 2.0 * np.pi * (col + c) / around, np.sqrt(max(1.0 - way[2] ** 2, 0.0))
-    way[0], way[1] = flat * np.cos(turn), flat * np.sin(turn)
+    n_azimuths = len(cumulative) // (len(sines) - 1)
+    cell = min(np.searchsorted(cumulative, a, side="right"), len(cumulative) - 1)
+    row, col = cell // n_azimuths, cell % n_azimuths
+    direction[2] = sines[row] + b * (sines[row + 1] - sines[row])
+    azimuth, cosine = (
+        2.0 * np.pi * (col + c) / n_azimuths,
+        np.sqrt(max(1.0 - direction[2] ** 2, 0.0)),
+    )
+    direction[0], direction[1] = cosine * np.cos(azimuth), cosine * np.sin(azimuth)

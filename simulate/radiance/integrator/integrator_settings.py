@@ -140,20 +140,20 @@ def excess_variance(variance: Array, signal: Array, error_limit: Callable[[Array
     )
 
 
-def local_mean(values: Array, among: NDArray[np.bool_], half_width: int) -> Array:
-    """Return means of values (row, col) over those `among` in squares around each."""
+def local_mean(values: Array, group: NDArray[np.bool_], half_width: int) -> Array:
+    """Return means of values (row, col) over those of a group in squares around each."""
     from scipy.ndimage import uniform_filter
 
     group_density, total = (
-        uniform_filter(of, 2 * half_width + 1, mode="constant")
-        for of in (among.astype(float), np.where(among, values, 0.0))
+        uniform_filter(grid, 2 * half_width + 1, mode="constant")
+        for grid in (group.astype(float), np.where(group, values, 0.0))
     )
     return np.divide(total, group_density, out=np.zeros_like(total), where=group_density > 1e-9)
 
 
 def additional_rays(
     excess: Array,
-    sent: NDArray[np.integer],
+    rays: NDArray[np.integer],
     groups: tuple[NDArray[np.bool_], ...],
     max_rays: int,
     total: float = np.inf,
@@ -165,7 +165,7 @@ def additional_rays(
     ----------
     excess
         Variance of each over its limit, shape (row, col).
-    sent, max_rays, total
+    rays, max_rays, total
         Rays of each so far, shape (row, col), most rays of each and of all.
     groups
         Those that are alike, by masks of shape (row, col); others get none.
@@ -179,22 +179,25 @@ def additional_rays(
     missed rare bright light.
     """
     # Running sums leave small negative values where nothing varies.
-    single, some = np.clip(excess * sent, 0.0, max_rays), np.zeros(sent.shape, bool)
+    ray_variance, mask = np.clip(excess * rays, 0.0, max_rays), np.zeros(rays.shape, bool)
     for group in groups:
-        group_mean = local_mean(single, group, LIMITS.variance_half_width)
-        single, some = np.where(group, np.maximum(single, group_mean), single), some | group
-    root = np.sqrt(single[some])
-    before = sent[some]
-    if not before.size or (single[some] / before).mean() <= 1.0 or before.sum() >= total:
-        return np.zeros(sent.shape, np.int64)
-    wanted = root * root.mean()
-    wanted *= min(1.0, total / wanted.sum())
-    more = np.minimum(wanted, np.minimum(LIMITS.max_growth * before, max_rays)) - before
+        group_mean = local_mean(ray_variance, group, LIMITS.variance_half_width)
+        ray_variance, mask = (
+            np.where(group, np.maximum(ray_variance, group_mean), ray_variance),
+            mask | group,
+        )
+    root = np.sqrt(ray_variance[mask])
+    current = rays[mask]
+    if not current.size or (ray_variance[mask] / current).mean() <= 1.0 or current.sum() >= total:
+        return np.zeros(rays.shape, np.int64)
+    target = root * root.mean()
+    target *= min(1.0, total / target.sum())
+    increase = np.minimum(target, np.minimum(LIMITS.max_growth * current, max_rays)) - current
     # A single additional ray would give no variance.
-    step = 2 ** np.maximum(np.round(np.log2(np.maximum(more, 1.0))), 1.0).astype(np.int64)
-    step = np.where(before + step > max_rays, step // 2, step)
-    additional = np.zeros(sent.shape, np.int64)
-    additional[some] = np.where((more >= 0.5 * before) & (step > 1), step, 0)
+    step = 2 ** np.maximum(np.round(np.log2(np.maximum(increase, 1.0))), 1.0).astype(np.int64)
+    step = np.where(current + step > max_rays, step // 2, step)
+    additional = np.zeros(rays.shape, np.int64)
+    additional[mask] = np.where((increase >= 0.5 * current) & (step > 1), step, 0)
     return additional
 
 
@@ -226,8 +229,8 @@ class RenderSensor:
         sr-1 nm-1.
         """
         grid = np.asarray(wavelength_nm, float)
-        at = np.interp(grid, self.response_nm, self.response, left=0.0, right=0.0)
-        return (at * band_widths(grid)).astype(np.float32)
+        response = np.interp(grid, self.response_nm, self.response, left=0.0, right=0.0)
+        return (response * band_widths(grid)).astype(np.float32)
 
     def noise_floor(self, signal: ArrayLike, *, smooth: bool = False) -> Array:
         """Return the noise of a pixel in one frame, at least `KNOWN` of the signal: what
@@ -236,18 +239,20 @@ class RenderSensor:
         Differences that extend over many pixels (`smooth`) are not reduced by blur, but the noise
         is; random differences between pixels are reduced like the noise.
         """
-        bright = np.maximum(np.asarray(signal, float), 0.0)
-        noise = np.sqrt(self.dark_variance + self.variance_per_signal * bright)
-        return np.maximum(noise * (self.noise_averaging_factor if smooth else 1.0), KNOWN * bright)
+        positive_signal = np.maximum(np.asarray(signal, float), 0.0)
+        noise = np.sqrt(self.dark_variance + self.variance_per_signal * positive_signal)
+        return np.maximum(
+            noise * (self.noise_averaging_factor if smooth else 1.0), KNOWN * positive_signal
+        )
 
 
 # Applies a function to a list of jobs, and yields the results in their order.
 Run = Callable[[Callable[[Any], Any], list[Any]], Iterator[Any]]
 
 
-def one_by_one(do: Callable[[Any], Any], things: list[Any]) -> Iterator[Any]:
+def one_by_one(job: Callable[[Any], Any], arguments: list[Any]) -> Iterator[Any]:
     """Run jobs one after the other."""
-    return map(do, things)
+    return map(job, arguments)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.cache_smoothing import Nodes, all_alike
+from simulate.radiance.integrator.cache_smoothing import Nodes, same_surface_pairs
 from simulate.radiance.integrator.integrator_settings import (
     LIMITS,
     IntegratorSettings,
@@ -40,7 +40,7 @@ Array = NDArray[np.floating]
 class IrradianceCache:
     """Irradiance of diffuse surfaces in a frame, without lamps and discs."""
 
-    stage: SpectralScene
+    scene: SpectralScene
     nodes: Nodes
     change: NDArray[
         np.float32
@@ -49,7 +49,7 @@ class IrradianceCache:
     rays: NDArray[np.int64]  # gather rays of each node, shape (row, col)
     fine: bool = False  # whether each pixel is a node
 
-    def at(
+    def irradiance(
         self, points: ShadingPoints, row: Array, col: Array
     ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Return which points have a cached irradiance, and that irradiance, shape (cached point,
@@ -62,16 +62,18 @@ class IrradianceCache:
             np.floor(axis) if self.fine else axis / LIMITS.cache_step_px - 0.5
             for axis in (row, col)
         )
-        light, has = self.nodes.between(self.change, row, col, points.place_m, points.normal)
-        shares = np.flatnonzero(has & points.is_diffuse)
-        light = light[shares]
-        if not self.stage.lighting.environment_map.dark:
-            light += self.stage.lighting.environment_map.irradiance(points.normal[shares])
-        return shares, light
+        light, has_node = self.nodes.interpolate(
+            self.change, row, col, points.position_m, points.normal
+        )
+        cached = np.flatnonzero(has_node & points.is_diffuse)
+        light = light[cached]
+        if not self.scene.lighting.environment_map.is_dark:
+            light += self.scene.lighting.environment_map.irradiance(points.normal[cached])
+        return cached, light
 
 
 def build_irradiance_cache(
-    stage: SpectralScene,
+    scene: SpectralScene,
     view: Viewpoint,
     effort: IntegratorSettings,
     sky_control_fraction: Array,
@@ -88,7 +90,7 @@ def build_irradiance_cache(
 
     Parameters
     ----------
-    stage, view, effort
+    scene, view, effort
         Scene, camera and integrator settings.
     sky_control_fraction
         Control-variate fraction of the sky of each pixel, see `ShadingPoints`, shape (row, col).
@@ -106,68 +108,68 @@ def build_irradiance_cache(
         than two pixels.
     """
     step = 1 if fine else LIMITS.cache_step_px
-    traced = _trace_nodes(stage, view, sky_control_fraction, step)
-    white = traced.points.on_white_surface()
-    origins = _NodeOrigins(stage, view, traced, white, fine)
-    grid = Nodes.of(traced.row, traced.col, traced.shape, white.place_m, white.normal, white.face)
-    direct, reflected = _known_signal(stage, traced.points, effort, weight)
-    light = np.zeros((2, len(white), stage.bands), np.float32)
-    sent, half, turn = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1)), 0
+    centres = _trace_nodes(scene, view, sky_control_fraction, step)
+    white = centres.points.on_white_surface()
+    origins = _NodeOrigins(scene, view, centres, white, fine)
+    grid = Nodes.of(
+        centres.row, centres.col, centres.shape, white.position_m, white.normal, white.face
+    )
+    direct, reflected = _known_signal(scene, centres.points, effort, weight)
+    light = np.zeros((2, len(white), scene.bands), np.float32)
+    node_rays, new_rays = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1))
+    iteration = 0
     while True:
-        for part in (0, 1):
-            for ray_count in np.unique(half[half > 0]).tolist():
-                which, seeds = (
-                    np.flatnonzero(half == ray_count),
-                    [[seed, kind, turn, part, ray_count] for kind in (5, 6)],
-                )
+        for half in (0, 1):
+            for ray_count in np.unique(new_rays[new_rays > 0]).tolist():
+                nodes = np.flatnonzero(new_rays == ray_count)
+                seeds = [[seed, kind, iteration, half, ray_count] for kind in (5, 6)]
                 sequence = low_discrepancy_points(
-                    traced.row[which], traced.col[which], ray_count, seeds[0]
+                    centres.row[nodes], centres.col[nodes], ray_count, seeds[0]
                 )
-                gathered = _gather(stage, origins, which, effort, sequence, seeds[1], run)
-                new_weight = (ray_count / (sent[which] + ray_count)).astype(np.float32)[:, None]
-                light[part, which] += new_weight * (gathered - light[part, which])
-        sent += half
-        signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(
-            np.float64
-        )
+                new_light = _gather(scene, origins, nodes, effort, sequence, seeds[1], run)
+                new_weight = (ray_count / (node_rays[nodes] + ray_count)).astype(np.float32)
+                light[half, nodes] += new_weight[:, None] * (new_light - light[half, nodes])
+        node_rays += new_rays
+        signals = np.stack(
+            [grid.on_grid(half_light @ weight) for half_light in light], axis=2
+        ).astype(np.float64)
         width, variance, smooth = _windows(grid, signals, run)
-        turn += 1
-        if error_limit is None or turn == LIMITS.max_cache_turns or not len(white):
+        iteration += 1
+        if error_limit is None or iteration == LIMITS.max_cache_turns or not len(white):
             break
-        signal = direct + reflected * smooth[traced.row, traced.col]
-        excess = excess_variance(
-            reflected**2 * variance[traced.row, traced.col], signal, error_limit
-        )
-        grids = grid.spread(excess), np.maximum(grid.spread(sent), 1)
-        half = additional_rays(*grids, (grid.there,), max_rays // 2)[traced.row, traced.col]
-        if not half.any():
+        cells = centres.row, centres.col
+        signal = direct + reflected * smooth[cells]
+        excess = excess_variance(reflected**2 * variance[cells], signal, error_limit)
+        grids = grid.on_grid(excess), np.maximum(grid.on_grid(node_rays), 1)
+        new_rays = additional_rays(*grids, (grid.has_surface,), max_rays // 2)[cells]
+        if not new_rays.any():
             break
-    change = _smooth(grid, grid.spread(light.mean(axis=0)), width, run)
+    change = _smooth(grid, grid.on_grid(light.mean(axis=0)), width, run)
     return IrradianceCache(
-        stage=stage,
+        scene=scene,
         nodes=grid,
         change=change,
         variance=variance,
-        rays=grid.spread(2 * sent),
+        rays=grid.on_grid(2 * node_rays),
         fine=fine,
     )
 
 
 def _known_signal(
-    stage: SpectralScene, points: ShadingPoints, effort: IntegratorSettings, weight: Array
+    scene: SpectralScene, points: ShadingPoints, effort: IntegratorSettings, weight: Array
 ) -> tuple[Array, Array]:
     """Return the signal of nodes by direct light and open sky, and their mean reflectance over the
     sensor's weights.
     """
-    reflected = stage.bsdfs.diffuse_brdf(points) @ weight / max(float(weight.sum()), 1e-30)
-    sky = stage.lighting.environment_map
+    reflected = scene.bsdfs.diffuse_brdf(points) @ weight / max(float(weight.sum()), 1e-30)
+    sky = scene.lighting.environment_map
     rng = np.random.default_rng(0)
     signal = (
-        outgoing_radiance(stage, points, effort, rng, rays=0, light="lamps and discs").total()
+        outgoing_radiance(scene, points, effort, rng, rays=0, light="lamps and discs").total()
         @ weight
     )
     return (
-        signal if sky.dark else signal + reflected * (sky.irradiance(points.normal) @ weight)
+        signal if sky.is_dark else signal + reflected * (sky.irradiance(points.normal) @ weight)
     ), reflected
 
 
@@ -182,34 +184,34 @@ class _NodePoints:
 
 
 def _trace_nodes(
-    stage: SpectralScene, view: Viewpoint, sky_control_fraction: Array, step: int
+    scene: SpectralScene, view: Viewpoint, sky_control_fraction: Array, step: int
 ) -> _NodePoints:
     """Trace the centres of nodes."""
     shape = (-(-view.shape[0] // step), -(-view.shape[1] // step))
     row, col = (axis.ravel() for axis in np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"))
-    origin, towards = view.rays(step * (row + 0.5), step * (col + 0.5))
-    hit = stage.surfaces.tracer.hits(origin, towards)
-    met = hit.met
+    origin, direction = view.rays(step * (row + 0.5), step * (col + 0.5))
+    hit = scene.surfaces.tracer.hits(origin, direction)
     control_fraction = sky_control_fraction[
-        np.minimum(step * row[met], view.shape[0] - 1),
-        np.minimum(step * col[met], view.shape[1] - 1),
+        np.minimum(step * row[hit.rays], view.shape[0] - 1),
+        np.minimum(step * col[hit.rays], view.shape[1] - 1),
     ]
-    points = stage.points(hit, origin, towards, met, control_fraction)
+    points = scene.points(hit, origin, direction, hit.rays, control_fraction)
     diffuse = np.flatnonzero(points.is_diffuse)
-    return _NodePoints(points.some(diffuse), row[met[diffuse]], col[met[diffuse]], shape)
+    nodes = hit.rays[diffuse]
+    return _NodePoints(points.select(diffuse), row[nodes], col[nodes], shape)
 
 
 @dataclass(frozen=True)
 class _NodeOrigins:
     """Ray origins of nodes: their centres or, for fine nodes, points spread over their pixels."""
 
-    stage: SpectralScene
+    scene: SpectralScene
     view: Viewpoint
-    traced: _NodePoints
+    centres: _NodePoints
     white: ShadingPoints
     fine: bool
 
-    def each(self, rays: int) -> int:
+    def count(self, rays: int) -> int:
         """Return the number of origins of a node's rays."""
         return (
             gcd(rays, max(LIMITS.min_ray_origins, rays // LIMITS.max_rays_per_origin))
@@ -217,7 +219,7 @@ class _NodeOrigins:
             else 1
         )
 
-    def of(
+    def points(
         self, nodes: NDArray[np.int64], origins_per_node: int, rng: np.random.Generator
     ) -> ShadingPoints:
         """Return ray origins of some nodes, node by node.
@@ -226,31 +228,33 @@ class _NodeOrigins:
         """
         start = rng.random((2, len(nodes), 1))
         nodes = np.repeat(nodes, origins_per_node)
-        middle = self.white.some(nodes)
+        origins = self.white.select(nodes)
         if not self.fine:
-            return middle
-        at = fraction(start + R2[:, None, None] * np.arange(origins_per_node)).reshape(2, -1)
-        origin, towards = self.view.rays(
-            self.traced.row[nodes] + at[0], self.traced.col[nodes] + at[1]
+            return origins
+        offset = fraction(start + R2[:, None, None] * np.arange(origins_per_node)).reshape(2, -1)
+        lens, direction = self.view.rays(
+            self.centres.row[nodes] + offset[0], self.centres.col[nodes] + offset[1]
         )
-        hit = self.stage.surfaces.tracer.hits(origin, towards)
-        met = hit.met
-        position = origin[met] + hit.range_m[met, None] * towards[met]
-        face = hit.face[met]
-        normal, _ = self.stage.surfaces.tracer.facing(face, towards[met])
-        same = all_alike(middle.place_m[met], middle.normal[met], position, normal)
-        for values, met_values in (
-            (middle.place_m, position),
-            (middle.face, face),
-            (middle.normal, normal),
+        hit = self.scene.surfaces.tracer.hits(lens, direction)
+        rays = hit.rays
+        position = lens[rays] + hit.range_m[rays, None] * direction[rays]
+        face = hit.face[rays]
+        normal, _ = self.scene.surfaces.tracer.facing(face, direction[rays])
+        is_same = same_surface_pairs(
+            origins.position_m[rays], origins.normal[rays], position, normal
+        )
+        for values, hit_values in (
+            (origins.position_m, position),
+            (origins.face, face),
+            (origins.normal, normal),
         ):
-            values[met[same]] = met_values[same]
-        return middle
+            values[rays[is_same]] = hit_values[is_same]
+        return origins
 
 
 def _gather(
-    stage: SpectralScene,
-    start_from: _NodeOrigins,
+    scene: SpectralScene,
+    node_origins: _NodeOrigins,
     nodes: NDArray[np.int64],
     effort: IntegratorSettings,
     sequence: SequenceSlice,
@@ -258,25 +262,30 @@ def _gather(
     run: Run,
 ) -> NDArray[np.float32]:
     """Gather at nodes: irradiance minus that of an unoccluded sky, shape (node, band)."""
-    sky, origins_per_node = stage.lighting.environment_map, start_from.each(sequence.rays)
+    sky, origins_per_node = scene.lighting.environment_map, node_origins.count(sequence.rays)
 
     def gather_part(start: int) -> NDArray[np.float32]:
-        part = np.arange(start, min(start + count, len(nodes)))
+        rows = np.arange(start, min(start + batch_nodes, len(nodes)))
         rng = np.random.default_rng([*seed, start])
-        origins, shared = (
-            start_from.of(nodes[part], origins_per_node, rng),
-            sequence.some(part).divide(origins_per_node),
-        )
-        asked = {"rays": shared.rays, "sequence": shared, "light": "surroundings"}
-        light = outgoing_radiance(stage, origins, effort, rng, **asked).total()
+        origins = node_origins.points(nodes[rows], origins_per_node, rng)
+        slices = sequence.select(rows).divide(origins_per_node)
+        light = outgoing_radiance(
+            scene,
+            origins,
+            effort,
+            rng,
+            rays=slices.rays,
+            sequence=slices,
+            light="surroundings",
+        ).total()
         light *= np.float32(np.pi)
-        if not sky.dark:
+        if not sky.is_dark:
             light -= sky.irradiance(origins.normal)
-        return light.reshape(len(part), origins_per_node, -1).mean(axis=1)
+        return light.reshape(len(rows), origins_per_node, -1).mean(axis=1)
 
-    count = max(1, LIMITS.cache_batch_rays // sequence.rays)
-    parts = list(run(gather_part, list(range(0, len(nodes), count))))
-    return np.concatenate(parts) if parts else np.zeros((0, stage.bands), np.float32)
+    batch_nodes = max(1, LIMITS.cache_batch_rays // sequence.rays)
+    parts = list(run(gather_part, list(range(0, len(nodes), batch_nodes))))
+    return np.concatenate(parts) if parts else np.zeros((0, scene.bands), np.float32)
 
 
 def _smooth(
@@ -287,11 +296,10 @@ def _smooth(
     Windows chosen from noisy values avoid rare bright light, which biases the mean. The residual,
     smoothed over the largest window, restores it (twicing, Tukey 1977).
     """
-    evened = grid.smooth(values, width, run).astype(np.float32)
-    evened += grid.smooth(
-        values - evened, np.full(width.shape, LIMITS.smoothing_half_widths[-1]), run
-    )
-    return evened
+    smoothed = grid.smooth(values, width, run).astype(np.float32)
+    largest_width = np.full(width.shape, LIMITS.smoothing_half_widths[-1])
+    smoothed += grid.smooth(values - smoothed, largest_width, run)
+    return smoothed
 
 
 def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[NDArray[np.int64], Array, Array]:
@@ -302,26 +310,16 @@ def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[NDArray[np.int64], 
     noise. The mean of both halves has half of the error, and at least the noise of a mean over the
     window.
     """
-    noise = grid.near(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, LIMITS.error_half_width)
-    best, width, fit = (
-        np.full(noise.shape, np.inf),
-        np.zeros(noise.shape, np.int64),
-        np.zeros(noise.shape),
-    )
+    noise = grid.local_mean(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, LIMITS.error_half_width)
+    min_error, fit = np.full(noise.shape, np.inf), np.zeros(noise.shape)
+    width = np.zeros(noise.shape, np.int64)
     for half_width in LIMITS.smoothing_half_widths:
         smooth = (
             grid.smooth(signals, np.full(noise.shape, half_width), run) if half_width else signals
         )
-        missed = (
-            grid.near(
-                0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), LIMITS.error_half_width
-            )
-            - noise
-        )
-        better = missed < best
-        best[better], width[better], fit[better] = (
-            missed[better],
-            half_width,
-            smooth[better].mean(axis=-1),
-        )
-    return width, 0.5 * np.maximum(best, noise / (2.0 * width + 1.0) ** 2), fit
+        deviation = 0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1)
+        error = grid.local_mean(deviation, LIMITS.error_half_width) - noise
+        is_better = error < min_error
+        min_error[is_better], width[is_better] = error[is_better], half_width
+        fit[is_better] = smooth[is_better].mean(axis=-1)
+    return width, 0.5 * np.maximum(min_error, noise / (2.0 * width + 1.0) ** 2), fit

@@ -16,7 +16,7 @@ from simulate.radiance.geometry.embree import COMPILED, INLINED
 from simulate.radiance.geometry.ray_tracer import normals
 from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.integrator.environment_map import EnvironmentMap, SkyImportance
-from simulate.radiance.integrator.sampling import in_disc, set_direction, shading_frames
+from simulate.radiance.integrator.sampling import draw_disc_point, set_direction, shading_frames
 from simulate.radiance.lamps.distribution import POWER, Distribution
 
 Array = NDArray[np.floating]
@@ -64,7 +64,7 @@ class Panels:
     ]  # radiance of each kind of emitter, shape (kind, band), W m-2 sr-1 nm-1
     kind_of_face: NDArray[np.int64]  # of each triangle of the scene, -1 for none
     per_m2_of_face: Array  # sampling density on each triangle of the scene
-    cumulated: Array  # cumulative probability of the panels, shape (panel,)
+    cumulative: Array  # cumulative probability of the panels, shape (panel,)
 
     @classmethod
     def of(
@@ -79,15 +79,15 @@ class Panels:
         )
         if not power.sum() > 0.0:
             return None
-        chance = power / power.sum()
+        probability = power / power.sum()
         per_m2, area, corners = (
             np.zeros(len(kind_of_face)),
             surfaces.area_m2[face],
             surfaces.mesh.corners_m[face],
         )
-        per_m2[face] = np.divide(chance, area, out=np.zeros_like(area), where=area > 0.0)
+        per_m2[face] = np.divide(probability, area, out=np.zeros_like(area), where=area > 0.0)
         return cls(
-            face, corners, normals(corners), spectra, kind_of_face, per_m2, np.cumsum(chance)
+            face, corners, normals(corners), spectra, kind_of_face, per_m2, np.cumsum(probability)
         )
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
@@ -95,7 +95,7 @@ class Panels:
         3), m.
         """
         panel = np.minimum(
-            np.searchsorted(self.cumulated, rng.random(count), side="right"), len(self.face) - 1
+            np.searchsorted(self.cumulative, rng.random(count), side="right"), len(self.face) - 1
         )
         root, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
         a, b, c = (self.corners_m[panel, i] for i in range(3))
@@ -157,18 +157,18 @@ def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
 def panel_arrays(panels: Panels | None, bands: int) -> tuple:
     """Return the arrays of emitting triangles, see `Panels`; empty ones without any."""
     if panels is None:
-        none, no_face = np.zeros(0), np.zeros(0, np.int64)
+        no_value, no_face = np.zeros(0), np.zeros(0, np.int64)
         return (
-            none,
+            no_value,
             no_face,
             np.zeros((0, 3, 3)),
             np.zeros((0, 3)),
-            none,
+            no_value,
             no_face,
             np.zeros((0, bands), np.float32),
         )
-    drawn = (panels.cumulated, panels.face, panels.corners_m, panels.normal)
-    return (*drawn, panels.per_m2_of_face, panels.kind_of_face, panels.spectra)
+    sampling_arrays = (panels.cumulative, panels.face, panels.corners_m, panels.normal)
+    return (*sampling_arrays, panels.per_m2_of_face, panels.kind_of_face, panels.spectra)
 
 
 @numba.njit(**COMPILED)
@@ -176,41 +176,41 @@ def _cell(values: Any, value: float) -> Any:
     """Return the interval of ascending values that contains a value, and the relative position in
     it.
     """
-    at = min(max(np.searchsorted(values, value, side="right") - 1, 0), len(values) - 2)
-    return at, (value - values[at]) / (values[at + 1] - values[at])
+    cell = min(max(np.searchsorted(values, value, side="right") - 1, 0), len(values) - 2)
+    return cell, (value - values[cell]) / (values[cell + 1] - values[cell])
 
 
 @numba.njit(**INLINED)
 def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float:
     """Return the fraction of a lamp's light per sr in a unit direction away from it."""
-    up = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    z_local = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
     if pattern[0] == POWER:
-        return pattern[1] * max(up, 0.0) ** pattern[2] if pattern[2] > 0.0 else pattern[1]
-    first = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-    second = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-    polar = np.rad2deg(np.arccos(min(max(up, -1.0), 1.0)))
-    azimuth = np.rad2deg(np.arctan2(second, first)) % 360.0
-    heights, around = int(pattern[2]), int(pattern[3])
-    polars, azimuths = pattern[4 : 4 + heights], pattern[4 + heights : 4 + heights + around]
-    candela = pattern[4 + heights + around :]
+        return pattern[1] * max(z_local, 0.0) ** pattern[2] if pattern[2] > 0.0 else pattern[1]
+    x_local = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+    y_local = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+    polar = np.rad2deg(np.arccos(min(max(z_local, -1.0), 1.0)))
+    azimuth = np.rad2deg(np.arctan2(y_local, x_local)) % 360.0
+    n_polars, n_azimuths = int(pattern[2]), int(pattern[3])
+    polars, azimuths = pattern[4 : 4 + n_polars], pattern[4 + n_polars : 4 + n_polars + n_azimuths]
+    candela = pattern[4 + n_polars + n_azimuths :]
     if polar < polars[0] or polar > polars[-1]:
         return 0.0
-    last = azimuths[-1]
-    if last <= 180.0 and azimuth > 180.0:
+    last_azimuth = azimuths[-1]
+    if last_azimuth <= 180.0 and azimuth > 180.0:
         azimuth = 360.0 - azimuth
-    if last <= 90.0 and azimuth > 90.0:
+    if last_azimuth <= 90.0 and azimuth > 90.0:
         azimuth = 180.0 - azimuth
     col, along = _cell(polars, polar)
-    row, across = (0, 0.0) if around == 1 else _cell(azimuths, azimuth)
-    following = min(row + 1, around - 1)
+    row, across = (0, 0.0) if n_azimuths == 1 else _cell(azimuths, azimuth)
+    next_row = min(row + 1, n_azimuths - 1)
     row_candela = (
-        candela[row * heights + col] * (1.0 - along) + candela[row * heights + col + 1] * along
+        candela[row * n_polars + col] * (1.0 - along) + candela[row * n_polars + col + 1] * along
     )
-    following_candela = (
-        candela[following * heights + col] * (1.0 - along)
-        + candela[following * heights + col + 1] * along
+    next_row_candela = (
+        candela[next_row * n_polars + col] * (1.0 - along)
+        + candela[next_row * n_polars + col + 1] * along
     )
-    return pattern[1] * (row_candela * (1.0 - across) + following_candela * across)
+    return pattern[1] * (row_candela * (1.0 - across) + next_row_candela * across)
 
 
 @numba.njit(**INLINED)
@@ -238,14 +238,14 @@ def lamp_factor(lamps: Any, lamp: int, position_m: Any, normal: Any) -> float:
 
 
 @numba.njit(**INLINED)
-def towards_lamp(lamps: Any, lamp: int, point: Any, state: Any, way: Any) -> None:
+def towards_lamp(lamps: Any, lamp: int, point: Any, state: Any, direction: Any) -> None:
     """Set the vector from a point to one drawn on a lamp."""
     position, radius, square = lamps[0][lamp], lamps[1][lamp], 0.0
     for axis in range(3):
-        way[axis] = position[axis] - point[axis]
-        square += way[axis] ** 2
+        direction[axis] = position[axis] - point[axis]
+        square += direction[axis] ** 2
     distance = np.sqrt(square)
-    middle = (way[0] / distance, way[1] / distance, way[2] / distance)
-    square, along, across = in_disc(state)
-    off = radius * np.sqrt(square)
-    set_direction(middle, off * along, off * across, distance, way)
+    centre = (direction[0] / distance, direction[1] / distance, direction[2] / distance)
+    square, along, across = draw_disc_point(state)
+    disc_radius = radius * np.sqrt(square)
+    set_direction(centre, disc_radius * along, disc_radius * across, distance, direction)

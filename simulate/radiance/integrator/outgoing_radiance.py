@@ -1,5 +1,4 @@
-"""Outgoing radiance of surfaces and radiance along camera rays: direct light, sky, final gather,
-panes and air.
+"""Outgoing radiance of surfaces: direct light, sky, final gather, panes and air.
 
 The unoccluded sky irradiance is a control variate. A gather ray that meets nothing adds nothing, so
 that a point in the open has no noise; a ray that meets an object adds the object's radiance and
@@ -22,13 +21,12 @@ from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator import direct_lighting
 from simulate.radiance.integrator.direct_lighting import LightSamples
 from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
-from simulate.radiance.integrator.path_tracer import LEAST_CHANCE, MOST_CHANCE, follow_paths
+from simulate.radiance.integrator.path_tracer import MAX_SURVIVAL, MIN_SURVIVAL, follow_paths
 from simulate.radiance.integrator.sampling import SequenceSlice
 from simulate.radiance.integrator.spectral_scene import (
     Segments,
     ShadingPoints,
     SpectralScene,
-    reflect_direction,
     trace_segments,
 )
 
@@ -37,9 +35,9 @@ Rows = NDArray[np.int64]
 Light = NDArray[np.float32]
 # Points with a cached irradiance (without lamps and discs), and that irradiance, shape (cached
 # point, band).
-Shared = tuple[Rows, Light]
+CachedIrradiance = tuple[Rows, Light]
 # Cached irradiance of points, by the numbers of the rays that met them.
-Sharing = Callable[[ShadingPoints, Rows], Shared]
+CacheLookup = Callable[[ShadingPoints, Rows], CachedIrradiance]
 
 
 class RadianceComponents:
@@ -47,19 +45,19 @@ class RadianceComponents:
 
     def __init__(self, shape: tuple[int, int], *, split: bool = False) -> None:
         self.shape, self.split = shape, split
-        self.found: dict[str, Light] = {}
+        self.by_name: dict[str, Light] = {}
 
-    def add(self, name: str, which: Rows, light: Array) -> None:
+    def add(self, name: str, rows: Rows, light: Array) -> None:
         """Add light to a component at some points, each named once."""
-        if len(which):
-            component = self.found.setdefault(
+        if len(rows):
+            component = self.by_name.setdefault(
                 name if self.split else "", np.zeros(self.shape, np.float32)
             )
-            component[slice(None) if len(which) == self.shape[0] else which] += light
+            component[slice(None) if len(rows) == self.shape[0] else rows] += light
 
     def total(self) -> Light:
         """Return the sum of all components."""
-        return sum(self.found.values(), start=np.zeros(self.shape, np.float32))
+        return sum(self.by_name.values(), start=np.zeros(self.shape, np.float32))
 
 
 def bounce_order(name: str) -> tuple[int, str]:
@@ -75,8 +73,8 @@ class ShadingRequest:
     """Points whose outgoing radiance is requested."""
 
     points: ShadingPoints
-    parts: RadianceComponents  # that the light is added to
-    rows: Rows  # row of each point there
+    components: RadianceComponents  # that the light is added to
+    rows: Rows  # row of each point in them
     effort: IntegratorSettings
     rng: np.random.Generator
     rays: int  # gather rays of each point
@@ -85,7 +83,7 @@ class ShadingRequest:
     sequence: SequenceSlice | None = None
 
     @property
-    def reflections(self) -> bool:
+    def has_reflections(self) -> bool:
         """Whether indirect light (at least one reflection before the points) is included."""
         return self.depth < self.effort.max_bounces
 
@@ -106,36 +104,36 @@ class ShadingRequest:
         diffuse = self.points.is_diffuse.astype(np.float32)
         return self.points.sky_control_fraction * diffuse if self.effort.sky_shadowing else diffuse
 
-    def some(self, which: Rows) -> "ShadingRequest":
+    def select(self, indices: Rows) -> "ShadingRequest":
         """Return the request for some of the points."""
-        sequence = None if self.sequence is None else self.sequence.some(which)
+        sequence = None if self.sequence is None else self.sequence.select(indices)
         return replace(
-            self, points=self.points.some(which), rows=self.rows[which], sequence=sequence
+            self, points=self.points.select(indices), rows=self.rows[indices], sequence=sequence
         )
 
-    def add(self, name: str, which: Rows, light: Array) -> None:
+    def add(self, name: str, indices: Rows, light: Array) -> None:
         """Add light to a component at some of the points, each named once."""
-        self.parts.add(name, self.rows[which], light)
+        self.components.add(name, self.rows[indices], light)
 
-    def add_rays(self, name: str, which: Rows, light: Array) -> None:
+    def add_rays(self, name: str, gather_rays: Rows, light: Array) -> None:
         """Add light of some gather rays to a component; the rays of a point are consecutive."""
-        if len(which):
-            owner = which // self.rays
-            first = np.flatnonzero(np.diff(owner, prepend=-1))
-            self.parts.add(name, self.rows[owner[first]], np.add.reduceat(light, first, axis=0))
+        if len(gather_rays):
+            point = gather_rays // self.rays
+            starts = np.flatnonzero(np.diff(point, prepend=-1))
+            self.add(name, point[starts], np.add.reduceat(light, starts, axis=0))
 
 
 def outgoing_radiance(
-    stage: SpectralScene,
+    scene: SpectralScene,
     points: ShadingPoints,
     effort: IntegratorSettings,
     rng: np.random.Generator,
     *,
     rays: int,
-    into: tuple[RadianceComponents, Rows] | None = None,
+    destination: tuple[RadianceComponents, Rows] | None = None,
     split: bool = False,
     depth: int = 0,
-    shared: Shared | None = None,
+    cached: CachedIrradiance | None = None,
     sequence: SequenceSlice | None = None,
     light: Literal["all", "lamps and discs", "surroundings"] = "all",
 ) -> RadianceComponents:
@@ -143,32 +141,32 @@ def outgoing_radiance(
 
     Parameters
     ----------
-    stage, points, effort, rng
+    scene, points, effort, rng
         The scene, where, how far light is followed, and the random generator.
     rays
         Gather rays of each point.
-    into
-        Components to add to, and the row of each point there; new ones if None.
+    destination
+        Components to add to, and the row of each point in them; new ones if None.
     split
         Whether sources and bounces are separate components: sources by name, "glow" of panels,
         "sky", "hidden sky" (the occluded part of the control variate, never positive) and "bounce 1
         of sun", "bounce 2 of sky" ... by number of reflections elsewhere and by source.
     depth
         Bounces between the points and the surface that the camera sees.
-    shared
+    cached
         Points with a cached irradiance, which do not gather: their component is "shared".
     sequence
         Pairs of numbers from which the directions of gather rays follow; None: drawn.
     light
         All light, that of lamps and discs alone, or all other.
     """
-    parts, rows = into or (
-        RadianceComponents((len(points), stage.bands), split=split),
+    components, rows = destination or (
+        RadianceComponents((len(points), scene.bands), split=split),
         np.arange(len(points)),
     )
-    asked = ShadingRequest(
+    request = ShadingRequest(
         points=points,
-        parts=parts,
+        components=components,
         rows=rows,
         effort=effort,
         rng=rng,
@@ -177,29 +175,32 @@ def outgoing_radiance(
         sequence=sequence,
     )
     if light != "surroundings":
-        _add_direct(stage, asked)
+        _add_direct(scene, request)
     if light == "lamps and discs":
-        return parts
-    if shared is not None:
-        sharing, irradiance = shared
-        asked.add("shared", sharing, stage.bsdfs.diffuse_brdf(points)[sharing] * irradiance)
-        asked = asked.some(np.setdiff1d(np.arange(len(points)), sharing, assume_unique=True))
-    if len(asked.points):
-        _add_around(stage, asked)
-    return parts
+        return components
+    if cached is not None:
+        cached_rows, irradiance = cached
+        light_of_cache = scene.bsdfs.diffuse_brdf(points)[cached_rows] * irradiance
+        request.add("shared", cached_rows, light_of_cache)
+        request = request.select(
+            np.setdiff1d(np.arange(len(points)), cached_rows, assume_unique=True)
+        )
+    if len(request.points):
+        _add_surroundings(scene, request)
+    return components
 
 
-def _add_direct(stage: SpectralScene, asked: ShadingRequest) -> None:
+def _add_direct(scene: SpectralScene, request: ShadingRequest) -> None:
     """Add light of lamps and discs."""
-    points, rng, through = asked.points, asked.rng, _air_before(stage, asked)
+    points, rng, air = request.points, request.rng, _lamp_air(scene, request)
 
     def add(name: str, samples: LightSamples) -> None:
-        asked.add(name, *direct_lighting.reflect(stage, points, samples, through))
+        request.add(name, *direct_lighting.reflect(scene, points, samples, air))
 
-    for disc in asked.effort.active_lights(stage.lighting.discs):
+    for disc in request.effort.active_lights(scene.lighting.discs):
         add(disc.name, direct_lighting.sample_disc(points, disc, rng))
-    lamps = asked.effort.active_lights(stage.lighting.lamps)
-    if asked.depth > 0 and len(lamps) > LIMITS.max_sampled_lamps:
+    lamps = request.effort.active_lights(scene.lighting.lamps)
+    if request.depth > 0 and len(lamps) > LIMITS.max_sampled_lamps:
         for name, samples in direct_lighting.sample_one_lamp(points, lamps, rng):
             add(name, samples)
     else:
@@ -207,186 +208,193 @@ def _add_direct(stage: SpectralScene, asked: ShadingRequest) -> None:
             add(lamp.name, direct_lighting.sample_lamp(points, lamp, rng))
 
 
-def _air_before(stage: SpectralScene, asked: ShadingRequest) -> direct_lighting.Through | None:
+def _lamp_air(
+    scene: SpectralScene, request: ShadingRequest
+) -> direct_lighting.AirTransmittance | None:
     """Return the transmittance of air between lamps and surfaces that the camera sees, if it is
     included.
     """
     return (
-        stage.air.through
-        if asked.effort.path_air and stage.air.absorbs and asked.depth == 0
+        scene.air.transmittance
+        if request.effort.path_air and scene.air.is_present and request.depth == 0
         else None
     )
 
 
-def _add_around(stage: SpectralScene, asked: ShadingRequest) -> None:
+def _add_surroundings(scene: SpectralScene, request: ShadingRequest) -> None:
     """Add light of panels, of the sky and of other surfaces."""
-    points, effort, light, bsdfs = asked.points, asked.effort, stage.lighting, stage.bsdfs
+    points, effort, light, bsdfs = request.points, request.effort, scene.lighting, scene.bsdfs
     # Glossy points need rays even for an unoccluded sky.
-    gathers = effort.gathers or bool(points.glossy)
+    has_gather = effort.gathers or bool(points.glossy)
     if light.panels is not None:
-        tracer, rays = stage.surfaces.tracer, asked.rays if gathers else 0
+        tracer, rays = scene.surfaces.tracer, request.rays if has_gather else 0
         samples = direct_lighting.sample_panels(
-            points, light.panels, bsdfs, tracer, asked.rng, rays
+            points, light.panels, bsdfs, tracer, request.rng, rays
         )
-        asked.add(
-            "glow", *direct_lighting.reflect(stage, points, samples, _air_before(stage, asked))
+        request.add(
+            "glow", *direct_lighting.reflect(scene, points, samples, _lamp_air(scene, request))
         )
-    if not light.environment_map.dark:
+    if not light.environment_map.is_dark:
         open_sky = bsdfs.diffuse_brdf(points) * light.environment_map.irradiance(points.normal)
-        asked.parts.add("sky", asked.rows, open_sky * asked.control[:, None])
-    if not gathers or stage.surfaces.tracer.scene is None:
+        request.components.add("sky", request.rows, open_sky * request.control[:, None])
+    if not has_gather or scene.surfaces.tracer.scene is None:
         return
-    if asked.parts.split or bsdfs.panes is not None:
-        _gather(stage, asked)
+    if request.components.split or bsdfs.panes is not None:
+        _gather(scene, request)
         return
     if points.glossy:
-        _gather(stage, asked.some(np.flatnonzero(~points.is_diffuse)))
-        asked = asked.some(np.flatnonzero(points.is_diffuse))
-    if len(asked.points):
-        _add_paths(stage, asked)
+        _gather(scene, request.select(np.flatnonzero(~points.is_diffuse)))
+        request = request.select(np.flatnonzero(points.is_diffuse))
+    if len(request.points):
+        _add_paths(scene, request)
 
 
-def _beyond(
-    stage: SpectralScene, asked: ShadingRequest, met_points: ShadingPoints, depth: int
+def _radiance_of_hits(
+    scene: SpectralScene, request: ShadingRequest, hit_points: ShadingPoints, depth: int
 ) -> RadianceComponents:
     """Return the outgoing radiance of points that rays of a request meet."""
     return outgoing_radiance(
-        stage, met_points, asked.effort, asked.rng, rays=1, split=asked.parts.split, depth=depth
+        scene,
+        hit_points,
+        request.effort,
+        request.rng,
+        rays=1,
+        split=request.components.split,
+        depth=depth,
     )
 
 
-def _add_paths(stage: SpectralScene, asked: ShadingRequest) -> None:
+def _add_paths(scene: SpectralScene, request: ShadingRequest) -> None:
     """Add indirect light on diffuse points by the compiled path tracer, which defers what is not
     diffuse.
     """
-    points, light = asked.points, stage.lighting
-    last = not asked.reflections and light.panels is None
-    if last and (not asked.effort.sky_shadowing or light.environment_map.dark):
+    points, light = request.points, scene.lighting
+    only_sky = not request.has_reflections and light.panels is None
+    if only_sky and (not request.effort.sky_shadowing or light.environment_map.is_dark):
         return
     # Low-discrepancy rays of neighbouring points sample the sky well enough where only its
     # shadowing is computed.
-    bright = None if asked.sequence is not None and last else stage.bright_sky
-    sequence = asked.slices
+    bright = None if request.sequence is not None and only_sky else scene.bright_sky
+    sequence = request.slices
     if bright is not None:
-        _add_bright_sky(stage, asked)
-    irradiance, back = follow_paths(
-        stage,
+        _add_bright_sky(scene, request)
+    irradiance, deferred = follow_paths(
+        scene,
         points,
         sequence,
-        asked.effort,
+        request.effort,
         bright,
-        control=asked.control,
-        depth=asked.depth,
-        seed=int(asked.rng.integers(1 << 63)),
+        control=request.control,
+        depth=request.depth,
+        seed=int(request.rng.integers(1 << 63)),
     )
-    for behind in np.unique(back.depth).tolist():
-        these = np.flatnonzero(back.depth == behind)
-        owner, at = (
-            back.owner[these],
-            (back.face[these], back.place_m[these], back.direction[these]),
-        )
-        met_points = stage.bsdfs.points(stage.surfaces, *at, points.sky_control_fraction[owner])
-        np.add.at(
-            irradiance,
-            owner,
-            _beyond(stage, asked, met_points, behind).total() * back.weight[these],
-        )
-    asked.parts.add("around", asked.rows, irradiance * stage.bsdfs.diffuse_brdf(points))
+    for depth in np.unique(deferred.depth).tolist():
+        owner, _, *hits, weight = (values[deferred.depth == depth] for values in deferred)
+        hit_points = scene.bsdfs.points(scene.surfaces, *hits, points.sky_control_fraction[owner])
+        radiance = _radiance_of_hits(scene, request, hit_points, depth).total()
+        np.add.at(irradiance, owner, radiance * weight)
+    request.components.add("around", request.rows, irradiance * scene.bsdfs.diffuse_brdf(points))
 
 
-def _gather(stage: SpectralScene, asked: ShadingRequest) -> None:
+def _gather(scene: SpectralScene, request: ShadingRequest) -> None:
     """Add indirect light on any surface, in batches of rays."""
-    rays, bsdfs, tracer = asked.rays, stage.bsdfs, stage.surfaces.tracer
+    rays, bsdfs, tracer = request.rays, scene.bsdfs, scene.surfaces.tracer
     ray_points = (
-        asked.points
+        request.points
         if rays == 1
-        else asked.points.some(np.repeat(np.arange(len(asked.points)), rays))
+        else request.points.select(np.repeat(np.arange(len(request.points)), rays))
     )
-    direction, density = bsdfs.sample(ray_points, asked.slices.pairs().reshape(-1, 2), asked.rng)
+    direction, density = bsdfs.sample(
+        ray_points, request.slices.pairs().reshape(-1, 2), request.rng
+    )
     cosine = direct_lighting.dot(ray_points.normal, direction)
-    gives = (cosine > 0.0) & (density > 0.0)
-    factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives).astype(
+    is_valid = (cosine > 0.0) & (density > 0.0)
+    factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=is_valid).astype(
         np.float32
     )
     start = direct_lighting.ray_starts(ray_points, np.arange(len(ray_points)), tracer)
-    end = trace_segments(tracer, bsdfs.panes, start, direction, asked.rng)
+    segments = trace_segments(tracer, bsdfs.panes, start, direction, request.rng)
     # BRDF times cosine over density and number of rays.
     weight = bsdfs.value(ray_points, direction) * factor[:, None]
-    if not stage.lighting.environment_map.dark:
-        _add_sky(stage, asked, direction, density, weight, end)
-        _add_bright_sky(stage, asked)
-    met = np.flatnonzero((end.hit.face != NOTHING) & gives)
-    if not len(met) or not (asked.reflections or stage.lighting.panels):
+    if not scene.lighting.environment_map.is_dark:
+        _add_sky(scene, request, direction, density, weight, segments)
+        _add_bright_sky(scene, request)
+    hit_rays = np.flatnonzero((segments.hit.face != NOTHING) & is_valid)
+    if not len(hit_rays) or not (request.has_reflections or scene.lighting.panels):
         return
-    met_points = stage.points(
-        end.hit, end.start_m, end.direction, met, ray_points.sky_control_fraction[met]
+    hit_points = scene.points(
+        segments.hit,
+        segments.start_m,
+        segments.direction,
+        hit_rays,
+        ray_points.sky_control_fraction[hit_rays],
     )
-    weight = weight[met] * end.weight[met]
-    glows, glow = stage.emission(met_points)
-    if stage.lighting.panels is not None and len(glows):
-        ray = met[glows]
-        leaving, way = (
-            -direct_lighting.dot(met_points.normal[glows], end.direction[ray]),
-            end.hit.range_m + end.earlier_m,
-        )
+    weight = weight[hit_rays] * segments.weight[hit_rays]
+    emitters, emission = scene.emission(hit_points)
+    if scene.lighting.panels is not None and len(emitters):
+        ray = hit_rays[emitters]
         mis_weight = direct_lighting.gather_mis_weight(
-            stage.lighting.panels, met_points.face[glows], way[ray], leaving, density[ray], rays
+            scene.lighting.panels,
+            hit_points.face[emitters],
+            segments.hit.range_m[ray] + segments.preceding_m[ray],
+            -direct_lighting.dot(hit_points.normal[emitters], segments.direction[ray]),
+            density[ray],
+            rays,
         )
         # Only gather rays sample light reflected by panes.
-        mis_weight = np.where(end.mirrored[ray], 1.0, mis_weight).astype(np.float32)
-        asked.add_rays("glow", ray, glow * mis_weight[:, None] * weight[glows])
-    if not asked.reflections:
+        mis_weight = np.where(segments.is_reflected[ray], 1.0, mis_weight).astype(np.float32)
+        request.add_rays("glow", ray, emission * mis_weight[:, None] * weight[emitters])
+    if not request.has_reflections:
         return
-    roulette_depth = asked.effort.roulette_depth
-    if roulette_depth is not None and asked.depth >= roulette_depth:
-        chance = np.clip(weight.mean(axis=1) * rays, LEAST_CHANCE, MOST_CHANCE)
-        stays = np.flatnonzero(asked.rng.random(len(met)) < chance)
-        met_points, met, weight = (
-            met_points.some(stays),
-            met[stays],
-            weight[stays] / chance[stays, None],
-        )
-    if len(met):
-        for name, light in _beyond(stage, asked, met_points, asked.depth + 1).found.items():
+    roulette_depth = request.effort.roulette_depth
+    if roulette_depth is not None and request.depth >= roulette_depth:
+        survival = np.clip(weight.mean(axis=1) * rays, MIN_SURVIVAL, MAX_SURVIVAL)
+        survivors = np.flatnonzero(request.rng.random(len(hit_rays)) < survival)
+        hit_points, hit_rays = hit_points.select(survivors), hit_rays[survivors]
+        weight = weight[survivors] / survival[survivors, None]
+    if len(hit_rays):
+        components = _radiance_of_hits(scene, request, hit_points, request.depth + 1)
+        for name, light in components.by_name.items():
             order, source = bounce_order(name)
-            asked.add_rays(f"bounce {order + 1} of {source}", met, light * weight)
+            request.add_rays(f"bounce {order + 1} of {source}", hit_rays, light * weight)
 
 
 def _add_sky(
-    stage: SpectralScene,
-    asked: ShadingRequest,
+    scene: SpectralScene,
+    request: ShadingRequest,
     direction: Array,
     density: Array,
     weight: Light,
-    end: Segments,
+    segments: Segments,
 ) -> None:
     """Add the sky that gather rays meet, and subtract the occluded part of the control variate."""
     sky, bright, shadowing = (
-        stage.lighting.environment_map,
-        stage.bright_sky,
-        asked.effort.sky_shadowing,
+        scene.lighting.environment_map,
+        scene.bright_sky,
+        request.effort.sky_shadowing,
     )
-    control, missed = np.repeat(asked.control, asked.rays), end.hit.face == NOTHING
+    control = np.repeat(request.control, request.rays)
+    is_sky = segments.hit.face == NOTHING
     # Balance heuristic against `_add_bright_sky`.
-    gather_density = asked.rays * density
+    gather_density = request.rays * density
     mis_weight = (
         np.ones(len(gather_density))
         if bright is None
         else gather_density / (gather_density + bright.density(direction))
     )
     # Behind panes the control variate does not apply to the transmitted light.
-    unknown = (1.0 - control * ~(end.crossed & shadowing)) * mis_weight
-    in_sky = np.flatnonzero(missed & (unknown > 0.0))
-    light = weight[in_sky] * end.weight[in_sky] * sky.radiance(end.direction[in_sky])
-    asked.add_rays("sky", in_sky, light * unknown[in_sky, None].astype(np.float32))
-    behind = np.flatnonzero((~missed | end.crossed) & (control > 0.0)) if shadowing else in_sky[:0]
-    light = weight[behind] * sky.radiance(direction[behind])
-    asked.add_rays(
-        "hidden sky", behind, light * (-control * mis_weight)[behind, None].astype(np.float32)
-    )
+    sky_fraction = (1.0 - control * ~(segments.meets_pane & shadowing)) * mis_weight
+    rays = np.flatnonzero(is_sky & (sky_fraction > 0.0))
+    light = weight[rays] * segments.weight[rays] * sky.radiance(segments.direction[rays])
+    request.add_rays("sky", rays, light * sky_fraction[rays, None].astype(np.float32))
+    if shadowing:
+        rays = np.flatnonzero((~is_sky | segments.meets_pane) & (control > 0.0))
+        light = weight[rays] * sky.radiance(direction[rays])
+        sky_fraction = -control * mis_weight
+        request.add_rays("hidden sky", rays, light * sky_fraction[rays, None].astype(np.float32))
 
 
-def _add_bright_sky(stage: SpectralScene, asked: ShadingRequest) -> None:
+def _add_bright_sky(scene: SpectralScene, request: ShadingRequest) -> None:
     """Add the importance-sampled part of the sky, one ray from each point (balance heuristic, Veach
     1995).
 
@@ -394,126 +402,23 @@ def _add_bright_sky(stage: SpectralScene, asked: ShadingRequest) -> None:
     fraction.
     """
     bright, points, shadowing, control = (
-        stage.bright_sky,
-        asked.points,
-        asked.effort.sky_shadowing,
-        asked.control,
+        scene.bright_sky,
+        request.points,
+        request.effort.sky_shadowing,
+        request.control,
     )
     if bright is None:
         return
-    towards = bright.draw(len(points), asked.rng)
-    cosine = direct_lighting.dot(points.normal, towards)
-    which = np.flatnonzero(((control < 1.0) | shadowing) & (cosine > 0.0))
-    some, towards, tracer = points.some(which), towards[which], stage.surfaces.tracer
-    hidden = tracer.is_occluded(direct_lighting.ray_starts(points, which, tracer), towards)
-    counts = (
-        1.0 - control[which] - hidden if shadowing else np.where(hidden, 0.0, 1.0 - control[which])
-    )
-    density = asked.rays * stage.bsdfs.density(some, towards) + bright.density(towards)
-    light = stage.bsdfs.value(some, towards) * stage.lighting.environment_map.radiance(towards)
-    light *= (counts * cosine[which] / density).astype(np.float32)[:, None]
-    for name, these in (("sky", ~hidden), ("hidden sky", hidden)):
-        asked.add(name, which[these], light[these])
-
-
-def radiance_along(
-    stage: SpectralScene,
-    origin: Array,
-    towards: Array,
-    effort: IntegratorSettings,
-    rng: np.random.Generator,
-    *,
-    gather_rays: int,
-    sky_control_fraction: Light | None = None,
-    split: bool = False,
-    cached_irradiance: Sharing | None = None,
-    splits: int = LIMITS.max_pane_splits,
-) -> RadianceComponents:
-    """Return the radiance along rays of unit direction (ray, 3), in components as of
-    `outgoing_radiance`.
-
-    Apart from the sources, components are "in view" (sky and emission that the ray meets) and "air"
-    (path radiance less the light that air removes from all other components). `cached_irradiance`
-    gives the cached irradiance of points by ray number. Rays that meet a pane continue both
-    transmitted and reflected; after a few panes (`splits`) one of both at random.
-    """
-    parts, airy = RadianceComponents((len(towards), stage.bands), split=split), stage.air.absorbs
-    airy &= "air" not in effort.neglected
-    panes = stage.bsdfs.panes
-    if panes is not None and splits:
-        glass = panes.met(origin, towards, stage.surfaces.tracer.hits(origin, towards).range_m)
-        open_ = np.setdiff1d(np.arange(len(towards)), glass.which)
-        ahead = towards[glass.which]
-        for which, start, ways, pane_fraction, is_transmitted in (
-            (open_, origin[open_], towards[open_], np.float32(1.0), True),
-            (glass.which, panes.start(glass), ahead, glass.through, True),
-            (
-                glass.which,
-                panes.start(glass, True),
-                reflect_direction(ahead, glass.normal),
-                glass.mirrored,
-                False,
-            ),
-        ):
-            if not len(which):
-                continue
-            onwards = radiance_along(
-                stage,
-                start,
-                ways,
-                effort,
-                rng,
-                gather_rays=gather_rays,
-                sky_control_fraction=None
-                if sky_control_fraction is None
-                else sky_control_fraction[which],
-                split=split,
-                cached_irradiance=_of_some(cached_irradiance, which) if is_transmitted else None,
-                splits=0 if which is open_ else splits - 1,
-            )
-            for name, light in onwards.found.items():
-                parts.add(name, which, light * pane_fraction)
-        if airy:
-            _through_air(stage, parts, glass.range_m, ahead, glass.which)
-        return parts
-    end = trace_segments(stage.surfaces.tracer, stage.bsdfs.panes, origin, towards, rng)
-    met, in_sky = end.hit.met, np.flatnonzero(end.hit.face == NOTHING)
-    parts.add("in view", in_sky, stage.lighting.environment_map.radiance(end.direction[in_sky]))
-    control = None if sky_control_fraction is None else sky_control_fraction[met]
-    points = stage.points(end.hit, end.start_m, end.direction, met, control)
-    glows, glow = stage.emission(points)
-    parts.add("in view", met[glows], glow)
-    shared = None
-    if cached_irradiance is not None:
-        which, irradiance = cached_irradiance(points, met)
-        is_transmitted = ~end.mirrored[met[which]]
-        shared = which[is_transmitted], irradiance[is_transmitted]
-    outgoing_radiance(
-        stage, points, effort, rng, rays=gather_rays, into=(parts, met), shared=shared
-    )
-    if airy:
-        _through_air(stage, parts, end.hit.range_m[met], end.direction[met], met)
-    crossed = np.flatnonzero(end.crossed)
-    for light in parts.found.values():
-        light[crossed] *= end.weight[crossed]
-    if airy:
-        _through_air(stage, parts, end.earlier_m[crossed], towards[crossed], crossed)
-    return parts
-
-
-def _of_some(cached_irradiance: Sharing | None, which: Rows) -> Sharing | None:
-    """Restrict a cache look-up to some of the rays."""
-    return (
-        None
-        if cached_irradiance is None
-        else lambda points, numbers: cached_irradiance(points, which[numbers])
-    )
-
-
-def _through_air(
-    stage: SpectralScene, parts: RadianceComponents, range_m: Array, towards: Array, met: Rows
-) -> None:
-    """Add the path radiance of air, and subtract the light that it removes from all other
-    components.
-    """
-    parts.add("air", met, stage.air.change_of(parts.total()[met], range_m, towards))
+    direction = bright.draw(len(points), request.rng)
+    cosine = direct_lighting.dot(points.normal, direction)
+    rows = np.flatnonzero(((control < 1.0) | shadowing) & (cosine > 0.0))
+    lit_points, direction, tracer = points.select(rows), direction[rows], scene.surfaces.tracer
+    is_hidden = tracer.is_occluded(direct_lighting.ray_starts(points, rows, tracer), direction)
+    sky_fraction = 1.0 - control[rows]
+    sky_fraction = sky_fraction - is_hidden if shadowing else np.where(is_hidden, 0.0, sky_fraction)
+    density = request.rays * scene.bsdfs.density(lit_points, direction) + bright.density(direction)
+    sky_radiance = scene.lighting.environment_map.radiance(direction)
+    light = scene.bsdfs.value(lit_points, direction) * sky_radiance
+    light *= (sky_fraction * cosine[rows] / density).astype(np.float32)[:, None]
+    for name, mask in (("sky", ~is_hidden), ("hidden sky", is_hidden)):
+        request.add(name, rows[mask], light[mask])

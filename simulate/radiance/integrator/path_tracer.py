@@ -26,8 +26,8 @@ from simulate.radiance.geometry.embree import (
 )
 from simulate.radiance.integrator.environment_map import (
     SkyImportance,
-    bright_density,
     sky_arrays,
+    sky_density,
     sky_light,
 )
 from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
@@ -35,18 +35,18 @@ from simulate.radiance.integrator.light_sources import disc_arrays, lamp_arrays,
 from simulate.radiance.integrator.light_tracing import add_light_traced_paths
 from simulate.radiance.integrator.sampling import (
     SequenceSlice,
-    by_cosine,
-    first_even,
-    in_disc,
-    next_even,
+    draw_disc_point,
+    first_disc_point,
+    next_disc_point,
+    set_cosine_direction,
     set_ray_start,
     uniform,
 )
 from simulate.radiance.integrator.source_sampling_loops import (
-    add_bright,
+    add_bright_sky,
+    add_control_sky,
     add_discs,
-    add_glow,
-    add_known_sky,
+    add_hit_emission,
     add_lamps,
     add_panels,
 )
@@ -57,7 +57,7 @@ Array = NDArray[np.floating]
 # Paths traced together: enough that the active ones fill Embree's packets.
 WAVE = 256
 # Limits of the survival probability in Russian roulette.
-LEAST_CHANCE, MOST_CHANCE = 0.05, 0.95
+MIN_SURVIVAL, MAX_SURVIVAL = 0.05, 0.95
 
 
 class PathStates(NamedTuple):
@@ -79,15 +79,15 @@ class PathStates(NamedTuple):
     cosine: Array  # of the direction at the last vertex
     reflectance: Array  # mean reflectance of the current vertex
     factor: Array  # irradiance over spectrum of the chosen source
-    chosen: NDArray[np.int64]  # number of the chosen source
-    by_ray: Array  # density with which paths reach the vertex, m-2
+    source: NDArray[np.int64]  # number of the chosen source
+    path_density: Array  # density with which paths reach the vertex, m-2
 
     @classmethod
     def of(cls, bands: int) -> "PathStates":
         """Return empty arrays for a wave."""
         shape = {"weight": (bands,), "throughput": (bands,)}
         shape |= dict.fromkeys(("vertex", "start", "normal", "direction", "target_direction"), (3,))
-        integer_fields = ("active", "shadow_rays", "point", "face", "chosen")
+        integer_fields = ("active", "shadow_rays", "point", "face", "source")
         kind = dict.fromkeys(integer_fields, np.int64) | {
             "weight": np.float32,
             "throughput": np.float32,
@@ -105,7 +105,7 @@ class DeferredPaths(NamedTuple):
     owner: NDArray[np.int64]  # point at which the path started
     depth: NDArray[np.int64]  # bounces between there and the surface that the camera sees
     face: NDArray[np.int64]  # of the last hit
-    place_m: Array
+    position_m: Array
     direction: Array  # of the last segment
     weight: NDArray[
         np.float32
@@ -113,7 +113,7 @@ class DeferredPaths(NamedTuple):
 
 
 def follow_paths(
-    stage: SpectralScene,
+    scene: SpectralScene,
     points: ShadingPoints,
     sequence: SequenceSlice,
     effort: IntegratorSettings,
@@ -127,7 +127,7 @@ def follow_paths(
 
     Parameters
     ----------
-    stage, points, effort, bright
+    scene, points, effort, bright
         The scene, where, how far light is followed, and the importance sampling of the sky or None.
     sequence
         Pairs of numbers for each ray of each point: directions follow by the cosine law.
@@ -145,28 +145,28 @@ def follow_paths(
     there. Emission is sampled by rays and by next-event estimation with multiple importance
     sampling; the latter is done elsewhere for the points themselves.
     """
-    tracer, bsdfs, light, bands = stage.surfaces.tracer, stage.bsdfs, stage.lighting, stage.bands
-    diffuse = np.array([isinstance(brdf, Lambert) for brdf in bsdfs.brdfs])
-    shine = np.array([lamp.name not in effort.neglected for lamp in light.lamps], np.bool_)
+    tracer, bsdfs, light, bands = scene.surfaces.tracer, scene.bsdfs, scene.lighting, scene.bands
+    is_diffuse = np.array([isinstance(brdf, Lambert) for brdf in bsdfs.brdfs])
+    is_active_lamp = np.array([lamp.name not in effort.neglected for lamp in light.lamps], np.bool_)
     irradiance = np.zeros((len(points), bands), np.float32)
-    room = 0 if diffuse.all() else len(points) * sequence.rays
-    owner, at_depth, face = (np.empty(room, np.int64) for _ in range(3))
-    position, direction = np.empty((2, room, 3))
-    back = DeferredPaths(
-        owner, at_depth, face, position, direction, np.empty((room, bands), np.float32)
+    capacity = 0 if is_diffuse.all() else len(points) * sequence.rays
+    owner, path_depth, face = (np.empty(capacity, np.int64) for _ in range(3))
+    position, direction = np.empty((2, capacity, 3))
+    deferred = DeferredPaths(
+        owner, path_depth, face, position, direction, np.empty((capacity, bands), np.float32)
     )
     assert tracer.scene is not None
-    start = tracer.above(points.face, points.place_m, points.normal)
+    start = tracer.above(points.face, points.position_m, points.normal)
     roulette = np.iinfo(np.int64).max if effort.roulette_depth is None else effort.roulette_depth
     count = _follow(
         (tracer.scene.address, tracer.centre_m, tracer.planes, tracer.clearance_m),
-        (stage.surfaces.material_of, bsdfs.rho_by_pi, diffuse),
+        (scene.surfaces.material_of, bsdfs.rho_by_pi, is_diffuse),
         (
             sky_arrays(light.environment_map, bright),
             disc_arrays(effort.active_lights(light.discs), bands),
             lamp_arrays(effort.active_lights(light.lamps), bands),
             panel_arrays(light.panels, bands),
-            stage.beams.arrays(light.lamps, shine),
+            scene.beams.arrays(light.lamps, is_active_lamp),
         ),
         (start, np.asarray(points.normal, np.float64), control),
         (sequence.start, sequence.rays),
@@ -174,9 +174,9 @@ def follow_paths(
         np.array([seed], np.uint64),
         (PathStates.of(bands), new_packets(WAVE)),
         irradiance,
-        tuple(back),
+        tuple(deferred),
     )
-    deferred_arrays: Any = [values[:count] for values in back]
+    deferred_arrays: Any = [values[:count] for values in deferred]
     return irradiance, DeferredPaths(*deferred_arrays)
 
 
@@ -189,80 +189,87 @@ def _follow(
     sequence: Any,
     limits: Any,
     state: Any,
-    room: Any,
+    buffers: Any,
     irradiance: Any,
-    back: Any,
+    deferred: Any,
 ) -> int:
     """Follow all paths of points, a wave at a time, and return the number of deferred ones."""
-    begin, rays_per_point = sequence
+    sequence_starts, rays_per_point = sequence
     sky, discs, lamps, panels, beams = lights
-    depth_first, max_bounces, _, sky_shadowing, asked_lamps = limits
-    lanes, packets = room
-    sky_counts, glows = sky_shadowing and sky[2], len(panels[0]) > 0
-    n_deferred, now = 0, (0.0, 1.0, 0.0)
-    for first in range(0, len(begin) * rays_per_point, WAVE):
-        path_count, now = _send(lanes, points, begin, rays_per_point, now, first)
-        depth, sent = depth_first, rays_per_point
+    first_depth, max_bounces, _, sky_shadowing, max_lamps = limits
+    lanes, packets = buffers
+    samples_sky, has_panels = sky_shadowing and sky[2], len(panels[0]) > 0
+    n_deferred, disc_point = 0, (0.0, 1.0, 0.0)
+    for first_path in range(0, len(sequence_starts) * rays_per_point, WAVE):
+        path_count, disc_point = _start_paths(
+            lanes, points, sequence_starts, rays_per_point, disc_point, first_path
+        )
+        depth, gather_rays = first_depth, rays_per_point
         while True:
-            goes_on = depth < max_bounces
-            meets = goes_on or glows
-            if goes_on and len(beams[0]):
+            continues = depth < max_bounces
+            finds_hits = continues or has_panels
+            if continues and len(beams[0]):
                 add_light_traced_paths(
                     scene, bsdfs, lamps, beams, packets, lanes, path_count, state, irradiance
                 )
-            path_count = _ask(scene, packets, lanes, path_count, meets)
-            path_count = _meet_sky(
+            path_count = _trace_paths(scene, packets, lanes, path_count, finds_hits)
+            path_count = _add_escaped_sky(
                 scene,
                 sky,
                 packets,
                 lanes,
                 path_count,
                 points[2],
-                sent,
-                meets,
-                sky_counts,
+                gather_rays,
+                finds_hits,
+                samples_sky,
                 irradiance,
             )
-            if meets:
-                _arrive(scene, lanes, path_count)
-            if glows:
-                add_glow(panels, scene[2], lanes, path_count, sent, irradiance)
-            if not goes_on:
+            if finds_hits:
+                _move_to_hits(scene, lanes, path_count)
+            if has_panels:
+                add_hit_emission(panels, scene[2], lanes, path_count, gather_rays, irradiance)
+            if not continues:
                 break
             path_count, n_deferred = _reflect(
-                scene, bsdfs, lanes, path_count, depth, limits, state, n_deferred, back
+                scene, bsdfs, lanes, path_count, depth, limits, state, n_deferred, deferred
             )
             if path_count == 0:
                 break
             if sky[2]:
-                add_known_sky(sky[1], lanes, path_count, points[2], sky_shadowing, irradiance)
+                add_control_sky(sky[1], lanes, path_count, points[2], sky_shadowing, irradiance)
             add_discs(scene, discs, packets, lanes, path_count, state, irradiance)
-            add_lamps(
-                scene, lamps, beams, asked_lamps, packets, lanes, path_count, state, irradiance
-            )
-            if glows:
+            add_lamps(scene, lamps, beams, max_lamps, packets, lanes, path_count, state, irradiance)
+            if has_panels:
                 add_panels(scene, panels, packets, lanes, path_count, state, irradiance)
-            if sky_counts and len(sky[4]):
-                add_bright(scene, sky, packets, lanes, path_count, points[2], state, irradiance)
-            depth, sent = depth + 1, 1
-            if not (depth < max_bounces or glows or sky_counts):
+            if samples_sky and len(sky[4]):
+                add_bright_sky(scene, sky, packets, lanes, path_count, points[2], state, irradiance)
+            depth, gather_rays = depth + 1, 1
+            if not (depth < max_bounces or has_panels or samples_sky):
                 break
-            _turn(lanes, path_count, state)
+            _draw_directions(lanes, path_count, state)
     return n_deferred
 
 
 @numba.njit(**COMPILED)
-def _send(lanes: Any, points: Any, begin: Any, rays_per_point: int, now: Any, first: int) -> Any:
+def _start_paths(
+    lanes: Any,
+    points: Any,
+    sequence_starts: Any,
+    rays_per_point: int,
+    disc_point: Any,
+    first_path: int,
+) -> Any:
     """Start paths at points, and return their number and the state of the last quasi-random
     slice.
     """
     starts, normals, _ = points
-    path_count = min(WAVE, len(begin) * rays_per_point - first)
-    i, ray = first // rays_per_point, first % rays_per_point
+    path_count = min(WAVE, len(sequence_starts) * rays_per_point - first_path)
+    i, ray = first_path // rays_per_point, first_path % rays_per_point
     for lane in range(path_count):
-        now = next_even(now) if ray else first_even(begin[i])
+        disc_point = next_disc_point(disc_point) if ray else first_disc_point(sequence_starts[i])
         lanes.active[lane], lanes.point[lane], lanes.reflectance[lane] = lane, i, 1.0
-        lanes.cosine[lane] = by_cosine(normals[i], now, lanes.direction[lane])
+        lanes.cosine[lane] = set_cosine_direction(normals[i], disc_point, lanes.direction[lane])
         for axis in range(3):
             lanes.start[lane, axis], lanes.normal[lane, axis] = starts[i, axis], normals[i, axis]
         for band in range(lanes.weight.shape[1]):
@@ -271,67 +278,67 @@ def _send(lanes: Any, points: Any, begin: Any, rays_per_point: int, now: Any, fi
                 1.0 / rays_per_point,
             )
         i, ray = (i, ray + 1) if ray + 1 < rays_per_point else (i + 1, 0)
-    return path_count, now
+    return path_count, disc_point
 
 
 @numba.njit(**COMPILED)
-def _ask(scene: Any, packets: Any, lanes: Any, path_count: int, meets: bool) -> int:
+def _trace_paths(scene: Any, packets: Any, lanes: Any, path_count: int, finds_hits: bool) -> int:
     """Trace rays, or of last segments only their occlusion; return the number of rays traced."""
     address, centre = scene[0], scene[1]
-    asked = 0
+    n_rays = 0
     for k in range(path_count):
         lane = lanes.active[k]
         # A last ray below the horizon cannot meet the sky.
-        if meets or lanes.direction[lane, 2] >= 0.0:
-            set_ray(packets, asked, centre, lanes.start[lane], lanes.direction[lane], np.inf)
-            lanes.active[asked] = lane
-            asked += 1
-    if meets:
-        intersect(address, packets, asked)
+        if finds_hits or lanes.direction[lane, 2] >= 0.0:
+            set_ray(packets, n_rays, centre, lanes.start[lane], lanes.direction[lane], np.inf)
+            lanes.active[n_rays] = lane
+            n_rays += 1
+    if finds_hits:
+        intersect(address, packets, n_rays)
     else:
-        trace_occlusion(address, packets, asked)
-    return asked
+        trace_occlusion(address, packets, n_rays)
+    return n_rays
 
 
 @numba.njit(**COMPILED)
-def _meet_sky(
+def _add_escaped_sky(
     scene: Any,
     sky: Any,
     packets: Any,
     lanes: Any,
     path_count: int,
     control: Any,
-    sent: int,
-    meets: bool,
-    sky_counts: bool,
+    gather_rays: int,
+    finds_hits: bool,
+    samples_sky: bool,
     irradiance: Any,
 ) -> int:
     """Add the sky for rays that escape, subtract the control variate for others; return the number
     that continue.
     """
-    continuing = 0
+    n_active = 0
     for slot in range(path_count):
         lane = lanes.active[slot]
         i = lanes.point[lane]
-        if meets:
+        if finds_hits:
             lanes.face[lane] = triangle_of(packets, slot, scene[2])
             hit = lanes.face[lane] >= 0
         else:
             hit = is_ray_occluded(packets, slot)
         sky_fraction = -float(control[i]) if hit else 1.0 - float(control[i])
-        if hit and meets:
-            lanes.active[continuing] = lane
-            continuing += 1
+        if hit and finds_hits:
+            lanes.active[n_active] = lane
+            n_active += 1
         x, y, z = lanes.direction[lane, 0], lanes.direction[lane, 1], lanes.direction[lane, 2]
-        if sky_counts and z >= 0.0 and sky_fraction != 0.0:
-            gather_density = sent * lanes.cosine[lane] / np.pi
-            sky_fraction *= gather_density / (gather_density + bright_density(sky[4], x, y, z))
+        if samples_sky and z >= 0.0 and sky_fraction != 0.0:
+            gather_density = gather_rays * lanes.cosine[lane] / np.pi
+            sky_fraction *= gather_density / (gather_density + sky_density(sky[4], x, y, z))
             sky_light(sky[0], x, y, z, sky_fraction, lanes.weight[lane], irradiance[i])
-    return continuing
+    return n_active
 
 
 @numba.njit(**COMPILED)
-def _arrive(scene: Any, lanes: Any, path_count: int) -> None:
+def _move_to_hits(scene: Any, lanes: Any, path_count: int) -> None:
     """Move paths to the surfaces that they met."""
     for k in range(path_count):
         lane = lanes.active[k]
@@ -339,7 +346,7 @@ def _arrive(scene: Any, lanes: Any, path_count: int) -> None:
             scene[2], lanes.face[lane], lanes.start[lane], lanes.direction[lane]
         )
         side = 1.0 if slope < 0.0 else -1.0
-        lanes.by_ray[lane] = lanes.cosine[lane] * abs(slope) / (np.pi * length * length)
+        lanes.path_density[lane] = lanes.cosine[lane] * abs(slope) / (np.pi * length * length)
         for axis in range(3):
             lanes.vertex[lane, axis] = (
                 lanes.start[lane, axis] + length * lanes.direction[lane, axis]
@@ -357,54 +364,56 @@ def _reflect(
     limits: Any,
     state: Any,
     n_deferred: int,
-    back: Any,
+    deferred: Any,
 ) -> tuple[int, int]:
     """Reflect paths, with Russian roulette; defer those on surfaces that are not diffuse."""
     _, centre, _, clearance = scene
     material_of, rho_by_pi, is_diffuse = bsdfs
-    continuing = 0
+    n_active = 0
     for k in range(path_count):
         lane = lanes.active[k]
-        weight, leaves = lanes.weight[lane], lanes.throughput[lane]
+        weight, throughput = lanes.weight[lane], lanes.throughput[lane]
         if depth >= limits[2]:
-            chance = min(max(lanes.reflectance[lane], LEAST_CHANCE), MOST_CHANCE)
-            if uniform(state) >= chance:
+            survival = min(max(lanes.reflectance[lane], MIN_SURVIVAL), MAX_SURVIVAL)
+            if uniform(state) >= survival:
                 continue
             for band in range(len(weight)):
-                weight[band] /= np.float32(chance)
+                weight[band] /= np.float32(survival)
         face = lanes.face[lane]
         material = material_of[face & ROW]
         if not is_diffuse[material]:
-            owners, depths, faces, positions, ways, weights = back
+            owners, depths, faces, positions, directions, weights = deferred
             owners[n_deferred], depths[n_deferred], faces[n_deferred] = (
                 lanes.point[lane],
                 depth + 1,
                 face,
             )
-            positions[n_deferred], ways[n_deferred], weights[n_deferred] = (
+            positions[n_deferred], directions[n_deferred], weights[n_deferred] = (
                 lanes.vertex[lane],
                 lanes.direction[lane],
                 weight,
             )
             n_deferred += 1
             continue
-        reflected = 0.0
+        reflectance_sum = 0.0
         for band in range(len(weight)):
-            leaves[band] = weight[band] * rho_by_pi[material, band]
-            weight[band] = leaves[band] * np.pi
-            reflected += rho_by_pi[material, band]
-        lanes.reflectance[lane] = reflected * np.pi / len(weight)
+            throughput[band] = weight[band] * rho_by_pi[material, band]
+            weight[band] = throughput[band] * np.pi
+            reflectance_sum += rho_by_pi[material, band]
+        lanes.reflectance[lane] = reflectance_sum * np.pi / len(weight)
         set_ray_start(
             clearance, centre, face, lanes.vertex[lane], lanes.normal[lane], lanes.start[lane]
         )
-        lanes.active[continuing] = lane
-        continuing += 1
-    return continuing, n_deferred
+        lanes.active[n_active] = lane
+        n_active += 1
+    return n_active, n_deferred
 
 
 @numba.njit(**COMPILED)
-def _turn(lanes: Any, path_count: int, state: Any) -> None:
+def _draw_directions(lanes: Any, path_count: int, state: Any) -> None:
     """Draw new directions by the cosine law."""
     for k in range(path_count):
         lane = lanes.active[k]
-        lanes.cosine[lane] = by_cosine(lanes.normal[lane], in_disc(state), lanes.direction[lane])
+        lanes.cosine[lane] = set_cosine_direction(
+            lanes.normal[lane], draw_disc_point(state), lanes.direction[lane]
+        )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers, truth
+from simulate.radiance.integrator.camera_rays import radiance_along
 from simulate.radiance.integrator.integrator_settings import (
     LIMITS,
     IntegratorSettings,
@@ -26,7 +27,7 @@ from simulate.radiance.integrator.integrator_settings import (
     one_by_one,
 )
 from simulate.radiance.integrator.irradiance_cache import IrradianceCache, build_irradiance_cache
-from simulate.radiance.integrator.outgoing_radiance import Shared, radiance_along
+from simulate.radiance.integrator.outgoing_radiance import CachedIrradiance
 from simulate.radiance.integrator.sampling import R2, fraction
 from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 from simulate.radiance.integrator.subpixel_sources import add_small_sources
@@ -55,21 +56,21 @@ class Rendering:
 class _Batch:
     """Pixels (indices of shape (pixel,)) with the same number of rays.
 
-    Where surfaces meet, irradiance varies within a pixel: with `alone` its rays do not use the
+    Where surfaces meet, irradiance varies within a pixel: with `uncached` its rays do not use the
     cache and gather more.
     """
 
     pixels: NDArray[np.int64]
     rays: int
-    alone: bool
-    turn: int
+    uncached: bool
+    iteration: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class _BatchRenderer:
     """Renders batches of pixels."""
 
-    stage: SpectralScene
+    scene: SpectralScene
     view: Viewpoint
     effort: IntegratorSettings
     weight: NDArray[np.float32]
@@ -81,43 +82,43 @@ class _BatchRenderer:
     @property
     def only_shadow(self) -> bool:
         """Whether only sky shadowing is computed, which is cheap without a cache."""
-        return self.effort.max_bounces == 0 and self.stage.lighting.panels is None
+        return self.effort.max_bounces == 0 and self.scene.lighting.panels is None
 
     def batches(
-        self, wanted: NDArray[np.integer], alone: NDArray[np.bool_], turn: int
+        self, new_rays: NDArray[np.integer], uncached: NDArray[np.bool_], iteration: int
     ) -> Iterator[_Batch]:
         """Yield batches in frame order, from maps of shape (row, col)."""
-        flat = 2 * wanted.ravel() + alone.ravel()
-        for kind in np.unique(flat[flat > 1]).tolist():
-            pixels, count = np.flatnonzero(flat == kind), kind // 2
+        kinds = 2 * new_rays.ravel() + uncached.ravel()
+        for kind in np.unique(kinds[kinds > 1]).tolist():
+            pixels, count = np.flatnonzero(kinds == kind), kind // 2
             batch_pixels = max(1, LIMITS.batch_rays // (count * max(self.gather_rays, 1)))
             for start in range(0, len(pixels), batch_pixels):
-                yield _Batch(pixels[start : start + batch_pixels], count, bool(kind % 2), turn)
+                yield _Batch(pixels[start : start + batch_pixels], count, bool(kind % 2), iteration)
 
     def render(self, batch: _Batch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape
         (pixel,).
         """
         rng = np.random.default_rng(
-            [self.seed, batch.rays, int(batch.pixels[0]), batch.alone, batch.turn]
+            [self.seed, batch.rays, int(batch.pixels[0]), batch.uncached, batch.iteration]
         )
         count, columns, factor = len(batch.pixels), self.view.shape[1], 1
-        if batch.alone:
+        if batch.uncached:
             factor = (
                 LIMITS.sky_shadow_ray_factor if self.only_shadow else LIMITS.uncached_ray_factor
             )
-        spread = fraction(rng.random((count, 1, 2)) + np.arange(batch.rays)[:, None] * R2)
-        row = (batch.pixels[:, None] // columns + spread[..., 0]).ravel()
-        col = (batch.pixels[:, None] % columns + spread[..., 1]).ravel()
+        offset = fraction(rng.random((count, 1, 2)) + np.arange(batch.rays)[:, None] * R2)
+        row = (batch.pixels[:, None] // columns + offset[..., 0]).ravel()
+        col = (batch.pixels[:, None] % columns + offset[..., 1]).ravel()
         light = radiance_along(
-            self.stage,
+            self.scene,
             *self.view.rays(row, col),
             self.effort,
             rng,
             gather_rays=self.gather_rays * factor,
             sky_control_fraction=np.repeat(self.control.ravel()[batch.pixels], batch.rays),
             cached_irradiance=None
-            if self.cache is None or batch.alone
+            if self.cache is None or batch.uncached
             else partial(_irradiance_from_cache, self.cache, row, col),
         ).total()
         ray_signals = (light @ self.weight).reshape(count, batch.rays)
@@ -125,23 +126,25 @@ class _BatchRenderer:
 
 
 def _irradiance_from_cache(
-    cache: IrradianceCache, row: Array, col: Array, points: ShadingPoints, which: NDArray[np.int64]
-) -> Shared:
-    return cache.at(points, row[which], col[which])
+    cache: IrradianceCache, row: Array, col: Array, points: ShadingPoints, rays: NDArray[np.int64]
+) -> CachedIrradiance:
+    return cache.irradiance(points, row[rays], col[rays])
 
 
 def _variance_of_mean(ray_signals: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the variance of the mean of signals (pixel, ray), from means of slices."""
     rays = ray_signals.shape[1]
-    first = np.arange(min(rays, LIMITS.variance_slices)) * rays // min(rays, LIMITS.variance_slices)
-    length = np.diff(first, append=rays)
-    slice_deviations = np.add.reduceat(ray_signals, first, axis=1) / length - ray_signals.mean(
+    starts = (
+        np.arange(min(rays, LIMITS.variance_slices)) * rays // min(rays, LIMITS.variance_slices)
+    )
+    length = np.diff(starts, append=rays)
+    slice_deviations = np.add.reduceat(ray_signals, starts, axis=1) / length - ray_signals.mean(
         axis=1, keepdims=True
     )
-    return (length * slice_deviations**2).sum(axis=1) / (max(len(first) - 1, 1) * rays)
+    return (length * slice_deviations**2).sum(axis=1) / (max(len(starts) - 1, 1) * rays)
 
 
-def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> NDArray[np.float32]:
+def sky_control_fraction(scene: SpectralScene, view: Viewpoint, seed: int) -> NDArray[np.float32]:
     """Return the unoccluded fraction of the hemisphere at the surfaces in view, averaged over a
     tile, shape (row, col).
 
@@ -152,26 +155,26 @@ def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> ND
     side, (rows, columns) = max(1, min(LIMITS.control_tile_px, min(view.shape) // 16)), view.shape
     tiles = (-(-rows // side), -(-columns // side))
     corner = side * np.indices(tiles).reshape(2, -1, 1)
-    at = corner + side * rng.random((2, corner.shape[1], LIMITS.control_pixels))
+    position = corner + side * rng.random((2, corner.shape[1], LIMITS.control_pixels))
     row, col = (
-        np.minimum(axis, length - 1e-3).ravel() for axis, length in zip(at, view.shape, strict=True)
+        np.minimum(axis, length - 1e-3).ravel()
+        for axis, length in zip(position, view.shape, strict=True)
     )
-    origin, towards = view.rays(row, col)
-    hit = stage.surfaces.tracer.hits(origin, towards)
-    points = stage.points(hit, origin, towards, hit.met)
-    hidden, start = (
-        np.zeros(len(row)),
-        stage.surfaces.tracer.above(points.face, points.place_m, points.normal),
-    )
+    origin, direction = view.rays(row, col)
+    hit = scene.surfaces.tracer.hits(origin, direction)
+    points = scene.points(hit, origin, direction, hit.rays)
+    start = scene.surfaces.tracer.above(points.face, points.position_m, points.normal)
+    occluded = np.zeros(len(row))
     for _ in range(LIMITS.control_rays):
-        direction, _ = stage.bsdfs.sample(points, rng.random((len(points), 2)), rng)
-        hidden[hit.met] += stage.surfaces.tracer.is_occluded(start, direction) / LIMITS.control_rays
-    unoccluded = 1.0 - hidden.reshape(*tiles, -1).mean(axis=-1)
+        direction, _ = scene.bsdfs.sample(points, rng.random((len(points), 2)), rng)
+        is_occluded = scene.surfaces.tracer.is_occluded(start, direction)
+        occluded[hit.rays] += is_occluded / LIMITS.control_rays
+    unoccluded = 1.0 - occluded.reshape(*tiles, -1).mean(axis=-1)
     return unoccluded.repeat(side, axis=0).repeat(side, axis=1)[:rows, :columns].astype(np.float32)
 
 
 def render_scene(
-    stage: SpectralScene,
+    scene: SpectralScene,
     view: Viewpoint,
     rays: SamplingSettings,
     effort: IntegratorSettings,
@@ -186,7 +189,7 @@ def render_scene(
 
     Parameters
     ----------
-    stage, view
+    scene, view
         The scene on its bands, and the camera.
     rays, effort
         Numbers of rays, and integrator settings.
@@ -207,9 +210,9 @@ def render_scene(
     Memory: two cubes and one batch of rays.
     """
     weight = np.asarray(weight, np.float32)
-    layers, control = truth(stage, view), sky_control_fraction(stage, view, seed)
-    look = _BatchRenderer(
-        stage=stage,
+    layers, control = truth(scene, view), sky_control_fraction(scene, view, seed)
+    renderer = _BatchRenderer(
+        scene=scene,
         view=view,
         effort=effort,
         weight=weight,
@@ -218,33 +221,36 @@ def render_scene(
         control=control,
     )
     if rays.cache_rays is not None and effort.gathers:
-        look, rays = _with_cache(look, rays, rays.cache_rays, run)
+        renderer, rays = _with_cache(renderer, rays, rays.cache_rays, run)
     edges = layers.edges()
-    alone = layers.edges(shadows=False) & (
-        look.cache is not None and (rays.refine or look.only_shadow)
+    uncached = layers.edges(shadows=False) & (
+        renderer.cache is not None and (rays.refine or renderer.only_shadow)
     )
-    wanted = np.minimum(
+    new_rays = np.minimum(
         np.where(edges, max(rays.edge, rays.min_rays), rays.min_rays), rays.max_rays
     )
-    radiance = np.zeros((control.size, stage.bands), np.float32)
-    variance, sent = np.zeros(control.size, np.float32), np.zeros(control.size, np.int32)
-    total, done, seconds = (
-        np.inf if rays.total_rays is None else rays.total_rays + int(wanted.sum()),
-        0,
-        0.0,
-    )
-    for turn in range(LIMITS.max_turns):
-        batches, start = list(look.batches(wanted, alone, turn)), time.perf_counter()
-        asked = done + int(wanted.sum())
-        for batch, (light, spread) in zip(batches, run(look.render, batches), strict=True):
+    radiance = np.zeros((control.size, scene.bands), np.float32)
+    variance, pixel_rays = np.zeros(control.size, np.float32), np.zeros(control.size, np.int32)
+    max_total = np.inf if rays.total_rays is None else rays.total_rays + int(new_rays.sum())
+    n_traced, seconds = 0, 0.0
+    for iteration in range(LIMITS.max_turns):
+        batches, start = (
+            list(renderer.batches(new_rays, uncached, iteration)),
+            time.perf_counter(),
+        )
+        n_requested = n_traced + int(new_rays.sum())
+        results = run(renderer.render, batches)
+        for batch, (light, batch_variance) in zip(batches, results, strict=True):
             pixels = batch.pixels
-            new_weight = (batch.rays / (sent[pixels] + batch.rays)).astype(np.float32)
-            variance[pixels] = new_weight**2 * spread + (1.0 - new_weight) ** 2 * variance[pixels]
+            new_weight = (batch.rays / (pixel_rays[pixels] + batch.rays)).astype(np.float32)
+            variance[pixels] = (
+                new_weight**2 * batch_variance + (1.0 - new_weight) ** 2 * variance[pixels]
+            )
             radiance[pixels] += new_weight[:, None] * (light - radiance[pixels])
-            sent[pixels] += batch.rays
-            done += len(pixels) * batch.rays
-            if turn:
-                progress(done / asked)
+            pixel_rays[pixels] += batch.rays
+            n_traced += len(pixels) * batch.rays
+            if iteration:
+                progress(n_traced / n_requested)
         seconds += time.perf_counter() - start
         if rays.error_limit is None:
             break
@@ -254,49 +260,53 @@ def render_scene(
             break
         groups = edges, ~edges
         excess = np.where(
-            edges, *(local_mean(excess, among, LIMITS.error_half_width) for among in groups)
+            edges, *(local_mean(excess, group, LIMITS.error_half_width) for group in groups)
         )
-        wanted = additional_rays(excess, sent.reshape(shape), groups, rays.max_rays, total)
-        if not wanted.any():
+        new_rays = additional_rays(
+            excess, pixel_rays.reshape(shape), groups, rays.max_rays, max_total
+        )
+        if not new_rays.any():
             break
-        if turn == 0:
-            announce(seconds * (1.0 + float(wanted.sum()) / done))
-    if turn == 0:
+        if iteration == 0:
+            announce(seconds * (1.0 + float(new_rays.sum()) / n_traced))
+    if iteration == 0:
         announce(seconds)
     progress(1.0)
-    add_small_sources(stage, view, radiance)
+    add_small_sources(scene, view, radiance)
     below_zero = int(np.count_nonzero((radiance < 0.0).any(axis=1)))
     signal = (radiance @ weight).astype(np.float32).reshape(view.shape)
     np.maximum(radiance, 0.0, out=radiance)
-    cube = np.ascontiguousarray(radiance.T).reshape(stage.bands, *view.shape)
+    cube = np.ascontiguousarray(radiance.T).reshape(scene.bands, *view.shape)
     return Rendering(
-        cube=RadianceCube(wavelength_nm=stage.bsdfs.wavelength_nm, radiance=cube, averaged=True),
+        cube=RadianceCube(wavelength_nm=scene.bsdfs.wavelength_nm, radiance=cube, averaged=True),
         signal=signal,
         variance=variance.reshape(view.shape),
-        rays=sent.reshape(view.shape),
+        rays=pixel_rays.reshape(view.shape),
         truth=layers,
         below_zero=below_zero,
     )
 
 
 def _with_cache(
-    look: _BatchRenderer, rays: SamplingSettings, first: int, run: Run
+    renderer: _BatchRenderer, rays: SamplingSettings, cache_rays: int, run: Run
 ) -> tuple[_BatchRenderer, SamplingSettings]:
     """Build the irradiance cache, and leave the rest of the allowed variance to the camera rays."""
-    fine = rays.refine and not look.only_shadow
-    limit, part = rays.error_limit, LIMITS.cache_variance_fraction
+    fine = rays.refine and not renderer.only_shadow
+    limit, cache_fraction = rays.error_limit, LIMITS.cache_variance_fraction
     cache = build_irradiance_cache(
-        look.stage,
-        look.view,
-        look.effort,
-        look.control,
-        rays=max(first // 2, 2) if fine else first,
+        renderer.scene,
+        renderer.view,
+        renderer.effort,
+        renderer.control,
+        rays=max(cache_rays // 2, 2) if fine else cache_rays,
         max_rays=rays.max_cache_rays,
-        error_limit=None if limit is None else lambda signal: part * limit(signal),
-        weight=look.weight,
-        seed=look.seed,
+        error_limit=None if limit is None else lambda signal: cache_fraction * limit(signal),
+        weight=renderer.weight,
+        seed=renderer.seed,
         run=run,
         fine=fine,
     )
-    camera_ray_limit = None if limit is None else lambda signal: (1.0 - part) * limit(signal)
-    return replace(look, cache=cache), replace(rays, error_limit=camera_ray_limit)
+    camera_ray_limit = (
+        None if limit is None else lambda signal: (1.0 - cache_fraction) * limit(signal)
+    )
+    return replace(renderer, cache=cache), replace(rays, error_limit=camera_ray_limit)

@@ -47,9 +47,9 @@ class SequenceSlice:
         """Return slices with independent random starts."""
         return cls(rng.random((points, 2)), rays)
 
-    def some(self, which: NDArray[np.int64]) -> "SequenceSlice":
+    def select(self, indices: NDArray[np.int64]) -> "SequenceSlice":
         """Return the slices of some points."""
-        return SequenceSlice(self.start[which], self.rays)
+        return SequenceSlice(self.start[indices], self.rays)
 
     def divide(self, parts: int) -> "SequenceSlice":
         """Split each slice into equal consecutive parts."""
@@ -63,7 +63,7 @@ class SequenceSlice:
 
 
 @dataclass
-class EvenNumbers:
+class LowDiscrepancyNumbers:
     """Numbers of a low-discrepancy sequence in place of a generator's, for rays of several points.
 
     Each number of a ray is a further dimension of the R sequence (Roberts, 2018), with a random
@@ -94,10 +94,10 @@ def low_discrepancy_points(
     """
     tiles = (int(row.max(initial=0)) // TILE + 1, int(col.max(initial=0)) // TILE + 1)
     shift = np.random.default_rng(seed).random((*tiles, 2))[row // TILE, col // TILE]
-    turn = np.zeros(len(row), np.int64)
+    azimuth = np.zeros(len(row), np.int64)
     for bit in range(TILE.bit_length() - 1):
-        turn |= (col >> bit & 1) << 2 * bit | (row >> bit & 1) << 2 * bit + 1
-    return SequenceSlice(fraction(shift + (turn * rays)[:, None] * R2), rays)
+        azimuth |= (col >> bit & 1) << 2 * bit | (row >> bit & 1) << 2 * bit + 1
+    return SequenceSlice(fraction(shift + (azimuth * rays)[:, None] * R2), rays)
 
 
 def shading_frames(normal: Array) -> Array:
@@ -112,18 +112,18 @@ def shading_frames(normal: Array) -> Array:
     sign = np.where(z >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + z)
     b = x * y * a
-    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    second = np.stack([b, sign + y * y * a, -y], axis=1)
-    return np.stack([first, second, normal], axis=1).astype(np.float64)
+    x_axis = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    y_axis = np.stack([b, sign + y * y * a, -y], axis=1)
+    return np.stack([x_axis, y_axis, normal], axis=1).astype(np.float64)
 
 
 def cosine_lobe(pairs: Array) -> Array:
     """Return directions by the cosine law about z for pairs of numbers in [0, 1), shape (ray, 3)
     (Malley).
     """
-    radius, turn = np.sqrt(pairs[:, 0]), 2.0 * np.pi * pairs[:, 1]
+    radius, azimuth = np.sqrt(pairs[:, 0]), 2.0 * np.pi * pairs[:, 1]
     return np.stack(
-        [radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - pairs[:, 0])], axis=1
+        [radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1.0 - pairs[:, 0])], axis=1
     )
 
 
@@ -138,20 +138,20 @@ def uniform(state: Any) -> float:
 
 
 @numba.njit(**INLINED)
-def set_direction(normal: Any, u: float, v: float, w: float, way: Any) -> None:
+def set_direction(normal: Any, u: float, v: float, w: float, direction: Any) -> None:
     """Set a direction from its components in the frame of a normal, as `shading_frames`."""
     x, y, z = normal[0], normal[1], normal[2]
     sign = 1.0 if z >= 0.0 else -1.0
     a = -1.0 / (sign + z)
     b = x * y * a
-    way[0] = u * (1.0 + sign * x * x * a) + v * b + w * x
-    way[1] = u * sign * b + v * (sign + y * y * a) + w * y
-    way[2] = -u * sign * x - v * y + w * z
+    direction[0] = u * (1.0 + sign * x * x * a) + v * b + w * x
+    direction[1] = u * sign * b + v * (sign + y * y * a) + w * y
+    direction[2] = -u * sign * x - v * y + w * z
 
 
 @numba.njit(**INLINED)
-def in_disc(state: Any) -> tuple[float, float, float]:
-    """Draw a uniform point of the unit disc, in the form of `first_even`, by rejection."""
+def draw_disc_point(state: Any) -> tuple[float, float, float]:
+    """Draw a uniform point of the unit disc, in the form of `first_disc_point`, by rejection."""
     square, x, y = 2.0, 1.0, 0.0
     while square > 1.0:
         x, y = 2.0 * uniform(state) - 1.0, 2.0 * uniform(state) - 1.0
@@ -161,28 +161,28 @@ def in_disc(state: Any) -> tuple[float, float, float]:
 
 
 @numba.njit(**INLINED)
-def first_even(pair: Any) -> tuple[float, float, float]:
+def first_disc_point(pair: Any) -> tuple[float, float, float]:
     """Return the point of the unit disc of a pair: radius squared, cosine and sine of its angle."""
-    turn = 2.0 * np.pi * pair[1]
-    return pair[0], np.cos(turn), np.sin(turn)
+    azimuth = 2.0 * np.pi * pair[1]
+    return pair[0], np.cos(azimuth), np.sin(azimuth)
 
 
 @numba.njit(**INLINED)
-def next_even(now: Any) -> tuple[float, float, float]:
+def next_disc_point(point: Any) -> tuple[float, float, float]:
     """Go one step along a slice: the turn grows by a constant, so that no sine is computed."""
-    square, along, across = now[0] + STEP, now[1], now[2]
+    square, cosine, sine = point[0] + STEP, point[1], point[2]
     if square >= 1.0:
         square -= 1.0
-    return square, along * TURN_X - across * TURN_Y, along * TURN_Y + across * TURN_X
+    return square, cosine * TURN_X - sine * TURN_Y, cosine * TURN_Y + sine * TURN_X
 
 
 @numba.njit(**INLINED)
-def by_cosine(normal: Any, foot: Any, way: Any) -> float:
+def set_cosine_direction(normal: Any, point: Any, direction: Any) -> float:
     """Set a direction by the cosine law, over a uniform point of the disc (Malley), and return its
     cosine.
     """
-    radius, cosine = np.sqrt(foot[0]), np.sqrt(max(1.0 - foot[0], 0.0))
-    set_direction(normal, radius * foot[1], radius * foot[2], cosine, way)
+    radius, cosine = np.sqrt(point[0]), np.sqrt(max(1.0 - point[0], 0.0))
+    set_direction(normal, radius * point[1], radius * point[2], cosine, direction)
     return cosine
 
 

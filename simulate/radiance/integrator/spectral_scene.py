@@ -23,7 +23,7 @@ from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.integrator.light_sources import Lighting
 from simulate.radiance.integrator.light_tracing import LightTracingSettings
 from simulate.radiance.integrator.sampling import cosine_lobe, shading_frames
-from simulate.radiance.materials import pane_shares
+from simulate.radiance.materials import pane_fractions
 
 if TYPE_CHECKING:
     from simulate.radiance.atmosphere import Atmosphere
@@ -32,16 +32,16 @@ Array = NDArray[np.floating]
 Rows = NDArray[np.int64]
 
 
-class Met(NamedTuple):
+class PaneHits(NamedTuple):
     """Rays that meet a pane, shape (meeting ray, ...)."""
 
-    which: Rows  # numbers of the rays
+    rays: Rows  # numbers of the rays
     range_m: Array
-    place_m: Array
+    position_m: Array
     normal: Array  # on the side of the ray's origin
     face: Rows
-    mirrored: NDArray[np.float32]  # reflected fraction, shape (meeting ray, band)
-    through: NDArray[np.float32]  # transmitted fraction
+    reflectance: NDArray[np.float32]  # shape (meeting ray, band)
+    transmittance: NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,62 +53,56 @@ class Panes:
     transmittance: Array  # of each kind at normal incidence, shape (kind, band)
     refractive_index: tuple[float, ...]  # of each kind
 
-    def met(self, origin_m: Array, direction: Array, reach_m: Array) -> Met:
+    def hits(self, origin_m: Array, direction: Array, max_range_m: Array) -> PaneHits:
         """Return the rays of unit direction (ray, 3) that meet a pane within a distance (ray,),
         m.
         """
         hit = self.tracer.hits(origin_m, direction)
-        which = np.flatnonzero((hit.face != NOTHING) & (hit.range_m < reach_m))
-        face, range_m, along = hit.face[which], hit.range_m[which], direction[which]
-        facing, cosine = self.tracer.facing(face, along)
-        mirrored = np.zeros((len(face), self.transmittance.shape[1]), np.float32)
-        through = np.zeros_like(mirrored)
-        for number, index in enumerate(self.refractive_index):
-            of = np.flatnonzero(self.kind_of_face[face] == number)
-            mirrored[of], through[of] = pane_shares(cosine[of], self.transmittance[number], index)
-        return Met(
-            which,
-            range_m,
-            origin_m[which] + range_m[:, None] * along,
-            facing,
-            face,
-            mirrored,
-            through,
-        )
+        rays = np.flatnonzero((hit.face != NOTHING) & (hit.range_m < max_range_m))
+        face, range_m, hit_direction = hit.face[rays], hit.range_m[rays], direction[rays]
+        normal, cosine = self.tracer.facing(face, hit_direction)
+        reflectance = np.zeros((len(face), self.transmittance.shape[1]), np.float32)
+        transmittance = np.zeros_like(reflectance)
+        for kind, index in enumerate(self.refractive_index):
+            rows = np.flatnonzero(self.kind_of_face[face] == kind)
+            reflectance[rows], transmittance[rows] = pane_fractions(
+                cosine[rows], self.transmittance[kind], index
+            )
+        position = origin_m[rays] + range_m[:, None] * hit_direction
+        return PaneHits(rays, range_m, position, normal, face, reflectance, transmittance)
 
-    def start(self, met: Met, mirrored: NDArray[np.bool_] | bool = False) -> Array:
+    def start(self, hits: PaneHits, is_reflected: NDArray[np.bool_] | bool = False) -> Array:
         """Return starts of transmitted or reflected rays, shape (meeting ray, 3), m."""
         side = np.where(
-            np.broadcast_to(mirrored, met.which.shape)[:, None], met.normal, -met.normal
+            np.broadcast_to(is_reflected, hits.rays.shape)[:, None], hits.normal, -hits.normal
         )
-        return self.tracer.above(met.face, met.place_m, side)
+        return self.tracer.above(hits.face, hits.position_m, side)
 
     def transmittance_along(
-        self, start_m: Array, way: Array, length_limit: float | None
+        self, start_m: Array, vector: Array, length_limit: float | None
     ) -> tuple[Rows, NDArray[np.float32]]:
         """Return indices of rays that meet panes, and their transmittances (ray, band).
 
-        Rays have a length of `length_limit` times that of their vectors `way` (ray, 3), or none.
+        Rays have a length of `length_limit` times that of their vectors (ray, 3), or none.
         """
-        length = np.linalg.norm(way, axis=1)
-        ahead = way / np.maximum(length, 1e-300)[:, None]
-        remaining_m = np.full(len(way), np.inf) if length_limit is None else length_limit * length
-        transmittance = np.ones((len(way), self.transmittance.shape[1]), np.float32)
-        rows, start, touched = (
-            np.arange(len(way)),
-            np.asarray(start_m, float),
-            np.zeros(len(way), bool),
+        length = np.linalg.norm(vector, axis=1)
+        direction = vector / np.maximum(length, 1e-300)[:, None]
+        remaining_m = (
+            np.full(len(vector), np.inf) if length_limit is None else length_limit * length
         )
+        transmittance = np.ones((len(vector), self.transmittance.shape[1]), np.float32)
+        rays, start = np.arange(len(vector)), np.asarray(start_m, float)
+        meets_pane = np.zeros(len(vector), bool)
         for _ in range(LIMITS.max_panes):
-            met = self.met(start, ahead[rows], remaining_m[rows])
-            rows = rows[met.which]
-            if not len(rows):
+            hits = self.hits(start, direction[rays], remaining_m[rays])
+            rays = rays[hits.rays]
+            if not len(rays):
                 break
-            transmittance[rows] *= met.through
-            touched[rows], start = True, self.start(met)
-            remaining_m[rows] -= met.range_m
-        transmittance[rows] = 0.0
-        return np.flatnonzero(touched), transmittance[touched]
+            transmittance[rays] *= hits.transmittance
+            meets_pane[rays], start = True, self.start(hits)
+            remaining_m[rays] -= hits.range_m
+        transmittance[rays] = 0.0
+        return np.flatnonzero(meets_pane), transmittance[meets_pane]
 
 
 class Segments(NamedTuple):
@@ -117,9 +111,9 @@ class Segments(NamedTuple):
     start_m: Array
     direction: Array
     hit: Hits  # opaque surface that the segment hits
-    earlier_m: Array  # path length before the segment
-    crossed: NDArray[np.bool_]  # whether the ray met a pane
-    mirrored: NDArray[np.bool_]  # whether a pane reflected it
+    preceding_m: Array  # path length before the segment
+    meets_pane: NDArray[np.bool_]  # whether the ray met a pane
+    is_reflected: NDArray[np.bool_]  # whether a pane reflected it
     weight: NDArray[
         np.float32
     ]  # fraction of the light over the probability of the path, shape (ray, band or 1)
@@ -134,32 +128,37 @@ def trace_segments(
 ) -> Segments:
     """Follow rays of unit direction (ray, 3) to the opaque surface."""
     hit, ray_count = tracer.hits(start_m, direction), len(start_m)
-    no, plain = np.zeros(ray_count, bool), np.ones((ray_count, 1), np.float32)
+    meets_pane, is_reflected = np.zeros((2, ray_count), bool)
+    preceding, weight = np.zeros(ray_count), np.ones((ray_count, 1), np.float32)
     if panes is None:
-        return Segments(start_m, direction, hit, np.zeros(ray_count), no, no, plain)
-    start, ahead, face, range_m = np.array(start_m), np.array(direction), hit.face, hit.range_m
-    earlier, crossed, mirrored = np.zeros(ray_count), no.copy(), no.copy()
-    weight, rows = plain.repeat(panes.transmittance.shape[1], axis=1), np.arange(ray_count)
+        return Segments(start_m, direction, hit, preceding, meets_pane, is_reflected, weight)
+    start, direction, face, range_m = np.array(start_m), np.array(direction), hit.face, hit.range_m
+    weight, rays = weight.repeat(panes.transmittance.shape[1], axis=1), np.arange(ray_count)
     for _ in range(LIMITS.max_panes):
-        met = panes.met(start[rows], ahead[rows], range_m[rows])
-        rows = rows[met.which]
-        if not len(rows):
+        hits = panes.hits(start[rays], direction[rays], range_m[rays])
+        rays = rays[hits.rays]
+        if not len(rays):
             break
-        back, on = met.mirrored.mean(axis=1), met.through.mean(axis=1)
-        chance = back / np.maximum(back + on, 1e-30)
-        turns = rng.random(len(rows)) < chance
-        weight[rows] *= np.where(turns[:, None], met.mirrored, met.through)
-        weight[rows] /= np.where(turns, chance, 1.0 - chance)[:, None].astype(np.float32)
-        start[rows] = panes.start(met, turns)
-        ahead[rows] = np.where(
-            turns[:, None], reflect_direction(ahead[rows], met.normal), ahead[rows]
+        reflectance, transmittance = hits.reflectance.mean(axis=1), hits.transmittance.mean(axis=1)
+        probability = reflectance / np.maximum(reflectance + transmittance, 1e-30)
+        picks_reflection = rng.random(len(rays)) < probability
+        weight[rays] *= np.where(picks_reflection[:, None], hits.reflectance, hits.transmittance)
+        weight[rays] /= np.where(picks_reflection, probability, 1.0 - probability)[:, None].astype(
+            np.float32
         )
-        earlier[rows] += met.range_m
-        crossed[rows], mirrored[rows] = True, mirrored[rows] | turns
-        onwards = tracer.hits(start[rows], ahead[rows])
-        face[rows], range_m[rows] = onwards.face, onwards.range_m
-    weight[rows] = 0.0
-    return Segments(start, ahead, Hits(face, range_m), earlier, crossed, mirrored, weight)
+        start[rays] = panes.start(hits, picks_reflection)
+        direction[rays] = np.where(
+            picks_reflection[:, None],
+            reflect_direction(direction[rays], hits.normal),
+            direction[rays],
+        )
+        preceding[rays] += hits.range_m
+        meets_pane[rays], is_reflected[rays] = True, is_reflected[rays] | picks_reflection
+        next_hit = tracer.hits(start[rays], direction[rays])
+        face[rays], range_m[rays] = next_hit.face, next_hit.range_m
+    weight[rays] = 0.0
+    segment_hit = Hits(face, range_m)
+    return Segments(start, direction, segment_hit, preceding, meets_pane, is_reflected, weight)
 
 
 def reflect_direction(direction: Array, normal: Array) -> Array:
@@ -175,7 +174,7 @@ WHITE = -1
 class ShadingPoints:
     """Points on surfaces at which radiance is computed, shape (point, ...)."""
 
-    place_m: Array
+    position_m: Array
     face: Rows
     normal: Array  # on the side of the viewer
     outgoing: Array  # unit direction to the viewer
@@ -196,23 +195,23 @@ class ShadingPoints:
     def is_diffuse(self) -> NDArray[np.bool_]:
         """Whether each point is on a diffuse surface, shape (point,)."""
         is_diffuse = np.ones(len(self), np.bool_)
-        for which, _ in self.glossy:
-            is_diffuse[which] = False
+        for rows, _ in self.glossy:
+            is_diffuse[rows] = False
         return is_diffuse
 
     def on_white_surface(self) -> "ShadingPoints":
         """Return the same points on a perfectly reflecting diffuse surface."""
         return replace(self, material=np.full(len(self), WHITE), glossy=())
 
-    def some(self, which: Rows) -> "ShadingPoints":
+    def select(self, indices: Rows) -> "ShadingPoints":
         """Return a selection of the points, with repetition."""
         glossy = []
-        for of, brdf in self.glossy:
-            shines = np.zeros(len(self), bool)
-            shines[of] = True
-            glossy_rows = np.flatnonzero(shines[which])
+        for rows, brdf in self.glossy:
+            is_glossy = np.zeros(len(self), bool)
+            is_glossy[rows] = True
+            glossy_rows = np.flatnonzero(is_glossy[indices])
             glossy += [(glossy_rows, brdf)] if len(glossy_rows) else []
-        arrays = {name: values[which] for name, values in vars(self).items() if name != "glossy"}
+        arrays = {name: values[indices] for name, values in vars(self).items() if name != "glossy"}
         return ShadingPoints(glossy=tuple(glossy), **arrays)
 
 
@@ -241,7 +240,7 @@ class BsdfSet:
         self,
         surfaces: Surfaces,
         face: Rows,
-        place_m: Array,
+        position_m: Array,
         direction: Array,
         control: NDArray[np.float32] | None = None,
     ) -> ShadingPoints:
@@ -258,10 +257,10 @@ class BsdfSet:
             for number, brdf in enumerate(self.brdfs)
             if not isinstance(brdf, Lambert) and (material == number).any()
         )
-        facing = np.where(on_outer_side[:, None], normal, -normal)
+        viewer_normal = np.where(on_outer_side[:, None], normal, -normal)
         control = np.ones(len(face), np.float32) if control is None else control
         return ShadingPoints(
-            place_m, face, facing, -direction, on_outer_side, material, glossy, control
+            position_m, face, viewer_normal, -direction, on_outer_side, material, glossy, control
         )
 
     def diffuse_brdf(self, points: ShadingPoints) -> NDArray[np.float32]:
@@ -273,10 +272,9 @@ class BsdfSet:
         band), sr-1.
         """
         brdf_values = self.diffuse_brdf(points)
-        for which, brdf in points.glossy:
-            frame = shading_frames(points.normal[which])
-            light, eye = within(frame, incoming[which]), within(frame, points.outgoing[which])
-            brdf_values[which] = brdf.value(light, eye, self.wavelength_nm).T
+        for rows, brdf in points.glossy:
+            directions = _to_light_and_viewer(points, rows, incoming)
+            brdf_values[rows] = brdf.value(*directions, self.wavelength_nm).T
         return brdf_values
 
     def sample(
@@ -288,27 +286,31 @@ class BsdfSet:
         Half of those of glossy points are by the specular lobe.
         """
         frame, local = shading_frames(points.normal), cosine_lobe(pairs)
-        for which, brdf in points.glossy:
-            by_gloss = which[rng.random(len(which)) < 0.5]
-            local[by_gloss] = brdf.sample(within(frame[by_gloss], points.outgoing[by_gloss]), rng)[
-                0
-            ]
+        for rows, brdf in points.glossy:
+            lobe_rows = rows[rng.random(len(rows)) < 0.5]
+            to_viewer = local_direction(frame[lobe_rows], points.outgoing[lobe_rows])
+            local[lobe_rows] = brdf.sample(to_viewer, rng)[0]
         direction = np.einsum("ij,ijk->ik", local, frame)
         return direction, self.density(points, direction)
 
     def density(self, points: ShadingPoints, direction: Array) -> Array:
         """Return the density of `sample` in unit directions (point, 3), sr-1, shape (point,)."""
         densities = np.maximum(np.einsum("ij,ij->i", points.normal, direction), 0.0) / np.pi
-        for which, brdf in points.glossy:
-            frame = shading_frames(points.normal[which])
-            light, eye = within(frame, direction[which]), within(frame, points.outgoing[which])
-            densities[which] = 0.5 * (densities[which] + brdf.pdf(light, eye))
+        for rows, brdf in points.glossy:
+            directions = _to_light_and_viewer(points, rows, direction)
+            densities[rows] = 0.5 * (densities[rows] + brdf.pdf(*directions))
         return densities
 
 
-def within(frame: Array, direction: Array) -> Array:
+def local_direction(frame: Array, direction: Array) -> Array:
     """Return directions (point, 3) in the axes of frames (point, 3, 3)."""
     return np.einsum("ijk,ik->ij", frame, direction)
+
+
+def _to_light_and_viewer(points: ShadingPoints, rows: Rows, incoming: Array) -> list[Array]:
+    """Return the directions to light and viewer of some points, in the frames of their normals."""
+    frame = shading_frames(points.normal[rows])
+    return [local_direction(frame, way[rows]) for way in (incoming, points.outgoing)]
 
 
 # Gas transmittance is tabulated at ranges of 2^(n / NODES) m from 1 m; shorter paths lose nothing
@@ -325,27 +327,31 @@ class Air:
     # over paths of 2^(n / `NODES`) m, shape (length, band)
     gas_transmittance: NDArray[np.float32] | None = None
     # radiance of an infinite path; None for unlit air
-    endless: environment_map.EnvironmentMap | None = None
+    infinite_path: environment_map.EnvironmentMap | None = None
 
     @classmethod
-    def of(cls, lit: "Atmosphere", wavelength_nm: Array) -> "Air":
+    def of(cls, atmosphere: "Atmosphere", wavelength_nm: Array) -> "Air":
         """Tabulate an atmosphere on bands (band,), nm."""
         lengths = 2.0 ** (np.arange(NODES * OCTAVES + 1) / NODES)
-        light = lit.light
+        light = atmosphere.light
         return cls(
-            lit.extinction_per_m(wavelength_nm).astype(np.float32),
-            np.ascontiguousarray(lit.gas_transmittance(lengths, wavelength_nm).T, np.float32),
+            atmosphere.extinction_per_m(wavelength_nm).astype(np.float32),
+            np.ascontiguousarray(
+                atmosphere.gas_transmittance(lengths, wavelength_nm).T, np.float32
+            ),
             None
             if light is None
-            else environment_map.sphere(lambda way: light.air_radiance(way, wavelength_nm)),
+            else environment_map.sphere(
+                lambda direction: light.air_radiance(direction, wavelength_nm)
+            ),
         )
 
     @property
-    def absorbs(self) -> bool:
+    def is_present(self) -> bool:
         """Whether there is air."""
         return self.extinction_per_m is not None
 
-    def through(self, range_m: Array) -> NDArray[np.float32]:
+    def transmittance(self, range_m: Array) -> NDArray[np.float32]:
         """Return the transmittance of paths of given lengths (ray,), m, shape (ray, band)."""
         return self._particle_transmittance(range_m) * self._gas_transmittance(range_m)
 
@@ -362,10 +368,10 @@ class Air:
         change = (
             particle_transmittance * self._gas_transmittance(range_m) - np.float32(1.0)
         ) * light
-        if self.endless is not None:
+        if self.infinite_path is not None:
             change += (
                 (1.0 - particle_transmittance)
-                * self.endless.irradiance(direction)
+                * self.infinite_path.irradiance(direction)
                 * self._gas_transmittance(0.5 * range_m)
             )
         return change
@@ -418,15 +424,15 @@ class SpectralScene:
         hit: Hits,
         origin_m: Array,
         direction: Array,
-        which: Rows,
+        rays: Rows,
         control: NDArray[np.float32] | None = None,
     ) -> ShadingPoints:
         """Return the shading points of some of the rays of unit direction (ray, 3), which hit a
         surface.
         """
-        position_m = origin_m[which] + hit.range_m[which, None] * direction[which]
+        position_m = origin_m[rays] + hit.range_m[rays, None] * direction[rays]
         return self.bsdfs.points(
-            self.surfaces, hit.face[which], position_m, direction[which], control
+            self.surfaces, hit.face[rays], position_m, direction[rays], control
         )
 
     def emission(self, points: ShadingPoints) -> tuple[Rows, NDArray[np.float32]]:
@@ -437,5 +443,5 @@ class SpectralScene:
         if panels is None:
             return np.zeros(0, np.int64), np.zeros((0, self.bands), np.float32)
         kind = panels.kind_of_face[points.face & ROW]
-        glows = np.flatnonzero((kind >= 0) & points.on_outer_side)
-        return glows, panels.spectra[kind[glows]]
+        emitters = np.flatnonzero((kind >= 0) & points.on_outer_side)
+        return emitters, panels.spectra[kind[emitters]]

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
 from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.camera_rays import radiance_along
 from simulate.radiance.integrator.integrator_settings import (
     KNOWN,
     IntegratorSettings,
     RenderSensor,
     SamplingSettings,
 )
-from simulate.radiance.integrator.outgoing_radiance import bounce_order, radiance_along
+from simulate.radiance.integrator.outgoing_radiance import bounce_order
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
 
@@ -286,7 +287,7 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
     )
     components = radiance_along(
         stage, origin, towards, effort, rng, gather_rays=limits.pilot_gather_rays, split=True
-    ).found
+    ).by_name
     by_name = {name: means(light @ weight) for name, light in components.items()}
     signal = np.asarray(
         sum(by_name.values(), start=np.zeros((len(count), limits.pilot_rays)))
@@ -295,7 +296,7 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
     for name, light in by_name.items():
         for part in _parts_of(name, (*stage.lighting.names, "hidden sky")):
             parts[part] = parts.get(part, 0.0) + light
-    if stage.air.absorbs and stage.lighting.lamps:
+    if stage.air.is_present and stage.lighting.lamps:
         # Lamp light that air takes before it reaches surfaces: the same rays with and without air.
         with_air, without = (
             radiance_along(

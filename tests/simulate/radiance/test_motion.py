@@ -307,7 +307,7 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
         and (there.face >> embree.COPY_BITS <= 0).all()
     )
     met = np.flatnonzero((here.face >= 0) & (there.face >= 0))
-    assert len(met) > 0.999 * max(len(here.met), len(there.met))
+    assert len(met) > 0.999 * max(len(here.rays), len(there.rays))
     same = np.abs(here.range_m[met] - there.range_m[met]) < 1e-6
     assert same.mean() > 0.999, "but for rays along edges"
     normals = one.tracer.normals(here.face[met[same]]), own.tracer.normals(there.face[met[same]])

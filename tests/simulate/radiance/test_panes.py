@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, from_mapping
-from simulate.radiance import clearest, load_scene, pane_shares
+from simulate.radiance import clearest, load_scene, pane_fractions
 from simulate.radiance.geometry import Mesh, RasterGeometry, Viewpoint, collect_surfaces, shape
 from simulate.radiance.integrator import (
     IntegratorSettings,
@@ -92,7 +92,7 @@ def textbook(angle_deg, internal=1.0):
 @pytest.mark.parametrize("angle_deg", [0, 30, 45, 60, 75, 89])
 def test_a_clear_pane_mirrors_and_lets_through_all_light_and_faces_are_the_handbooks(angle_deg):
     cosine = np.cos(np.deg2rad([float(angle_deg)]))
-    back, on = pane_shares(cosine, np.array([clearest(INDEX)]), INDEX)
+    back, on = pane_fractions(cosine, np.array([clearest(INDEX)]), INDEX)
     assert back + on == pytest.approx(1.0, abs=1e-12)
     assert (back[0, 0], on[0, 0]) == pytest.approx(textbook(angle_deg), abs=1e-6)
     if angle_deg == 0:
@@ -103,7 +103,7 @@ def test_what_a_grey_pane_neither_mirrors_nor_lets_through_it_keeps():
     internal = 0.8
     upright_on = textbook(0.0, internal)[1]
     for angle in (0.0, 40.0, 70.0, 85.0):
-        back, on = pane_shares(np.cos(np.deg2rad([angle])), np.array([upright_on]), INDEX)
+        back, on = pane_fractions(np.cos(np.deg2rad([angle])), np.array([upright_on]), INDEX)
         assert (back[0, 0], on[0, 0]) == pytest.approx(textbook(angle, internal), rel=1e-6)
         assert back + on < 1.0
 

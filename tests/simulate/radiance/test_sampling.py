@@ -128,7 +128,7 @@ def test_loops_find_what_batches_find(number, name, seed):
     case, known = CASES[name], (1.0, 0.4)[number % 2]
     stage, rng = crowded(case), np.random.default_rng(seed)
     if "close" in case:
-        assert stage.beams.worth.tolist() == case["close"]
+        assert stage.beams.is_efficient.tolist() == case["close"]
     place = np.column_stack([rng.uniform(-2.0, 2.0, (300, 2)), np.zeros(300)])
     down, share = np.broadcast_to([0.0, 0.0, -1.0], place.shape), np.full(300, known, np.float32)
     points = stage.bsdfs.points(stage.surfaces, np.zeros(300, np.int64), place, down, share)

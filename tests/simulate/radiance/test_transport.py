@@ -346,7 +346,7 @@ def test_what_hides_a_part_of_a_lamp_hides_as_much_of_its_light_from_the_floor(s
     shaded = staged(
         parts, {"floor": FLOOR, "ceiling": 0.5, "crumb": 0.0}, lamps=bare.lighting.lamps
     )
-    assert shaded.beams.worth.all()
+    assert shaded.beams.is_efficient.all()
     places = np.tile([0.0, 0.0, ABOVE_M], (MANY, 1))
     points = shaded.bsdfs.points(
         shaded.surfaces, np.full(MANY, 2), places, np.tile([0, 0, 1.0], (MANY, 1))
