@@ -102,31 +102,31 @@ def simulate(
     camera = camera_from_description(description)
     if isinstance(request.source, Path) and request.source.suffix == ".npz":
         _require_no_image_options(request)
-        seen, notes = (
+        source_image, notes = (
             read_cube(request.source),
             (f"spectral radiance of {name_of(request.source)}",),
         )
-        _require_dark(request, seen.radiance)
-        photoelectrons = photoelectrons_from_radiance(camera, seen, conditions)
+        _require_dark(request, source_image.radiance)
+        photoelectrons = photoelectrons_from_radiance(camera, source_image, conditions)
     else:
-        seen, notes = read_image(
+        source_image, notes = read_image(
             request.source,
             photoelectrons_per_dn=request.photoelectrons_per_dn,
             black_dn=request.black_dn or 0.0,
             shape=camera.shape,
         )
-        _require_dark(request, seen)
-        photoelectrons = photoelectrons_from_image(camera, seen)
-    camera, planned = _select_effects(camera, photoelectrons, conditions, request)
+        _require_dark(request, source_image)
+        photoelectrons = photoelectrons_from_image(camera, source_image)
+    camera, selection = _select_effects(camera, photoelectrons, conditions, request)
     light, kind = camera.to_mcp_input(photoelectrons, conditions), request.kind or "scene"
     return Shot(
         camera=camera,
         light=light,
         kind=kind,
         conditions=conditions,
-        seen=seen,
+        seen=source_image,
         notes=notes,
-        **planned,
+        **selection,
     )
 
 
@@ -150,21 +150,23 @@ def _outdoor_shot(
     )
 
     def render(
-        now: "OutdoorScene", seed: int, like: "RenderedView | None" = None
+        scene: "OutdoorScene", seed: int, reference_view: "RenderedView | None" = None
     ) -> "tuple[RenderedView, Any]":
         """Return a view of the scene as it stands, and its photoelectrons."""
-        rendering = OutdoorRendering(now, full_camera, conditions)
-        view = _render(rendering, replace(request, seed=seed), progress, like)
+        rendering = OutdoorRendering(scene, full_camera, conditions)
+        view = _render(rendering, replace(request, seed=seed), progress, reference_view)
         if temperatures is not None:
-            view = view.with_temperatures(temperatures.moved(now).map_k(rendering.view))
+            temperature_k = temperatures.moved(scene).map_k(rendering.view)
+            truth = replace(view.picture.truth, temperature_k=temperature_k)
+            view = replace(view, picture=replace(view.picture, truth=truth))
         return view, photoelectrons_from_radiance(full_camera, view.picture.cube, conditions)
 
     view, photoelectrons = render(scene.at(delay_s).for_sensor(request.sensor), request.seed)
-    camera, planned = _select_effects(full_camera, photoelectrons, conditions, request)
+    camera, selection = _select_effects(full_camera, photoelectrons, conditions, request)
 
-    def look(now: "OutdoorScene", seed: int) -> Look:
-        later, released = render(now, seed, view)
-        return Look(view=later, light=camera.to_mcp_input(released, conditions))
+    def look(scene: "OutdoorScene", seed: int) -> Look:
+        look_view, photoelectrons = render(scene, seed, view)
+        return Look(view=look_view, light=camera.to_mcp_input(photoelectrons, conditions))
 
     return Shot(
         camera=camera,
@@ -176,7 +178,7 @@ def _outdoor_shot(
         view=view,
         delay_s=delay_s,
         motion=_motion(scene, request, look),
-        **planned,
+        **selection,
     )
 
 
@@ -222,37 +224,39 @@ def _infrared_shot(
         _delay_s(request, scene),
     )
 
-    def view(now: "OutdoorScene", camera: ThermalImager, seed: int, is_set: bool) -> "InfraredView":
+    def view(
+        scene: "OutdoorScene", camera: ThermalImager, seed: int, is_set: bool
+    ) -> "InfraredView":
         return view_infrared(
-            now,
+            scene,
             camera,
-            temperatures.moved(now),
+            temperatures.moved(scene),
             tolerance=request.tolerance,
             seed=seed,
             preview=preview,
             is_set=is_set,
-            progress=lambda share: progress("infrared light", share),
+            progress=lambda fraction: progress("infrared light", fraction),
         )
 
-    seen = view(
+    first_view = view(
         scene.at(delay_s).for_sensor(request.sensor),
         ThermalImager(description),
         request.seed,
         False,
     )
 
-    def look(now: "OutdoorScene", seed: int) -> Look:
-        later = view(now, seen.camera, seed, True)
-        return Look(view=later, light=later.signal)
+    def look(scene: "OutdoorScene", seed: int) -> Look:
+        look_view = view(scene, first_view.camera, seed, True)
+        return Look(view=look_view, light=look_view.signal)
 
     return InfraredShot(
-        camera=seen.camera,
-        light=seen.signal,
+        camera=first_view.camera,
+        light=first_view.signal,
         kind="scene",
         conditions=conditions,
-        seen=seen,
-        notes=(f"scene {scene.name}", *seen.notes),
-        view=seen,
+        seen=first_view,
+        notes=(f"scene {scene.name}", *first_view.notes),
+        view=first_view,
         exact=True,
         delay_s=delay_s,
         motion=_motion(scene, request, look),
@@ -284,7 +288,9 @@ def simulate_rig(
         name: simulate(
             replace(request, sensor=name),
             *camera,
-            lambda sentence, share, of=name: progress(f"{of}: {sentence}", share),
+            lambda sentence, fraction, sensor_name=name: progress(
+                f"{sensor_name}: {sentence}", fraction
+            ),
         )
         for name, camera in sensors.items()
     }
@@ -297,15 +303,15 @@ def is_scene(source: "Path | NDArray[Any]") -> TypeGuard[Path]:
     return source.suffix == ".toml" or (not source.suffix and not source.is_file())
 
 
-def _outdoor_scene(request: SimulationRequest, needed: str) -> "OutdoorScene":
+def _outdoor_scene(request: SimulationRequest, requirement: str) -> "OutdoorScene":
     """Return the outdoor scene of a request; another source is BadInput, which begins with
-    `needed`.
+    the requirement.
     """
     from simulate.radiance.outdoor.scene import OutdoorScene
 
     scene = load_scene(request.source) if is_scene(request.source) else None
     if not isinstance(scene, OutdoorScene):
-        raise BadInput(f"{needed} an outdoor scene, got {name_of(request.source)}")
+        raise BadInput(f"{requirement} an outdoor scene, got {name_of(request.source)}")
     return scene
 
 
@@ -320,8 +326,8 @@ def preview(
     scene = _outdoor_scene(request, "a preview needs")
     _require_no_image_options(request)
     _require_no_bench_options(request, conditions)
-    now = scene.at(_delay_s(request, scene)).for_sensor(request.sensor)
-    rendering = OutdoorRendering(now, camera_from_description(description), conditions)
+    posed_scene = scene.at(_delay_s(request, scene)).for_sensor(request.sensor)
+    rendering = OutdoorRendering(posed_scene, camera_from_description(description), conditions)
     return rendering.render(tolerance=request.tolerance, seed=request.seed, preview=True)
 
 
@@ -329,7 +335,7 @@ def _render(
     view: "OutdoorRendering",
     request: SimulationRequest,
     progress: Progress,
-    like: "RenderedView | None",
+    reference_view: "RenderedView | None",
 ) -> "RenderedView":
     """Render an outdoor scene; a rendering of more than a minute announces its time."""
     sentence = "light"
@@ -342,8 +348,8 @@ def _render(
     return view.render(
         tolerance=request.tolerance,
         seed=request.seed,
-        like=like,
-        progress=lambda share: progress(sentence, share),
+        like=reference_view,
+        progress=lambda fraction: progress(sentence, fraction),
         announce=announce,
     )
 
@@ -376,14 +382,19 @@ def _bench_shot(
             )
         conditions = replace(conditions, illuminance_lux=0.0 if kind == "dark" else 1e-4)
     bench = LabBench(description, scene)
-    _, planned = _select_effects(
+    _, selection = _select_effects(
         bench.camera, bench.photoelectrons(kind, target, conditions), conditions, request
     )
-    if "plan" in planned:
-        bench = bench.without(planned["plan"].names)
+    if "plan" in selection:
+        bench = bench.without(selection["plan"].names)
     light = bench.mcp_input(kind, target, conditions)
     return Shot(
-        camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned
+        camera=bench.camera,
+        light=light,
+        kind=kind,
+        conditions=conditions,
+        target=target,
+        **selection,
     )
 
 
@@ -402,9 +413,9 @@ def _require_no_image_options(request: SimulationRequest) -> None:
             raise BadInput(f"{name} is only for an image, got it with {name_of(request.source)}")
 
 
-def _require_dark(request: SimulationRequest, seen: NDArray[np.floating]) -> None:
+def _require_dark(request: SimulationRequest, source_image: NDArray[np.floating]) -> None:
     """Raise BadInput if the kind is dark and the source has light."""
-    if request.kind == "dark" and (lit := float((seen > 0.0).mean())):
+    if request.kind == "dark" and (lit := float((source_image > 0.0).mean())):
         raise BadInput(
             f"a dark must have no light, got it on {100.0 * lit:.3g} % of {name_of(request.source)}"
         )
@@ -419,7 +430,6 @@ def _select_effects(
     from simulate.camera.effect_bounds import (
         NoiseBudget,
         bound_effects,
-        per_pixel,
         select_camera_effects,
     )
     from simulate.effect_selection import EffectSelection
@@ -427,7 +437,9 @@ def _select_effects(
     if not camera.has_tube:
         return camera, {"exact": request.tolerance is None}
     if request.tolerance is None:
-        effects = bound_effects(NoiseBudget(camera, per_pixel(camera, photoelectrons), conditions))
+        effects = bound_effects(
+            NoiseBudget(camera, camera.photoelectrons_per_pixel(photoelectrons), conditions)
+        )
         return camera, {
             "exact": True,
             "plan": EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=()),

@@ -54,20 +54,20 @@ class EffectSelection:
 
     def text(self, measure: str = "at most, of the noise") -> str:
         """Return the selection as a text table; `measure` is the heading of the influences."""
-        everything = sorted((*self.kept, *self.left_out), key=lambda effect: -effect.influence)
-        width = max((len(effect.name) for effect in everything), default=6)
+        effects = sorted((*self.kept, *self.left_out), key=lambda effect: -effect.influence)
+        width = max((len(effect.name) for effect in effects), default=6)
         head = f"{'effect':{width}}  {measure:>21}  {'':8}  {'once, ms':>9}  {'a frame, ms':>11}"
         lines = [
             f"{effect.name:{width}}  {_percent(effect.influence):>21}  "
             f"{'left out' if effect in self.left_out else 'kept':8}  {1e3 * effect.setup_s:9.0f}  "
             f"{1e3 * effect.frame_s:11.2f}"
-            for effect in everything
+            for effect in effects
         ]
-        together = (
+        total = (
             f"left out together: at most {_percent(self.influence)} of the temporal noise, "
             f"of {_percent(self.tolerance)} allowed"
         )
-        return "\n".join((head, *lines, together))
+        return "\n".join((head, *lines, total))
 
     def document(self) -> dict[str, Any]:
         """Return the plan as plain values, for a file."""

@@ -49,14 +49,14 @@ def read_image(
         raise BadInput(f"an image must have no negative pixel, got {image.min():g} in {name}")
     signal_dn = image - black_dn
     dark_pixels = int(np.count_nonzero(signal_dn < 0.0))
-    placed, how = centre_on_frame(np.maximum(signal_dn, 0.0) * scale, shape)
+    frame_image, how = centre_on_frame(np.maximum(signal_dn, 0.0) * scale, shape)
     notes = [
         f"{name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure",
         *how,
     ]
     notes += [f"first of {len(stack)} frames of {name}"] if len(stack) > 1 else []
     notes += [f"{dark_pixels} pixels below {black_dn:g} DN count as dark"] if dark_pixels else []
-    return placed.astype(np.float32), (*notes, *stack.notes)
+    return frame_image.astype(np.float32), (*notes, *stack.notes)
 
 
 def name_of(source: Path | NDArray[Any]) -> str:
@@ -78,14 +78,14 @@ def centre_on_frame(
         image_slices.append(slice(max(-shift, 0), max(-shift, 0) + length))
     frame[tuple(frame_slices)] = image[tuple(image_slices)]
     sizes = list(zip(image.shape, shape, strict=True))
-    done = ["cropped"] * any(size > room for size, room in sizes)
-    done += ["padded with darkness"] * any(size < room for size, room in sizes)
+    actions = ["cropped"] * any(size > room for size, room in sizes)
+    actions += ["padded with darkness"] * any(size < room for size, room in sizes)
     (rows, cols), (height, width) = image.shape, shape
     note = (
         f"the image of {rows} x {cols} pixels is centred on the frame of {height} x {width}, "
-        f"{' and '.join(done)}"
+        f"{' and '.join(actions)}"
     )
-    return frame, (note,) if done else ()
+    return frame, (note,) if actions else ()
 
 
 def read_cube(path: Path) -> "RadianceCube":
@@ -96,12 +96,12 @@ def read_cube(path: Path) -> "RadianceCube":
 
     require_regular(path, "a radiance cube")
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as packed:
-            unpacked_bytes = sum(part.file_size for part in packed.zip.infolist())
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            unpacked_bytes = sum(member.file_size for member in archive.zip.infolist())
             require_room(path, pixels=unpacked_bytes // 8, pixel_bytes=8)
-            missing = sorted({"wavelength_nm", "radiance"} - set(packed.files))
+            missing = sorted({"wavelength_nm", "radiance"} - set(archive.files))
             arrays = (
-                {} if missing else {name: packed[name] for name in ("wavelength_nm", "radiance")}
+                {} if missing else {name: archive[name] for name in ("wavelength_nm", "radiance")}
             )
     except BadInput:
         raise

@@ -95,8 +95,8 @@ class InfraredView:
         effects_of_table: dict[str, Any] = {
             name: [
                 {**_row(effect), "kept": is_kept}
-                for is_kept, of in zip((True, False), effects, strict=True)
-                for effect in of
+                for is_kept, effect_list in zip((True, False), effects, strict=True)
+                for effect in effect_list
             ]
             for name, effects in tables.items()
         }
@@ -149,10 +149,10 @@ def view_infrared(
     progress
         Called with the fraction done.
     """
-    stands = scene.camera
-    ahead = np.subtract(stands.look_at_m, stands.position_m)
-    forward = tuple((ahead / np.linalg.norm(ahead)).tolist())
-    viewpoint = replace(camera.viewpoint(stands.position_m, forward), roll_deg=stands.roll_deg)
+    pose = scene.camera
+    axis = np.subtract(pose.look_at_m, pose.position_m)
+    forward = tuple((axis / np.linalg.norm(axis)).tolist())
+    viewpoint = replace(camera.viewpoint(pose.position_m, forward), roll_deg=pose.roll_deg)
     if preview:
         viewpoint = viewpoint.smaller(max(1, round(max(viewpoint.shape) / PREVIEW_PX)))
     picture = infrared_radiance(

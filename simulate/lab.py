@@ -217,17 +217,17 @@ class LabBench:
         if conditions.illuminance_lux is not None:
             return conditions.illuminance_lux
         if camera.has_tube or photons is None or conditions.wavelength_nm is None:
-            stated = "" if camera.has_tube else ", or photons_per_px and wavelength_nm,"
+            alternative = "" if camera.has_tube else ", or photons_per_px and wavelength_nm,"
             raise BadInput(
-                f"illuminance_lux{stated} must be given for a stack of kind {kind!r}, got none"
+                f"illuminance_lux{alternative} must be given for a stack of kind {kind!r}, got none"
             )
         silicon = camera.description.silicon
         efficiency = np.interp(
             conditions.wavelength_nm, silicon.wavelength_nm, silicon.quantum_efficiency, 0.0, 0.0
         )
         per_cm2, _ = self._photons_per_lux(self.scene)
-        counted = photons * float(efficiency) / max(silicon.quantum_efficiency)
-        return counted / (per_cm2 * camera.field_pixel_area_cm2 * camera.open_s(conditions))
+        photoelectrons = photons * float(efficiency) / max(silicon.quantum_efficiency)
+        return photoelectrons / (per_cm2 * camera.field_pixel_area_cm2 * camera.open_s(conditions))
 
     def _scene_of(self, target: Target) -> LabScene:
         """The bench with a plate of the target's contrast; without one the plate is as opaque as

@@ -53,20 +53,20 @@ class Motion:
 
     def is_still(self, times_s: Iterable[float]) -> bool:
         """Whether nothing moves from one of the times to another."""
-        first, *later_s = times_s
-        start = self.at(first)
+        first_s, *later_s = times_s
+        start = self.at(first_s)
         return all(self.at(time_s) == start for time_s in later_s)
 
     def looks(self, first: Look, times_s: Iterable[float]) -> Iterator[Look]:
         """Yield the look at each time, the same one while nothing moves; `first` is that at the
         first time.
         """
-        look, before = first, None
+        look, previous_scene = first, None
         for number, time_s in enumerate(times_s):
-            now = self.at(time_s)
-            if before is not None and now != before:
+            scene = self.at(time_s)
+            if previous_scene is not None and scene != previous_scene:
                 look = self.look(
-                    now, int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
+                    scene, int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
                 )
-            before = now
+            previous_scene = scene
             yield look

@@ -28,18 +28,20 @@ def conditions_of(camera: Camera, *, gain: float | None = None, **options: Any) 
     `gain`: luminous gain of the tube, lm/lm, or multiplication of an electron-multiplying register.
     Raises BadInput if an option does not apply to the camera or conflicts with another one.
     """
-    stated = {name: value for name, value in options.items() if value is not None}
+    values = {name: value for name, value in options.items() if value is not None}
     if gain is not None and not (math.isfinite(gain) and gain > 0.0):
         raise BadInput(f"gain must be positive, got {gain:g}")
     exposure_s = 1.0 / float(camera.video.field_rate_hz)
     if camera.is_thermal:
-        if unfit := [*stated, *(["gain"] if gain is not None else [])]:
-            raise BadInput(f"{unfit[0]} needs a camera of visible light, got {camera.name!r}")
+        if tube_options := [*values, *(["gain"] if gain is not None else [])]:
+            raise BadInput(
+                f"{tube_options[0]} needs a camera of visible light, got {camera.name!r}"
+            )
         cooled = camera.cooled_array
         return Conditions(
             exposure_s=exposure_s if cooled is None else 1e-3 * float(cooled.integration_ms)
         )
-    if stated.get("automatic_gain") and not camera.video.automatic_gain:
+    if values.get("automatic_gain") and not camera.video.automatic_gain:
         raise BadInput(f"automatic_gain needs a camera that has it, got {camera.name!r}")
     if not camera.has_tube:
         highest_gain = float(camera.register.em_gain)
@@ -47,18 +49,18 @@ def conditions_of(camera: Camera, *, gain: float | None = None, **options: Any) 
             raise BadInput(
                 f"gain of {camera.name!r} must lie between 1 and {highest_gain:g}, got {gain:g}"
             )
-        if unfit := [name for name in _OF_A_TUBE if name in stated]:
-            raise BadInput(f"{unfit[0]} needs a camera with a tube, got {camera.name!r}")
+        if tube_options := [name for name in _OF_A_TUBE if name in values]:
+            raise BadInput(f"{tube_options[0]} needs a camera with a tube, got {camera.name!r}")
         return Conditions(
-            exposure_s=exposure_s, em_gain=highest_gain if gain is None else gain, **stated
+            exposure_s=exposure_s, em_gain=highest_gain if gain is None else gain, **values
         )
-    ways = [name for name in ("mcp_v", "gain_control") if name in stated]
-    if len(ways := [*ways, *(["gain"] if gain is not None else [])]) > 1:
-        raise BadInput(f"the gain must be set once, got {' and '.join(ways)}")
+    gain_options = [name for name in ("mcp_v", "gain_control") if name in values]
+    if len(gain_options := [*gain_options, *(["gain"] if gain is not None else [])]) > 1:
+        raise BadInput(f"the gain must be set once, got {' and '.join(gain_options)}")
     nominal: dict[str, Any] = {"gate_ns": exposure_s * 1e9}
-    if gain is not None or not ways:
+    if gain is not None or not gain_options:
         nominal["mcp_v"] = voltage_of(camera, gain)
-    return Conditions(exposure_s=exposure_s, **{**nominal, **stated})
+    return Conditions(exposure_s=exposure_s, **{**nominal, **values})
 
 
 def voltage_of(sensor: Camera, luminous_gain: float | None) -> float:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata import BadInput, Conditions
 from simulate.camera import tube_photometry
@@ -42,7 +41,7 @@ def render_sensor_of(camera: CameraModel, conditions: Conditions) -> RenderSenso
     table = np.asarray(lens.detector_nm, float)
     fine = np.union1d(table, np.arange(table[0], table[-1], STEP_NM))
     relative = np.interp(fine, table, lens.detector_efficiency) / max(lens.detector_efficiency)
-    peak, area_m2, open_s, dark, factor, read, evened = _numbers(camera, conditions)
+    peak, area_m2, open_s, dark, factor, read, averaging_factor = _numbers(camera, conditions)
     per_watt = peak * relative * fine * 1e-9 / tube_photometry.JOULE_METRE
     response = per_watt * lens.gathering_sr * area_m2 * open_s
     return RenderSensor(
@@ -50,7 +49,7 @@ def render_sensor_of(camera: CameraModel, conditions: Conditions) -> RenderSenso
         response=tuple(response),
         dark_variance=factor * dark + read,
         variance_per_signal=factor,
-        noise_averaging_factor=evened,
+        noise_averaging_factor=averaging_factor,
         name=camera.description.name,
     )
 
@@ -87,8 +86,16 @@ def _numbers(
     read = (float(camera.description.ccd.read_noise_e) / budget.of_chain.gain_e) ** 2
     factor = budget.mcp.excess_noise_factor
     per_pe = (budget.pulses[0] + budget.of_chain.white) / budget.charge_e
-    evened = min(1.0, float(np.sqrt(per_pe / factor)))
-    return cathode.quantum_efficiency, area_m2, cathode.open_s, budget.dark_pe, factor, read, evened
+    averaging_factor = min(1.0, float(np.sqrt(per_pe / factor)))
+    return (
+        cathode.quantum_efficiency,
+        area_m2,
+        cathode.open_s,
+        budget.dark_pe,
+        factor,
+        read,
+        averaging_factor,
+    )
 
 
 # Pixels on the longer side of a preview.
@@ -129,12 +136,12 @@ class RenderedView:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user of the frames."""
-        out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
+        neglected = ", ".join(sorted(self.plan.plan.names)) or "nothing"
         below_zero = self.picture.below_zero
         return (
             (
-                f"light by rays: left out {out}; see light; the truth of each pixel is in truth, "
-                "next to the frames"
+                f"light by rays: left out {neglected}; see light; the truth of each pixel is in "
+                "truth, next to the frames"
             ),
             *(
                 (f"{below_zero} pixels came out below zero by chance and count as dark",)
@@ -155,11 +162,6 @@ class RenderedView:
     def text(self) -> str:
         """Return the plan as lines."""
         return self.plan.text()
-
-    def with_temperatures(self, temperature_k: NDArray[np.float32]) -> "RenderedView":
-        """Return the view with the temperature of each pixel, K, in its truth."""
-        truth = replace(self.picture.truth, temperature_k=temperature_k)
-        return replace(self, picture=replace(self.picture, truth=truth))
 
     def document(self) -> bytes:
         """Return the plan as JSON."""
@@ -182,25 +184,25 @@ class OutdoorRendering:
     @property
     def view(self) -> Viewpoint:
         """Viewpoint of the camera without distortion, which the camera's lens adds."""
-        lens, cells, stands = self.camera.lens(), self.camera.cells, self.scene.camera
-        if stands.distortion_fraction and lens.distortion_fraction:
+        lens, cells, pose = self.camera.lens(), self.camera.cells, self.scene.camera
+        if pose.distortion_fraction and lens.distortion_fraction:
             raise BadInput(
                 "distortion must be stated once: the scene's camera has "
-                f"{stands.distortion_fraction:g} and the sensor's lens {lens.distortion_fraction:g}"
+                f"{pose.distortion_fraction:g} and the sensor's lens {lens.distortion_fraction:g}"
             )
-        ahead = np.subtract(stands.look_at_m, stands.position_m)
-        ahead /= np.linalg.norm(ahead)
+        forward = np.subtract(pose.look_at_m, pose.position_m)
+        forward /= np.linalg.norm(forward)
         return Viewpoint(
-            position_m=stands.position_m,
-            forward=(float(ahead[0]), float(ahead[1]), float(ahead[2])),
-            roll_deg=stands.roll_deg,
+            position_m=pose.position_m,
+            forward=(float(forward[0]), float(forward[1]), float(forward[2])),
+            roll_deg=pose.roll_deg,
             shape=self.camera.shape,
             focal_px=(
                 lens.focal_length_mm / cells.pitch_x_mm,
                 lens.focal_length_mm / cells.pitch_y_mm,
             ),
-            distortion_fraction=stands.distortion_fraction,
-            scan=stands.scan,
+            distortion_fraction=pose.distortion_fraction,
+            scan=pose.scan,
         )
 
     def render(
@@ -239,7 +241,7 @@ class OutdoorRendering:
         if preview:
             view = view.smaller(max(1, round(max(view.shape) / PREVIEW_PX)))
         if like is not None:
-            plan, stage = like.plan, self.site.like(like.stage)
+            plan, stage = like.plan, self.site.with_light_of(like.stage)
         elif tolerance is None:
             plan, stage = exact(self.site, view, eye, seed)
         else:
@@ -274,8 +276,8 @@ class OutdoorRendering:
         )
 
     def _title(self) -> str:
-        where, sky = self.scene.place, self.site.sky
-        if where is None or sky is None:
+        location, sky = self.scene.place, self.site.sky
+        if location is None or sky is None:
             return f"{self.scene.name}, without a sky"
-        up = [f"{body.name} at {body.elevation_deg:.0f} deg" for body in sky.discs()]
-        return f"{self.scene.name}, {where.time}, {', '.join(up) or 'no moon'}"
+        bodies = [f"{body.name} at {body.elevation_deg:.0f} deg" for body in sky.discs()]
+        return f"{self.scene.name}, {location.time}, {', '.join(bodies) or 'no moon'}"

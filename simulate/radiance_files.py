@@ -91,7 +91,7 @@ def _bands(
 def _write_envi(content: dict[str, Any], path: Path) -> None:
     data = np.ascontiguousarray(content["radiance"], "<f4")
     bands, rows, columns = data.shape
-    unit, middles, widths = _bands(content)
+    unit, centres, widths = _bands(content)
 
     def among(values: Any) -> str:
         return (
@@ -110,9 +110,9 @@ def _write_envi(content: dict[str, Any], path: Path) -> None:
         "data type": 4,
         "interleave": "bsq",
         "byte order": 0,
-        "band names": among(f"{middle:.6g} {unit}" for middle in middles),
+        "band names": among(f"{centre:.6g} {unit}" for centre in centres),
         "wavelength units": {"nm": "Nanometers", "um": "Micrometers"}[unit],
-        "wavelength": among(middles),
+        "wavelength": among(centres),
         **({} if widths is None else {"fwhm": among(widths)}),
         "z plot titles": among([f"Wavelength ({unit})", f"Radiance ({content['unit']})"]),
         "radiance unit": content["unit"],
@@ -131,8 +131,8 @@ def _write_envi(content: dict[str, Any], path: Path) -> None:
 
 
 def _write_exr(content: dict[str, Any], path: Path) -> None:
-    unit, middles, _ = _bands(content)
-    names = [f"S0.{middle:.6f}{unit}".replace(".", ",").replace(",", ".", 1) for middle in middles]
+    unit, centres, _ = _bands(content)
+    names = [f"S0.{centre:.6f}{unit}".replace(".", ",").replace(",", ".", 1) for centre in centres]
     planes = dict(zip(names, content["radiance"], strict=True)) | {"range_m": content["range_m"]}
     channels = sorted(planes)
     # Values of a row lie channel by channel in the order of the names: (row, channel, col).
@@ -168,14 +168,14 @@ def _write_exr(content: dict[str, Any], path: Path) -> None:
         for name, kind, value in attributes
     )
     # magic number, version of single scan-line images
-    before = pack("<2i", 20000630, 2) + header + b"\0"
+    preamble = pack("<2i", 20000630, 2) + header + b"\0"
     row_bytes = data[0].nbytes
-    row_offsets = len(before) + 8 * rows + (8 + row_bytes) * np.arange(rows, dtype="<u8")
+    row_offsets = len(preamble) + 8 * rows + (8 + row_bytes) * np.arange(rows, dtype="<u8")
     blocks = np.empty(
         rows, np.dtype([("row", "<i4"), ("size", "<i4"), ("data", "<f4", data.shape[1:])])
     )
     blocks["row"], blocks["size"], blocks["data"] = np.arange(rows), row_bytes, data
-    write_atomically(path, before + row_offsets.astype("<u8").tobytes() + blocks.tobytes())
+    write_atomically(path, preamble + row_offsets.astype("<u8").tobytes() + blocks.tobytes())
 
 
 def _content(view: "RenderedView | InfraredView") -> dict[str, Any]:

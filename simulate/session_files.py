@@ -141,17 +141,17 @@ def _save_stack(
         save_truth(view, path, shot.time_s(number), shot.frame_distortion)
 
     stream = shot.frames(seed=seed, count=frames, keep=keep)
-    first, record_fields = next(stream), {"target": shot.target, **stack_fields}
+    first_frame, record_fields = next(stream), {"target": shot.target, **stack_fields}
     with writer.begin_stack(
-        label, shot.kind, first.shape, first.dtype, shot.conditions, **record_fields
+        label, shot.kind, first_frame.shape, first_frame.dtype, shot.conditions, **record_fields
     ) as stack:
-        stack.append(first, shot.delay_s, 0)
+        stack.append(first_frame, shot.delay_s, 0)
         for number, frame in enumerate(stream, 1):
             stack.append(frame, shot.time_s(number), number)
             progress(f"frame {number + 1} of {frames}", (number + 1) / frames)
-        maker = f"simulated by charact {version('charact')}, seed {seed}"
+        software = f"simulated by charact {version('charact')}, seed {seed}"
         stack.finish(
-            notes=(maker, *shot.notes, *_motion_notes(shot, views), shot.economy_note, *notes)
+            notes=(software, *shot.notes, *_motion_notes(shot, views), shot.economy_note, *notes)
         )
 
 

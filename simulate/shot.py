@@ -31,10 +31,6 @@ def ignore_progress(sentence: str, fraction: float) -> None:
     """Discard a progress message."""
 
 
-def _ignore_view(number: int, view: Any) -> None:
-    """Ignore a view."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Shot:
     """A simulated camera, its light and the metadata of the session.
@@ -85,7 +81,9 @@ class Shot:
         """Return the time of a frame after that of the scene, s."""
         return self.delay_s + frame * self.camera.frame_s
 
-    def frames(self, *, seed: int, count: int, keep: Keep = _ignore_view) -> Iterator[NDArray[Any]]:
+    def frames(
+        self, *, seed: int, count: int, keep: Keep = lambda number, view: None
+    ) -> Iterator[NDArray[Any]]:
         """Yield frames, shape (row, col), DN.
 
         Parameters
@@ -109,13 +107,13 @@ class Shot:
 
     def _looks(self, motion: Motion, times_s: list[float], keep: Keep) -> Iterator[Look]:
         assert self.view is not None
-        steps, shown = self._exposures_per_frame, self.view
+        steps, view = self._exposures_per_frame, self.view
         for number, look in enumerate(
             motion.looks(Look(view=self.view, light=self.light), times_s)
         ):
-            if number % steps == 0 and look.view is not shown:
-                shown = look.view
-                keep(number // steps, shown)
+            if number % steps == 0 and look.view is not view:
+                view = look.view
+                keep(number // steps, view)
             yield look
 
     def _still_frames(self, seed: int) -> Iterator[NDArray[Any]]:
@@ -143,7 +141,7 @@ class Shot:
         if self.seen is not None:
             yield "picture", "photoelectrons per exposure and pixel, expected", self.seen
         location = "at the plate" if self.camera.has_tube else "in the chip"
-        pixels = self.light.values[(..., *self.light.grid.inside)]
+        pixels = self.light.values[(..., *self.light.grid.frame_slices)]
         yield f"photoelectrons {location}", "photoelectrons per exposure and cell, expected", pixels
         yield from stage_images(self.camera, self.light, self.conditions, seed)
 
@@ -199,12 +197,10 @@ class InfraredShot(Shot):
 
     @property
     def explanation(self) -> str:
-        """Text of retained and neglected terms with their changes."""
         return self.seen.text()
 
     @property
     def economy_note(self) -> str:
-        """Note on neglected effects of the imager."""
         return "no effect of the imager left out"
 
 
@@ -240,17 +236,18 @@ def stage_images(
         yield from _draw_images(chain.between(Slot.PIXELS, Slot.VIDEO), at_mcp, readout_rng)
         return
     screen, decay = chain.between(Slot.MCP, Slot.PIXELS), chain[Slot.DECAY]
-    *earlier, last = range(decay.n_lag_fields + camera.fields_per_frame)
+    *earlier_fields, last_field = range(decay.n_lag_fields + camera.fields_per_frame)
     fields = [
-        screen.draw(at_mcp, np.random.default_rng([seed, 0, number])).values for number in earlier
+        screen.draw(at_mcp, np.random.default_rng([seed, 0, number])).values
+        for number in earlier_fields
     ]
     yield from (
-        images := list(_draw_images(screen, at_mcp, np.random.default_rng([seed, 0, last])))
+        images := list(_draw_images(screen, at_mcp, np.random.default_rng([seed, 0, last_field])))
     )
-    shown = apply_phosphor_decay([*fields, images[-1][2]], decay.weights)
-    yield decay.name, decay.quantity, shown[-1]
+    images_shown = apply_phosphor_decay([*fields, images[-1][2]], decay.weights)
+    yield decay.name, decay.quantity, images_shown[-1]
     yield from _draw_images(
-        chain.between(Slot.SCAN, Slot.VIDEO), StageImage(values=shown), readout_rng
+        chain.between(Slot.SCAN, Slot.VIDEO), StageImage(values=images_shown), readout_rng
     )
 
 
@@ -273,8 +270,8 @@ def _before_the_draw(camera: CameraModel, cube: RadianceCube, conditions: Condit
 
 
 def _draw_images(chain: Chain, light: StageImage, rng: np.random.Generator) -> Iterator[NamedImage]:
-    for stage, after in zip(chain.stages, chain.steps(light, rng), strict=True):
-        yield _image_of(stage, after)
+    for stage, image in zip(chain.stages, chain.steps(light, rng), strict=True):
+        yield _image_of(stage, image)
 
 
 def _image_of(stage: Stage, light: StageImage) -> NamedImage:
@@ -282,5 +279,5 @@ def _image_of(stage: Stage, light: StageImage) -> NamedImage:
     image, grid = light.with_blurs_applied().values, light.grid
     image = image[-1] if image.ndim > 2 else image
     if grid is not None:
-        image = image[grid.inside]
+        image = image[grid.frame_slices]
     return stage.name, stage.quantity, np.ascontiguousarray(image, np.float32)

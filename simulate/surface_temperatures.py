@@ -72,7 +72,7 @@ class SurfaceTemperatures(Result):
         """Write temperatures.csv, temperatures.json (terms, slabs and notes) and map.npz into a
         folder.
         """
-        folder, packed = Path(out), io.BytesIO()
+        folder, buffer = Path(out), io.BytesIO()
         document = {
             "weather": list(self.notes),
             "terms": [asdict(term) for term in self.terms],
@@ -82,8 +82,8 @@ class SurfaceTemperatures(Result):
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / "temperatures.csv", self.table().encode())
         write_atomically(folder / "temperatures.json", json.dumps(document, indent=1).encode())
-        np.savez_compressed(packed, temperature_k=self.map_k)
-        write_atomically(folder / "map.npz", packed.getbuffer())
+        np.savez_compressed(buffer, temperature_k=self.map_k)
+        write_atomically(folder / "map.npz", buffer.getbuffer())
 
 
 @documented
@@ -173,8 +173,8 @@ def temperatures(
         sd_k=sd_k,
         map_k=solved.map_k(view, lambda fraction: progress("map", fraction)),
         terms=tuple(
-            Term(name=effect.name, changes_mk=effect.influence, kept=kept)
-            for effects, kept in ((solution.effects, True), (solution.left_out, False))
+            Term(name=effect.name, changes_mk=effect.influence, kept=is_retained)
+            for effects, is_retained in ((solution.effects, True), (solution.left_out, False))
             for effect in effects
         ),
         input_errors_mk={

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from simulate.camera.effect_bounds import (
         NoiseBudget,
         bound_effects,
-        per_pixel,
         select_camera_effects,
     )
     from simulate.camera.grid import Grid, grid_with_margin, rfft_image
@@ -115,7 +114,6 @@ __all__ = [
     "mcp_input_from_photoelectrons",
     "mcp_input_from_radiance",
     "noise_equivalent_radiance",
-    "per_pixel",
     "photoelectrons_from_image",
     "photoelectrons_from_radiance",
     "poisson_numbers",
@@ -136,9 +134,7 @@ __getattr__ = import_on_first_use(
         "simulate.camera.camera": "CameraModel",
         "simulate.camera.ccd": "Ccd apply_column_blooming spread_excess_charge",
         "simulate.camera.chain": "Chain Slot Stage",
-        "simulate.camera.effect_bounds": (
-            "NoiseBudget bound_effects per_pixel select_camera_effects"
-        ),
+        "simulate.camera.effect_bounds": ("NoiseBudget bound_effects select_camera_effects"),
         "simulate.camera.grid": "Grid grid_with_margin rfft_image",
         "simulate.camera.lens": "RadiometricLens few_transfers",
         "simulate.camera.microchannel": "MicrochannelPlate",

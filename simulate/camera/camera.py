@@ -125,8 +125,10 @@ class CameraModel(CameraFrame):
         """
         gate_s = None if conditions.gate_ns is None else conditions.gate_ns * 1e-9
         if not self.has_tube:
-            stated = [seconds for seconds in (conditions.exposure_s, gate_s) if seconds is not None]
-            shortest = min(stated, default=self.frame_s)
+            open_times_s = [
+                seconds for seconds in (conditions.exposure_s, gate_s) if seconds is not None
+            ]
+            shortest = min(open_times_s, default=self.frame_s)
             if not 0.0 < shortest <= self.frame_s * 1.001:
                 raise BadInput(
                     f"an exposure must be positive and at most one frame, {self.frame_s:.6g} s, "
@@ -165,8 +167,10 @@ class CameraModel(CameraFrame):
             return photoelectrons.resample_to(self.cells)
         cathode = self.stage(Slot.PHOTOCATHODE, conditions)
         dark = np.float32(cathode.ebi_per_s_cm2 * cathode.open_s * self.scene_cells.cell_area_cm2)
-        released = photoelectrons.with_values(photoelectrons.values + dark)
-        return self.to_plate(conditions, self.cathode_lux(photoelectrons)).mean(released)
+        photoelectrons_with_dark = photoelectrons.with_values(photoelectrons.values + dark)
+        return self.to_plate(conditions, self.cathode_lux(photoelectrons)).mean(
+            photoelectrons_with_dark
+        )
 
     def mcp_input(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the MCP input for photons per s and cell of
@@ -182,6 +186,25 @@ class CameraModel(CameraFrame):
             photoelectrons.values.mean(dtype=float) / self.scene_cells.cell_area_cm2 / self.field_s
         )
         return per_s_cm2 / (tube_photometry.photoelectrons_per_lumen_s(self.description) * 1e-4)
+
+    def photoelectrons_per_pixel(self, photoelectrons: StageImage) -> NDArray[np.floating]:
+        """Sum photoelectrons per cell of `scene_cells` to photoelectrons per pixel as read.
+
+        Returns
+        -------
+        NDArray
+            The frame and the margin of `Accuracy.scene_margin_px` or more around it, shape (row,
+            col).
+        """
+        cells = self.scene_cells
+        rows, cols = cells.shape[0] // cells.per_row, cells.shape[1] // cells.per_column
+        chip = photoelectrons.values.reshape(rows, cells.per_row, cols, cells.per_column).sum(
+            axis=(1, 3), dtype=float
+        )
+        # Field integration sums rows; the last row of the margin has none below it.
+        return (
+            chip + np.append(chip[1:], chip[-1:], axis=0) if self.description.interlaced else chip
+        )
 
     def to_plate(self, conditions: Conditions, cathode_lux: float) -> Chain:
         """Return the chain from the gap to the MCP input under a mean illuminance of the cathode,
@@ -207,10 +230,10 @@ class CameraModel(CameraFrame):
         """
         chain = self.chain(conditions, state)
         pixels = chain.between(Slot.MCP if self.has_tube else Slot.PIXELS, Slot.PIXELS).mean(at_mcp)
-        steady = pixels.with_values(np.repeat(pixels.values[None], self.fields_per_frame, axis=0))
+        fields = pixels.with_values(np.repeat(pixels.values[None], self.fields_per_frame, axis=0))
         return (
             chain.between(Slot.SCAN if self.has_tube else Slot.CCD, Slot.VIDEO)
-            .mean(steady)
+            .mean(fields)
             .values[0]
         )
 
@@ -223,11 +246,11 @@ class CameraModel(CameraFrame):
         Meters read the mean frame: they average over a frame, so that noise is small compared with
         the mean, and a frame follows from its number alone.
         """
-        controls, known = AutomaticControls.of(self, conditions), [UNTOUCHED]
+        controls, states = AutomaticControls.of(self, conditions), [UNTOUCHED]
         cm2_s = at_mcp.values.size * self.cells.cell_area_cm2 * self.field_s
         video = self.description.video
 
-        def following(state: AutomaticState) -> AutomaticState:
+        def next_state(state: AutomaticState) -> AutomaticState:
             output, signal_dn = 0.0, 0.0
             if controls.brightness is not None:
                 output = (
@@ -244,9 +267,9 @@ class CameraModel(CameraFrame):
         def state_of(frame: int) -> AutomaticState:
             if controls == AutomaticControls():
                 return UNTOUCHED
-            while len(known) <= frame:
-                known.append(following(known[-1]))
-            return known[frame]
+            while len(states) <= frame:
+                states.append(next_state(states[-1]))
+            return states[frame]
 
         return state_of
 
@@ -285,7 +308,13 @@ class CameraModel(CameraFrame):
             Threads that share a frame of the fast sampler; frames do not depend on their number.
         """
         if not self.has_tube:
-            return self._frames_without_memory(at_mcp, conditions, seed, first_frame)
+            # No stage remembers earlier frames.
+            chain = self.chain(conditions)
+            pixels, readout = chain[Slot.PIXELS].mean(at_mcp), chain.between(Slot.CCD, Slot.VIDEO)
+            return (
+                readout.draw(pixels, np.random.default_rng([seed, 1, frame])).values
+                for frame in count(first_frame)
+            )
         if not np.isfinite(at_mcp.values).all():
             raise BadInput("photoelectrons at the plate must be finite, got some that are not")
         if exact and not self.is_sparse(at_mcp):
@@ -298,15 +327,6 @@ class CameraModel(CameraFrame):
         return sampler.static(
             at_mcp, self.automatic_state_of(at_mcp, conditions), first_frame, sparse=sparse
         )
-
-    def _frames_without_memory(
-        self, at_mcp: StageImage, conditions: Conditions, seed: int, first_frame: int
-    ) -> Frames:
-        """Yield frames of a chain in which no stage remembers earlier ones, stage by stage."""
-        chain = self.chain(conditions)
-        pixels, readout = chain[Slot.PIXELS].mean(at_mcp), chain.between(Slot.CCD, Slot.VIDEO)
-        for frame in count(first_frame):
-            yield readout.draw(pixels, np.random.default_rng([seed, 1, frame])).values
 
     def chain_frames(
         self, at_mcp: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0

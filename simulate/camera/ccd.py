@@ -75,13 +75,13 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
         """
         ccd = camera.description.ccd
         dark_e, warmth = dark_charge(camera, conditions)
-        shared = {
+        values = {
             "dark_e": dark_e,
             "dsnu_e": float(ccd.dsnu_e) * warmth,
             "pattern_seed": camera.pattern_seed,
         }
         if camera.has_tube:
-            return values_of(cls, ccd, interlaced=camera.description.interlaced, **shared)
+            return values_of(cls, ccd, interlaced=camera.description.interlaced, **values)
         neighbours = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
         return values_of(
             cls,
@@ -90,7 +90,7 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             read_noise_e=0.0,
             clamped=False,
             multiplied=camera.description.register.multiplies,
-            **shared,
+            **values,
             **neighbours,
         )
 
@@ -179,7 +179,6 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
         return charge_e
 
     def bounds(self, budget: Any) -> dict[str, float]:
-        """Return the influence of each effect on the mean and on the noise."""
         overflow_e = np.maximum(budget.brightest_e - self.full_well_e, 0.0)
         # The dark pattern changes the mean and the noise; without dark charge there is no pattern
         # of it.
@@ -225,12 +224,12 @@ def apply_column_blooming(
     such steps does not matter (Diaconis and Fulton, Rend. Sem. Mat. Torino 49, 95, 1991).
     """
     limit = full_well_e * max(antibloom_ratio, 1.0)
-    settled = np.asarray(charge_e, np.float64).copy()
-    total = settled.sum()
-    for col in np.flatnonzero((settled > limit).any(axis=0)):
-        settled[:, col] = spread_excess_charge(settled[:, col], limit)
-    settled = np.minimum(settled, full_well_e)
-    return settled, float(total - settled.sum())
+    charge = np.asarray(charge_e, np.float64).copy()
+    total = charge.sum()
+    for col in np.flatnonzero((charge > limit).any(axis=0)):
+        charge[:, col] = spread_excess_charge(charge[:, col], limit)
+    charge = np.minimum(charge, full_well_e)
+    return charge, float(total - charge.sum())
 
 
 def spread_excess_charge(column_e: NDArray[np.float64], limit_e: float) -> NDArray[np.float64]:
@@ -253,34 +252,34 @@ def _solve_column(column, limit):
     count = column.size
     # Pixels that are not full so far, -1 and count the drains at the ends; of the full run below
     # each of them, the excess and its first moment about pixel 0.
-    kept = np.empty(count + 2, np.int64)
+    unfilled = np.empty(count + 2, np.int64)
     excess = np.zeros(count + 2)
     moment = np.zeros(count + 2)
-    kept[0] = -1
+    unfilled[0] = -1
     top = 0
     for row in range(count + 1):
         run_excess, run_moment = 0.0, 0.0
         while top > 0:
-            last, before = kept[top], kept[top - 1]
-            from_below = (moment[top] - excess[top] * before) / (last - before)
-            from_above = (run_excess * row - run_moment) / (row - last)
-            own = column[last] - limit
-            if own + from_below + from_above <= 0.0:
+            current, previous = unfilled[top], unfilled[top - 1]
+            from_below = (moment[top] - excess[top] * previous) / (current - previous)
+            from_above = (run_excess * row - run_moment) / (row - current)
+            pixel_excess = column[current] - limit
+            if pixel_excess + from_below + from_above <= 0.0:
                 break
-            run_excess += excess[top] + own
-            run_moment += moment[top] + own * last
+            run_excess += excess[top] + pixel_excess
+            run_moment += moment[top] + pixel_excess * current
             top -= 1
         top += 1
-        kept[top], excess[top], moment[top] = row, run_excess, run_moment
-    settled = column.copy()
-    for place in range(1, top + 1):
-        before, last = kept[place - 1], kept[place]
-        if last - before == 1:
+        unfilled[top], excess[top], moment[top] = row, run_excess, run_moment
+    charge = column.copy()
+    for index in range(1, top + 1):
+        previous, current = unfilled[index - 1], unfilled[index]
+        if current - previous == 1:
             continue
-        settled[before + 1 : last] = limit
-        upward = (moment[place] - excess[place] * before) / (last - before)
-        if last < count:
-            settled[last] += upward
-        if before >= 0:
-            settled[before] += excess[place] - upward
-    return settled
+        charge[previous + 1 : current] = limit
+        upward = (moment[index] - excess[index] * previous) / (current - previous)
+        if current < count:
+            charge[current] += upward
+        if previous >= 0:
+            charge[previous] += excess[index] - upward
+    return charge

@@ -83,12 +83,12 @@ class Stage:
 
     def without(self, names: frozenset[str]) -> Self:
         """Return the stage without the effects of these names."""
-        off = {
+        neutral_values = {
             key: value
             for name in names & self.effects.keys()
             for key, value in self.effects[name].items()
         }
-        return replace(self, **off) if off else self  # pyright: ignore[reportArgumentType, reportCallIssue]
+        return replace(self, **neutral_values) if neutral_values else self  # pyright: ignore[reportArgumentType, reportCallIssue]
 
 
 def stages_with_section(kinds: Iterable[type[Stage]], description: Any) -> tuple[type[Stage], ...]:
@@ -96,18 +96,18 @@ def stages_with_section(kinds: Iterable[type[Stage]], description: Any) -> tuple
     return tuple(kind for kind in kinds if getattr(description, kind.section) is not None)
 
 
-def values_of(kind: Any, section: Any, **others: Any) -> Any:
+def values_of(kind: Any, section: Any, **values: Any) -> Any:
     """Return a dataclass whose fields have the values of a section's parameters of the same name,
     or others.
     """
-    shared = {
+    section_values = {
         item.name: float(value)
         if hasattr(value, "__float__") and not isinstance(value, int)
         else value
         for item in fields(kind)
-        if item.name not in others and (value := getattr(section, item.name, None)) is not None
+        if item.name not in values and (value := getattr(section, item.name, None)) is not None
     }
-    return kind(**shared, **others)
+    return kind(**section_values, **values)
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,11 @@ class Chain:
     def __post_init__(self) -> None:
         if not self.stages:
             raise BadInput("a chain must have at least one stage, got none")
-        for before, after in zip(self.stages, self.stages[1:], strict=False):
-            if before.emits != after.takes:
+        for previous, next_stage in zip(self.stages, self.stages[1:], strict=False):
+            if previous.emits != next_stage.takes:
                 raise BadInput(
-                    f"a stage must take what the one before it emits: {after.name} takes "
-                    f"{after.takes}, but {before.name} emits {before.emits}"
+                    f"a stage must take what the one before it emits: {next_stage.name} takes "
+                    f"{next_stage.takes}, but {previous.name} emits {previous.emits}"
                 )
         names = [stage.name for stage in self.stages]
         if repeated := {name for name in names if names.count(name) > 1}:
@@ -139,9 +139,9 @@ class Chain:
 
     def __getitem__(self, slot: str) -> Any:
         """Return the stage in a slot."""
-        return self.stages[self._place(slot)]
+        return self.stages[self._index(slot)]
 
-    def _place(self, slot: str) -> int:
+    def _index(self, slot: str) -> int:
         slots = [stage.slot for stage in self.stages]
         if slot not in slots:
             raise BadInput(
@@ -151,7 +151,7 @@ class Chain:
 
     def between(self, first: str, last: str) -> "Chain":
         """Return the chain from one slot to another, both included."""
-        return Chain(self.stages[self._place(first) : self._place(last) + 1])
+        return Chain(self.stages[self._index(first) : self._index(last) + 1])
 
     def without(self, slot: str) -> "Chain":
         """Return the chain with one stage left out; refused where its neighbours then do not
@@ -176,8 +176,8 @@ class Chain:
         Every stage draws from a generator that follows from `rng` and its own slot: to change, add
         or remove one stage leaves the random numbers of all others as they were.
         """
-        for after in self.steps(light, rng):
-            light = after
+        for image in self.steps(light, rng):
+            light = image
         return light
 
     def steps(self, light: Any, rng: np.random.Generator) -> Iterator[StageImage]:

@@ -62,7 +62,7 @@ class NoiseBudget:
 
     camera: CameraModel  # the camera, nothing left out
     # Photoelectrons that light frees per pixel as read and exposure, in the frame and in the margin
-    # around it, see `per_pixel`, shape (row, col).
+    # around it, see `CameraModel.photoelectrons_per_pixel`, shape (row, col).
     photoelectrons: Map
     conditions: Conditions  # gate, voltage and temperature
     # What may change in all, as a fraction of the temporal noise. Variances do not add like
@@ -122,10 +122,10 @@ class NoiseBudget:
         """
         return np.asarray(self.photoelectrons, np.float64) + self.dark_pe
 
-    def frame_of(self, wide: Map, margin: int = 0) -> Map:
+    def frame_of(self, scene_map: Map, margin: int = 0) -> Map:
         """Crop a map with the scene margin to the frame and `margin` pixels on each side."""
-        first, (rows, cols) = ACCURACY.scene_margin_px - margin, self.camera.shape
-        return wide[first : first + rows + 2 * margin, first : first + cols + 2 * margin]
+        offset, (rows, cols) = ACCURACY.scene_margin_px - margin, self.camera.shape
+        return scene_map[offset : offset + rows + 2 * margin, offset : offset + cols + 2 * margin]
 
     @cached_property
     def mean_pe(self) -> Map:
@@ -178,12 +178,12 @@ class NoiseBudget:
         """Second and third moment of one photoelectron's fraction of a pixel, over the first
         moment, e- and e-^2.
         """
-        wider = 1.0 + 1.0 / self.mcp.pulse_height_shape
-        second = self.pulse_e * wider * self.blurs[0] * self.of_chain.decay[0]
+        height_factor = 1.0 + 1.0 / self.mcp.pulse_height_shape
+        second = self.pulse_e * height_factor * self.blurs[0] * self.of_chain.decay[0]
         third = (
             self.pulse_e**2
-            * wider
-            * (wider + 1.0 / self.mcp.pulse_height_shape)
+            * height_factor
+            * (height_factor + 1.0 / self.mcp.pulse_height_shape)
             * self.blurs[1]
             * self.of_chain.decay[1]
         )
@@ -223,8 +223,8 @@ class NoiseBudget:
     def of_ions(self) -> float:
         """Temporal variance of ion feedback, e-^2: each event is a Poisson number of pulses."""
         size = self.mcp.ion_event_size_pe
-        squared = self.pulse_e**2 * (size**2 + size * (1.0 + 1.0 / self.mcp.pulse_height_shape))
-        return self.ions * squared * self.blurs[0] * self.of_chain.decay[0]
+        event_e2 = self.pulse_e**2 * (size**2 + size * (1.0 + 1.0 / self.mcp.pulse_height_shape))
+        return self.ions * event_e2 * self.blurs[0] * self.of_chain.decay[0]
 
     @cached_property
     def variance(self) -> Map:
@@ -254,12 +254,15 @@ class NoiseBudget:
         """Largest deviation of a pixel's level without light, e-: extremes of a gamma law and of
         the offsets.
         """
-        missed = ACCURACY.extreme_probability / self.mean_pe.size
+        probability = ACCURACY.extreme_probability / self.mean_pe.size
         if self.ccd.dsnu_e == 0.0 or self.ccd.dark_e == 0.0:
             return 0.0
         shape = (self.ccd.dark_e / self.ccd.dark_pattern_sd_e) ** 2
         offset_e = self.extreme(float(self.mean_pe.size)) * self.ccd.offset_sd_e
-        hottest, coldest = gammainccinv(shape, missed) / shape, gammaincinv(shape, missed) / shape
+        hottest, coldest = (
+            gammainccinv(shape, probability) / shape,
+            gammaincinv(shape, probability) / shape,
+        )
         return offset_e + self.ccd.dark_e * float(max(hottest - 1.0, 1.0 - coldest))
 
     @cached_property
@@ -296,8 +299,8 @@ class NoiseBudget:
         (Diaconis and Fulton, Rend. Sem. Mat. Torino 49, 95, 1991).
         """
         size = np.broadcast_to(np.abs(change), self.noise.shape)
-        together = size.sum(axis=0)[self.running] / self.noise.min(axis=0)[self.running]
-        return float(max(np.max(size / self.noise), np.max(together, initial=0.0)))
+        column_change = size.sum(axis=0)[self.running] / self.noise.min(axis=0)[self.running]
+        return float(max(np.max(size / self.noise), np.max(column_change, initial=0.0)))
 
     def of_light(self, change: Map | float) -> float:
         """Influence of a change of light, in photoelectrons per pixel, by its mean and by the noise
@@ -322,7 +325,7 @@ class NoiseBudget:
             float(np.max(change * self.of_pulses / self.variance)),
         )
 
-    def of_variance(self, part: Map | float) -> float:
+    def of_variance(self, variance_e2: Map | float) -> float:
         """Influence of a part of the variance, e-^2, that has the correlations of the rest.
 
         Notes
@@ -331,9 +334,9 @@ class NoiseBudget:
         than s: fractions that are left out together count more than each alone. s/(2 - T) adds up,
         and reaches the tolerance T just where the standard deviation has fallen by T.
         """
-        return float(np.max(part / self.variance)) / (2.0 - min(self.tolerance, 1.0))
+        return float(np.max(variance_e2 / self.variance)) / (2.0 - min(self.tolerance, 1.0))
 
-    def of_white(self, part: Map | float) -> float:
+    def of_white(self, variance_e2: Map | float) -> float:
         """Influence of a part of the variance, e-^2, whose correlations differ from those of the
         rest.
 
@@ -347,7 +350,7 @@ class NoiseBudget:
         """
         steeper = 0.09 * self.step_e**2 / max(self.electronics, 1e-300)
         return (
-            float(np.max(np.minimum(part / self.quiet, 1.0)))
+            float(np.max(np.minimum(variance_e2 / self.quiet, 1.0)))
             * max(1.0, steeper)
             * (1.0 + self.tolerance)
         )
@@ -366,11 +369,11 @@ class NoiseBudget:
 
     def with_blur(self, blur: StageBlur) -> Map:
         """The frame after a blur, surroundings included."""
-        cells, wide = self.camera.cells, self.surroundings
-        fy = np.fft.fftfreq(wide.shape[0], cells.pitch_y_mm)[:, None]
-        fx = np.fft.rfftfreq(wide.shape[1], cells.pitch_x_mm)[None, :]
-        spectrum = np.fft.rfft2(wide) * product((blur,), *np.broadcast_arrays(fx, fy))
-        return np.asarray(self.frame_of(np.fft.irfft2(spectrum, wide.shape)))
+        cells, scene_map = self.camera.cells, self.surroundings
+        fy = np.fft.fftfreq(scene_map.shape[0], cells.pitch_y_mm)[:, None]
+        fx = np.fft.rfftfreq(scene_map.shape[1], cells.pitch_x_mm)[None, :]
+        spectrum = np.fft.rfft2(scene_map) * product((blur,), *np.broadcast_arrays(fx, fy))
+        return np.asarray(self.frame_of(np.fft.irfft2(spectrum, scene_map.shape)))
 
 
 def bound_effects(budget: NoiseBudget) -> list[OptionalEffect]:
@@ -411,16 +414,21 @@ def select_camera_effects(
     Notes
     -----
     Controls that are on pass from where they start to where they settle; an effect counts as it
-    does at the worse end.
+    does in the worse of both states.
     """
-    untouched = NoiseBudget(camera, per_pixel(camera, photoelectrons), conditions, tolerance)
-    ends = (bound_effects(replace(untouched, state=state)) for state in _ends(untouched))
-    worst = [max(same, key=lambda effect: effect.influence) for same in zip(*ends, strict=True)]
-    plan = select_effects(worst, tolerance)
+    budget = NoiseBudget(
+        camera, camera.photoelectrons_per_pixel(photoelectrons), conditions, tolerance
+    )
+    effects = (bound_effects(replace(budget, state=state)) for state in _extreme_states(budget))
+    largest = (
+        max(by_state, key=lambda effect: effect.influence)
+        for by_state in zip(*effects, strict=True)
+    )
+    plan = select_effects(largest, tolerance)
     return replace(camera, left_out=plan.names), plan
 
 
-def _ends(budget: NoiseBudget) -> Iterable[AutomaticState]:
+def _extreme_states(budget: NoiseBudget) -> Iterable[AutomaticState]:
     """Initial and extreme states of the automatic controls."""
     controls, brightness = AutomaticControls.of(budget.camera, budget.conditions), 1.0
     if controls.brightness is not None:
@@ -428,24 +436,6 @@ def _ends(budget: NoiseBudget) -> Iterable[AutomaticState]:
         output = budget.mcp.gain * n / budget.camera.field_pixel_area_cm2 / budget.mcp.field_s
         brightness = min(1.0, controls.brightness.limit_e_per_s_cm2 / max(output, 1e-300))
     highest = 1.0 if controls.gain is None else controls.gain.highest
-    # Each end once, as they are met.
     return dict.fromkeys(
         AutomaticState(brightness=b, gain=g) for g in (1.0, highest) for b in (1.0, brightness)
     )
-
-
-def per_pixel(camera: CameraModel, photoelectrons: StageImage) -> Map:
-    """Sum photoelectrons per cell of `camera.scene_cells` to photoelectrons per pixel as read.
-
-    Returns
-    -------
-    NDArray
-        The frame and the margin of `Accuracy.scene_margin_px` or more around it, shape (row, col).
-    """
-    cells = camera.scene_cells
-    rows, cols = cells.shape[0] // cells.per_row, cells.shape[1] // cells.per_column
-    chip = photoelectrons.values.reshape(rows, cells.per_row, cols, cells.per_column).sum(
-        axis=(1, 3), dtype=float
-    )
-    # Field integration sums rows; the last row of the margin has none below it.
-    return chip + np.append(chip[1:], chip[-1:], axis=0) if camera.description.interlaced else chip

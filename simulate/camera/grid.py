@@ -96,7 +96,7 @@ class Grid:
         return self.pitch_x_mm * self.pitch_y_mm / (self.per_column * self.per_row) * 1e-2
 
     @property
-    def inside(self) -> tuple[slice, slice]:
+    def frame_slices(self) -> tuple[slice, slice]:
         """Slices that cut the pixels of the chip out of an image on cells, margins left out."""
         top, first_column = self.margin_rows * self.per_row, self.margin_columns * self.per_column
         return slice(top, top + self.rows * self.per_row), slice(
@@ -112,24 +112,12 @@ class Grid:
         fy = np.fft.fftfreq(rows, self.pitch_y_mm / self.per_row)[:, None]
         return fx, fy
 
-    def whole_rows(self) -> "Grid":
-        """Return the grid of the same extent whose cells are one row high."""
-        return replace(self, per_row=1, shape=(self.shape[0] // self.per_row, self.shape[1]))
-
     def one_pixel(self) -> "Grid":
         """Return one pixel of this grid: what depends on the pitches alone is computed once for
         frames of any size.
         """
         shape = (self.per_row, self.per_column)
         return replace(self, rows=1, columns=1, margin_rows=0, margin_columns=0, shape=shape)
-
-    def window_of(self, other: "Grid") -> tuple[slice, slice]:
-        """Slices that cut this grid's extent out of an image with this grid's cells and `other`'s
-        wider extent.
-        """
-        row = (other.margin_rows - self.margin_rows) * self.per_row
-        col = (other.margin_columns - self.margin_columns) * self.per_column
-        return slice(row, row + self.shape[0]), slice(col, col + self.shape[1])
 
 
 def grid_with_margin(

@@ -30,20 +30,20 @@ def place_on_cells(image: NDArray, grid: Grid, *, row_pairs: bool) -> NDArray[np
     -----
     Beyond its border the image goes on as it ends there.
     """
-    first, rows = (0.5, grid.rows - 1) if row_pairs else (0.0, grid.rows)
-    down = _overlaps(
+    start, rows = (0.5, grid.rows - 1) if row_pairs else (0.0, grid.rows)
+    row_overlaps = _overlaps(
         image.shape[0],
         grid.shape[0],
-        (grid.margin_rows + first) * grid.per_row,
+        (grid.margin_rows + start) * grid.per_row,
         rows * grid.per_row,
     )
-    right = _overlaps(
+    col_overlaps = _overlaps(
         image.shape[1],
         grid.shape[1],
         grid.margin_columns * grid.per_column,
         grid.columns * grid.per_column,
     )
-    return np.asarray(down @ (right @ np.asarray(image, np.float32).T).T, np.float32)
+    return np.asarray(row_overlaps @ (col_overlaps @ np.asarray(image, np.float32).T).T, np.float32)
 
 
 def _overlaps(pixels: int, cells: int, start: float, length: float):
@@ -55,9 +55,9 @@ def _overlaps(pixels: int, cells: int, start: float, length: float):
     borders = start + length * np.arange(pixels + 1) / pixels
     borders[0], borders[-1] = min(borders[0], 0.0), max(borders[-1], float(cells))
     edges = np.union1d(np.arange(cells + 1.0), np.clip(borders, 0.0, cells))
-    middle, width = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
-    pixel = np.clip(np.searchsorted(borders, middle, side="right") - 1, 0, pixels - 1)
-    return csr_array((width.astype(np.float32), (middle.astype(int), pixel)), shape=(cells, pixels))
+    centre, width = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    pixel = np.clip(np.searchsorted(borders, centre, side="right") - 1, 0, pixels - 1)
+    return csr_array((width.astype(np.float32), (centre.astype(int), pixel)), shape=(cells, pixels))
 
 
 Array = NDArray[np.floating]
@@ -94,13 +94,13 @@ class Radial:
         Area ratio 1 / ((1 + D s^2)(1 + 3 D s^2)), s = r/R: light per area thins out where the image
         is stretched.
         """
-        came = np.linspace(0.0, ACCURACY.max_distortion_radius, ACCURACY.n_distortion_steps)
-        lands = came * (1.0 + self.fraction * came**2)
+        radius_table = np.linspace(0.0, ACCURACY.max_distortion_radius, ACCURACY.n_distortion_steps)
+        lands = radius_table * (1.0 + self.fraction * radius_table**2)
         landed = np.hypot(x_mm, y_mm) / self.corner_mm
-        s = np.interp(landed, lands, came).astype(landed.dtype)
-        stretch = self.fraction * s * s
-        shrink = 1.0 / (1.0 + stretch)
-        return x_mm * shrink, y_mm * shrink, shrink / (1.0 + 3.0 * stretch)
+        s = np.interp(landed, lands, radius_table).astype(landed.dtype)
+        growth = self.fraction * s * s
+        shrink = 1.0 / (1.0 + growth)
+        return x_mm * shrink, y_mm * shrink, shrink / (1.0 + 3.0 * growth)
 
 
 def cell_centres(grid: Grid) -> tuple[Array, Array]:

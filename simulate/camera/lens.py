@@ -130,9 +130,9 @@ class RadiometricLens(
     def falloff(self, radius_mm: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return cos^4(theta) times vignetting at distances from the axis, dimensionless."""
         square = np.square(radius_mm)
-        lost = square * (self.vignetting_fraction / image_placement.corner_mm(self.grid) ** 2)
+        loss = square * (self.vignetting_fraction / image_placement.corner_mm(self.grid) ** 2)
         secant = 1.0 + square / (self.focal_length_mm * (1.0 + self.magnification)) ** 2
-        return np.maximum(1.0 - lost, 0.0) / (secant * secant)
+        return np.maximum(1.0 - loss, 0.0) / (secant * secant)
 
     def transfer(
         self, wavelength_nm: float, frequency_per_mm: NDArray[np.floating]
@@ -158,15 +158,23 @@ class RadiometricLens(
         """Return photons per s and cell, all blurs of the lens computed; an impossible radiance is
         refused.
         """
-        refuse_impossible(light)
-        weight = self._photons_per_radiance(light)
+        lowest, highest = light.radiance.min(), light.radiance.max()
+        if not (np.isfinite(lowest) and np.isfinite(highest)):
+            raise BadInput(f"radiance must be finite everywhere, got {lowest:g} to {highest:g}")
+        if lowest < 0.0:
+            raise BadInput(f"radiance must not be negative, got {lowest:g}")
+        relative = np.asarray(self.detector_efficiency) / max(self.detector_efficiency)
+        per_m2 = tube_photometry.detection_weights(
+            light.wavelength_nm, self.detector_nm, relative, averaged=light.averaged
+        )
+        weight = per_m2 * self.gathering_sr * self.grid.cell_area_cm2 * 1e-4
         radius = np.hypot(*self.grid.frequencies())
         frequency = np.linspace(0.0, float(radius.max()), ACCURACY.n_band_frequencies)
         transfers = np.stack([self.transfer(nm, frequency) for nm in light.wavelength_nm])
-        shares, shapes = few_transfers(transfers, weight)
+        weights, shapes = few_transfers(transfers, weight)
         radiance = light.radiance.astype(np.float32, copy=False)
         images = self._arriving(
-            list(np.tensordot((shares * weight).astype(np.float32), radiance, axes=1))
+            list(np.tensordot((weights * weight).astype(np.float32), radiance, axes=1))
         )
         images[0] = add_veiling_glare(images[0], self.veiling_glare_fraction)
         total = sum(
@@ -178,13 +186,6 @@ class RadiometricLens(
             grid=self.grid,
         )
 
-    def _photons_per_radiance(self, light: RadianceCube) -> NDArray[np.float64]:
-        relative = np.asarray(self.detector_efficiency) / max(self.detector_efficiency)
-        per_m2 = tube_photometry.detection_weights(
-            light.wavelength_nm, self.detector_nm, relative, averaged=light.averaged
-        )
-        return per_m2 * self.gathering_sr * self.grid.cell_area_cm2 * 1e-4
-
     def _arriving(self, images: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
         """Sharp images on the cells with the lens's geometry and falloff; they are given per cell
         area.
@@ -194,27 +195,18 @@ class RadiometricLens(
             for image in images
         ]
         x, y = (axis.astype(np.float32) for axis in image_placement.cell_centres(self.grid))
-        bright = self.falloff(np.hypot(x, y))
+        brightness = self.falloff(np.hypot(x, y))
         if self.distortion_fraction == 0.0:
-            return [np.asarray(image * bright, np.float32) for image in on_cells]
+            return [np.asarray(image * brightness, np.float32) for image in on_cells]
         radial = image_placement.Radial(
             fraction=self.distortion_fraction, corner_mm=image_placement.corner_mm(self.grid)
         )
         from_x, from_y, area = radial.source(x, y)
-        bright = (bright * area).astype(np.float32)
+        brightness = (brightness * area).astype(np.float32)
         return [
-            image_placement.resample_image(image, self.grid, from_x, from_y, order=1) * bright
+            image_placement.resample_image(image, self.grid, from_x, from_y, order=1) * brightness
             for image in on_cells
         ]
-
-
-def refuse_impossible(cube: RadianceCube) -> None:
-    """Refuse a cube with a radiance that is not a number, infinite or negative."""
-    lowest, highest = cube.radiance.min(), cube.radiance.max()
-    if not (np.isfinite(lowest) and np.isfinite(highest)):
-        raise BadInput(f"radiance must be finite everywhere, got {lowest:g} to {highest:g}")
-    if lowest < 0.0:
-        raise BadInput(f"radiance must not be negative, got {lowest:g}")
 
 
 def few_transfers(
@@ -225,21 +217,21 @@ def few_transfers(
 
     Returns
     -------
-    shares, shapes
+    weights, shapes
         (shape, band) and (shape, frequency): transfers = shares.T @ shapes within
         `Accuracy.band_transfer_error`. The first shape is the mean by weight, with shares of 1; all
         others vanish at zero frequency, so that no light is won or lost.
     """
     mean = np.average(transfers, axis=0, weights=weight if weight.sum() > 0.0 else None)
-    left, size, right = np.linalg.svd(transfers - mean, full_matrices=False)
+    u, size, v = np.linalg.svd(transfers - mean, full_matrices=False)
     components = 0
     while (
         components < len(size)
-        and np.abs((left[:, components:] * size[components:]) @ right[components:]).max()
+        and np.abs((u[:, components:] * size[components:]) @ v[components:]).max()
         > ACCURACY.band_transfer_error
     ):
         components += 1
-    shares = np.concatenate(
-        [np.ones((1, len(transfers))), (left[:, :components] * size[:components]).T]
+    weights = np.concatenate(
+        [np.ones((1, len(transfers))), (u[:, :components] * size[:components]).T]
     )
-    return shares, np.concatenate([mean[None], right[:components]])
+    return weights, np.concatenate([mean[None], v[:components]])

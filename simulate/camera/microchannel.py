@@ -151,9 +151,9 @@ class MicrochannelPlate(
         end.
         """
         fade = self.field_s / (self.recovery_ms * 1e-3)
-        mean, end = -np.expm1(-fade) / fade, np.exp(-fade)
-        before = 0.0 if state is None else state
-        return load * (1.0 - mean) + before * mean, load * (1.0 - end) + before * end
+        mean, decay = -np.expm1(-fade) / fade, np.exp(-fade)
+        initial = 0.0 if state is None else state
+        return load * (1.0 - mean) + initial * mean, load * (1.0 - decay) + initial * decay
 
     def with_depletion(self, state: Map) -> "MicrochannelPlate":
         """Return the MCP whose channels are in a state, shape (row, col)."""
@@ -182,11 +182,11 @@ class MicrochannelPlate(
         of the whole.
         """
         loaded = self.gain_under_load(light)
-        part = replace(self, saturation_e_per_s_cm2=np.inf, gate_s=self.gate_s / parts)
+        gate_part = replace(self, saturation_e_per_s_cm2=np.inf, gate_s=self.gate_s / parts)
         if loaded.shape[-1] == 1:
-            return replace(part, gain=float(loaded.mean()))
+            return replace(gate_part, gain=float(loaded.mean()))
         return replace(
-            part, gain_map=(loaded / self.gain).astype(np.float32) if self.gain > 0.0 else None
+            gate_part, gain_map=(loaded / self.gain).astype(np.float32) if self.gain > 0.0 else None
         )
 
     def ions_per_cell(self, light: StageImage) -> float:
@@ -195,7 +195,6 @@ class MicrochannelPlate(
         return self.ion_events_per_s_cm2 * self.gate_s * area
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return the expected electrons per cell."""
         ions = self.ions_per_cell(light) * self.ion_event_size_pe / self.detection_probability
         electrons = (light.values + np.float32(ions)) * self.gain_under_load(light).astype(
             np.float32
@@ -248,10 +247,10 @@ class MicrochannelPlate(
         mean, pixels = budget.mean_load, 3.0 / budget.blurs[0]
         influences = {"MCP saturation": budget.of_gain(mean)}
         if self.depletion_blur_um is not None:
-            near = budget.with_blur(
+            local_load = budget.with_blur(
                 GapSpread(radius_um=float(np.sqrt(2.0)) * self.depletion_blur_um)
             )
-            local = np.maximum(budget.load(near), 0.0)
+            local = np.maximum(budget.load(local_load), 0.0)
             # Relative to whichever gain is the lower.
             influences["local gain depletion"] = budget.of_gain(
                 (local - mean) / (1.0 + np.minimum(local, mean))

@@ -79,13 +79,13 @@ def multifibre_gain(
 def _border_distance(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance to the nearest border of hexagons whose centres are one unit apart."""
     height = np.sqrt(3.0)
-    nearest = []
+    distances = []
     for shift in (0.0, 0.5):
         dx = x - shift - np.round(x - shift)
         dy = y - shift * height - height * np.round((y - shift * height) / height)
-        across = np.maximum(np.abs(dx), 0.5 * np.abs(dx) + 0.5 * height * np.abs(dy))
-        nearest.append(0.5 - across)
-    return np.maximum(nearest[0], nearest[1])
+        hexagon_distance = np.maximum(np.abs(dx), 0.5 * np.abs(dx) + 0.5 * height * np.abs(dy))
+        distances.append(0.5 - hexagon_distance)
+    return np.maximum(distances[0], distances[1])
 
 
 @lru_cache(maxsize=4)
@@ -122,12 +122,12 @@ def multifibre_offsets(
     rows, columns = (np.arange(n, dtype=np.float64) for n in grid.shape)
     y = rows[:, None] * (grid.pitch_y_mm / grid.per_row / pitch_mm)
     x = columns[None, :] * (grid.pitch_x_mm / grid.per_column / pitch_mm)
-    which, down, along = _hexagons(x, y)
+    hexagon, row, col = _hexagons(x, y)
     rng = np.random.default_rng([pattern_seed, 4])
     # The lattice is drawn from its corner on, so a larger image has the same first hexagons only if
     # as wide.
-    table = 0.5 * rms_mm * rng.standard_normal((2, 2, int(down.max()) + 2, int(along.max()) + 2))
-    return read_only(table[:, which, down, along].astype(np.float32))
+    table = 0.5 * rms_mm * rng.standard_normal((2, 2, int(row.max()) + 2, int(col.max()) + 2))
+    return read_only(table[:, hexagon, row, col].astype(np.float32))
 
 
 def _hexagons(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
@@ -135,18 +135,18 @@ def _hexagons(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray, 
     apart.
     """
     height = np.sqrt(3.0)
-    distance, down, along = [], [], []
+    distance, rows, col = [], [], []
     for shift in (0.0, 0.5):
         column = np.broadcast_to(np.round(x - shift), np.broadcast_shapes(x.shape, y.shape))
         row = np.broadcast_to(np.round(y / height - shift), column.shape)
         distance.append((x - shift - column) ** 2 + (y - (shift + row) * height) ** 2)
-        along.append(column.astype(int) + 1)
-        down.append(row.astype(int) + 1)
+        col.append(column.astype(int) + 1)
+        rows.append(row.astype(int) + 1)
     second = distance[1] < distance[0]
     return (
         second.astype(int),
-        np.where(second, down[1], down[0]),
-        np.where(second, along[1], along[0]),
+        np.where(second, rows[1], rows[0]),
+        np.where(second, col[1], col[0]),
     )
 
 

@@ -114,7 +114,6 @@ class PhosphorDecay(
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the decay of a camera's phosphor."""
         components = decay_components(camera.description.phosphor)
         return cls(components=components, gate_s=camera.open_s(conditions), field_s=camera.field_s)
 
@@ -136,8 +135,8 @@ class PhosphorDecay(
         """
         weight, tau = self._weight, self._tau
         component_light = weight * tau
-        ends = np.exp(-(self.field_s - self.gate_s * arrival) / tau[:, None])
-        return component_light[:, None] / component_light.sum() * ends
+        decay = np.exp(-(self.field_s - self.gate_s * arrival) / tau[:, None])
+        return component_light[:, None] / component_light.sum() * decay
 
     @property
     def _weight(self) -> NDArray[np.float64]:
@@ -160,12 +159,6 @@ class PhosphorDecay(
         """Which components leave any light to later fields, shape (component,)."""
         return self.remainder(self.arrivals).mean(axis=1) > ACCURACY.min_stored_fraction
 
-    def remainder_of_lasting(self, arrival: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return what lasting components leave of pulses by their arrival, a fraction of the
-        gate.
-        """
-        return self.remainder(arrival)[self.lasting].astype(np.float32)
-
     @cached_property
     def recursion(self) -> NDArray[np.float32]:
         """Mean fraction stored, its spread, and fraction kept, of each lasting component, shape (3,
@@ -177,25 +170,16 @@ class PhosphorDecay(
         together, so that the variance of the field and its covariance with later ones are exact.
         """
         remainders = self.remainder(self.arrivals)
-        later, together = remainders.mean(axis=1), remainders.sum(axis=0)
-        spread = (
-            (remainders - later[:, None])
-            @ together
-            / together.size
-            / (float(together.std()) or 1.0)
-        )
-        return np.stack([later, spread, self.retention]).astype(np.float32)[:, self.lasting]
+        mean, total = remainders.mean(axis=1), remainders.sum(axis=0)
+        spread = (remainders - mean[:, None]) @ total / total.size / (float(total.std()) or 1.0)
+        return np.stack([mean, spread, self.retention]).astype(np.float32)[:, self.lasting]
 
     @cached_property
     def lateness(self) -> float:
         """Skewness over arrival times of what all components leave together, dimensionless."""
-        together = self.remainder(self.arrivals).sum(axis=0)
-        scatter = float(together.std())
-        return (
-            float(np.mean(((together - together.mean()) / scatter) ** 3))
-            if scatter > 1e-30
-            else 0.0
-        )
+        total = self.remainder(self.arrivals).sum(axis=0)
+        scatter = float(total.std())
+        return float(np.mean(((total - total.mean()) / scatter) ** 3)) if scatter > 1e-30 else 0.0
 
     @cached_property
     def pulse_shares(self) -> NDArray[np.float64]:
@@ -206,12 +190,12 @@ class PhosphorDecay(
         `Accuracy.max_lag_fraction` and is added to it.
         """
         # The slowest component alone has faded below what is forgotten after so many fields.
-        forgotten = np.log(1.0 / ACCURACY.max_lag_fraction)
-        longest = int(np.ceil(self._tau.max() / self.field_s * forgotten)) + 2
-        late = self.remainder(self.arrivals).T @ self.retention[:, None] ** np.arange(longest)
-        last = int(np.argmax(late.mean(axis=0) < ACCURACY.max_lag_fraction))
-        late[:, last:] = 0.0
-        return -np.diff(late[:, : last + 1], axis=1, prepend=1.0)
+        log_limit = np.log(1.0 / ACCURACY.max_lag_fraction)
+        longest = int(np.ceil(self._tau.max() / self.field_s * log_limit)) + 2
+        remainders = self.remainder(self.arrivals).T @ self.retention[:, None] ** np.arange(longest)
+        n_fields = int(np.argmax(remainders.mean(axis=0) < ACCURACY.max_lag_fraction))
+        remainders[:, n_fields:] = 0.0
+        return -np.diff(remainders[:, : n_fields + 1], axis=1, prepend=1.0)
 
     @property
     def weights(self) -> NDArray[np.float64]:
@@ -240,8 +224,8 @@ class PhosphorDecay(
         """Fraction of a field's light that comes after the end of field j = 0, 1, ..., shape
         (fields,).
         """
-        later = 1.0 - np.cumsum(self.weights)
-        return np.pad(later, (0, max(0, fields - len(later))))[:fields]
+        remainder = 1.0 - np.cumsum(self.weights)
+        return np.pad(remainder, (0, max(0, fields - len(remainder))))[:fields]
 
     def mean(self, light: StageImage) -> StageImage:
         """Return the light that each field emits, earlier fields included.
@@ -253,10 +237,10 @@ class PhosphorDecay(
         fields = light.values
         if fields.ndim < 3:
             return light
-        before = [fields[0]] * self.n_lag_fields
+        lag_fields = [fields[0]] * self.n_lag_fields
         return light.with_values(
             apply_phosphor_decay(
-                [*before, *fields], self.weights if fields.ndim == 3 else self.halves
+                [*lag_fields, *fields], self.weights if fields.ndim == 3 else self.halves
             )
         )
 
@@ -266,14 +250,14 @@ class PhosphorDecay(
         """
         pulse_share = float(np.max(budget.of_pulses / budget.variance))
         second, third = budget.of_chain.decay
-        together = budget.of_chain.next_field / second
-        grown = np.sqrt(1.0 + pulse_share * (1.0 / second - 1.0)) - 1.0
+        correlation = budget.of_chain.next_field / second
+        noise_increase = np.sqrt(1.0 + pulse_share * (1.0 / second - 1.0)) - 1.0
         skewed = budget.of_skewness(budget.mean_pe) * abs(1.0 - second**1.5 / third)
-        return {"phosphor decay": max(float(grown) + skewed, together * pulse_share)}
+        return {"phosphor decay": max(float(noise_increase) + skewed, correlation * pulse_share)}
 
 
 def apply_phosphor_decay(
-    fields: Sequence[NDArray] | NDArray, shares: NDArray[np.float64]
+    fields: Sequence[NDArray] | NDArray, weights_by_field: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Return the light emitted in each field that has all its lag fields, shape (field, row, col).
 
@@ -282,20 +266,20 @@ def apply_phosphor_decay(
     fields
         Images in the order of time, each of shape (row, col), or (half, row, col) with fractions of
         each half.
-    shares
+    weights_by_field
         Fraction of a field's light in field j after it, shape (m,) or (half, m).
 
     Notes
     -----
     sum_j fractions[j] fields[n - j], summed over halves.
     """
-    weights = np.atleast_2d(shares).T.astype(np.float32)
-    shown = []
+    weights = np.atleast_2d(weights_by_field).T.astype(np.float32)
+    images = []
     for n in range(len(weights) - 1, len(fields)):
         total = np.zeros(fields[n].shape[-2:], np.float32)
-        for back, of_halves in enumerate(weights):
-            halves = np.asarray(fields[n - back], np.float32).reshape(-1, *total.shape)
+        for lag, of_halves in enumerate(weights):
+            halves = np.asarray(fields[n - lag], np.float32).reshape(-1, *total.shape)
             for weight, half in zip(of_halves, halves, strict=True):
                 total += weight * half
-        shown.append(total)
-    return np.stack(shown)
+        images.append(total)
+    return np.stack(images)

@@ -77,7 +77,6 @@ class Photocathode(
         return self.gate_s + max(self.field_s - self.gate_s, 0.0) / self.on_off_ratio
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return photoelectrons per exposure and cell."""
         dark = 0.0 if light.grid is None else self.ebi_per_s_cm2 * light.grid.cell_area_cm2
         rate = self.quantum_efficiency * light.values + np.asarray(dark, light.values.dtype)
         return light.with_values(rate * np.asarray(self.open_s, light.values.dtype))

@@ -34,7 +34,6 @@ class Collection(Stage, slot=Slot.PIXELS, section="ccd"):
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the pixels of a camera."""
         if camera.has_tube:
             return cls(row_pairs=camera.description.interlaced)
         return cls(
@@ -51,8 +50,8 @@ class Collection(Stage, slot=Slot.PIXELS, section="ccd"):
             raise ValueError("pixels collect light on two cells per column and one or two per row")
         height = 2 if self.row_pairs else 1
         spectrum = rfft_image(light.values) * pixel_transfer(light.pending_blurs, grid, height)
-        folded = fold_columns(fold_rows(spectrum) if grid.per_row == 2 else spectrum)
-        pixels = irfft_image(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
+        folded_spectrum = fold_columns(fold_rows(spectrum) if grid.per_row == 2 else spectrum)
+        pixels = irfft_image(folded_spectrum, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
         # So far the amount in a cell around the pixel's centre, averaged by its aperture.
         pixels *= pixels.dtype.type(grid.per_column * grid.per_row * height)
         top, first_column = grid.margin_rows, grid.margin_columns
@@ -81,8 +80,10 @@ def pixel_transfer(
         )
     else:
         transfer = product((*pending, aperture), *np.broadcast_arrays(fx, fy))
-    right, down = 0.5 - 0.5 / grid.per_column, 0.5 * height - 0.5 / grid.per_row
-    shift = np.exp(2j * np.pi * (right * fx * grid.pitch_x_mm + down * fy * grid.pitch_y_mm))
+    col_shift, row_shift = 0.5 - 0.5 / grid.per_column, 0.5 * height - 0.5 / grid.per_row
+    shift = np.exp(
+        2j * np.pi * (col_shift * fx * grid.pitch_x_mm + row_shift * fy * grid.pitch_y_mm)
+    )
     return (transfer * shift).astype(np.complex64)
 
 
@@ -97,9 +98,9 @@ def fold_columns(spectrum: NDArray) -> NDArray:
     of four.
     """
     quarter = (spectrum.shape[-1] - 1) // 2
-    mirrored = spectrum[..., : quarter - 1 : -1].conj()
-    mirrored = np.roll(mirrored[..., ::-1, :], 1, axis=-2)
-    return 0.5 * (spectrum[..., : quarter + 1] + mirrored)
+    reversed_half = spectrum[..., : quarter - 1 : -1].conj()
+    reversed_half = np.roll(reversed_half[..., ::-1, :], 1, axis=-2)
+    return 0.5 * (spectrum[..., : quarter + 1] + reversed_half)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +122,6 @@ class FieldReadout(
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the order of reading of a camera."""
         return cls(interlaced=camera.description.interlaced)
 
     def mean(self, light: StageImage) -> StageImage:

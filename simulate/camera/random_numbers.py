@@ -70,18 +70,18 @@ def _uniform(key, count):
 
 
 @njit(cache=True, nogil=True)
-def _fill_poisson(key, mean, out, most):
-    last, none = -1.0, 1.0
+def _fill_poisson(key, mean, out, max_mean):
+    last_mean, p_zero = -1.0, 1.0
     for i in range(mean.size):
-        expected, place = np.float64(mean[i]), mix(key + u8(i) * GOLDEN)
+        expected, pixel_key = np.float64(mean[i]), mix(key + u8(i) * GOLDEN)
         if expected <= 0.0:
             out[i] = 0.0
-        elif expected > most:
+        elif expected > max_mean:
             # Box and Muller's normal number with the skewness of a Poisson law (Cornish and Fisher
             # 1938), rounded: the variances of the square, 1/18, and of rounding, 1/12, are taken
             # off.
-            radius = np.sqrt(-2.0 * np.log(_uniform(place, 1)))
-            normal = radius * np.cos(2.0 * np.pi * _uniform(place, 2))
+            radius = np.sqrt(-2.0 * np.log(_uniform(pixel_key, 1)))
+            normal = radius * np.cos(2.0 * np.pi * _uniform(pixel_key, 2))
             out[i] = np.floor(
                 expected
                 + np.sqrt(expected - 5.0 / 36.0) * normal
@@ -90,16 +90,16 @@ def _fill_poisson(key, mean, out, most):
             )
         elif expected < 12.0:
             # Means that differ by rounding alone share one exponential function.
-            if abs(expected - last) > 1e-6 * expected:
-                last, none = expected, np.exp(-expected)
-            count, term, total, u = 0.0, none, none, _uniform(place, 1)
+            if abs(expected - last_mean) > 1e-6 * expected:
+                last_mean, p_zero = expected, np.exp(-expected)
+            count, term, total, u = 0.0, p_zero, p_zero, _uniform(pixel_key, 1)
             while u > total and count < 100.0:
                 count += 1.0
                 term *= expected / count
                 total += term
             out[i] = count
         else:
-            out[i] = _large_poisson(place, expected)
+            out[i] = _large_poisson(pixel_key, expected)
 
 
 @njit(cache=True)

@@ -58,8 +58,8 @@ def draw_read_noise(
     correlation = neighbour_correlation(fine_ratio)
     low, high = np.sqrt(1.0 + 2.0 * correlation), np.sqrt(1.0 - 2.0 * correlation)
     white = rng.standard_normal((*shape[:-1], shape[-1] + 1), dtype=np.float32)
-    own, before = np.float32(0.5 * (low + high)), np.float32(0.5 * (low - high))
-    return (own * white[..., 1:] + before * white[..., :-1]).astype(np.float32)
+    same_row, previous_row = np.float32(0.5 * (low + high)), np.float32(0.5 * (low - high))
+    return (same_row * white[..., 1:] + previous_row * white[..., :-1]).astype(np.float32)
 
 
 def neighbour_correlation(fine_ratio: float) -> float:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput, check
@@ -112,19 +111,14 @@ class Register(
         if self.clock_induced_e > 0.0:
             charge += rng.poisson(self.clock_induced_e, size=charge.shape).astype(np.float32)
         if self.gain > 1.0:
-            charge += self._draw_multiplication(charge, rng)
+            # Electrons that the register adds to those that enter it.
+            excess_gain = self.gain - 1.0
+            scale = self.gain**2 * (self.excess_noise_factor - 1.0) / excess_gain
+            charge += np.float32(scale) * rng.standard_gamma(
+                charge * np.float32(excess_gain / scale), dtype=np.float32
+            )
         if self.read_noise_e > 0.0:
             charge += np.float32(self.read_noise_e) * draw_read_noise(
                 rng, charge.shape, self.fine_noise_ratio
             )
         return light.with_values(charge - np.float32(self._clamp_level_e))
-
-    def _draw_multiplication(
-        self, charge: NDArray[np.float32], rng: np.random.Generator
-    ) -> NDArray[np.float32]:
-        """Electrons that the register adds to those that enter it."""
-        more = self.gain - 1.0
-        scale = self.gain**2 * (self.excess_noise_factor - 1.0) / more
-        return np.float32(scale) * rng.standard_gamma(
-            charge * np.float32(more / scale), dtype=np.float32
-        )

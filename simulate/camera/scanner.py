@@ -55,10 +55,6 @@ class ScanTiming:
         """Amplitude of the sweep, mrad."""
         return 0.5 * self.field_mrad / np.sin(0.5 * np.pi * self.active_fraction)
 
-    def angle_mrad(self, time_s: Array) -> Array:
-        """Return the angle from the middle of the line at times from its middle."""
-        return self.amplitude_mrad * np.sin(2.0 * np.pi * self.mirror_hz * time_s)
-
     @cached_property
     def sample_s(self) -> Array:
         """Times of the samples from the middle of the line, shape (sample,), s, in the order of the
@@ -100,22 +96,21 @@ class Narcissus(
 
     @classmethod
     def of(cls, camera: Any, conditions: Conditions) -> Self:
-        """Return the offset of a scanner's own detector."""
-        (rows, columns), (down, along) = camera.shape, camera.pitch_mrad
+        (rows, columns), (row_pitch, col_pitch) = camera.shape, camera.pitch_mrad
         return cls(
             depth=float(camera.description.scanner.narcissus_k or 0.0) * camera.signal_slope(),
-            fields_mrad=(rows * down, columns * along),
+            fields_mrad=(rows * row_pitch, columns * col_pitch),
         )
 
     def mean(self, light: StageImage) -> StageImage:
         if not self.depth:
             return light
         rows, cols = light.values.shape[-2:]
-        down, along = (
+        row_angle, col_angle = (
             ((np.arange(n) + 0.5) / n - 0.5) * field
             for n, field in zip((rows, cols), self.fields_mrad, strict=True)
         )
-        square = (down[:, None] ** 2 + along**2) / (
+        square = (row_angle[:, None] ** 2 + col_angle**2) / (
             0.25 * (self.fields_mrad[0] ** 2 + self.fields_mrad[1] ** 2)
         )
         return light.with_values(light.values - self.depth * (1.0 - square))
@@ -132,7 +127,6 @@ class FrameAverage(
 
     @classmethod
     def of(cls, camera: Any, conditions: Conditions) -> Self:
-        """Return the mean of a scanner's frames."""
         return cls(averaged=camera.description.scanner.averaged_frames)
 
     def mean(self, light: StageImage) -> StageImage:
@@ -174,7 +168,6 @@ class LineScan(
 
     @classmethod
     def of(cls, camera: Any, conditions: Conditions) -> Self:
-        """Return the scan of lines of a scanner."""
         section = camera.description.scanner
         return cls(
             timing=ScanTiming.of(camera),
@@ -187,10 +180,10 @@ class LineScan(
     def mean(self, light: StageImage) -> StageImage:
         values = np.asarray(light.values, float)
         leftward = is_scanned_left(values.shape[-2])
-        out = np.empty((*values.shape[:-1], self.timing.samples))
-        out[..., ~leftward, :] = self._sweep(values[..., ~leftward, :])
-        out[..., leftward, :] = self._sweep(values[..., leftward, ::-1])[..., ::-1]
-        return light.with_values(out)
+        samples = np.empty((*values.shape[:-1], self.timing.samples))
+        samples[..., ~leftward, :] = self._sweep(values[..., ~leftward, :])
+        samples[..., leftward, :] = self._sweep(values[..., leftward, ::-1])[..., ::-1]
+        return light.with_values(samples)
 
     def _sweep(self, cells: Array) -> Array:
         """Samples of lines (..., cell) in the order of the sweep."""
@@ -200,31 +193,35 @@ class LineScan(
         timing = self.timing
         pole_s = 1.0 / (2.0 * np.pi * self.bandwidth_hz)
         step_s = timing.active_s / LIMITS.line_steps
-        lead = int(np.ceil(LIMITS.lead * pole_s / step_s)) if pole_s else 0
-        late = int(np.ceil((pole_s + abs(self.clock_error_s)) / step_s)) + 1
+        lead_steps = int(np.ceil(LIMITS.lead * pole_s / step_s)) if pole_s else 0
+        margin = int(np.ceil((pole_s + abs(self.clock_error_s)) / step_s)) + 1
         time_s = (
-            np.arange(-lead - late, LIMITS.line_steps + late + 1)
+            np.arange(-lead_steps - margin, LIMITS.line_steps + margin + 1)
         ) * step_s - 0.5 * timing.active_s
         middles = ((np.arange(cells.shape[-1]) + 0.5) / cells.shape[-1] - 0.5) * timing.field_mrad
-        angle = np.clip(timing.angle_mrad(time_s), middles[0], middles[-1])
-        signal = CubicSpline(middles, cells - self.reference, axis=-1)(angle)
+        angle = timing.amplitude_mrad * np.sin(2.0 * np.pi * timing.mirror_hz * time_s)
+        signal = CubicSpline(middles, cells - self.reference, axis=-1)(
+            np.clip(angle, middles[0], middles[-1])
+        )
         if pole_s:
             # The mean of two steps makes the delay that of the pole.
             decay = np.exp(-step_s / pole_s)
-            low = 0.5 * (1.0 - decay)
-            start = (1.0 - low) * signal[..., :1]
-            signal = lfilter([low, low], [1.0, -decay], signal, axis=-1, zi=start)[0]
+            gain = 0.5 * (1.0 - decay)
+            start = (1.0 - gain) * signal[..., :1]
+            signal = lfilter([gain, gain], [1.0, -decay], signal, axis=-1, zi=start)[0]
         if self.coupling_hz:
-            turn = np.pi * self.coupling_hz * step_s
-            high = lfilter([1.0, -1.0], [1.0 + turn, turn - 1.0], signal[..., lead:], axis=-1)
-            signal = np.concatenate([signal[..., :lead], high], axis=-1)
+            half_phase = np.pi * self.coupling_hz * step_s
+            coupled = lfilter(
+                [1.0, -1.0], [1.0 + half_phase, half_phase - 1.0], signal[..., lead_steps:], axis=-1
+            )
+            signal = np.concatenate([signal[..., :lead_steps], coupled], axis=-1)
         # Linear between steps, which are shorter than a tenth of the dwell.
         step = (timing.sample_s + pole_s + self.clock_error_s - time_s[0]) / step_s
-        first = np.floor(step).astype(int)
-        fraction = step - first
+        index = np.floor(step).astype(int)
+        fraction = step - index
         return (
-            signal[..., first] * (1.0 - fraction)
-            + signal[..., first + 1] * fraction
+            signal[..., index] * (1.0 - fraction)
+            + signal[..., index + 1] * fraction
             + self.reference
         )
 
@@ -288,7 +285,6 @@ class LineNoise(
 
     @classmethod
     def of(cls, camera: Any, conditions: Conditions) -> Self:
-        """Return the noise of a scanner's lines."""
         section = camera.description.scanner
         return cls(
             timing=ScanTiming.of(camera),
@@ -314,9 +310,9 @@ class LineNoise(
             * bool(self.clamp_samples)
         )
         if self.knee_hz:
-            active, turn = self._flicker(rng, rows)
-            noise += active
-            clamp = clamp + turn * bool(self.clamp_samples)
+            line_flicker, clamp_flicker = self._flicker(rng, rows)
+            noise += line_flicker
+            clamp = clamp + clamp_flicker * bool(self.clamp_samples)
         noise -= clamp[:, None]
         leftward = is_scanned_left(rows)
         noise[leftward] = noise[leftward, ::-1]
@@ -357,9 +353,11 @@ class LineNoise(
             np.arange(rows) % 2
         ) * 0.5 * lines * timing.line_s
         step = (start[:, None] + 0.5 * timing.line_s + timing.sample_s) / step_s
-        first = np.floor(step).astype(int)
-        fraction = step - first
-        active = series[first % count] * (1.0 - fraction) + series[(first + 1) % count] * fraction
+        index = np.floor(step).astype(int)
+        fraction = step - index
+        active = series[index % count] * (1.0 - fraction) + series[(index + 1) % count] * fraction
         half = 0.5 * (1.0 - timing.active_fraction) * LIMITS.values_per_line
-        turn = np.round(start / step_s)[:, None].astype(int) + np.arange(-round(half), round(half))
-        return active, series[turn % count].mean(axis=1)
+        turn_steps = np.round(start / step_s)[:, None].astype(int) + np.arange(
+            -round(half), round(half)
+        )
+        return active, series[turn_steps % count].mean(axis=1)

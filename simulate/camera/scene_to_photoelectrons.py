@@ -34,8 +34,8 @@ def mcp_input_from_radiance(
     """Return the expected photoelectrons at the MCP input; arguments as for
     `photoelectrons_from_radiance`.
     """
-    released = photoelectrons_from_radiance(camera, cube, conditions, distance_m=distance_m)
-    return camera.to_mcp_input(released, conditions)
+    photoelectrons = photoelectrons_from_radiance(camera, cube, conditions, distance_m=distance_m)
+    return camera.to_mcp_input(photoelectrons, conditions)
 
 
 def mcp_input_from_photoelectrons(

@@ -39,7 +39,6 @@ class Silicon(
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the chip that detects."""
         efficiency = max(camera.description.silicon.quantum_efficiency)
         # Stated exposure and offset of the shutter.
         exposure_s = camera.open_s(conditions) + 1e-6 * float(

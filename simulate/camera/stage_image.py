@@ -45,13 +45,10 @@ class StageImage:
         """Return the image summed into cells one row high, clipped at zero."""
         if self.grid is None or self.grid.per_row == 1:
             return self
-        rows = self.values.shape[-2] // self.grid.per_row
-        parts = self.values.reshape(
-            *self.values.shape[:-2], rows, self.grid.per_row, self.values.shape[-1]
-        )
-        return replace(
-            self, values=np.maximum(parts.sum(axis=-2), 0.0), grid=self.grid.whole_rows()
-        )
+        rows, columns = self.grid.shape[0] // self.grid.per_row, self.grid.shape[1]
+        blocks = self.values.reshape(*self.values.shape[:-2], rows, self.grid.per_row, columns)
+        grid = replace(self.grid, per_row=1, shape=(rows, columns))
+        return replace(self, values=np.maximum(blocks.sum(axis=-2), 0.0), grid=grid)
 
     def resample_to(self, grid: Grid) -> "StageImage":
         """Return point samples on half as many cells per pixel, pending blurs applied.
@@ -74,10 +71,11 @@ class StageImage:
             low_frequencies * _resampling(self.pending_blurs, fine, grid.per_column),
             (rows, columns),
         )
-        row, col = grid.window_of(fine)
-        return StageImage(
-            values=np.ascontiguousarray(values[..., row, col], dtype=np.float32), grid=grid
-        )
+        # The extent of the grid in the wider one of the light.
+        row = (fine.margin_rows - grid.margin_rows) * grid.per_row
+        col = (fine.margin_columns - grid.margin_columns) * grid.per_column
+        values = values[..., row : row + grid.shape[0], col : col + grid.shape[1]]
+        return StageImage(values=np.ascontiguousarray(values, dtype=np.float32), grid=grid)
 
 
 @lru_cache(maxsize=16)

@@ -36,7 +36,6 @@ class Taper(
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the taper of a camera."""
         taper = camera.description.taper
         blur = FibreTaper(
             fibre_pitch_um=float(taper.fibre_pitch_um),
@@ -100,7 +99,6 @@ class FibreGeometry(
 
     @classmethod
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
-        """Return the geometry of a camera's taper."""
         return values_of(cls, camera.description.taper, pattern_seed=camera.pattern_seed)
 
     def mean(self, light: StageImage) -> StageImage:
@@ -123,7 +121,6 @@ class FibreGeometry(
         return light.with_values(displaced * area.astype(np.float32))
 
     def bounds(self, budget: Any) -> dict[str, float]:
-        """Return the influence of the displacement."""
         return {"taper distortion and fibre shear": budget.of_light(self._largest_change(budget))}
 
     def _largest_change(self, budget: Any) -> NDArray[np.float64]:
@@ -136,35 +133,42 @@ class FibreGeometry(
         """
         from scipy.ndimage import maximum_filter, minimum_filter
 
-        (frame_rows, frame_cols), cells, wide = (
+        (frame_rows, frame_cols), cells, surroundings = (
             budget.camera.shape,
             budget.camera.cells,
             budget.surroundings,
         )
         distortion, rings = abs(self.distortion_fraction), ACCURACY.n_distortion_rings
         y = (
-            np.arange(wide.shape[0]) - ACCURACY.scene_margin_px - 0.5 * (frame_rows - 1)
+            np.arange(surroundings.shape[0]) - ACCURACY.scene_margin_px - 0.5 * (frame_rows - 1)
         ) * cells.pitch_y_mm
         x = (
-            np.arange(wide.shape[1]) - ACCURACY.scene_margin_px - 0.5 * (frame_cols - 1)
+            np.arange(surroundings.shape[1]) - ACCURACY.scene_margin_px - 0.5 * (frame_cols - 1)
         ) * cells.pitch_x_mm
         corner_mm = image_placement.corner_mm(cells)
-        place = budget.frame_of(np.hypot(y[:, None], x[None, :])) / corner_mm
+        radius = budget.frame_of(np.hypot(y[:, None], x[None, :])) / corner_mm
         hexagons = (
-            wide.size * cells.pitch_x_mm * cells.pitch_y_mm / (self.pattern_pitch_um * 1e-3) ** 2
+            surroundings.size
+            * cells.pitch_x_mm
+            * cells.pitch_y_mm
+            / (self.pattern_pitch_um * 1e-3) ** 2
         )
         shear_mm = (
             0.5 * budget.extreme(2.0 * hexagons) * self.shear_um * 1e-3 * self.demagnification
         )
-        stretch = (1.0 + distortion * place**2) * (1.0 + 3.0 * distortion * place**2) - 1.0
+        area_change = (1.0 + distortion * radius**2) * (1.0 + 3.0 * distortion * radius**2) - 1.0
         change = np.zeros(budget.mean_pe.shape)
         for ring in range(rings):
             far_mm = distortion * ((ring + 1) / rings) ** 3 * corner_mm + shear_mm
-            reach = [
+            extent_px = [
                 2 * int(np.ceil(far_mm / pitch)) + 1
                 for pitch in (cells.pitch_y_mm, cells.pitch_x_mm)
             ]
-            span = budget.frame_of(maximum_filter(wide, reach) - minimum_filter(wide, reach))
-            here = (place >= ring / rings) & ((place < (ring + 1) / rings) | (ring == rings - 1))
-            change[here] = span[here]
-        return change + stretch * budget.mean_pe
+            span = budget.frame_of(
+                maximum_filter(surroundings, extent_px) - minimum_filter(surroundings, extent_px)
+            )
+            in_ring = (radius >= ring / rings) & (
+                (radius < (ring + 1) / rings) | (ring == rings - 1)
+            )
+            change[in_ring] = span[in_ring]
+        return change + area_change * budget.mean_pe

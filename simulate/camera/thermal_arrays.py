@@ -36,17 +36,16 @@ class ThermalLag(
 
     @classmethod
     def of(cls, camera: Any, conditions: Conditions) -> Self:
-        """Return the lag of a bolometer from frame to frame."""
         tau_ms = float(camera.description.bolometer.time_constant_ms)
         return cls(carry_over=float(np.exp(-1e3 * camera.frame_s / tau_ms)))
 
     def mean(self, light: StageImage) -> StageImage:
         if light.values.ndim < 3 or not self.carry_over:
             return light
-        out = np.array(light.values)
-        for frame in range(1, len(out)):
-            out[frame] += self.carry_over * (out[frame - 1] - out[frame])
-        return light.with_values(out)
+        lagged = np.array(light.values)
+        for frame in range(1, len(lagged)):
+            lagged[frame] += self.carry_over * (lagged[frame - 1] - lagged[frame])
+        return light.with_values(lagged)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +65,6 @@ class BolometerNoise(
 
     @classmethod
     def of(cls, camera: Any, conditions: Conditions) -> Self:
-        """Return the temporal noise of a bolometer."""
         sigma, section = camera.sigma(), camera.description.bolometer
         return cls(
             sigma=sigma,
@@ -127,9 +125,9 @@ class BolometerPattern(
     def mean(self, light: StageImage) -> StageImage:
         rows, cols = light.values.shape[-2:]
         shutter, age_s = divmod(self.time_s, self.interval_s)
-        grown = np.sqrt(max(self.before**2 - self.after**2, 0.0) * age_s / self.interval_s)
+        drift = np.sqrt(max(self.before**2 - self.after**2, 0.0) * age_s / self.interval_s)
         pattern = self.after * _pattern((self.seed, 20), (rows, cols))
-        pattern += grown * _pattern((self.seed, 21, int(shutter)), (rows, cols))
+        pattern += drift * _pattern((self.seed, 21, int(shutter)), (rows, cols))
         pattern += self.column * _pattern((self.seed, 22), (1, cols)) + self.row * _pattern(
             (self.seed, 23), (rows, 1)
         )
@@ -149,7 +147,6 @@ class PhotonNoise(
 
     @classmethod
     def of(cls, camera: Any, conditions: Conditions) -> Self:
-        """Return the noise of a cooled array."""
         return values_of(cls, camera.description.cooled_array)
 
     def mean(self, light: StageImage) -> StageImage:
@@ -159,11 +156,11 @@ class PhotonNoise(
         electrons = light.values
         shot = self.photon * np.sqrt(np.maximum(electrons, 0.0))
         # Wells hold 1e4 electrons and more, whose number is normal.
-        filled = np.minimum(
+        charge = np.minimum(
             electrons + shot * rng.standard_normal(electrons.shape, np.float32), self.full_well_e
         )
         return light.with_values(
-            filled + self.read_noise_e * rng.standard_normal(electrons.shape, np.float32)
+            charge + self.read_noise_e * rng.standard_normal(electrons.shape, np.float32)
         )
 
 
@@ -189,7 +186,6 @@ class TwoPointCorrection(
 
     @classmethod
     def of(cls, camera: Any, conditions: Conditions) -> Self:
-        """Return the correction of a cooled array."""
         section = camera.description.cooled_array
         low_k, high_k = (
             float(celsius) + KELVIN

@@ -126,8 +126,10 @@ class ThermalImager:
             raise BadInput(
                 f"level and span need an imager that has them, got {self.description.name!r}"
             )
-        changed = self.description.with_values({"video.level_c": level_c, "video.span_k": span_k})
-        return replace(self, description=changed)
+        description = self.description.with_values(
+            {"video.level_c": level_c, "video.span_k": span_k}
+        )
+        return replace(self, description=description)
 
     @property
     def pattern_seed(self) -> int:
@@ -174,15 +176,15 @@ class ThermalImager:
         array's of slope.
         """
         rows, columns = (side * oversample for side in self.shape)
-        down, along = (1e-3 * pitch / oversample for pitch in self.pitch_mrad)
+        row_pitch, col_pitch = (1e-3 * pitch / oversample for pitch in self.pitch_mrad)
         # Equal angles: r' = r - r^3 / 3 of the slope r at the corner.
-        corner = np.hypot(0.5 * rows * down, 0.5 * columns * along)
+        corner = np.hypot(0.5 * rows * row_pitch, 0.5 * columns * col_pitch)
         distortion = -(corner**2) / 3.0 if self.description.scanner is not None else 0.0
         return Viewpoint(
             position_m=position_m,
             forward=forward,
             shape=(rows, columns),
-            focal_px=(1.0 / along, 1.0 / down),
+            focal_px=(1.0 / col_pitch, 1.0 / row_pitch),
             distortion_fraction=distortion,
         )
 
@@ -298,8 +300,8 @@ class ThermalImager:
     def chain(self) -> tuple[Chain, Chain]:
         """The stages up to the noise, and from there on, without the effects that are left out."""
         stages = tuple(stage.without(self.left_out) for stage in self._stages)
-        first = next(i for i, stage in enumerate(stages) if stage.slot == Slot.NOISE)
-        return Chain(stages[:first]), Chain(stages[first:])
+        noise_index = next(i for i, stage in enumerate(stages) if stage.slot == Slot.NOISE)
+        return Chain(stages[:noise_index]), Chain(stages[noise_index:])
 
     def frames(
         self,
@@ -338,26 +340,32 @@ class ThermalImager:
         """Yield frames of cells of a signal (see `signal_of`), (row, col) or (frame, row, col),
         else as `frames`.
         """
-        before, behind = self.chain
-        light = before.mean(StageImage(values=np.asarray(signal)))
-        moving = light.values.ndim == 3
-        if moving and not len(light.values) >= (count or 0):
+        noiseless, noisy = self.chain
+        light = noiseless.mean(StageImage(values=np.asarray(signal)))
+        is_moving = light.values.ndim == 3
+        if is_moving and not len(light.values) >= (count or 0):
             raise BadInput(
                 f"a sequence must have the {count} frames that are asked for, got "
                 f"{len(light.values)}"
             )
-        frame_count = len(light.values) if moving and count is None else count
+        frame_count = len(light.values) if is_moving and count is None else count
         for number in numbers(first_frame):
             if frame_count is not None and number - first_frame >= frame_count:
                 return
-            now = light.with_values(light.values[number - first_frame]) if moving else light
+            frame_light = (
+                light.with_values(light.values[number - first_frame]) if is_moving else light
+            )
             stages = (
                 replace(stage, time_s=number * self.frame_s)
                 if isinstance(stage, BolometerPattern)
                 else stage
-                for stage in behind.stages
+                for stage in noisy.stages
             )
-            yield Chain(tuple(stages)).draw(now, np.random.default_rng([seed, 1, number])).values
+            yield (
+                Chain(tuple(stages))
+                .draw(frame_light, np.random.default_rng([seed, 1, number]))
+                .values
+            )
 
     def view_target(
         self,

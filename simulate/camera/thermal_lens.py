@@ -89,13 +89,15 @@ class Optics(
     def transfer(self, fy: Array, fx: Array, cell_mrad: tuple[float, float]) -> Array:
         """Return the transfer from cell averages to the detector, at frequencies in cy/mrad."""
         square = fy**2 + fx**2
-        out = np.exp(-2.0 * (np.pi * self.blur_mrad) ** 2 * square)
+        transfer = np.exp(-2.0 * (np.pi * self.blur_mrad) ** 2 * square)
         if self.diffraction_um is not None:
-            out = out * diffraction_transfer(np.sqrt(square), self.diffraction_um, self.aperture_mm)
+            transfer = transfer * diffraction_transfer(
+                np.sqrt(square), self.diffraction_um, self.aperture_mm
+            )
         for frequency, cell in ((fy, cell_mrad[0]), (fx, cell_mrad[1])):
             side = cell if self.footprint_mrad is None else self.footprint_mrad
-            out = out * (np.sinc(frequency * side) / np.sinc(frequency * cell))
-        return out
+            transfer = transfer * (np.sinc(frequency * side) / np.sinc(frequency * cell))
+        return transfer
 
     def mean(self, light: StageImage) -> StageImage:
         values = np.asarray(light.values, np.float32)
@@ -119,17 +121,17 @@ class Optics(
         )
         transfer = self.transfer(fy / cell[0], fx / cell[1], cell).astype(np.complex64)
         # The middle of a pixel lies on an edge of cells where these are even in number.
-        late = 0.5 if oversample % 2 == 0 else 0.0
-        transfer *= np.exp(2j * np.pi * late * (fy + (0.0 if self.whole_lines else fx))).astype(
+        shift = 0.5 if oversample % 2 == 0 else 0.0
+        transfer *= np.exp(2j * np.pi * shift * (fy + (0.0 if self.whole_lines else fx))).astype(
             np.complex64
         )
         blurred = irfft_image(rfft_image(padded) * transfer, padded.shape[-2:])[
             ..., margin:-margin, margin:-margin
         ]
-        middle = (oversample - 1) // 2
+        centre = (oversample - 1) // 2
         sampled = (
-            blurred[..., middle::oversample, :]
+            blurred[..., centre::oversample, :]
             if self.whole_lines
-            else blurred[..., middle::oversample, middle::oversample]
+            else blurred[..., centre::oversample, centre::oversample]
         )
         return light.with_values(sampled + level)

@@ -210,11 +210,11 @@ def fold_transfer(
     are taken in groups, with the blur of one in the middle.
     """
     columns, rows = np.asarray(fx, float), np.asarray(fy, float)
-    x, along = _aperture_power(columns, aperture.width_mm, cell_x_mm)
-    y, down = _aperture_power(rows, aperture.height_mm, cell_y_mm)
+    x, column_power = _aperture_power(columns, aperture.width_mm, cell_x_mm)
+    y, row_power = _aperture_power(rows, aperture.height_mm, cell_y_mm)
     power = np.zeros((rows.size, columns.size))
-    for shifted_y, of_rows in zip(y, down, strict=True):
-        for shifted_x, of_columns in zip(x, along, strict=True):
+    for shifted_y, of_rows in zip(y, row_power, strict=True):
+        for shifted_x, of_columns in zip(x, column_power, strict=True):
             central = shifted_y is y[0] and shifted_x is x[0]
             if central or _largest(blurs, shifted_x, shifted_y) > ACCURACY.min_replica_transfer:
                 blurred = product(
@@ -234,17 +234,17 @@ def _aperture_power(
     cells = width_mm / cell_mm
     if abs(cells - round(cells)) > 1e-9:
         raise ValueError(f"a pixel must be a whole number of cells wide, got {cells:g}")
-    whole = (np.sinc(width_mm * frequency) / np.sinc(cell_mm * frequency)) ** 2
+    total_power = (np.sinc(width_mm * frequency) / np.sinc(cell_mm * frequency)) ** 2
     replicas, powers = [frequency], [np.sinc(width_mm * frequency) ** 2]
     for side in (-1, 1):
         for first, last in REPLICA_GROUPS:
             replicas.append(frequency + side * 0.5 * (first + last) / cell_mm)
             group = frequency + side * np.arange(first, last + 1)[:, None] / cell_mm
             powers.append(np.sum(np.sinc(width_mm * group) ** 2, axis=0))
-    beyond = 0.5 * np.maximum(whole - sum(powers), 0.0)
+    remainder = 0.5 * np.maximum(total_power - sum(powers), 0.0)
     powers[len(REPLICA_GROUPS)], powers[-1] = (
-        powers[len(REPLICA_GROUPS)] + beyond,
-        powers[-1] + beyond,
+        powers[len(REPLICA_GROUPS)] + remainder,
+        powers[-1] + remainder,
     )
     return replicas, powers
 

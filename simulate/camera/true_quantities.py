@@ -85,12 +85,12 @@ def true_crossing_frequency(
     from scipy.optimize import brentq
 
     fine = np.linspace(0.0, 1.0, 2001)
-    below = np.flatnonzero(true_mtf(sensor, fine, direction) < level)
-    if below.size == 0 or below[0] == 0:
+    crossings = np.flatnonzero(true_mtf(sensor, fine, direction) < level)
+    if crossings.size == 0 or crossings[0] == 0:
         raise BadInput(
             f"the MTF must fall to the level within one cycle per pixel, got the level {level:g}"
         )
-    low, high = fine[below[0] - 1], fine[below[0]]
+    low, high = fine[crossings[0] - 1], fine[crossings[0]]
     root: Any = brentq(lambda f: float(true_mtf(sensor, f, direction)) - level, low, high)
     return float(root)
 

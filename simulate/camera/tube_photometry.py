@@ -44,7 +44,7 @@ def detection_weights(
     them. Of averages QE(b) b/(h c) times int hat_b dl: bands of a rendering stand where the
     efficiency bends, and a line's light keeps that of its own.
     """
-    bands, nm, share = (
+    bands, nm, fraction = (
         np.asarray(wavelength_nm, float),
         np.asarray(table_nm, float),
         np.asarray(efficiency, float),
@@ -56,12 +56,12 @@ def detection_weights(
     if averaged:
         return (
             band_widths(bands)
-            * np.interp(bands, nm, share, left=0.0, right=0.0)
+            * np.interp(bands, nm, fraction, left=0.0, right=0.0)
             * bands
             * 1e-9
             / JOULE_METRE
         )
-    return hat_integrals(bands, (nm, share), (nm[[0, -1]], nm[[0, -1]])) * 1e-9 / JOULE_METRE
+    return hat_integrals(bands, (nm, fraction), (nm[[0, -1]], nm[[0, -1]])) * 1e-9 / JOULE_METRE
 
 
 def luminous_sensitivity(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike) -> float:

@@ -141,11 +141,11 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
             jitter_px = float(video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz
         gain = 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
         readout = camera.description.readout
-        shared = {
+        readout_values = {
             name: float(getattr(readout, name)) for name in _OF_READOUT if readout is not None
         }
         return values_of(
-            cls, video, low_pass=low_pass, gain=gain, sync_jitter_px=jitter_px, **shared
+            cls, video, low_pass=low_pass, gain=gain, sync_jitter_px=jitter_px, **readout_values
         )
 
     def __post_init__(self) -> None:
@@ -179,10 +179,10 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
         """Return whole DN between 0 and full scale, uint8 or uint16."""
         signal = filter_lines(light.values, self.low_pass.impulse_response())
         if self.sync_jitter_px > 0.0:
-            late = self.sync_jitter_px * rng.standard_normal(
+            delay = self.sync_jitter_px * rng.standard_normal(
                 (*signal.shape[:-1], 1), dtype=np.float32
             )
-            signal = shift_lines(signal, late)
+            signal = shift_lines(signal, delay)
         level = self._level(signal)
         if self.line_noise_dn > 0.0:
             level += np.float32(self.line_noise_dn) * rng.standard_normal(
@@ -200,10 +200,8 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
             if self.row_noise_dn2 > 0.0:
                 frame += draw_row_offsets(rng, rows, self.row_noise_dn2, self.row_noise_exponent)
             if self.interference_dn2 > 0.0:
-                across, down = self.interference_x_cy_per_px, self.interference_y_cy_per_px
-                frame += draw_interference(
-                    rng, (rows, columns), self.interference_dn2, across, down
-                )
+                fx, fy = self.interference_x_cy_per_px, self.interference_y_cy_per_px
+                frame += draw_interference(rng, (rows, columns), self.interference_dn2, fx, fy)
 
     def _level(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
         signal = signal * np.float32(self.conversion_gain_dn_per_e * self.gain)
@@ -227,14 +225,16 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
         """
         if not isinstance(self.low_pass, VideoFilter):
             return {}
-        n, late = budget.mean_pe, self.sync_jitter_px
+        n, shift = budget.mean_pe, self.sync_jitter_px
         padded = np.pad(n, ((0, 0), (1, 1)), mode="edge")
         left, right = n - padded[:, :-2], padded[:, 2:] - n
         steepest = np.maximum(np.abs(left), np.abs(right))
-        moved = budget.of_white((late * steepest * budget.charge_e) ** 2)
-        averaged = budget.of_white(1.5 * late**2 * budget.variance)
+        shift_influence = budget.of_white((shift * steepest * budget.charge_e) ** 2)
+        average_influence = budget.of_white(1.5 * shift**2 * budget.variance)
         return {
-            "line jitter": max(moved + averaged, budget.of_mean(0.5 * late**2 * (right - left))),
+            "line jitter": max(
+                shift_influence + average_influence, budget.of_mean(0.5 * shift**2 * (right - left))
+            ),
             "row noise": budget.of_white(budget.line_noise_e**2),
         }
 
@@ -257,9 +257,9 @@ def _bend(lines: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _neighbour(lines: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     """Lines shifted by one pixel, with their ends repeated."""
-    moved = np.roll(lines, -step, axis=-1)
-    moved[..., -1 if step > 0 else 0] = lines[..., -1 if step > 0 else 0]
-    return moved
+    shifted = np.roll(lines, -step, axis=-1)
+    shifted[..., -1 if step > 0 else 0] = lines[..., -1 if step > 0 else 0]
+    return shifted
 
 
 def filter_lines(lines: NDArray, impulse_response: NDArray[np.floating]) -> NDArray[np.float32]:

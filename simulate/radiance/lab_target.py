@@ -95,7 +95,9 @@ def render_bench(
     L = tau L_port, the port being behind all of the target, plus rho E_room/pi where the room light
     is not occluded.
     """
-    shares = _shares(scene, kind, as_stood(kind, target), view).reshape(2 * MATERIALS, -1)
+    fractions = _cell_fractions(scene, kind, as_stood(kind, target), view).reshape(
+        2 * MATERIALS, -1
+    )
     port = planck(wavelength_nm, scene.sphere.temperature_k)
     # The room light's illuminance is relative to the port's exitance; both are Planck radiators.
     fine = np.arange(380.0, 771.0, 5.0)
@@ -111,15 +113,17 @@ def render_bench(
         / lamp
     )
     surfaces = (scene.open, scene.mask, scene.ring)
-    through = [surface.transmittance_at(wavelength_nm) * port for surface in surfaces]
-    back = [surface.reflectance_at(wavelength_nm) * room for surface in surfaces]
-    spectra = np.stack([*through, *back], axis=1).astype(np.float32)
+    transmitted = [surface.transmittance_at(wavelength_nm) * port for surface in surfaces]
+    reflected = [surface.reflectance_at(wavelength_nm) * room for surface in surfaces]
+    spectra = np.stack([*transmitted, *reflected], axis=1).astype(np.float32)
     return RadianceCube(
-        wavelength_nm=wavelength_nm, radiance=(spectra @ shares).reshape(-1, *view.shape)
+        wavelength_nm=wavelength_nm, radiance=(spectra @ fractions).reshape(-1, *view.shape)
     )
 
 
-def _shares(scene: LabScene, kind: Kind, target: Target, view: TargetView) -> NDArray[np.float32]:
+def _cell_fractions(
+    scene: LabScene, kind: Kind, target: Target, view: TargetView
+) -> NDArray[np.float32]:
     """Return the fraction of each cell that transmits the port, then that reflects the room light,
     by material.
     """
@@ -130,20 +134,22 @@ def _shares(scene: LabScene, kind: Kind, target: Target, view: TargetView) -> ND
         np.meshgrid(*(np.arange(n // BLOCK) for n in view.shape), indexing="ij"), axis=-1
     )
     coarse = _fractions_at(scene, kind, target, view, (centre.reshape(-1, 2) + 0.5) * BLOCK)
-    shares = coarse.reshape(-1, *blocks.shape).repeat(BLOCK, axis=1).repeat(BLOCK, axis=2)
-    plain = np.argwhere(blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1) & ~mixed)
-    shares[:, plain[:, 0], plain[:, 1]] = _fractions_at(scene, kind, target, view, plain + 0.5)
+    fractions = coarse.reshape(-1, *blocks.shape).repeat(BLOCK, axis=1).repeat(BLOCK, axis=2)
+    uniform_cells = np.argwhere(blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1) & ~mixed)
+    fractions[:, uniform_cells[:, 0], uniform_cells[:, 1]] = _fractions_at(
+        scene, kind, target, view, uniform_cells + 0.5
+    )
     subcells = (0.5 + np.arange(1, POINTS + 1)[:, None] * R2) % 1.0
-    for part in np.array_split(
+    for cell_batch in np.array_split(
         np.argwhere(mixed), max(1, np.count_nonzero(mixed) * POINTS // 2_000_000)
     ):
         point_fractions = _fractions_at(
-            scene, kind, target, view, (part[:, None, :] + subcells).reshape(-1, 2)
+            scene, kind, target, view, (cell_batch[:, None, :] + subcells).reshape(-1, 2)
         )
-        shares[:, part[:, 0], part[:, 1]] = point_fractions.reshape(
-            2 * MATERIALS, len(part), POINTS
+        fractions[:, cell_batch[:, 0], cell_batch[:, 1]] = point_fractions.reshape(
+            2 * MATERIALS, len(cell_batch), POINTS
         ).mean(axis=2)
-    return shares
+    return fractions
 
 
 def target_outlines(kind: Kind, target: Target, holder: Holder) -> list[Array]:
@@ -164,8 +170,8 @@ def target_outlines(kind: Kind, target: Target, holder: Holder) -> list[Array]:
             raise BadInput(
                 f"a point source must have a positive pinhole_px, got {target.pinhole_px}"
             )
-        turn = np.linspace(0.0, 2.0 * np.pi, 257)
-        circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        azimuth = np.linspace(0.0, 2.0 * np.pi, 257)
+        circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
         return [
             radius * circle
             for radius in (0.5 * target.pinhole_px, holder.inner_radius_px, holder.outer_radius_px)
@@ -176,8 +182,8 @@ def target_outlines(kind: Kind, target: Target, holder: Holder) -> list[Array]:
 
 
 def _tilt(target: Target) -> Array:
-    turn = np.deg2rad(target.angle_deg or 0.0)
-    return np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    angle = np.deg2rad(target.angle_deg or 0.0)
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def outline_cells(outlines: list[Array], view: TargetView) -> NDArray[np.bool_]:
@@ -188,10 +194,10 @@ def outline_cells(outlines: list[Array], view: TargetView) -> NDArray[np.bool_]:
     mixed = np.zeros((rows + 2, columns + 2), bool)
     for line in outlines:
         corners = view.cells_px(line)
-        way = np.insert(np.cumsum(np.abs(np.diff(corners, axis=0)).max(axis=1)), 0, 0.0)
-        steps = np.arange(0.0, way[-1], 0.25)
+        arc_length = np.insert(np.cumsum(np.abs(np.diff(corners, axis=0)).max(axis=1)), 0, 0.0)
+        steps = np.arange(0.0, arc_length[-1], 0.25)
         cells = np.stack(
-            [np.floor(np.interp(steps, way, axis)).astype(int) + 1 for axis in corners.T]
+            [np.floor(np.interp(steps, arc_length, axis)).astype(int) + 1 for axis in corners.T]
         )
         in_frame = (
             (cells >= 0).all(axis=0) & (cells[0] < mixed.shape[0]) & (cells[1] < mixed.shape[1])
@@ -212,17 +218,21 @@ def _fractions_at(
     if kind == "point":
         height = scene.holder.height_m
         eye_m = np.array([*np.multiply(view.eye_px, view.metre_per_px), -view.distance_m])
-        before = eye_m + (1.0 - height / view.distance_m) * (surface_m - eye_m)
-        ring = _meets_ring(scene.holder, before, view)
-        material[ring], surface_m[ring] = RING, before[ring]
+        projected_m = eye_m + (1.0 - height / view.distance_m) * (surface_m - eye_m)
+        ring = _meets_ring(scene.holder, projected_m, view)
+        material[ring], surface_m[ring] = RING, projected_m[ring]
         if 0.0 < height < -lamp_m[2]:
             shaded = ~ring & _meets_ring(
                 scene.holder, surface_m - height / lamp_m[2] * (lamp_m - surface_m), view
             )
-    way = lamp_m - surface_m
-    distance, centre_distance = np.linalg.norm(way, axis=1), np.linalg.norm(lamp_m)
+    vector = lamp_m - surface_m
+    distance, centre_distance = np.linalg.norm(vector, axis=1), np.linalg.norm(lamp_m)
     # Irradiance by the room light relative to that at the target's centre.
-    lit = (centre_distance / distance) ** 2 * (way[:, 2] / distance) / (lamp_m[2] / centre_distance)
+    lit = (
+        (centre_distance / distance) ** 2
+        * (vector[:, 2] / distance)
+        / (lamp_m[2] / centre_distance)
+    )
     one_hot = material == np.arange(MATERIALS)[:, None]
     return np.concatenate([one_hot, one_hot * np.where(shaded, 0.0, lit)]).astype(np.float32)
 

@@ -77,9 +77,9 @@ class Material:
     def __post_init__(self) -> None:
         self._check_tables()
         for name in {name for names in NEEDED.values() for name in names}:
-            is_given, needed = getattr(self, name) is not None, name in NEEDED[self.finish]
-            if is_given != needed:
-                rule = "must be given for" if needed else "must not be given for"
+            is_given, is_needed = getattr(self, name) is not None, name in NEEDED[self.finish]
+            if is_given != is_needed:
+                rule = "must be given for" if is_needed else "must not be given for"
                 raise BadInput(f"{name} {rule} a {self.finish} material")
         check(self, fraction="emissivity")
         _ = self.brdf()
@@ -96,38 +96,46 @@ class Material:
                 f"or for each, got {count} wavelengths, {len(self.reflectance)} and "
                 f"{len(self.transmittance)}"
             )
-        for back, through in zip(
-            self._each(self.reflectance), self._each(self.transmittance), strict=True
+        for reflectance, transmittance in zip(
+            self._by_wavelength(self.reflectance),
+            self._by_wavelength(self.transmittance),
+            strict=True,
         ):
-            if back < 0.0 or through < 0.0 or back + through > 1.0:
+            if reflectance < 0.0 or transmittance < 0.0 or reflectance + transmittance > 1.0:
                 raise BadInput(
                     "reflectance and transmittance must not be negative nor exceed 1 together, "
-                    f"got {back:g} and {through:g}"
+                    f"got {reflectance:g} and {transmittance:g}"
                 )
 
-    def _each(self, shares: tuple[float, ...]) -> tuple[float, ...]:
+    def _by_wavelength(self, fractions: tuple[float, ...]) -> tuple[float, ...]:
         """Return one value per wavelength."""
-        return shares * len(self.wavelength_nm) if len(shares) == 1 else shares
+        return fractions * len(self.wavelength_nm) if len(fractions) == 1 else fractions
 
     def reflectance_at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the reflectance at wavelengths, dimensionless; of the base alone under a coat or
         lobe.
         """
         return np.interp(
-            np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.reflectance)
+            np.asarray(wavelength_nm, float),
+            self.wavelength_nm,
+            self._by_wavelength(self.reflectance),
         )
 
     def transmittance_at(self, wavelength_nm: ArrayLike) -> Array:
         """Return the transmittance at wavelengths, dimensionless."""
         return np.interp(
-            np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.transmittance)
+            np.asarray(wavelength_nm, float),
+            self.wavelength_nm,
+            self._by_wavelength(self.transmittance),
         )
 
     def brdf(self) -> "Brdf":
         """Return the BRDF."""
         from simulate.radiance.brdf.glossy import Glossy, Metal, Retroreflector
 
-        table = Reflectance(wavelength_nm=self.wavelength_nm, fraction=self._each(self.reflectance))
+        table = Reflectance(
+            wavelength_nm=self.wavelength_nm, fraction=self._by_wavelength(self.reflectance)
+        )
         if (
             self.finish == "glossy"
             and self.roughness is not None
@@ -201,9 +209,9 @@ def internal_transmittance(transmittance: ArrayLike, refractive_index: float) ->
     -----
     T = (1 - r)^2 t / (1 - r^2 t^2) at normal incidence, r the reflectance of a face, solved for t.
     """
-    through, face = np.asarray(transmittance, float), float(dielectric(1.0, refractive_index))
-    once = (1.0 - face) ** 2
-    return 2.0 * through / (once + np.sqrt(once**2 + 4.0 * (face * through) ** 2))
+    pane, face = np.asarray(transmittance, float), float(dielectric(1.0, refractive_index))
+    face_squared = (1.0 - face) ** 2
+    return 2.0 * pane / (face_squared + np.sqrt(face_squared**2 + 4.0 * (face * pane) ** 2))
 
 
 def pane_fractions(
@@ -222,16 +230,16 @@ def pane_fractions(
     / (1 - r^2 t^2), R = r (1 + t T), with t to the power of 1/cos of the angle in the glass. The
     rest is absorbed.
     """
-    steep = np.clip(np.abs(cosine), GRAZING, 1.0)
-    internal_cosine = np.sqrt(1.0 - (1.0 - steep**2) / refractive_index**2)
+    clipped_cosine = np.clip(np.abs(cosine), GRAZING, 1.0)
+    internal_cosine = np.sqrt(1.0 - (1.0 - clipped_cosine**2) / refractive_index**2)
     internal = (
         internal_transmittance(transmittance, refractive_index)[None]
         ** (1.0 / internal_cosine)[:, None]
     )
-    mirrored, through = np.zeros(internal.shape), np.zeros(internal.shape)
-    for polarised in dielectric_polarised(steep, refractive_index):
+    reflected, transmitted = np.zeros(internal.shape), np.zeros(internal.shape)
+    for polarised in dielectric_polarised(clipped_cosine, refractive_index):
         face = polarised[:, None]
-        passed = (1.0 - face) ** 2 * internal / (1.0 - (face * internal) ** 2)
-        through += 0.5 * passed
-        mirrored += 0.5 * face * (1.0 + internal * passed)
-    return mirrored, through
+        polarised_transmittance = (1.0 - face) ** 2 * internal / (1.0 - (face * internal) ** 2)
+        transmitted += 0.5 * polarised_transmittance
+        reflected += 0.5 * face * (1.0 + internal * polarised_transmittance)
+    return reflected, transmitted

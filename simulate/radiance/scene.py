@@ -194,17 +194,17 @@ def _with_materials_of_files(mapping: dict[str, Any], folder: Path) -> dict[str,
     """
     from simulate.radiance.outdoor.build import _load, _material_of
 
-    things, tables = [], list(mapping.get("material", ()))
-    for thing in mapping.get("object", ()):
-        file = thing.get("file") if isinstance(thing, dict) else None
+    objects, tables = [], list(mapping.get("material", ()))
+    for scene_object in mapping.get("object", ()):
+        file = scene_object.get("file") if isinstance(scene_object, dict) else None
         if (
             not isinstance(file, str)
             or not file.lower().endswith(".glb")
-            or any(thing.get(key) for key in ("material", "file_materials", "map"))
+            or any(scene_object.get(key) for key in ("material", "file_materials", "map"))
         ):
-            things.append(thing)
+            objects.append(scene_object)
             continue
-        label, label_of_material = str(thing.get("label", file)), {}
+        label, label_of_material = str(scene_object.get("label", file)), {}
         for part in _load(folder / file):
             name = _material_of(part)
             if not name:
@@ -217,19 +217,19 @@ def _with_materials_of_files(mapping: dict[str, Any], folder: Path) -> dict[str,
                 tables.append(
                     {"label": label_of_material[name], **_table(part.visual.material, name, file)}
                 )
-        things.append(thing | {"file_materials": label_of_material})
+        objects.append(scene_object | {"file_materials": label_of_material})
     return (
         mapping
         if tables == list(mapping.get("material", ()))
-        else mapping | {"object": things, "material": tables}
+        else mapping | {"object": objects, "material": tables}
     )
 
 
 def _table(visual: Any, name: str, file: str) -> dict[str, Any]:
     """Return the table of a material of a file."""
-    known = re.sub(r"[\s_]+", "-", re.sub(r"\.\d+$", "", name.strip().lower()))
-    if known in material_names() and not any(material(known).transmittance):
-        return {"library": known}
+    library_name = re.sub(r"[\s_]+", "-", re.sub(r"\.\d+$", "", name.strip().lower()))
+    if library_name in material_names() and not any(material(library_name).transmittance):
+        return {"library": library_name}
     colour = _linear_colour(visual)
     if colour is None:
         raise BadInput(

@@ -14,7 +14,6 @@ from labdata.errors import BadInput
 from labdata.frames import read_only
 from simulate.radiance.cube import band_widths
 
-Array = NDArray[np.float64]
 Array = NDArray[np.floating]
 # CODATA 2018: W m-2 K-4; J s; m/s; J/K.
 STEFAN_BOLTZMANN = 5.670374419e-8
@@ -76,7 +75,7 @@ def band_radiance_slope(
     scale = 2.0 * BOLTZMANN**4 / (PLANCK**3 * LIGHT**2) * kelvin**4
     low, high = (
         -(x**4) * np.exp(-x) / np.expm1(-x)
-        for x in (_exponent(end, kelvin) for end in (low_um, high_um))
+        for x in (_exponent(edge_um, kelvin) for edge_um in (low_um, high_um))
     )
     return (4.0 * band_radiance(low_um, high_um, kelvin) + scale * (high - low)) / kelvin
 
@@ -97,57 +96,15 @@ def _series(x: Array, power: int) -> Array:
 
 LUMENS_PER_WATT = 683.0
 
-# CIE 1924 photopic luminous efficiency, every 10 nm from 380 nm.
-EYE_NM = np.arange(380.0, 771.0, 10.0)
-EYE_SHARE = np.array(
-    [
-        0.000039,
-        0.00012,
-        0.000396,
-        0.00121,
-        0.004,
-        0.0116,
-        0.023,
-        0.038,
-        0.06,
-        0.09098,
-        0.13902,
-        0.20802,
-        0.323,
-        0.503,
-        0.71,
-        0.862,
-        0.954,
-        0.99495,
-        0.995,
-        0.952,
-        0.87,
-        0.757,
-        0.631,
-        0.503,
-        0.381,
-        0.265,
-        0.175,
-        0.107,
-        0.061,
-        0.032,
-        0.017,
-        0.00821,
-        0.004102,
-        0.002091,
-        0.001047,
-        0.00052,
-        0.000249,
-        0.00012,
-        0.00006,
-        0.00003,
-    ]
-)
-
 
 def luminous_efficiency(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     """Return V(lambda), dimensionless, linear between 10 nm steps and zero outside 380..770 nm."""
-    return np.interp(np.asarray(wavelength_nm, float), EYE_NM, EYE_SHARE, left=0.0, right=0.0)
+    return np.interp(
+        np.asarray(wavelength_nm, float),
+        *table("luminous_efficiency").values(),
+        left=0.0,
+        right=0.0,
+    )
 
 
 def planck(wavelength_nm: ArrayLike, temperature_k: float) -> NDArray[np.float64]:
@@ -230,10 +187,10 @@ class SourceSpectrum:
         """Return the spectrum multiplied by a function of wavelength, nm, such as a filter or a
         reflectance.
         """
-        shares = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
+        line_factors = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
         powers = tuple(
             float(line_factor * power)
-            for line_factor, power in zip(shares, self.line_power, strict=True)
+            for line_factor, power in zip(line_factors, self.line_power, strict=True)
         )
         return replace(self, density=self.density * factor(self.wavelength_nm), line_power=powers)
 
@@ -270,17 +227,20 @@ class SourceSpectrum:
     @property
     def lumens(self) -> float:
         """683 int V S dl: lm of W, lux of W m-2, cd m-2 of W m-2 sr-1."""
-        return LUMENS_PER_WATT * self.through(EYE_NM, EYE_SHARE)
+        return LUMENS_PER_WATT * self.through(*table("luminous_efficiency").values())
 
 
-def sum_spectra(parts: list[SourceSpectrum]) -> SourceSpectrum:
+def sum_spectra(spectra: list[SourceSpectrum]) -> SourceSpectrum:
     """Return the sum of spectra, all lines kept."""
-    fine = np.unique(np.concatenate([part.wavelength_nm for part in parts]))
+    fine = np.unique(np.concatenate([spectrum.wavelength_nm for spectrum in spectra]))
     density = sum(
-        np.interp(fine, part.wavelength_nm, part.density, left=0.0, right=0.0) for part in parts
+        np.interp(fine, spectrum.wavelength_nm, spectrum.density, left=0.0, right=0.0)
+        for spectrum in spectra
     )
     lines = sorted(
-        (nm, p) for part in parts for nm, p in zip(part.line_nm, part.line_power, strict=True)
+        (nm, p)
+        for spectrum in spectra
+        for nm, p in zip(spectrum.line_nm, spectrum.line_power, strict=True)
     )
     return SourceSpectrum(
         wavelength_nm=fine,
@@ -317,25 +277,25 @@ def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
     a cubic at most.
     """
     bands = np.asarray(grid, float)
-    known = [(np.asarray(nm, float), np.asarray(value, float)) for nm, value in tables]
+    arrays = [(np.asarray(nm, float), np.asarray(value, float)) for nm, value in tables]
     low, high = (
-        max(bands[0], *(nm[0] for nm, _ in known)),
-        min(bands[-1], *(nm[-1] for nm, _ in known)),
+        max(bands[0], *(nm[0] for nm, _ in arrays)),
+        min(bands[-1], *(nm[-1] for nm, _ in arrays)),
     )
     total = np.zeros(bands.size)
     if not high > low:
         return total
-    knots = np.unique(np.concatenate([bands, *(nm for nm, _ in known)]))
+    knots = np.unique(np.concatenate([bands, *(nm for nm, _ in arrays)]))
     knots = np.concatenate([[low], knots[(knots > low) & (knots < high)], [high]])
-    middle = 0.5 * (knots[1:] + knots[:-1])
-    lower_band = np.clip(np.searchsorted(bands, middle) - 1, 0, bands.size - 2)
-    for at, weight in ((knots[:-1], 1.0), (middle, 4.0), (knots[1:], 1.0)):
-        part = weight / 6.0 * np.diff(knots)
-        for nm, value in known:
-            part = part * np.interp(at, nm, value)
-        rise = (at - bands[lower_band]) / (bands[lower_band + 1] - bands[lower_band])
-        np.add.at(total, lower_band, (1.0 - rise) * part)
-        np.add.at(total, lower_band + 1, rise * part)
+    centre = 0.5 * (knots[1:] + knots[:-1])
+    lower_band = np.clip(np.searchsorted(bands, centre) - 1, 0, bands.size - 2)
+    for position, weight in ((knots[:-1], 1.0), (centre, 4.0), (knots[1:], 1.0)):
+        width = weight / 6.0 * np.diff(knots)
+        for nm, value in arrays:
+            width = width * np.interp(position, nm, value)
+        rise = (position - bands[lower_band]) / (bands[lower_band + 1] - bands[lower_band])
+        np.add.at(total, lower_band, (1.0 - rise) * width)
+        np.add.at(total, lower_band + 1, rise * width)
     return total
 
 
@@ -385,7 +345,7 @@ def spectral_grid(
         ),
     ]
     while True:
-        error, next_nm = _worst(grid, fine, factors, sources)
+        error, next_nm = _largest_error(grid, fine, factors, sources)
         if error <= tolerance:
             return grid
         grid = np.union1d(grid, next_nm)
@@ -419,7 +379,7 @@ def _start(
     return grid
 
 
-def _worst(
+def _largest_error(
     grid: Array, fine: Array, factors: Sequence[Array], sources: Sequence[SourceSpectrum]
 ) -> tuple[float, float]:
     """Return the largest relative error of any source seen through any factor, and the wavelength
@@ -429,28 +389,30 @@ def _worst(
     to the error. A source is averaged over bands (`SourceSpectrum.on`), so that only the bending of
     a factor between bands is an error.
     """
-    worst, worst_nm = 0.0, 0.0
+    max_error, max_error_nm = 0.0, 0.0
     interval = np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, grid.size - 2)
     width = band_widths(fine)
-    bents = [
+    curves = [
         np.abs(factor - np.interp(fine, grid, np.interp(grid, fine, factor))) for factor in factors
     ]
     for source in sources:
         density = np.interp(fine, source.wavelength_nm, source.density, left=0.0, right=0.0) * width
         lines = np.asarray(source.line_nm, float)
-        for factor, bent in zip(factors, bents, strict=True):
+        for factor, curve in zip(factors, curves, strict=True):
             signal = np.sum(factor * density)
             signal += np.sum(
                 np.interp(lines, fine, factor, left=0.0, right=0.0) * np.asarray(source.line_power)
             )
-            part = bent * density
-            if signal > 0.0 and part.sum() / signal > worst:
-                worst = float(part.sum() / signal)
+            product = curve * density
+            if signal > 0.0 and product.sum() / signal > max_error:
+                max_error = float(product.sum() / signal)
                 worst_interval = int(
-                    np.argmax(np.bincount(interval, weights=part, minlength=grid.size - 1))
+                    np.argmax(np.bincount(interval, weights=product, minlength=grid.size - 1))
                 )
-                worst_nm = float(fine[np.argmax(np.where(interval == worst_interval, bent, 0.0))])
-    return worst, worst_nm
+                max_error_nm = float(
+                    fine[np.argmax(np.where(interval == worst_interval, curve, 0.0))]
+                )
+    return max_error, max_error_nm
 
 
 @cache

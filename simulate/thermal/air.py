@@ -201,8 +201,10 @@ class InfraredAir:
         T L + (1 - T) B(air): air in thermal equilibrium emits what it absorbs; haze counts as
         absorbing.
         """
-        through = self.transmittance(range_m)
-        return through * radiance + (1.0 - through) * self.black_body(self.temperature_k)
+        transmittance = self.transmittance(range_m)
+        return transmittance * radiance + (1.0 - transmittance) * self.black_body(
+            self.temperature_k
+        )
 
     def kelvin_per_radiance(self, temperature_k: float) -> float:
         """Return the change of temperature of a black body that changes its radiance in all bins by
@@ -240,14 +242,14 @@ class ModtranAir(InfraredAir):
         The logarithm of the depth is linear in that of the length, below 2 m and beyond the longest
         path as well.
         """
-        known, length = (
+        nodes_m, length = (
             np.log(self.path_m),
             np.log(np.maximum(np.asarray(range_m, float).reshape(-1), 1e-6)),
         )
-        first = np.clip(np.searchsorted(known, length) - 1, 0, len(known) - 2)
-        part = ((length - known[first]) / (known[first + 1] - known[first]))[:, None]
+        index = np.clip(np.searchsorted(nodes_m, length) - 1, 0, len(nodes_m) - 2)
+        fraction = ((length - nodes_m[index]) / (nodes_m[index + 1] - nodes_m[index]))[:, None]
         depth = np.log(self.path_depth)
-        return np.exp(-np.exp(depth[first] + part * (depth[first + 1] - depth[first])))
+        return np.exp(-np.exp(depth[index] + fraction * (depth[index + 1] - depth[index])))
 
     def after_path(self, radiance: Array, range_m: ArrayLike) -> Array:
         """Return radiance (path, bin) after level paths of lengths (path,), m; longer ones than
@@ -297,23 +299,23 @@ def modtran_air(
         values = ", ".join(value for value, is_outside in differs.items() if is_outside)
         raise BadInput(f"{HOLDS}, got {values}")
     folder = _folder(scene, scene.weather)
-    known = np.genfromtxt(
+    table = np.genfromtxt(
         folder / "fileDecoder.csv", delimiter=",", skip_header=1, usecols=(0, 1, 2, 3)
     )
     lengths = np.array(
         [np.hypot(height, km) for height, lengths_km in PATHS_KM for km in lengths_km]
     )
-    hazy, clear = (_bin_depths(folder, known, code, air) for code in CODE_OF_KM.values())
+    hazy, clear = (_bin_depths(folder, table, code, air) for code in CODE_OF_KM.values())
     # The depth of haze is as the reciprocal of the visibility.
-    ends = [1.0 / km for km in CODE_OF_KM]
-    part = (1.0 / visibility - ends[1]) / (ends[0] - ends[1])
+    inverse_km = [1.0 / km for km in CODE_OF_KM]
+    fraction = (1.0 / visibility - inverse_km[1]) / (inverse_km[0] - inverse_km[1])
     return ModtranAir(
         edges_um=air.edges_um,
         temperature_k=air.temperature_k,
         vapour_g_m3=air.vapour_g_m3,
         visibility_km=air.visibility_km,
         path_m=1e3 * lengths,
-        path_depth=part * hazy + (1.0 - part) * clear,
+        path_depth=fraction * hazy + (1.0 - fraction) * clear,
     )
 
 
@@ -337,29 +339,31 @@ def _folder(scene: OutdoorScene, state: State) -> Path:
     return folder
 
 
-def _bin_depths(folder: Path, known: Array, code: int, air: InfraredAir) -> Array:
+def _bin_depths(folder: Path, table: Array, code: int, air: InfraredAir) -> Array:
     """Return the optical depths of the paths in bins, as means of the transmittance by the air's
     black body.
     """
-    part = (np.arange(INFRARED.bin_points) + 0.5) / INFRARED.bin_points
-    um = air.low_um[:, None] + part * (air.high_um - air.low_um)[:, None]
+    position = (np.arange(INFRARED.bin_points) + 0.5) / INFRARED.bin_points
+    um = air.low_um[:, None] + position * (air.high_um - air.low_um)[:, None]
     weight = band_radiance(um - 1e-3, um + 1e-3, air.temperature_k)
     weight /= weight.sum(axis=1, keepdims=True)
     depths = []
     for height, lengths_km in PATHS_KM:
         for km in lengths_km:
-            through = np.interp(
-                um, WAVELENGTH_UM, _transmittance(folder, known, (height, km, code))
+            transmittance = np.interp(
+                um, WAVELENGTH_UM, _transmittance(folder, table, (height, km, code))
             )
-            depths.append(-np.log(np.maximum((weight * through).sum(axis=1), MODTRAN.negligible)))
+            depths.append(
+                -np.log(np.maximum((weight * transmittance).sum(axis=1), MODTRAN.negligible))
+            )
     return np.maximum(depths, MODTRAN.negligible)
 
 
-def _transmittance(folder: Path, known: Array, path: tuple[float, float, int]) -> Array:
+def _transmittance(folder: Path, table: Array, path: tuple[float, float, int]) -> Array:
     """Return the transmittance along a path of the database, by its height, distance and code,
     shape (wavelength,).
     """
-    rows = known[np.isclose(known[:, 1:4], path, atol=1e-6).all(axis=1)]
+    rows = table[np.isclose(table[:, 1:4], path, atol=1e-6).all(axis=1)]
     name = f"{int(rows[0, 0])}.bin" if len(rows) else "none"
     file = folder / name
     values = np.fromfile(file, np.float32) if file.is_file() else np.empty(0, np.float32)
@@ -369,9 +373,13 @@ def _transmittance(folder: Path, known: Array, path: tuple[float, float, int]) -
             f"{1e3 * path[0]:g} m up to {path[1]:g} km away, got {values.size} in {folder / name}"
         )
     # Five columns one after another, the first of them the transmittance.
-    through = values[: len(WAVELENGTH_UM)].astype(float)
-    if not (np.isfinite(through).all() and through.min() >= 0.0 and through.max() <= 1.0 + 1e-3):
+    transmittance = values[: len(WAVELENGTH_UM)].astype(float)
+    if not (
+        np.isfinite(transmittance).all()
+        and transmittance.min() >= 0.0
+        and transmittance.max() <= 1.0 + 1e-3
+    ):
         raise BadInput(
             f"transmittances of the MODTRAN database must lie between 0 and 1, got others in {file}"
         )
-    return through
+    return transmittance

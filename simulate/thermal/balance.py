@@ -99,8 +99,8 @@ class Balance:
     @cached_property
     def reflectivity(self) -> Array:
         """Fraction of sunlight that is reflected, shape (facet,)."""
-        through = np.array([float(slab.transmittance) for slab in self.slabs])
-        return np.maximum(1.0 - self.absorptivity - through, 0.0)
+        transmittance = np.array([float(slab.transmittance) for slab in self.slabs])
+        return np.maximum(1.0 - self.absorptivity - transmittance, 0.0)
 
     @cached_property
     def heating(self) -> Array:
@@ -123,8 +123,8 @@ class Balance:
         """Sunlight straight from the sun, shape (step, facet), W m-2; shadows of each day are those
         of the last one.
         """
-        at, known = np.arange(DAY_STEPS) / LIMITS.sun_steps, np.arange(len(self.exposure.lit))
-        lit = np.stack([np.interp(at, known, facet) for facet in self.exposure.lit.T], axis=1)
+        step, sun_steps = np.arange(DAY_STEPS) / LIMITS.sun_steps, np.arange(len(self.exposure.lit))
+        lit = np.stack([np.interp(step, sun_steps, facet) for facet in self.exposure.lit.T], axis=1)
         return self.weather.direct_w_m2[:, None] * np.tile(lit, (len(self.weather) // DAY_STEPS, 1))
 
     @cached_property
@@ -160,8 +160,8 @@ class Balance:
             STEFAN_BOLTZMANN * faces_k**4,
             slice(len(self.weather) - len(faces_k), None),
         )
-        mirrored = self.rings[steps] @ self.exposure.rings.T + (1.0 - self.exposure.sky) * emitted
-        return self.emissivity * emitted + (1.0 - self.emissivity) * mirrored
+        incoming = self.rings[steps] @ self.exposure.rings.T + (1.0 - self.exposure.sky) * emitted
+        return self.emissivity * emitted + (1.0 - self.emissivity) * incoming
 
     def solve(self, tolerance_mk: float) -> Solution:
         """Return the temperatures of facets.
@@ -192,7 +192,7 @@ class Balance:
                 errors_k=errors,
             )
         columns = Columns.of([self.slabs[facet] for facet in free])
-        second, more = self._reflect(self.sunlight_by_reflection), 0.0
+        second, additional = self._reflect(self.sunlight_by_reflection), 0.0
         faces, flux, passes = at_air, self._flux(at_air), 1
         while True:
             forcing = self._forcing(free, flux)
@@ -201,16 +201,16 @@ class Balance:
             if passes == 1:
                 kernel[:, free] = kernels(columns, forcing.part(LAST), faces[LAST][:, free])
                 by_two = _effect(kernel, self.heating * second)
-                more = second if by_two > tolerance else 0.0
-            new = self._flux(faces) + self.heating * more
+                additional = second if by_two > tolerance else 0.0
+            next_flux = self._flux(faces) + self.heating * additional
             radiative = 4.0 * STEFAN_BOLTZMANN * (self.emissivity * faces[-1] ** 3)[free]
             shrink = (
                 (1.0 - self.exposure.sky[free]) * radiative / forcing.loss(faces[-1, free], -1)[1]
             )
-            remaining_k = _effect(kernel, new - flux) / (1.0 - float(shrink.max()))
+            remaining_k = _effect(kernel, next_flux - flux) / (1.0 - float(shrink.max()))
             if remaining_k <= tolerance or passes == LIMITS.max_neighbour_passes:
                 break
-            flux, passes = new, passes + 1
+            flux, passes = next_flux, passes + 1
         kernel[:, free] = kernels(columns, forcing.part(LAST), faces[LAST][:, free])
         terms = {
             name: _effect(kernel, term)
@@ -257,17 +257,17 @@ class Balance:
         """
         sky, neighbours = self.longwave(faces[LAST])
         sun = (self.sunlight + self.sunlight_by_reflection)[LAST]
-        convected = np.zeros((DAY_STEPS, len(self.slabs)))
-        convected[:, free] = forcing.convection(faces[LAST][:, free], LAST)
-        evaporated = np.array([float(slab.latent_fraction) for slab in self.slabs])
-        gained = sky + neighbours - STEFAN_BOLTZMANN * faces[LAST] ** 4
+        convection = np.zeros((DAY_STEPS, len(self.slabs)))
+        convection[:, free] = forcing.convection(faces[LAST][:, free], LAST)
+        latent_fraction = np.array([float(slab.latent_fraction) for slab in self.slabs])
+        net_longwave = sky + neighbours - STEFAN_BOLTZMANN * faces[LAST] ** 4
         fluxes = {
             "longwave of the sky": self.emissivity
             * self.exposure.sky
             * self.weather.longwave_sd_w_m2,
-            "convection": -UNCERTAINTY.convection * convected,
-            "absorptivity": UNCERTAINTY.absorptivity * (1.0 - evaporated) * sun,
-            "emissivity": UNCERTAINTY.emissivity * gained,
+            "convection": -UNCERTAINTY.convection * convection,
+            "absorptivity": UNCERTAINTY.absorptivity * (1.0 - latent_fraction) * sun,
+            "emissivity": UNCERTAINTY.emissivity * net_longwave,
         }
         errors_by_input = {name: (kernel * flux).sum(axis=0) for name, flux in fluxes.items()}
         factor = 1.0 + UNCERTAINTY.inertia
@@ -281,20 +281,22 @@ class Balance:
         errors_by_input["prescribed temperature"] = self._sd_of_prescribed_k()
         slope = 4.0 * STEFAN_BOLTZMANN * self.emissivity * np.mean(faces[LAST] ** 3, axis=0)
         of_neighbours = (self.emissivity * kernel.sum(axis=0))[:, None] * self.exposure.sees * slope
-        through = np.linalg.inv(np.eye(len(slope)) - of_neighbours)
-        return {name: through @ error for name, error in errors_by_input.items()}
+        propagation = np.linalg.inv(np.eye(len(slope)) - of_neighbours)
+        return {name: propagation @ error for name, error in errors_by_input.items()}
 
     def _sd_of_prescribed_k(self) -> Array:
         """Standard deviation of temperatures that slabs prescribe with 95 % bounds, else 0, shape
         (facet,), K.
         """
         sd_k = np.zeros(len(self.slabs))
-        for facet, (slab, thing) in enumerate(zip(self.slabs, self.things, strict=True)):
+        for facet, (slab, scene_object) in enumerate(zip(self.slabs, self.things, strict=True)):
             prescribed = slab.temperature_c or slab.above_air_k or slab.above_mean_air_k
-            stated = thing.temperature_c is not None or thing.above_air_k is not None
+            is_prescribed = (
+                scene_object.temperature_c is not None or scene_object.above_air_k is not None
+            )
             if (
                 prescribed is not None
-                and not stated
+                and not is_prescribed
                 and prescribed.low is not None
                 and prescribed.high is not None
             ):
@@ -305,8 +307,8 @@ class Balance:
         """The temperature that an object or else its slab prescribes, shape (step,), K; None where
         it is free.
         """
-        slab, thing, air = self.slabs[facet], self.things[facet], self.weather.air_k
-        for rules in (thing, slab):
+        slab, scene_object, air = self.slabs[facet], self.things[facet], self.weather.air_k
+        for rules in (scene_object, slab):
             if rules.temperature_c is not None:
                 return np.full(len(air), ZERO_C + float(rules.temperature_c))
             if rules.above_air_k is not None:
@@ -324,10 +326,10 @@ class Balance:
             [time.hour + time.minute / 60.0 + time.second / 3600.0 for time in self.weather.times]
         )
         heat_w_m2 = np.zeros((len(hour), len(self.things)))
-        for facet, thing in enumerate(self.things):
-            start, end = thing.heat_hours or (0.0, 24.0)
+        for facet, scene_object in enumerate(self.things):
+            start, end = scene_object.heat_hours or (0.0, 24.0)
             heat_w_m2[(hour - start) % 24.0 < ((end - start) % 24.0 or 24.0), facet] = (
-                thing.heat_w_m2
+                scene_object.heat_w_m2
             )
         return heat_w_m2
 
@@ -370,9 +372,10 @@ class Balance:
     ) -> dict[str, Array]:
         """Fluxes of the terms that are kept, last day or all of it, W m-2."""
         sky, neighbours = self.longwave(faces[LAST])
-        condensed, last = np.zeros((DAY_STEPS, len(self.slabs))), faces[LAST][:, free]
+        condensed, last_k = np.zeros((DAY_STEPS, len(self.slabs))), faces[LAST][:, free]
         losses = [
-            self._forcing(free, flux, condensation=on).loss(last, LAST)[0] for on in (True, False)
+            self._forcing(free, flux, condensation=condensation).loss(last_k, LAST)[0]
+            for condensation in (True, False)
         ]
         condensed[:, free] = losses[0] - losses[1]
         isotropic_sky = self.weather.longwave_w_m2[LAST, None] * self.exposure.sky
@@ -391,10 +394,10 @@ class Balance:
 
 def _face_temperatures(columns: Columns, forcing: Forcing) -> Array:
     """Temperatures of faces (step, surface), K: periodic over the first day, then stepped."""
-    first, start = periodic_start(columns, forcing.part(slice(0, DAY_STEPS)))
+    initial, start = periodic_start(columns, forcing.part(slice(0, DAY_STEPS)))
     if len(forcing) == DAY_STEPS:
-        return first
-    return np.concatenate([first, march(columns, forcing.part(slice(DAY_STEPS, None)), start)[0]])
+        return initial
+    return np.concatenate([initial, march(columns, forcing.part(slice(DAY_STEPS, None)), start)[0]])
 
 
 def _effect(kernel: Array, flux: Array) -> float:

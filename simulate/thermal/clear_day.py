@@ -57,9 +57,9 @@ def clear_sun(
     -----
     Ineichen and Perez, Solar Energy 73, 151 (2002), with the air mass of Kasten and Young (1989).
     """
-    up = np.asarray(sine, float)
-    shines = up > 0.0
-    cosine = np.where(shines, np.maximum(up, 0.01), 1.0)
+    sines = np.asarray(sine, float)
+    is_day = sines > 0.0
+    cosine = np.where(is_day, np.maximum(sines, 0.01), 1.0)
     elevation = np.rad2deg(np.arcsin(cosine))
     mass = np.exp(-altitude_m / 8434.5) / (cosine + 0.50572 * (elevation + 6.07995) ** -1.6364)
     extraterrestrial = SOLAR_CONSTANT_W_M2 / np.square(distance_au)
@@ -71,7 +71,7 @@ def clear_sun(
     direct = (0.664 + 0.163 / low) * extraterrestrial * np.exp(-0.09 * mass * (turbidity - 1.0))
     limit = 1.0 - (0.1 - 0.2 * np.exp(-turbidity)) / (0.1 + 0.882 / low)
     direct = np.minimum(direct, total * limit / cosine)
-    return np.where(shines, direct, 0.0), np.where(shines, total - direct * cosine, 0.0)
+    return np.where(is_day, direct, 0.0), np.where(is_day, total - direct * cosine, 0.0)
 
 
 def sun_under_cloud(
@@ -132,7 +132,7 @@ def sky_radiance(emissivity: Array, air_k: Array, dew_point_k: Array, sine: Arra
     return np.where(overcast, emissivity, directional) * black
 
 
-def course(hour: Array, up: NDArray[np.bool_]) -> tuple[Array, Array]:
+def course(hour: Array, is_day: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the course of a clear day by solar hours: the air's temperature from 0 to 1, and wind
     over its maximum.
 
@@ -140,7 +140,7 @@ def course(hour: Array, up: NDArray[np.bool_]) -> tuple[Array, Array]:
     ----------
     hour
         Solar hour of each time, shape (time,).
-    up
+    is_day
         Whether the sun is up, shape (time,).
 
     Notes
@@ -148,7 +148,7 @@ def course(hour: Array, up: NDArray[np.bool_]) -> tuple[Array, Array]:
     The air is coldest at sunrise, follows a sine to its maximum and on to sunset, and then decays
     (Parton and Logan, Agric. Meteorol. 23, 205, 1981), shifted so that it meets the next sunrise.
     """
-    half = 12.0 * up.mean() if 0.02 < up.mean() < 0.98 else 6.0
+    half = 12.0 * is_day.mean() if 0.02 < is_day.mean() < 0.98 else 6.0
     rise, fall = 12.0 - half, 12.0 + half
     wave = 0.5 * np.pi / (WARMEST_H - rise)
     night = (hour - fall) % 24.0 / (24.0 - 2.0 * half)

@@ -102,10 +102,10 @@ class Facets:
         normal = self.surfaces.tracer.normals(face)
         key = _keys(self.surfaces, face & ROW, normal)
         facet = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
-        for lacking in np.unique(key[self.key[facet] != key]):
-            same = np.flatnonzero(self.key // DIRECTIONS == lacking // DIRECTIONS)
-            has_key = key == lacking
-            facet[has_key] = same[np.argmax(self.normal[same] @ normal[has_key][0])]
+        for missing_key in np.unique(key[self.key[facet] != key]):
+            candidates = np.flatnonzero(self.key // DIRECTIONS == missing_key // DIRECTIONS)
+            has_key = key == missing_key
+            facet[has_key] = candidates[np.argmax(self.normal[candidates] @ normal[has_key][0])]
         return facet
 
 
@@ -119,15 +119,17 @@ def facets_of(surfaces: Surfaces, shades: RayTracer | None = None) -> Facets:
     area = surfaces.area_m2
     row = np.flatnonzero(area > 0.0)
     normal = surfaces.tracer.normals(row)
-    key, which = np.unique(_keys(surfaces, row, normal), return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    faces = np.split(row[order], np.cumsum(np.bincount(which))[:-1])
-    mean = np.stack([np.bincount(which, area[row] * normal[:, axis]) for axis in range(3)], axis=1)
+    key, facet_of_row = np.unique(_keys(surfaces, row, normal), return_inverse=True)
+    order = np.argsort(facet_of_row, kind="stable")
+    faces = np.split(row[order], np.cumsum(np.bincount(facet_of_row))[:-1])
+    mean = np.stack(
+        [np.bincount(facet_of_row, area[row] * normal[:, axis]) for axis in range(3)], axis=1
+    )
     return Facets(
         surfaces=surfaces,
         shades=shades or surfaces.tracer,
         key=key,
-        area_m2=np.bincount(which, area[row]).astype(float),
+        area_m2=np.bincount(facet_of_row, area[row]).astype(float),
         normal=mean / np.linalg.norm(mean, axis=1, keepdims=True),
         faces=tuple(faces),
     )
@@ -151,18 +153,20 @@ class Spots:
     def on(cls, surfaces: Surfaces, face: Index, position_m: Array) -> "Spots":
         """Return spots at positions on faces."""
         normal = surfaces.tracer.normals(face)
-        return cls(start_m=surfaces.tracer.above(face, position_m, normal), normal=normal)
+        return cls(start_m=surfaces.tracer.ray_starts(face, position_m, normal), normal=normal)
 
 
 def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:
     """Return `LIMITS.points` spots of each facet, one facet after the other, even over its area."""
     corners, area = facets.surfaces.mesh.corners_m, facets.surfaces.area_m2
-    picked = []
+    chosen_faces = []
     for faces in facets.faces:
         total = np.cumsum(area[faces])
-        at = (np.arange(LIMITS.points) + rng.random()) / LIMITS.points * total[-1]
-        picked.append(faces[np.minimum(np.searchsorted(total, at), len(faces) - 1)])
-    face = np.concatenate(picked)
+        area_position = (np.arange(LIMITS.points) + rng.random()) / LIMITS.points * total[-1]
+        chosen_faces.append(
+            faces[np.minimum(np.searchsorted(total, area_position), len(faces) - 1)]
+        )
+    face = np.concatenate(chosen_faces)
     first, second = SequenceSlice.random(len(facets), LIMITS.points, rng).pairs().reshape(-1, 2).T
     root = np.sqrt(first)
     weight = np.stack([1.0 - root, root * (1.0 - second), root * second], axis=1)
@@ -180,10 +184,12 @@ def sun_cosines(shades: RayTracer, spots: Spots, sun: Array) -> Array:
         Directions of the sun, shape (time, 3).
     """
     cosines = np.maximum(sun @ spots.normal.T, 0.0) * (sun[:, 2] > 0.0)[:, None]
-    for time, way in enumerate(sun):
+    for time, direction in enumerate(sun):
         lit = np.flatnonzero(cosines[time])
         if len(lit):
-            hidden = shades.is_occluded(spots.start_m[lit], np.broadcast_to(way, (len(lit), 3)))
+            hidden = shades.is_occluded(
+                spots.start_m[lit], np.broadcast_to(direction, (len(lit), 3))
+            )
             cosines[time, lit[hidden]] = 0.0
     return cosines
 
@@ -200,11 +206,11 @@ def view(surfaces: Surfaces, spots: Spots, sequence: SequenceSlice) -> tuple[Arr
         What each ray hits, `NOTHING` for sky or the ground's end, shape (spot, ray).
     """
     pairs = sequence.pairs()
-    along = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
-    ways = (along @ shading_frames(spots.normal)).reshape(-1, 3)
-    face = surfaces.tracer.hits(np.repeat(spots.start_m, sequence.rays, axis=0), ways).face
-    sky = np.flatnonzero((face == NOTHING) & (ways[:, 2] > 0.0))
-    ring = np.minimum((ways[sky, 2] ** 2 * RINGS).astype(np.int64), RINGS - 1)
+    local = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
+    directions = (local @ shading_frames(spots.normal)).reshape(-1, 3)
+    face = surfaces.tracer.hits(np.repeat(spots.start_m, sequence.rays, axis=0), directions).face
+    sky = np.flatnonzero((face == NOTHING) & (directions[:, 2] > 0.0))
+    ring = np.minimum((directions[sky, 2] ** 2 * RINGS).astype(np.int64), RINGS - 1)
     count = np.bincount(sky // sequence.rays * RINGS + ring, minlength=len(pairs) * RINGS)
     return count.reshape(-1, RINGS) / sequence.rays, face.reshape(-1, sequence.rays)
 
@@ -219,11 +225,11 @@ def _open_rings() -> Array:
     edge = np.sqrt(np.arange(RINGS + 1) / RINGS)
     step = np.diff(edge)[:, None] / OPEN_HEIGHTS
     sine = edge[:-1, None] + step * (np.arange(OPEN_HEIGHTS) + 0.5)
-    turn = 2.0 * np.pi * (np.arange(OPEN_TURNS) + 0.5) / OPEN_TURNS
+    azimuth = 2.0 * np.pi * (np.arange(OPEN_TURNS) + 0.5) / OPEN_TURNS
     tilt = np.linspace(0.0, np.pi, OPEN_TILTS)[:, None, None, None]
     cosine = np.cos(tilt) * sine[..., None] + np.sin(tilt) * np.sqrt(
         1.0 - sine[..., None] ** 2
-    ) * np.cos(turn)
+    ) * np.cos(azimuth)
     return (2.0 * step * np.maximum(cosine, 0.0).mean(axis=3)).sum(axis=2)
 
 
@@ -233,8 +239,8 @@ def open_rings(normal: Array) -> Array:
     """
     tilt_position = np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi * (OPEN_TILTS - 1)
     tilt_node = np.minimum(tilt_position.astype(np.int64), OPEN_TILTS - 2)
-    along, table = (tilt_position - tilt_node)[:, None], _open_rings()
-    return table[tilt_node] * (1.0 - along) + table[tilt_node + 1] * along
+    fraction, table = (tilt_position - tilt_node)[:, None], _open_rings()
+    return table[tilt_node] * (1.0 - fraction) + table[tilt_node + 1] * fraction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,28 +280,28 @@ def precise_view(surfaces: Surfaces, spots: Spots, sequence: SequenceSlice) -> V
     hidden, they find the open rest instead.
     """
     pairs, spot = sequence.pairs(), np.arange(len(spots.normal))[:, None]
-    along = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
-    ways = (along @ shading_frames(spots.normal)).reshape(-1, 3)
-    hit = surfaces.tracer.hits(np.repeat(spots.start_m, sequence.rays, axis=0), ways)
+    local = cosine_lobe(pairs.reshape(-1, 2)).reshape(*pairs.shape[:2], 3)
+    directions = (local @ shading_frames(spots.normal)).reshape(-1, 3)
+    hit = surfaces.tracer.hits(np.repeat(spots.start_m, sequence.rays, axis=0), directions)
     face = hit.face.reshape(-1, sequence.rays)
-    height = ways[:, 2].reshape(face.shape)
-    up, hits = height > 0.0, face != NOTHING
-    known = open_rings(spots.normal)
-    open_fraction = known.sum(axis=1)
-    count = up.sum(axis=1)
+    height = directions[:, 2].reshape(face.shape)
+    is_up, hits = height > 0.0, face != NOTHING
+    unobstructed = open_rings(spots.normal)
+    open_fraction = unobstructed.sum(axis=1)
+    count = is_up.sum(axis=1)
     weight = np.where(
-        up,
+        is_up,
         (open_fraction / np.maximum(count, 1))[:, None],
         ((1.0 - open_fraction) / np.maximum(sequence.rays - count, 1))[:, None],
     )
     ring = np.minimum((height**2 * RINGS).astype(np.int64), RINGS - 1)
-    hidden = (up & hits).sum(axis=1)
+    hidden = (is_up & hits).sum(axis=1)
     by_rest = 2 * hidden > count
-    counted = up & (hits ^ by_rest[:, None])
+    is_counted = is_up & (hits ^ by_rest[:, None])
     ring_sums = np.bincount(
-        (spot * RINGS + ring)[counted], weight[counted], len(face) * RINGS
+        (spot * RINGS + ring)[is_counted], weight[is_counted], len(face) * RINGS
     ).reshape(-1, RINGS)
-    rings = np.where(by_rest[:, None], ring_sums, known - ring_sums)
+    rings = np.where(by_rest[:, None], ring_sums, unobstructed - ring_sums)
     # Without a ray above or below the horizon, that part counts as open.
     return Views(
         rings=rings,

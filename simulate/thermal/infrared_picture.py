@@ -99,8 +99,8 @@ def apparent_temperature(radiance: Array, band_um: tuple[float, float]) -> NDArr
         high *= 1.5
     kelvin = np.arange(low, high + 0.1, 0.1)
     # The logarithm is nearly straight against 1/T.
-    known = np.log(band_radiance(*band_um, kelvin))
-    inverse_kelvin = np.interp(np.log(np.maximum(radiance, 1e-30)), known, 1.0 / kelvin)
+    log_radiance = np.log(band_radiance(*band_um, kelvin))
+    inverse_kelvin = np.interp(np.log(np.maximum(radiance, 1e-30)), log_radiance, 1.0 / kelvin)
     return (1.0 / inverse_kelvin).astype(np.float32)
 
 

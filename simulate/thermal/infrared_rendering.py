@@ -146,10 +146,12 @@ def _render(
         batches = (
             np.array_split(edges, max(1, len(edges) // INFRARED.edge_batch)) if len(edges) else []
         )
-        off = np.zeros(len(radiance))
+        edge_error = np.zeros(len(radiance))
         for pixels, (mean, error) in zip(batches, run(tracer.mean_radiance, batches), strict=True):
-            radiance[pixels], off[pixels] = mean, error
-    off_k = _root_mean_square(off[edges]) * tracer.air.kelvin_per_radiance(tracer.air.temperature_k)
+            radiance[pixels], edge_error[pixels] = mean, error
+    off_k = _root_mean_square(edge_error[edges]) * tracer.air.kelvin_per_radiance(
+        tracer.air.temperature_k
+    )
     return InfraredPicture(
         edges_um=tracer.air.edges_um,
         radiance=radiance.reshape(*tracer.viewpoint.shape, -1),
@@ -176,14 +178,14 @@ def _render(
     )
 
 
-def _pilot(tracer: InfraredTracer, turn: int) -> TracedPixels:
+def _pilot(tracer: InfraredTracer, number: int) -> TracedPixels:
     """See random pixels, the same ones in each turn, by different rays."""
     rng = np.random.default_rng([tracer.seed, INFRARED.pilot_pixels])
     row, col = (
         rng.integers(0, side, INFRARED.pilot_pixels) + 0.5 for side in tracer.viewpoint.shape
     )
-    other = np.random.default_rng([tracer.seed, INFRARED.pilot_pixels, turn])
-    return tracer.see(row, col, SequenceSlice.random(len(row), tracer.rays, other), other)
+    rng_rays = np.random.default_rng([tracer.seed, INFRARED.pilot_pixels, number])
+    return tracer.see(row, col, SequenceSlice.random(len(row), tracer.rays, rng_rays), rng_rays)
 
 
 def _enough_rays(
@@ -201,19 +203,20 @@ def _enough_rays(
         differences_k = (first.radiance - second.radiance).sum(axis=1) * per_radiance / np.sqrt(2.0)
         surface = np.isfinite(first.kelvin)
         errors = [
-            _root_mean_square(differences_k[of]) for of in (surface & ~first.glossy, first.glossy)
+            _root_mean_square(differences_k[pixels])
+            for pixels in (surface & ~first.glossy, first.glossy)
         ]
-        more = replace(
+        next_tracer = replace(
             tracer,
             rays=min(2 * tracer.rays, INFRARED.max_rays) if errors[0] > limit else tracer.rays,
             mirror_rays=min(2 * tracer.mirror_rays, INFRARED.max_mirror_rays)
             if errors[1] > limit
             else tracer.mirror_rays,
         )
-        if (more.rays, more.mirror_rays) == (tracer.rays, tracer.mirror_rays):
+        if (next_tracer.rays, next_tracer.mirror_rays) == (tracer.rays, tracer.mirror_rays):
             break
-        tracer = more
-    short = tuple(
+        tracer = next_tracer
+    notes = tuple(
         f"{name} are uncertain by {1e3 * error:.2g} mK by chance, more than "
         f"{INFRARED.error_share:g} of the imager's {1e3 * netd_k:.3g} mK: there are at most "
         f"{max_rays} rays of a pixel"
@@ -225,7 +228,7 @@ def _enough_rays(
         )
         if error > limit
     )
-    return tracer, _root_mean_square(differences_k[surface]), short
+    return tracer, _root_mean_square(differences_k[surface]), notes
 
 
 def _root_mean_square(values: Array) -> float:
@@ -250,29 +253,30 @@ def _effects(
         for name in (AIR, MORE, SUN, BETWEEN)
     ]
     plan = select_effects(optional, 1e3 * (tolerance or 0.0) * netd_k)
-    met = full.met
+    surface_pixels = full.met
     black, bare = (
-        tracer.air.black_body(full.kelvin[met]),
+        tracer.air.black_body(full.kelvin[surface_pixels]),
         _pilot(replace(tracer, without=frozenset({AIR})), 1),
     )
-    through = tracer.air.transmittance(full.range_m[met])
+    transmittance = tracer.air.transmittance(full.range_m[surface_pixels])
     ground = tracer.air.black_body(tracer.air.temperature_k)
-    mean = (through * ground).sum(axis=1, keepdims=True) / ground.sum()
+    mean = (transmittance * ground).sum(axis=1, keepdims=True) / ground.sum()
     one_bin = np.array(full.radiance)
-    one_bin[met] = mean * bare.radiance[met] + (1.0 - mean) * ground
+    one_bin[surface_pixels] = mean * bare.radiance[surface_pixels] + (1.0 - mean) * ground
     # Panes are few pixels, which random ones may miss.
     no_glass = (
         _pilot(replace(tracer, without=frozenset({GLASS})), 1)
         if tracer.surfaces.clear.any()
         else full
     )
-    always = [
+    neglected_always = [
         OptionalEffect(name=GLASS, influence=change(no_glass.radiance)),
         OptionalEffect(name=BINS, influence=change(one_bin)),
         OptionalEffect(
             name="reflected sky and surfaces",
             influence=float(
-                np.abs((bare.radiance[met] - black).sum(axis=1)).max(initial=0.0) * per_radiance
+                np.abs((bare.radiance[surface_pixels] - black).sum(axis=1)).max(initial=0.0)
+                * per_radiance
             ),
         ),
     ]
@@ -281,7 +285,7 @@ def _effects(
         name=FINER, influence=INFRARED.finer_bins_metal_mk if metals else INFRARED.finer_bins_mk
     )
     lit_interiors = tracer.surfaces.change_by_lit_interiors(tracer.sky, ground) * per_radiance
-    return (*plan.kept, *always), (
+    return (*plan.kept, *neglected_always), (
         *plan.left_out,
         finer,
         OptionalEffect(name=INSIDE, influence=lit_interiors),
@@ -294,15 +298,15 @@ def _truth(tracer: InfraredTracer, parts: list[TracedPixels]) -> AuxiliaryLayers
     count = shape[0] * shape[1]
     material, thing = np.full(count, -1, np.int16), np.full(count, -1, np.int32)
     normal, shadow = np.zeros((count, 3), np.float32), np.zeros(count, np.uint32)
-    first = 0
+    first_pixel = 0
     for part in parts:
-        met, row = first + part.met, part.points.face & ROW
-        material[met], thing[met] = surfaces.material_of[row], surfaces.object_of[row]
-        normal[met], shadow[met] = (
+        pixels, row = first_pixel + part.met, part.points.face & ROW
+        material[pixels], thing[pixels] = surfaces.material_of[row], surfaces.object_of[row]
+        normal[pixels], shadow[pixels] = (
             part.points.normal,
             part.shadow if tracer.sky.sun is not None else 0,
         )
-        first += len(part.radiance)
+        first_pixel += len(part.radiance)
     return AuxiliaryLayers(
         material=material.reshape(shape),
         object=thing.reshape(shape),

@@ -85,9 +85,9 @@ class InfraredSky:
             WATER_KM * mass**WATER_POWER,
             CONTINUUM_KM * mass**CONTINUUM_POWER,
         )
-        other = self.air.rows["ozone_depth"] * mass[:, None] ** OZONE_POWER
+        ozone_depth = self.air.rows["ozone_depth"] * mass[:, None] ** OZONE_POWER
         return np.exp(
-            -self.air.depth(*lengths) - other - self.air.haze_per_km * HAZE_KM * mass[:, None]
+            -self.air.depth(*lengths) - ozone_depth - self.air.haze_per_km * HAZE_KM * mass[:, None]
         )
 
     def radiance(self, direction: Array) -> Array:
@@ -132,8 +132,8 @@ def ring_radiance(sky: Surroundings) -> Array:
     (ring, bin).
     """
     sine = np.sqrt((np.arange(RINGS * RING_POINTS) + 0.5) / (RINGS * RING_POINTS))
-    way = np.stack([np.sqrt(1.0 - sine**2), 0.0 * sine, sine], axis=1)
-    return sky.radiance(way).reshape(RINGS, RING_POINTS, -1).mean(axis=1)
+    direction = np.stack([np.sqrt(1.0 - sine**2), 0.0 * sine, sine], axis=1)
+    return sky.radiance(direction).reshape(RINGS, RING_POINTS, -1).mean(axis=1)
 
 
 def sky_of(band_um: tuple[float, float], weather: Weather, state: State) -> InfraredSky:

@@ -56,19 +56,23 @@ def infrared_brdf(surface: MaterialSpec, slab: Slab) -> Brdf:
     the coat alone reflects more, the base is black and the emissivity lower.
     """
     longwave = float(slab.emissivity)
-    shares = tuple(1.0 - float(value or longwave) for value in (slab.emissivity_mwir, longwave))
+    reflectances = tuple(
+        1.0 - float(value or longwave) for value in (slab.emissivity_mwir, longwave)
+    )
     visible = surface.material.brdf() if surface.measured is None else None
     if surface.pane_transmittance is not None:
-        return Metal(reflectance=_reflectance(shares), roughness=GLASS_ROUGHNESS)
+        return Metal(reflectance=_reflectance(reflectances), roughness=GLASS_ROUGHNESS)
     if not isinstance(visible, Microfacets):
-        return Lambert(reflectance=_reflectance(shares))
+        return Lambert(reflectance=_reflectance(reflectances))
     number = np.arange(len(TRIED), dtype=float)
-    trial = Reflectance(wavelength_nm=tuple(number + 1.0), fraction=tuple(TRIED.tolist()))
+    trial_reflectance = Reflectance(
+        wavelength_nm=tuple(number + 1.0), fraction=tuple(TRIED.tolist())
+    )
     kind = {"roughness": visible.roughness}
     if isinstance(visible, Glossy):
         kind["refractive_index"] = visible.refractive_index
-    albedo = type(visible)(reflectance=trial, **kind).albedo(UP, number + 1.0)[:, 0]
-    return type(visible)(reflectance=_reflectance(np.interp(shares, albedo, TRIED)), **kind)
+    albedo = type(visible)(reflectance=trial_reflectance, **kind).albedo(UP, number + 1.0)[:, 0]
+    return type(visible)(reflectance=_reflectance(np.interp(reflectances, albedo, TRIED)), **kind)
 
 
 def pane_transmittance(thickness_mm: float, edges_um: tuple[float, ...]) -> Array:
@@ -102,9 +106,9 @@ def pane_transmittance(thickness_mm: float, edges_um: tuple[float, ...]) -> Arra
     return np.where(transmittance > INFRARED.opaque, transmittance, 0.0)
 
 
-def _reflectance(shares: Any) -> Reflectance:
+def _reflectance(fractions: Any) -> Reflectance:
     return Reflectance(
-        wavelength_nm=BETWEEN_NM, fraction=tuple(float(reflectance) for reflectance in shares)
+        wavelength_nm=BETWEEN_NM, fraction=tuple(float(reflectance) for reflectance in fractions)
     )
 
 
@@ -134,7 +138,7 @@ class InfraredSurfaces:
     facets: Array
     black: Array
 
-    def through(self, material: Index, cosine: Array) -> tuple[Index, Array]:
+    def pane_transmittance(self, material: Index, cosine: Array) -> tuple[Index, Array]:
         """Return which rays meet clear panes, and the transmittance of each, shape (ray that does,
         bin).
 
@@ -181,16 +185,16 @@ def infrared_surfaces(
     specs = [by_label[name] for name in facets.surfaces.materials]
     slabs = [slab_of(scene, surface) for surface in specs]
     brdfs = tuple(infrared_brdf(surface, slab) for surface, slab in zip(specs, slabs, strict=True))
-    reflects = np.array([brdf.albedo(UP, air.centre_nm)[:, 0] for brdf in brdfs])[facets.material]
+    albedo = np.array([brdf.albedo(UP, air.centre_nm)[:, 0] for brdf in brdfs])[facets.material]
     black, rings = air.black_body(temperatures.solution.faces_k[-1]), ring_radiance(sky)
     surroundings = exposure.rings @ rings + exposure.off_scene[:, None] * air.black_body(
         air.temperature_k
     )
     surroundings += exposure.lit[-1][:, None] * sky.sunlight / np.pi
-    radiosity, emitted = black, (1.0 - reflects) * black
+    radiosity, emitted = black, (1.0 - albedo) * black
     for _ in range(MOST_REFLECTIONS):
-        new = emitted + reflects * (surroundings + exposure.sees @ radiosity)
-        change, radiosity = np.abs(new - radiosity).max(), new
+        next_radiosity = emitted + albedo * (surroundings + exposure.sees @ radiosity)
+        change, radiosity = np.abs(next_radiosity - radiosity).max(), next_radiosity
         if change <= CONVERGED * radiosity.max():
             break
     clear = [

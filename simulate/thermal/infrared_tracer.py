@@ -82,16 +82,16 @@ class InfraredTracer:
         side^-1.5.
         """
         side, rng = INFRARED.edge_parts, np.random.default_rng([self.seed, 3, int(pixels[0])])
-        part = (np.indices((side, side)).reshape(2, -1, 1) + 0.5) / side
+        offset = (np.indices((side, side)).reshape(2, -1, 1) + 0.5) / side
         row, col = (
-            pixel_coordinate + at
-            for pixel_coordinate, at in zip(
-                np.divmod(pixels, self.viewpoint.shape[1]), part, strict=True
+            pixel_coordinate + axis_offset
+            for pixel_coordinate, axis_offset in zip(
+                np.divmod(pixels, self.viewpoint.shape[1]), offset, strict=True
             )
         )
         sequence = SequenceSlice.random(row.size, max(self.rays // side, 1), rng)
-        few = replace(self, mirror_rays=max(self.mirror_rays // side**2, 1))
-        parts = few.see(row.ravel(), col.ravel(), sequence, rng).radiance.reshape(
+        tracer = replace(self, mirror_rays=max(self.mirror_rays // side**2, 1))
+        parts = tracer.see(row.ravel(), col.ravel(), sequence, rng).radiance.reshape(
             side**2, len(pixels), -1
         )
         return parts.mean(axis=0), parts.sum(axis=2).std(axis=0) / side**1.5
@@ -104,54 +104,56 @@ class InfraredTracer:
         """
         facets = self.temperatures.balance.facets
         tracer = facets.surfaces.tracer
-        origin, towards = self.viewpoint.rays(row, col)
-        hit = tracer.hits(origin, towards)
-        met, radiance = hit.rays, self.sky.radiance(towards)
-        position_m = origin[met] + hit.range_m[met, None] * towards[met]
+        origin, direction = self.viewpoint.rays(row, col)
+        hit = tracer.hits(origin, direction)
+        rays, radiance = hit.rays, self.sky.radiance(direction)
+        position_m = origin[rays] + hit.range_m[rays, None] * direction[rays]
         points = self.surfaces.bsdfs.points(
-            facets.surfaces, hit.face[met], position_m, towards[met]
+            facets.surfaces, hit.face[rays], position_m, direction[rays]
         )
         spots = Spots.on(facets.surfaces, points.face, position_m)
-        views = precise_view(facets.surfaces, spots, sequence.select(met))
+        views = precise_view(facets.surfaces, spots, sequence.select(rays))
         kelvin, incoming = (
             self.temperatures.spots_k(facets.of_faces(points.face), spots, views),
             self._diffuse(views),
         )
-        start_m = tracer.above(points.face, position_m, points.normal)
-        behind = np.flatnonzero(~points.on_outer_side)
-        if len(behind):
-            spots = Spots(start_m=start_m[behind], normal=points.normal[behind])
-            incoming[behind] = self._diffuse(
-                precise_view(facets.surfaces, spots, sequence.select(met[behind]))
+        start_m = tracer.ray_starts(points.face, position_m, points.normal)
+        inner_points = np.flatnonzero(~points.on_outer_side)
+        if len(inner_points):
+            spots = Spots(start_m=start_m[inner_points], normal=points.normal[inner_points])
+            incoming[inner_points] = self._diffuse(
+                precise_view(facets.surfaces, spots, sequence.select(rays[inner_points]))
             )
         albedo = np.pi * self.surfaces.bsdfs.diffuse_brdf(points)
-        for which, brdf in points.glossy:
-            outgoing = local_direction(shading_frames(points.normal[which]), points.outgoing[which])
-            albedo[which] = brdf.albedo(outgoing, self.air.centre_nm).T
-            incoming[which] = self._mirrored(
-                points.normal[which], outgoing, start_m[which], brdf, rng
+        for rows, brdf in points.glossy:
+            outgoing = local_direction(shading_frames(points.normal[rows]), points.outgoing[rows])
+            albedo[rows] = brdf.albedo(outgoing, self.air.centre_nm).T
+            incoming[rows] = self._glossy_radiance(
+                points.normal[rows], outgoing, start_m[rows], brdf, rng
             )
-        leaving = (1.0 - albedo) * self.air.black_body(kelvin) + albedo * incoming
-        clear, through = self._clear(
+        radiosity = (1.0 - albedo) * self.air.black_body(kelvin) + albedo * incoming
+        panes, transmittance = self._clear(
             points.material, np.einsum("ij,ij->i", points.normal, points.outgoing)
         )
-        if len(clear):
+        if len(panes):
             # No more than the pane does not reflect.
-            through = np.minimum(through, 1.0 - albedo[clear])
-            below_pane = tracer.above(points.face[clear], position_m[clear], -points.normal[clear])
-            behind_it = self._along(below_pane, towards[met[clear]], INFRARED.panes - 1)
-            leaving[clear] += through * (behind_it - self.air.black_body(kelvin[clear]))
+            transmittance = np.minimum(transmittance, 1.0 - albedo[panes])
+            below_pane = tracer.ray_starts(
+                points.face[panes], position_m[panes], -points.normal[panes]
+            )
+            behind_it = self._radiance_along(below_pane, direction[rays[panes]], INFRARED.panes - 1)
+            radiosity[panes] += transmittance * (behind_it - self.air.black_body(kelvin[panes]))
         lit = self._lit(points, start_m)
         if len(lit) and SUN not in self.without:
             assert self.sky.sun is not None
-            some = points.select(lit)
-            cosine = some.normal @ self.sky.sun
+            lit_points = points.select(lit)
+            cosine = lit_points.normal @ self.sky.sun
             value = self.surfaces.bsdfs.value(
-                some, np.broadcast_to(self.sky.sun, some.normal.shape)
+                lit_points, np.broadcast_to(self.sky.sun, lit_points.normal.shape)
             )
-            leaving[lit] += value * cosine[:, None] * self.sky.sunlight
-        radiance[met] = (
-            leaving if AIR in self.without else self.air.after_path(leaving, hit.range_m[met])
+            radiosity[lit] += value * cosine[:, None] * self.sky.sunlight
+        radiance[rays] = (
+            radiosity if AIR in self.without else self.air.after_path(radiosity, hit.range_m[rays])
         )
         image_points = TracedPixels(
             radiance=radiance,
@@ -159,11 +161,11 @@ class InfraredTracer:
             glossy=np.zeros(len(row), np.bool_),
             range_m=hit.range_m,
             points=points,
-            met=met,
-            shadow=np.ones(len(met), np.bool_),
+            met=rays,
+            shadow=np.ones(len(rays), np.bool_),
             albedo=albedo.mean(axis=1),
         )
-        image_points.kelvin[met], image_points.glossy[met], image_points.shadow[lit] = (
+        image_points.kelvin[rays], image_points.glossy[rays], image_points.shadow[lit] = (
             kelvin,
             ~points.is_diffuse,
             False,
@@ -177,31 +179,33 @@ class InfraredTracer:
 
     def _diffuse(self, views: Views) -> Array:
         """Mean radiance that spots see by the cosine law, shape (spot, bin)."""
-        spot, face, part, range_m = views.surfaces()
-        of, ground = (
+        spot, face, weight, range_m = views.surfaces()
+        facet, ground = (
             self.temperatures.balance.facets.of_faces(face),
             self.air.black_body(self.air.temperature_k),
         )
         radiance = views.rings @ self.surfaces.rings + views.off_scene[:, None] * ground
         step = self._step_of(range_m)
         for number, light in enumerate(self.of_facets.T):
-            ray = light[of]
+            ray = light[facet]
             if BETWEEN not in self.without:
-                ray = ground[number] + self._through[step, number] * (ray - ground[number])
-            radiance[:, number] += np.bincount(spot, part * ray, len(radiance))
+                ray = ground[number] + self._transmittance_steps[step, number] * (
+                    ray - ground[number]
+                )
+            radiance[:, number] += np.bincount(spot, weight * ray, len(radiance))
         return radiance
 
     @cached_property
-    def _through(self) -> Array:
+    def _transmittance_steps(self) -> Array:
         """Transmittance of paths in steps of their logarithm, shape (step, bin)."""
         return self.air.transmittance(2.0 ** (np.arange(OCTAVES * STEPS + 1) / STEPS))
 
     @staticmethod
     def _step_of(range_m: Array) -> Index:
-        """Row of `_through` of paths; shorter ones than a metre count as that long."""
+        """Row of `_transmittance_steps` of paths; shorter ones than a metre count as that long."""
         return np.rint(STEPS * np.log2(np.clip(range_m, 1.0, 2.0**OCTAVES))).astype(np.int64)
 
-    def _mirrored(
+    def _glossy_radiance(
         self, normal: Array, outgoing: Array, start_m: Array, brdf: Brdf, rng: np.random.Generator
     ) -> Array:
         """Mean radiance that points see, weighted by the BRDF, by rays drawn from it, shape (point,
@@ -211,33 +215,37 @@ class InfraredTracer:
         """
         radiance = np.empty((len(normal), len(self.air.low_um)))
         batch_points = max(1, INFRARED.batch_rays // self.mirror_rays)
-        for first in range(0, len(normal), batch_points):
-            part = slice(first, first + batch_points)
-            count = len(normal[part])
-            out = np.repeat(outgoing[part], self.mirror_rays, axis=0)
+        for start in range(0, len(normal), batch_points):
+            rows = slice(start, start + batch_points)
+            count = len(normal[rows])
+            to_viewer = np.repeat(outgoing[rows], self.mirror_rays, axis=0)
             numbers = cast(np.random.Generator, LowDiscrepancyNumbers(count, self.mirror_rays, rng))
-            local, density = brdf.sample(out, numbers)
+            local, density = brdf.sample(to_viewer, numbers)
             weight = (
-                brdf.value(local, out, self.air.centre_nm) * np.maximum(local[:, 2], 0.0) / density
+                brdf.value(local, to_viewer, self.air.centre_nm)
+                * np.maximum(local[:, 2], 0.0)
+                / density
             )
-            frames = np.repeat(shading_frames(normal[part]), self.mirror_rays, axis=0)
-            light = self._along(
-                np.repeat(start_m[part], self.mirror_rays, axis=0),
+            frames = np.repeat(shading_frames(normal[rows]), self.mirror_rays, axis=0)
+            light = self._radiance_along(
+                np.repeat(start_m[rows], self.mirror_rays, axis=0),
                 np.einsum("ij,ijk->ik", local, frames),
             )
             weight = weight.T.reshape(count, self.mirror_rays, -1)
             # A lobe of which all is below the surface is seen as it is drawn.
             weight += np.where(weight.sum(axis=1, keepdims=True) > 0.0, 0.0, 1.0)
-            radiance[part] = np.average(light.reshape(weight.shape), axis=1, weights=weight)
+            radiance[rows] = np.average(light.reshape(weight.shape), axis=1, weights=weight)
         return radiance
 
     def _clear(self, material: Index, cosine: Array) -> tuple[Index, Array]:
         """Rays that see through panes, and the transmittance of each."""
         if GLASS in self.without:
             return np.zeros(0, np.int64), np.zeros((0, len(self.air.low_um)))
-        return self.surfaces.through(material, cosine)
+        return self.surfaces.pane_transmittance(material, cosine)
 
-    def _along(self, start_m: Array, direction: Array, panes: int = INFRARED.panes) -> Array:
+    def _radiance_along(
+        self, start_m: Array, direction: Array, panes: int = INFRARED.panes
+    ) -> Array:
         """Radiance of sky and facets along rays, through some panes, shape (ray, bin)."""
         facets = self.temperatures.balance.facets
         tracer = facets.surfaces.tracer
@@ -246,20 +254,22 @@ class InfraredTracer:
         face = hit.face[hit.rays]
         light = self.of_facets[facets.of_faces(face)]
         if panes and self.surfaces.clear.any():
-            facing, cosine = tracer.facing(face, direction[hit.rays])
-            clear, through = self._clear(facets.surfaces.material_of[face & ROW], cosine)
-            if len(clear):
-                rays = hit.rays[clear]
+            normal, cosine = tracer.sided_normals(face, direction[hit.rays])
+            panes_hit, transmittance = self._clear(facets.surfaces.material_of[face & ROW], cosine)
+            if len(panes_hit):
+                rays = hit.rays[panes_hit]
                 pane_position_m = start_m[rays] + hit.range_m[rays, None] * direction[rays]
-                behind = self._along(
-                    tracer.above(face[clear], pane_position_m, -facing[clear]),
+                radiance_behind = self._radiance_along(
+                    tracer.ray_starts(face[panes_hit], pane_position_m, -normal[panes_hit]),
                     direction[rays],
                     panes - 1,
                 )
-                light[clear] += through * (behind - light[clear])
+                light[panes_hit] += transmittance * (radiance_behind - light[panes_hit])
         if BETWEEN not in self.without:
             ground = self.air.black_body(self.air.temperature_k)
-            light = ground + self._through[self._step_of(hit.range_m[hit.rays])] * (light - ground)
+            light = ground + self._transmittance_steps[self._step_of(hit.range_m[hit.rays])] * (
+                light - ground
+            )
         radiance[hit.rays] = light
         return radiance
 
@@ -268,7 +278,7 @@ class InfraredTracer:
         if self.sky.sun is None:
             return np.zeros(0, np.int64)
         faces = np.flatnonzero(points.normal @ self.sky.sun > 0.0)
-        way = np.broadcast_to(self.sky.sun, (len(faces), 3))
+        sun = np.broadcast_to(self.sky.sun, (len(faces), 3))
         return faces[
-            ~self.temperatures.balance.facets.surfaces.tracer.is_occluded(start_m[faces], way)
+            ~self.temperatures.balance.facets.surfaces.tracer.is_occluded(start_m[faces], sun)
         ]

@@ -81,10 +81,10 @@ class Exchange:
         """
         excess = surface_k - air_k
         if self.law == "buoyant":
-            steep = np.abs(self.upward)
+            slope_size = np.abs(self.upward)
             unstable = excess * self.upward > 0.0
             natural = np.where(
-                unstable, 9.482 / (7.238 - steep), 1.810 / (1.382 + steep)
+                unstable, 9.482 / (7.238 - slope_size), 1.810 / (1.382 + slope_size)
             ) * np.cbrt(np.abs(excess))
             forced = self.wind_coefficient * wind_m_s
             h, slope = natural + forced, 4.0 / 3.0 * natural + forced
@@ -129,15 +129,17 @@ class Columns:
         cells_of_slabs = [_cells(slab, cells) for slab in slabs]
         count = max(len(capacity) for capacity, _ in cells_of_slabs)
         capacity, conductance = np.ones((count, len(slabs))), np.zeros((count + 1, len(slabs)))
-        back = np.ones((count, len(slabs)))
-        for number, (slab, (stored, interfaces)) in enumerate(
+        back_conductance = np.ones((count, len(slabs)))
+        for number, (slab, (capacities, interfaces)) in enumerate(
             zip(slabs, cells_of_slabs, strict=True)
         ):
-            capacity[: len(stored), number] = stored
-            conductance[: len(stored), number] = interfaces[:-1]
-            behind = float(slab.back_w_m2_k)
-            back[: len(stored), number] = 0.0
-            back[len(stored) - 1, number] = behind * interfaces[-1] / (behind + interfaces[-1])
+            capacity[: len(capacities), number] = capacities
+            conductance[: len(capacities), number] = interfaces[:-1]
+            behind_w_m2_k = float(slab.back_w_m2_k)
+            back_conductance[: len(capacities), number] = 0.0
+            back_conductance[len(capacities) - 1, number] = (
+                behind_w_m2_k * interfaces[-1] / (behind_w_m2_k + interfaces[-1])
+            )
         back_k = np.array(
             [np.nan if slab.back_c is None else float(slab.back_c) + ZERO_C for slab in slabs]
         )
@@ -145,7 +147,11 @@ class Columns:
             [np.inf if slab.max_c is None else float(slab.max_c) + ZERO_C for slab in slabs]
         )
         return cls(
-            capacity=capacity, conductance=conductance, back=back, back_k=back_k, max_k=max_k
+            capacity=capacity,
+            conductance=conductance,
+            back=back_conductance,
+            back_k=back_k,
+            max_k=max_k,
         )
 
     def diagonal(self, rate: Array | float) -> Array:
@@ -155,17 +161,17 @@ class Columns:
 
 def _cells(slab: Slab, cells: int) -> tuple[Array, Array]:
     """Heat capacities of the cells of a slab, and conductances before, between and behind them."""
-    thickness, conductivity, stored = [], [], []
+    thickness, conductivity, capacity = [], [], []
     for layer in slab.layer:
         growth = LIMITS.ratio ** np.arange(cells)
         thickness.append(float(layer.thickness_mm) * 1e-3 * growth / growth.sum())
         conductivity.append(np.full(cells, float(layer.conductivity_w_m_k)))
-        stored.append(
+        capacity.append(
             thickness[-1] * float(layer.density_kg_m3) * float(layer.specific_heat_j_kg_k)
         )
     half = 0.5 * np.concatenate(thickness) / np.concatenate(conductivity)
     resistance = np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])
-    return np.concatenate(stored), 1.0 / resistance
+    return np.concatenate(capacity), 1.0 / resistance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,8 +287,8 @@ def _balance_faces(
     front, through = columns.conductance[0], eliminated.pivot[0]
     inward, offset = front * (1.0 - front / through), front * reduced / through
     for attempt in range(LIMITS.max_steps):
-        lost, slope = forcing.loss(face, step)
-        change = (forcing.flux_w_m2[step] + offset - lost - inward * face) / (slope + inward)
+        loss, slope = forcing.loss(face, step)
+        change = (forcing.flux_w_m2[step] + offset - loss - inward * face) / (slope + inward)
         # Where a law has a kink (dew point, air temperature) full steps may go to and fro across
         # it.
         face = np.minimum(face + (change if attempt < 10 else 0.5 * change), columns.max_k)
@@ -316,11 +322,11 @@ class _Elimination:
 
     def substitute(self, reduced: Any, face: Any) -> Any:
         """Return the temperature of each cell from that of the face."""
-        cells_k, before = np.empty_like(reduced), face
+        cells_k, previous_k = np.empty_like(reduced), face
         for cell in range(len(reduced)):
-            before = cells_k[cell] = (reduced[cell] + self.coupling[cell] * before) / self.pivot[
-                cell
-            ]
+            previous_k = cells_k[cell] = (
+                reduced[cell] + self.coupling[cell] * previous_k
+            ) / self.pivot[cell]
         return cells_k
 
 
@@ -343,20 +349,20 @@ def periodic_start(
     thus that of the non-linear slab, without days of spin-up.
     """
     steps, surfaces = len(forcing), columns.capacity.shape[1]
-    turn = np.exp(-2j * np.pi * np.arange(steps // 2 + 1) / steps)
-    rate = (1.0 - turn)[:, None] / step_s
+    phase = np.exp(-2j * np.pi * np.arange(steps // 2 + 1) / steps)
+    rate = (1.0 - phase)[:, None] / step_s
     # Harmonics stand in the middle: (cell, harmonic, surface).
     diagonal = columns.capacity[:, None] * rate + columns.diagonal(0.0)[:, None]
     eliminated = _Elimination.of(columns.conductance[:, None], diagonal)
-    behind = np.broadcast_to(forcing.behind_k(columns, slice(None)), (steps, surfaces))
-    reduced = eliminated.reduce(columns.back[:, None] * np.fft.rfft(behind, axis=0))
+    behind_k = np.broadcast_to(forcing.behind_k(columns, slice(None)), (steps, surfaces))
+    reduced = eliminated.reduce(columns.back[:, None] * np.fft.rfft(behind_k, axis=0))
     front, through = columns.conductance[0], eliminated.pivot[0]
     admittance, offset = front * (1.0 - front / through), front * reduced[0] / through
     face, melting = np.minimum(forcing.air_k, columns.max_k), np.zeros((steps, surfaces))
     for _ in range(LIMITS.max_passes):
-        lost, slope = forcing.loss(face, slice(None))
+        loss, slope = forcing.loss(face, slice(None))
         linear = 0.5 * (slope.max(axis=0) + slope.min(axis=0))
-        remainder = np.fft.rfft(forcing.flux_w_m2 - melting - lost + linear * face, axis=0)
+        remainder = np.fft.rfft(forcing.flux_w_m2 - melting - loss + linear * face, axis=0)
         new = np.fft.irfft((remainder + offset) / (linear + admittance), steps, axis=0)
         # Melting takes what would warm the face beyond its limit; the limit is met when it no
         # longer changes.
@@ -369,11 +375,11 @@ def periodic_start(
         if change < LIMITS.periodic_k:
             cells = eliminated.substitute(reduced, np.fft.rfft(face, axis=0))
             weight = np.where(
-                (np.arange(len(turn)) == 0) | (2 * np.arange(len(turn)) == steps), 1.0, 2.0
+                (np.arange(len(phase)) == 0) | (2 * np.arange(len(phase)) == steps), 1.0, 2.0
             )
             # The last time of the day comes one step before its first: harmonics turned back by one
             # step.
-            at_end = np.einsum("h,chs->cs", weight * turn, cells).real / steps
+            at_end = np.einsum("h,chs->cs", weight * phase, cells).real / steps
             return face, at_end
     raise ArithmeticError(f"the periodic state must converge within {LIMITS.max_passes} passes")
 
@@ -430,8 +436,8 @@ def kernels(
     source = backwards(np.zeros_like(columns.capacity), range(len(slope) - 1, -1, -1), step_s, True)
     hours = range(len(slope) - 1, -1, -LIMITS.steps_of_hour)
     for _ in range(LIMITS.max_days):
-        before = effects.sum(axis=0)
+        total = effects.sum(axis=0)
         source = backwards(source, hours, LIMITS.steps_of_hour * step_s, False)
-        if (effects.sum(axis=0) - before <= LIMITS.kernel_fraction * before).all():
+        if (effects.sum(axis=0) - total <= LIMITS.kernel_fraction * total).all():
             break
     return effects

@@ -134,22 +134,25 @@ class Temperatures:
         Surfaces keep their temperatures, those that an object had heated or shaded among them. The
         light that facets reflect onto each other stays as before.
         """
-        poses = {thing.label: thing for thing in scene.object}
-        pairs = [(thing, poses[thing.label]) for thing in self.balance.things]
+        poses = {scene_object.label: scene_object for scene_object in scene.object}
+        pairs = [(scene_object, poses[scene_object.label]) for scene_object in self.balance.things]
         if all(
-            replace(rest_pose, keyframe=()) == replace(now, keyframe=()) for rest_pose, now in pairs
+            replace(rest_pose, keyframe=()) == replace(pose_now, keyframe=())
+            for rest_pose, pose_now in pairs
         ):
             return self
-        turn = np.array([rotation_of(rest_pose) @ rotation_of(now).T for rest_pose, now in pairs])
+        rotation = np.array(
+            [rotation_of(rest_pose) @ rotation_of(pose_now).T for rest_pose, pose_now in pairs]
+        )
         rest_m, now_m = (
             np.array([pose.position_m for pose in poses]) for poses in zip(*pairs, strict=True)
         )
-        shift_m = rest_m - np.einsum("fij,fj->fi", turn, now_m)
+        shift_m = rest_m - np.einsum("fij,fj->fi", rotation, now_m)
         clear = build_surfaces(scene)
         surfaces = clear if clear.panes is None else build_surfaces(scene, opaque=True)
         facets = replace(self.balance.facets, surfaces=surfaces, shades=clear.tracer)
         balance = replace(self.balance, facets=facets)
-        return Temperatures(balance, self.solution, at_rest=self, returns=(turn, shift_m))
+        return Temperatures(balance, self.solution, at_rest=self, returns=(rotation, shift_m))
 
     def means_c(self) -> tuple[list[float], Array, dict[str, Array]]:
         """Return the temperatures of the day before the scene's time, by hours.
@@ -166,9 +169,9 @@ class Temperatures:
         hours = [round(time.hour + time.minute / 60.0 + time.second / 3600.0, 4) for time in times]
         means = {}
         for name in dict.fromkeys(facets.names):
-            of = np.array([other == name for other in facets.names])
-            faces = self.solution.faces_k[steps][:, of]
-            means[name] = np.average(faces, axis=1, weights=facets.area_m2[of]) - ZERO_C
+            mask = np.array([facet_name == name for facet_name in facets.names])
+            faces = self.solution.faces_k[steps][:, mask]
+            means[name] = np.average(faces, axis=1, weights=facets.area_m2[mask]) - ZERO_C
         return hours, weather.air_k[steps] - ZERO_C, means
 
     def last_sd_k(self) -> dict[str, float]:
@@ -183,11 +186,11 @@ class Temperatures:
         left_out_k = 1e-3 * sum(effect.influence for effect in self.solution.left_out)
         sd_of_name = {}
         for name in dict.fromkeys(facets.names):
-            of = np.array([other == name for other in facets.names])
-            errors, area = self.solution.errors_k.values(), facets.area_m2[of]
-            parts = [float(np.average(error[of], weights=area)) for error in errors]
-            free = self.solution.kernel[:, of].any()
-            sd_of_name[name] = math.hypot(*parts, left_out_k if free else 0.0)
+            mask = np.array([facet_name == name for facet_name in facets.names])
+            errors, area = self.solution.errors_k.values(), facets.area_m2[mask]
+            effects_k = [float(np.average(error[mask], weights=area)) for error in errors]
+            free = self.solution.kernel[:, mask].any()
+            sd_of_name[name] = math.hypot(*effects_k, left_out_k if free else 0.0)
         return sd_of_name
 
     def map_k(
@@ -214,16 +217,16 @@ class Temperatures:
         surfaces, stop = self.balance.facets.surfaces, min(start + LIMITS.rows, viewpoint.shape[0])
         grid = np.meshgrid(np.arange(start, stop), np.arange(viewpoint.shape[1]), indexing="ij")
         row, col = (axis.ravel() for axis in grid)
-        origin, towards = viewpoint.rays(row + 0.5, col + 0.5)
-        hit = surfaces.tracer.hits(origin, towards)
-        met = hit.rays
+        origin, direction = viewpoint.rays(row + 0.5, col + 0.5)
+        hit = surfaces.tracer.hits(origin, direction)
+        rays = hit.rays
         spots = Spots.on(
-            surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met]
+            surfaces, hit.face[rays], origin[rays] + hit.range_m[rays, None] * direction[rays]
         )
         kelvin = np.full(len(row), np.nan, np.float32)
-        sequence = low_discrepancy_points(row[met], col[met], LIMITS.pixel_rays, [start])
-        kelvin[met] = self.spots_k(
-            self.balance.facets.of_faces(hit.face[met]),
+        sequence = low_discrepancy_points(row[rays], col[rays], LIMITS.pixel_rays, [start])
+        kelvin[rays] = self.spots_k(
+            self.balance.facets.of_faces(hit.face[rays]),
             spots,
             precise_view(surfaces, spots, sequence),
         )
@@ -234,37 +237,39 @@ class Temperatures:
         shape (spot,), K.
         """
         if self.at_rest is not None and self.returns is not None:
-            turn, shift = (returns[facet] for returns in self.returns)
-            before = Spots(
-                start_m=np.einsum("sij,sj->si", turn, spots.start_m) + shift,
-                normal=np.einsum("sij,sj->si", turn, spots.normal),
+            rotation, shift = (values[facet] for values in self.returns)
+            rest_spots = Spots(
+                start_m=np.einsum("sij,sj->si", rotation, spots.start_m) + shift,
+                normal=np.einsum("sij,sj->si", rotation, spots.normal),
             )
             sequence = SequenceSlice.random(
                 len(facet), LIMITS.pixel_rays, np.random.default_rng(len(facet))
             )
-            views = precise_view(self.at_rest.balance.facets.surfaces, before, sequence)
-            return self.at_rest.spots_k(facet, before, views)
+            views = precise_view(self.at_rest.balance.facets.surfaces, rest_spots, sequence)
+            return self.at_rest.spots_k(facet, rest_spots, views)
         facets, slots = (
             self.balance.facets,
             np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps),
         )
-        spot, face, part, _ = views.surfaces()
-        other = facets.of_faces(face)
+        spot, face, weight_of_ray, _ = views.surfaces()
+        seen_facet = facets.of_faces(face)
         sun = self.balance.weather.sun[LAST][slots]
-        up = np.flatnonzero(sun[:, 2] > 0.0)
-        lit = sun_cosines(facets.shades, spots, sun[up])
+        is_up = np.flatnonzero(sun[:, 2] > 0.0)
+        lit = sun_cosines(facets.shades, spots, sun[is_up])
         kelvin, weight = [], []
-        for by in self._references:
+        for reference in self._references:
             change = (
-                np.einsum("sr,sr->s", by.rings[facet], views.rings)
-                + by.off_scene[facet] * views.off_scene
+                np.einsum("sr,sr->s", reference.rings[facet], views.rings)
+                + reference.off_scene[facet] * views.off_scene
             )
             change += (
-                np.bincount(spot, part * by.surfaces[facet[spot], other], len(facet))
-                - by.due_k[facet]
+                np.bincount(
+                    spot, weight_of_ray * reference.surfaces[facet[spot], seen_facet], len(facet)
+                )
+                - reference.due_k[facet]
             )
-            change += np.einsum("ts,ts->s", by.sun[np.ix_(up, facet)], lit)
-            kelvin.append(by.last_k[facet] + change)
+            change += np.einsum("ts,ts->s", reference.sun[np.ix_(is_up, facet)], lit)
+            kelvin.append(reference.last_k[facet] + change)
             weight.append(1.0 / (change**2 + LIMITS.near_k**2))
         return np.average(kelvin, axis=0, weights=weight)
 
@@ -298,19 +303,19 @@ class Temperatures:
             kernel.T @ longwave
         )
         off_scene = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
-        due = (
+        due_k = (
             (rings * exposure.rings).sum(axis=1)
             + (surfaces * exposure.sees).sum(axis=1)
             + off_scene * exposure.off_scene
         )
-        due += (
+        due_k += (
             sun
             * lit[
                 np.arange(LIMITS.slot_steps // 2, DAY_STEPS, LIMITS.slot_steps) // LIMITS.sun_steps
             ]
         ).sum(axis=0)
         return _Reference(
-            last_k=last_k, due_k=due, sun=sun, rings=rings, surfaces=surfaces, off_scene=off_scene
+            last_k=last_k, due_k=due_k, sun=sun, rings=rings, surfaces=surfaces, off_scene=off_scene
         )
 
 
@@ -366,8 +371,8 @@ def temperatures_of(
         )
     by_label = {surface.label: surface for surface in scene.material}
     slabs = {name: slab_of(scene, by_label[name]) for name in surfaces.materials}
-    things, facets = (
-        {thing.label: thing for thing in scene.object},
+    objects, facets = (
+        {scene_object.label: scene_object for scene_object in scene.object},
         facets_of(surfaces, clear.tracer),
     )
     assert scene.weather is not None
@@ -377,7 +382,7 @@ def temperatures_of(
             facets, weather.sun[LAST][:: LIMITS.sun_steps], np.random.default_rng(seed)
         ),
         slabs=tuple(slabs[surfaces.materials[number]] for number in facets.material),
-        things=tuple(things[surfaces.objects[number]] for number in facets.object),
+        things=tuple(objects[surfaces.objects[number]] for number in facets.object),
         weather=weather,
         state=scene.weather,
     )

@@ -100,8 +100,8 @@ def weather_of(scene: OutdoorScene) -> Weather:
         If the scene has no place or no weather with wind, or its file has gaps, another date or a
         place far away.
     """
-    where, state = scene.place, scene.weather
-    if where is None:
+    observer, state = scene.place, scene.weather
+    if observer is None:
         raise BadInput(
             f"a scene must have a [place] with a time for surface temperatures, got none in "
             f"{scene.name!r}"
@@ -112,15 +112,15 @@ def weather_of(scene: OutdoorScene) -> Weather:
             f"temperatures, got {'none' if state is None else 'neither'} in {scene.name!r}"
         )
     location = ObserverLocation(
-        latitude_deg=where.latitude_deg,
-        longitude_deg=where.longitude_deg,
-        altitude_m=where.altitude_m,
+        latitude_deg=observer.latitude_deg,
+        longitude_deg=observer.longitude_deg,
+        altitude_m=observer.altitude_m,
     )
     if not state.file:
-        return _synthetic_day(state, location, where.moment)
+        return _synthetic_day(state, location, observer.moment)
     names = (state.file,) if isinstance(state.file, str) else state.file
     return weather_from_files(
-        [scene.file(name) for name in names], location, where.moment, state.linke_turbidity
+        [scene.file(name) for name in names], location, observer.moment, state.linke_turbidity
     )
 
 
@@ -183,12 +183,12 @@ def weather_from_files(
             f"{names} {distance_km:.0f} km away"
         )
     record = _join(records, names)
-    begins = np.concatenate(
+    starts_s = np.concatenate(
         [record.time_s[:1], record.time_s[1:][np.diff(record.time_s) > 2.0 * record.interval_s]]
     )
-    begin = begins[begins <= moment.timestamp()].max(initial=record.time_s[0])
-    covered = (moment.timestamp() - begin + record.interval_s) / 86400.0
-    times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, LIMITS.max_weather_days)))
+    start_s = starts_s[starts_s <= moment.timestamp()].max(initial=record.time_s[0])
+    covered_days = (moment.timestamp() - start_s + record.interval_s) / 86400.0
+    times = _times(moment, DAY_STEPS * int(np.clip(covered_days, 1, LIMITS.max_weather_days)))
     _refuse_sun_at_night(record, location, times)
     columns = {name: _column_at(record, name, times) for name in record.columns}
     sun, distance = sun_directions(location, times)
@@ -232,15 +232,17 @@ def weather_from_files(
 
 def _join(records: list[Record], names: str) -> Record:
     """Return the rows of several files, with the columns that all have."""
-    first = records[0]
+    first_record = records[0]
     time_s, order = np.unique(
         np.concatenate([record.time_s for record in records]), return_index=True
     )
-    common = [name for name in first.columns if all(name in record.columns for record in records)]
+    common = [
+        name for name in first_record.columns if all(name in record.columns for record in records)
+    ]
     columns = {
         name: np.concatenate([record.columns[name] for record in records])[order] for name in common
     }
-    return replace(first, name=names, time_s=time_s, columns=columns)
+    return replace(first_record, name=names, time_s=time_s, columns=columns)
 
 
 def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
@@ -249,10 +251,12 @@ def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
     """
     seconds = np.array([time.timestamp() for time in times])
     fine = np.isfinite(record.columns[name])
-    known = record.time_s[fine]
+    valid_s = record.time_s[fine]
     # Rows stand for the interval before or around them: one may lack at either end.
-    ends = [seconds[0] - record.interval_s, seconds[-1] + record.interval_s]
-    known_s = np.concatenate([ends[:1], known[(known > ends[0]) & (known < ends[1])], ends[1:]])
+    limits = [seconds[0] - record.interval_s, seconds[-1] + record.interval_s]
+    known_s = np.concatenate(
+        [limits[:1], valid_s[(valid_s > limits[0]) & (valid_s < limits[1])], limits[1:]]
+    )
     gap = int(np.argmax(np.diff(known_s)))
     if known_s[gap + 1] - known_s[gap] > max(LIMITS.step_s, 1.01 * record.interval_s):
         start, end = (utc_text(float(known_s[index])) for index in (gap, gap + 1))
@@ -262,31 +266,34 @@ def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
         )
     values, (low, high) = record.columns[name][fine], WEATHER_BOUNDS[name]
     invalid = np.flatnonzero(
-        ((values < low) | (values > high)) & (known > ends[0]) & (known < ends[1])
+        ((values < low) | (values > high)) & (valid_s > limits[0]) & (valid_s < limits[1])
     )
     if len(invalid):
         raise BadInput(
             f"{name} of a weather file must lie from {low:g} to {high:g}, got "
-            f"{values[invalid[0]]:g} at {utc_text(float(known[invalid[0]]))} in {record.name}"
+            f"{values[invalid[0]]:g} at {utc_text(float(valid_s[invalid[0]]))} in {record.name}"
         )
-    return np.interp(seconds, known, values)
+    return np.interp(seconds, valid_s, values)
 
 
 def _refuse_sun_at_night(record: Record, location: ObserverLocation, times: list[datetime]) -> None:
     """Refuse a file in which the sun shines at night at a place, for its hours are those of another
     time zone.
     """
-    ends = times[0].timestamp(), times[-1].timestamp()
+    limits_s = times[0].timestamp(), times[-1].timestamp()
     light = np.nan_to_num(record.columns["direct_w_m2"])
     rows = np.flatnonzero(
-        (light > LIMITS.night_w_m2) & (record.time_s >= ends[0]) & (record.time_s <= ends[1])
+        (light > LIMITS.night_w_m2)
+        & (record.time_s >= limits_s[0])
+        & (record.time_s <= limits_s[1])
     )
     rows = rows[:: max(1, round(LIMITS.step_s / record.interval_s))]
     for row in rows:
         # The row is the mean of the interval before it.
-        end = float(record.time_s[row])
+        end_s = float(record.time_s[row])
         interval_times = [
-            datetime.fromtimestamp(end - part * record.interval_s, UTC) for part in (0.0, 0.5, 1.0)
+            datetime.fromtimestamp(end_s - fraction * record.interval_s, UTC)
+            for fraction in (0.0, 0.5, 1.0)
         ]
         sine = sun_directions(location, interval_times)[0][:, 2].max()
         if sine < LIMITS.night_sine:
@@ -306,27 +313,27 @@ def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) ->
     total = np.concatenate(
         [[0.0], np.cumsum(0.5 * (clear + np.concatenate([clear[:1], clear[:-1]]))) * LIMITS.step_s]
     )
-    ends = np.concatenate([[seconds[0] - LIMITS.step_s], seconds])
-    mean = np.interp(record.time_s, ends, total) - np.interp(
-        record.time_s - record.interval_s, ends, total
+    limits_s = np.concatenate([[seconds[0] - LIMITS.step_s], seconds])
+    mean = np.interp(record.time_s, limits_s, total) - np.interp(
+        record.time_s - record.interval_s, limits_s, total
     )
     mean /= record.interval_s
-    in_period = (record.time_s - record.interval_s >= ends[0]) & (record.time_s <= ends[-1])
+    in_period = (record.time_s - record.interval_s >= limits_s[0]) & (record.time_s <= limits_s[-1])
     lit = (mean > SHINES_W_M2) & in_period & np.isfinite(record.columns[name])
     if not lit.any():
         return np.zeros(len(times))
-    middle = record.time_s[lit] - 0.5 * record.interval_s
-    return clear * np.interp(seconds, middle, record.columns[name][lit] / mean[lit])
+    centre_s = record.time_s[lit] - 0.5 * record.interval_s
+    return clear * np.interp(seconds, centre_s, record.columns[name][lit] / mean[lit])
 
 
 def _pressure(location: ObserverLocation) -> float:
     return float(STANDARD_HPA * np.exp(-location.altitude_m / SCALE_M))
 
 
-def _distance_km(first: ObserverLocation, second: ObserverLocation) -> float:
+def _distance_km(observer: ObserverLocation, station: ObserverLocation) -> float:
     """Distance of two places, straight through the earth, km."""
     points = []
-    for location in (first, second):
+    for location in (observer, station):
         latitude, longitude = np.deg2rad([location.latitude_deg, location.longitude_deg])
         level = np.cos(latitude)
         points.append(

@@ -82,11 +82,12 @@ class Record:
     longwave_sd_w_m2: float = UNCERTAINTY.modelled_longwave_w_m2
 
     def __post_init__(self) -> None:
-        back = np.flatnonzero(np.diff(self.time_s) <= 0.0)
-        if len(back):
-            earlier, later = (utc_text(float(self.time_s[back[0] + n])) for n in (0, 1))
+        disorder = np.flatnonzero(np.diff(self.time_s) <= 0.0)
+        if len(disorder):
+            time, next_time = (utc_text(float(self.time_s[disorder[0] + n])) for n in (0, 1))
             raise BadInput(
-                f"the times of a weather file must rise, got {later} after {earlier} in {self.name}"
+                f"the times of a weather file must rise, got {next_time} after {time} in "
+                f"{self.name}"
             )
 
 
@@ -186,28 +187,19 @@ def _typical_year(
         raise BadInput(
             f"the time zone of a weather file must lie within 14 h of UTC, got {zone_h:g} in {name}"
         )
-    zone, stamped_rows = timezone(timedelta(hours=zone_h)), []
-    for year in (moment.year - 1, moment.year):
-        for row, (month, day, hour) in enumerate(dates):
-            if (month, day) != (2, 29):
-                stamped_rows.append(
-                    (
-                        (
-                            datetime(year, month, day, tzinfo=zone) + timedelta(hours=hour)
-                        ).timestamp(),
-                        row,
-                    )
-                )
-    stamped_rows.sort()
-    time_s, picked = (
-        np.array([time for time, _ in stamped_rows]),
-        np.array([row for _, row in stamped_rows]),
+    zone = timezone(timedelta(hours=zone_h))
+    stamped_rows = sorted(
+        ((datetime(year, month, day, tzinfo=zone) + timedelta(hours=hour)).timestamp(), row)
+        for year in (moment.year - 1, moment.year)
+        for row, (month, day, hour) in enumerate(dates)
+        if (month, day) != (2, 29)
     )
+    rows = np.array([row for _, row in stamped_rows])
     return Record(
         name=name,
-        location=_place(location_fields[0], location_fields[1], location_fields[3]),
-        time_s=time_s,
-        columns={column: values[picked] for column, values in columns.items()},
+        location=_location(location_fields[0], location_fields[1], location_fields[3]),
+        time_s=np.array([time for time, _ in stamped_rows]),
+        columns={column: values[rows] for column, values in columns.items()},
         interval_s=3600.0,
         notes=(f"{name} is of a typical year, whose months are of different years", note),
     )
@@ -228,7 +220,7 @@ def _surfrad(name: str, lines: list[str], moment: datetime) -> Record:
     return Record(
         name=name,
         # Stations are in the United States: longitudes are west, whether signed or not.
-        location=_place(latitude, -abs(float(longitude)), altitude),
+        location=_location(latitude, -abs(float(longitude)), altitude),
         time_s=np.array(time_s),
         columns=columns
         | sunlight
@@ -249,11 +241,13 @@ def _csv(name: str, lines: list[str], moment: datetime) -> Record:
     }
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     headings = {*location_fields, *(rows[0] if rows else ())}
-    for lacking in (needed for needed in (*OWN_PLACE, "time", *OWN) if needed not in headings):
+    for heading in (
+        candidate for candidate in (*OWN_PLACE, "time", *OWN) if candidate not in headings
+    ):
         raise BadInput(
             f"a weather .csv must have a line '# {' = ..., '.join(OWN_PLACE)} = ...' and the "
             f"headings time, {', '.join(OWN)} and perhaps {', '.join(OWN_OPTIONAL)}, got {name} "
-            f"without {lacking}"
+            f"without {heading}"
         )
     if len(rows) < 2:
         raise BadInput(f"a weather file must cover a day, got {name} with {len(rows)} row")
@@ -268,7 +262,7 @@ def _csv(name: str, lines: list[str], moment: datetime) -> Record:
     }
     return Record(
         name=name,
-        location=_place(*(location_fields[key] for key in OWN_PLACE)),
+        location=_location(*(location_fields[key] for key in OWN_PLACE)),
         time_s=time_s,
         columns=_read(rows, present),
         interval_s=float(np.median(np.diff(time_s))),
@@ -283,12 +277,12 @@ def _read(rows: Sequence[Any], columns: Columns) -> dict[str, Array]:
     columns_read = {}
     for name, (column, unit, missing) in columns.items():
         values = np.array([float(row[column] or np.nan) for row in rows])
-        gone = values <= missing if missing < 0.0 else values >= missing
-        columns_read[name] = np.where(gone, np.nan, unit * values)
+        is_missing = values <= missing if missing < 0.0 else values >= missing
+        columns_read[name] = np.where(is_missing, np.nan, unit * values)
     return columns_read
 
 
-def _place(latitude: str, longitude: str | float, altitude: str) -> ObserverLocation:
+def _location(latitude: str, longitude: str | float, altitude: str) -> ObserverLocation:
     return ObserverLocation(
         latitude_deg=float(latitude), longitude_deg=float(longitude), altitude_m=float(altitude)
     )

@@ -44,16 +44,18 @@ def pulse_law(shape: float, mean: NDArray[np.floating]) -> CellLaw:
     """Return the law of sums of pulses of a gamma shape, for each mean number of pulses."""
     index = np.rint(np.log(np.maximum(mean, LOWEST_ROW) / LOWEST_ROW) / ROW_STEP)
     row = np.minimum(index, ROWS - 1).astype(np.uint16)
-    used = np.flatnonzero(np.bincount(row.ravel(), minlength=ROWS))
-    place = np.zeros(ROWS, np.uint16)
-    place[used] = np.arange(len(used))
-    quantiles = np.concatenate([row_quantiles(shape, int(number)) for number in used])
-    something = -np.expm1(-np.asarray(mean, np.float64))
+    rows = np.flatnonzero(np.bincount(row.ravel(), minlength=ROWS))
+    table_row = np.zeros(ROWS, np.uint16)
+    table_row[rows] = np.arange(len(rows))
+    quantiles = np.concatenate([row_quantiles(shape, int(number)) for number in rows])
+    probability = -np.expm1(-np.asarray(mean, np.float64))
     # Beyond any use where nothing is expected, so that nothing is drawn there.
-    inverse = np.divide(1.0, something, out=np.full(something.shape, 1e30), where=something > 1e-30)
+    inverse = np.divide(
+        1.0, probability, out=np.full(probability.shape, 1e30), where=probability > 1e-30
+    )
     return CellLaw(
         inverse=inverse.astype(np.float32),
-        rows=place[row],
+        rows=table_row[row],
         quantiles=quantiles.astype(np.float32),
     )
 
@@ -62,8 +64,10 @@ def normal_law(mean: NDArray[np.floating]) -> CellLaw:
     """Return a normal law of the same mean and variance, for each mean number of pulses: one row
     for all.
     """
-    ones = np.ones(mean.shape, np.float32)
-    return CellLaw(inverse=ones, rows=np.zeros(mean.shape, np.uint16), quantiles=normal_quantiles())
+    inverse = np.ones(mean.shape, np.float32)
+    return CellLaw(
+        inverse=inverse, rows=np.zeros(mean.shape, np.uint16), quantiles=normal_quantiles()
+    )
 
 
 def node_probabilities() -> NDArray[np.float64]:
@@ -71,8 +75,8 @@ def node_probabilities() -> NDArray[np.float64]:
     (HALF,).
     """
     step = np.arange(OCTAVES << MANTISSA_BITS)
-    octave, part = step >> MANTISSA_BITS, step & ((1 << MANTISSA_BITS) - 1)
-    probability = SMALLEST * 2.0**octave * (1.0 + part / (1 << MANTISSA_BITS))
+    octave, mantissa = step >> MANTISSA_BITS, step & ((1 << MANTISSA_BITS) - 1)
+    probability = SMALLEST * 2.0**octave * (1.0 + mantissa / (1 << MANTISSA_BITS))
     return np.append(probability, (0.5, 0.5))
 
 
@@ -81,15 +85,15 @@ def row_quantiles(shape: float, row: int) -> NDArray[np.float64]:
     """Return the quantiles of a row, shape (NODES,): every fifth by the law itself, between them by
     straight lines.
     """
-    below = row - row % EXACT_EVERY
-    share = (row - below) / EXACT_EVERY
-    exact = unit_variance_quantiles(shape, LOWEST_ROW * float(np.exp(ROW_STEP * below)))
-    if share == 0.0:
+    lower_row = row - row % EXACT_EVERY
+    fraction = (row - lower_row) / EXACT_EVERY
+    exact = unit_variance_quantiles(shape, LOWEST_ROW * float(np.exp(ROW_STEP * lower_row)))
+    if fraction == 0.0:
         return exact
-    above = unit_variance_quantiles(
-        shape, LOWEST_ROW * float(np.exp(ROW_STEP * (below + EXACT_EVERY)))
+    next_exact = unit_variance_quantiles(
+        shape, LOWEST_ROW * float(np.exp(ROW_STEP * (lower_row + EXACT_EVERY)))
     )
-    return _standard((1.0 - share) * exact + share * above)
+    return _standard((1.0 - fraction) * exact + fraction * next_exact)
 
 
 @lru_cache(maxsize=4096)
@@ -102,14 +106,14 @@ def unit_variance_quantiles(shape: float, mean: float) -> NDArray[np.float64]:
     regularised upper gamma function; for many pulses the density is the inverse Fourier transform
     of exp(N((1 - it/k)^-k - 1)).
     """
-    amount, below, above = (
+    amount, cumulative, survival = (
         _distribution_by_sum(shape, mean)
         if mean <= SUMMED_TO
         else _distribution_by_transform(shape, mean)
     )
     probability = node_probabilities()
-    upper = _invert_distribution(amount, above, probability)
-    lower = _invert_distribution(amount, below, probability)
+    upper = _invert_distribution(amount, survival, probability)
+    lower = _invert_distribution(amount, cumulative, probability)
     return _standard(np.concatenate([upper, lower]))
 
 
@@ -117,34 +121,36 @@ def _invert_distribution(
     amount: NDArray, cumulative: NDArray, probability: NDArray
 ) -> NDArray[np.float64]:
     """Amounts at which a cumulative probability, ascending or descending, has the values given."""
-    kept = cumulative > 0.1 * SMALLEST
-    x, p = np.log(cumulative[kept]), amount[kept]
+    is_resolved = cumulative > 0.1 * SMALLEST
+    x, p = np.log(cumulative[is_resolved]), amount[is_resolved]
     order = np.argsort(x, kind="stable")
     x, p = x[order], p[order]
     distinct = np.append(True, np.diff(x) > 0.0)
     from scipy.interpolate import PchipInterpolator
 
     # The lowest amounts that were looked at stand for those below.
-    inside = np.maximum(np.log(probability), x[distinct][0])
-    return np.asarray(PchipInterpolator(x[distinct], p[distinct])(inside))
+    log_probability = np.maximum(np.log(probability), x[distinct][0])
+    return np.asarray(PchipInterpolator(x[distinct], p[distinct])(log_probability))
 
 
 def _distribution_by_sum(shape: float, mean: float) -> tuple[NDArray, NDArray, NDArray]:
-    last = int(mean + 10.0 * np.sqrt(mean) + 14)
-    number = np.arange(1, last + 1)
+    max_number = int(mean + 10.0 * np.sqrt(mean) + 14)
+    number = np.arange(1, max_number + 1)
     weight = np.exp(number * np.log(mean) - mean - gammaln(number + 1.0)) / -np.expm1(-mean)
-    reach = mean + 1.0 + 9.0 * np.sqrt((mean + 1.0) * (1.0 + 1.0 / shape)) + 18.0 / min(shape, 1.0)
+    max_amount = (
+        mean + 1.0 + 9.0 * np.sqrt((mean + 1.0) * (1.0 + 1.0 / shape)) + 18.0 / min(shape, 1.0)
+    )
     # Heights of narrow pulses leave peaks, each to be resolved.
     points = int(min(260.0 * max(1.0, np.sqrt(shape)), 6000.0))
     fine, coarse = (
         np.geomspace(1e-9, 1e-2, 60, endpoint=False),
-        np.linspace(0.1, np.sqrt(reach), points) ** 2,
+        np.linspace(0.1, np.sqrt(max_amount), points) ** 2,
     )
     amount = np.concatenate([fine, coarse])
     argument = shape * amount[:, None], number[None, :] * shape
-    below = gammainc(argument[1], argument[0]) @ weight
-    above = gammaincc(argument[1], argument[0]) @ weight
-    return amount, below, above
+    cumulative = gammainc(argument[1], argument[0]) @ weight
+    survival = gammaincc(argument[1], argument[0]) @ weight
+    return amount, cumulative, survival
 
 
 def _distribution_by_transform(shape: float, mean: float) -> tuple[NDArray, NDArray, NDArray]:
@@ -157,25 +163,25 @@ def _distribution_by_transform(shape: float, mean: float) -> tuple[NDArray, NDAr
     density = np.fft.fft(np.exp(log_transform)).real / (count * step)
     amount = start + step * np.arange(count)
     density = np.where(density > 1e-13 * density.max(), density, 0.0)
-    parts = 0.5 * step * (density[1:] + density[:-1])
-    below = np.append(0.0, np.cumsum(parts))
-    above = np.append(np.cumsum(parts[::-1])[::-1], 0.0)
-    total = parts.sum()
-    return amount, below / total, above / total
+    areas = 0.5 * step * (density[1:] + density[:-1])
+    cumulative = np.append(0.0, np.cumsum(areas))
+    survival = np.append(np.cumsum(areas[::-1])[::-1], 0.0)
+    total = areas.sum()
+    return amount, cumulative / total, survival / total
 
 
 def _standard(quantiles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bring quantiles to mean 0 and variance 1 as they will be drawn: straight lines between
     nodes.
     """
-    first = second = 0.0
+    mean = square = 0.0
     probability = node_probabilities()
     for half in (quantiles[:HALF], quantiles[HALF:]):
         a, b, width = half[:-1], half[1:], np.diff(probability)
         # What is rarer than the rarest node is drawn as that node.
-        first += probability[0] * half[0] + np.sum(width * 0.5 * (a + b))
-        second += probability[0] * half[0] ** 2 + np.sum(width * (a * a + a * b + b * b) / 3.0)
-    return (quantiles - first) / np.sqrt(second - first**2)
+        mean += probability[0] * half[0] + np.sum(width * 0.5 * (a + b))
+        square += probability[0] * half[0] ** 2 + np.sum(width * (a * a + a * b + b * b) / 3.0)
+    return (quantiles - mean) / np.sqrt(square - mean**2)
 
 
 @lru_cache(maxsize=1)

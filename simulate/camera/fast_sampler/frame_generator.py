@@ -19,8 +19,9 @@ from simulate.camera.automatic_controls import UNTOUCHED, AutomaticState
 from simulate.camera.chain import Chain, Slot
 from simulate.camera.fast_sampler.charge_distribution import normal_quantiles
 from simulate.camera.fast_sampler.charge_rows import charge_rows, interpolate_columns, read_rows
-from simulate.camera.fast_sampler.event_samplers import Array, Exposure, prepare_exposure
+from simulate.camera.fast_sampler.event_samplers import Exposure, prepare_exposure
 from simulate.camera.fast_sampler.kernel import COARSE, REACH, Kernel, PulseKernel
+from simulate.camera.fast_sampler.single_pulses import Array
 from simulate.camera.grid import ACCURACY
 from simulate.camera.random_numbers import key_of, poisson_numbers
 from simulate.camera.stage_image import StageImage
@@ -40,15 +41,15 @@ class _Wells:
     wells overflowing.
     """
 
-    counted: bool
+    counts_electrons: bool
     overflow: bool
 
     @property
-    def read_apart(self) -> bool:
+    def reads_later(self) -> bool:
         """Whether the noise of reading is drawn after the charge has settled, not together with
         that of the charge.
         """
-        return self.counted or self.overflow
+        return self.counts_electrons or self.overflow
 
 
 class FrameGenerator:
@@ -62,10 +63,10 @@ class FrameGenerator:
         self._chain, self._fields, self._seed, self._threads = chain, fields, seed, threads
         self._mcp, self._ccd, self._video = chain[Slot.MCP], chain[Slot.CCD], chain[Slot.VIDEO]
         self._decay = chain[Slot.DECAY]
-        self._stays, _, self._kept = self._decay.recursion.astype(float)
+        self._stored_fraction, _, self._kept_fraction = self._decay.recursion.astype(float)
         self._taps = np.array(self._video.taps, np.float32)
 
-    def _begin(self, exposure: Exposure) -> None:
+    def _prepare(self, exposure: Exposure) -> None:
         """Make the phosphor and the patterns of the frame that an exposure has."""
         shape, ccd = exposure.light_e.shape, self._ccd
         self._screen: Any = exposure.light.screen(self._decay, self._fields, self._seed, shape)
@@ -89,22 +90,24 @@ class FrameGenerator:
         """
         exposure = prepare_exposure(self._chain, at_mcp, self._fields, sparse=sparse)
         exposures, light_e = [exposure] * self._fields, exposure.light_e
-        self._begin(exposure)
+        self._prepare(exposure)
         wells = self._wells_of(float(light_e.max()), exposure)
-        lead = -(-self._decay.n_lag_fields // self._fields)
+        lag_frames = -(-self._decay.n_lag_fields // self._fields)
 
         @lru_cache(maxsize=256)
-        def factor(brightness: float) -> float:
+        def output_factor(brightness: float) -> float:
             """Output of the MCP, which saturates, over that of untouched brightness."""
-            plates = (replace(self._mcp, gain=self._mcp.gain * by) for by in (brightness, 1.0))
-            output, untouched = (
+            plates = (
+                replace(self._mcp, gain=self._mcp.gain * factor) for factor in (brightness, 1.0)
+            )
+            output, reference = (
                 float(plate.mean(at_mcp).values.sum(dtype=float)) for plate in plates
             )
-            return output / untouched
+            return output / reference
 
         def brightness_of(frame: int) -> float:
             brightness = state_of(max(frame, 0)).brightness
-            return 1.0 if brightness == 1.0 else factor(brightness)
+            return 1.0 if brightness == 1.0 else output_factor(brightness)
 
         @lru_cache(maxsize=1)
         def mean(shown: tuple[float, ...]) -> Array:
@@ -112,19 +115,21 @@ class FrameGenerator:
             return np.ascontiguousarray(by_row * light_e + self._dark_pattern)
 
         def expose(frame: int) -> tuple[Array, tuple[float, ...]]:
-            by = brightness_of(frame)
+            brightness = brightness_of(frame)
             coarse = self._screen.expose(
-                frame, [e.light for e in exposures], by, self._run_in_bands
+                frame, [e.light for e in exposures], brightness, self._run_in_bands
             )
-            return coarse, tuple(float(self._mean_shown(by)) for _ in exposures)
+            return coarse, tuple(float(self._mean_shown(brightness)) for _ in exposures)
 
         for frame in count(first_frame - first_frame % SEGMENT_FRAMES):
             if frame % SEGMENT_FRAMES == 0:
                 self._screen.forget()
                 # What is stored of the mean, relative to a steady scene of untouched brightness.
-                self._stored_mean: list[Any] = [brightness_of(frame - lead)] * len(self._stays)
-                for earlier in range(frame - lead, frame):
-                    expose(earlier)
+                self._stored_mean: list[Any] = [brightness_of(frame - lag_frames)] * len(
+                    self._stored_fraction
+                )
+                for lag_frame in range(frame - lag_frames, frame):
+                    expose(lag_frame)
             coarse, shown = expose(frame)
             if frame >= first_frame:
                 yield self._read(frame, coarse, mean(shown), wells, state_of(frame).gain)
@@ -144,26 +149,30 @@ class FrameGenerator:
         electrons per s and cm2, and a mean level above black, DN. By the first scene `is_sparse`
         decides whether single pulses are drawn.
         """
-        state, channels, sparse, coming = UNTOUCHED, None, False, iter(scenes)
-        last: tuple[StageImage, Any, Exposure] | None = None
+        state, channels, sparse, remaining = UNTOUCHED, None, False, iter(scenes)
+        prepared: tuple[StageImage, Any, Exposure] | None = None
         for frame in count():
-            if not (batch := list(islice(coming, self._fields))):
+            if not (batch := list(islice(remaining, self._fields))):
                 return
             if len(batch) != self._fields:
                 raise BadInput(f"a frame must have {self._fields} exposures, got {len(batch)}")
             plate = replace(self._mcp, gain=self._mcp.gain * state.brightness)
             if frame == 0:
                 sparse = is_sparse(batch[0])
-                first = prepare_exposure(self._chain, batch[0], self._fields, sparse=sparse)
-                self._begin(first)
-                self._stored_mean = [first.light_e * np.float64(settled)] * len(self._stays)
+                first_exposure = prepare_exposure(
+                    self._chain, batch[0], self._fields, sparse=sparse
+                )
+                self._prepare(first_exposure)
+                self._stored_mean = [first_exposure.light_e * np.float64(settled)] * len(
+                    self._stored_fraction
+                )
                 if settled and plate.depletion_blur_um is not None:
                     channels = plate.load(batch[0].values, batch[0].grid)
-                for earlier in range(
+                for lag_frame in range(
                     -self._decay.n_lag_fields // self._fields if settled else 0, 0
                 ):
                     self._screen.expose(
-                        earlier, [first.light] * self._fields, 1.0, self._run_in_bands
+                        lag_frame, [first_exposure.light] * self._fields, 1.0, self._run_in_bands
                     )
             exposures, output = [], 0.0
             for scene in batch:
@@ -171,24 +180,24 @@ class FrameGenerator:
                 output += (
                     float(plate.mean(scene).values.sum(dtype=float)) / scene.grid.cell_area_cm2
                 )
-                working = plate
+                loaded_plate = plate
                 if plate.depletion_blur_um is not None:
-                    during, channels = plate.states_under(
+                    load_state, channels = plate.states_under(
                         channels, plate.load(scene.values, scene.grid)
                     )
-                    working = plate.with_depletion(during)
+                    loaded_plate = plate.with_depletion(load_state)
                 # Light that stands still is prepared once.
                 if (
-                    last is None
-                    or last[0] is not scene
-                    or working.gain_map is not None
-                    or last[1] != working
+                    prepared is None
+                    or prepared[0] is not scene
+                    or loaded_plate.gain_map is not None
+                    or prepared[1] != loaded_plate
                 ):
                     exposure = prepare_exposure(
-                        self._chain.replacing(working), scene, self._fields, sparse=sparse
+                        self._chain.replacing(loaded_plate), scene, self._fields, sparse=sparse
                     )
-                    last = scene, working, exposure
-                exposures.append(last[2])
+                    prepared = scene, loaded_plate, exposure
+                exposures.append(prepared[2])
             output /= batch[0].values.size * plate.field_s * self._fields
             coarse = self._screen.expose(
                 frame, [e.light for e in exposures], 1.0, self._run_in_bands
@@ -198,22 +207,23 @@ class FrameGenerator:
                 shown = self._mean_shown(exposure.light_e)
                 mean[n :: self._fields] = (shown + self._dark_pattern)[n :: self._fields]
             wells = self._wells_of(float(mean.max()), exposures[0])
-            drawn = self._read(frame, coarse, mean, wells, state.gain)
-            yield drawn
-            state = next_state(state, output, float(drawn.mean()) - self._video.black_level_dn)
+            image = self._read(frame, coarse, mean, wells, state.gain)
+            yield image
+            state = next_state(state, output, float(image.mean()) - self._video.black_level_dn)
 
     def _mean_shown(self, amount: Any) -> Any:
         """Mean light of an exposure, earlier ones included: of an amount as a factor or as a
         map.
         """
-        # Of a steady scene a component stores later / (1 - kept) and gives back later.
-        shown = amount * (1.0 - self._stays.sum())
+        # Of a steady scene a component stores s / (1 - k) and gives back s.
+        shown = amount * (1.0 - self._stored_fraction.sum())
         shown = shown + sum(
-            share * stored for share, stored in zip(self._stays, self._stored_mean, strict=True)
+            fraction * stored
+            for fraction, stored in zip(self._stored_fraction, self._stored_mean, strict=True)
         )
         self._stored_mean = [
             kept * stored + (1.0 - kept) * amount
-            for kept, stored in zip(self._kept, self._stored_mean, strict=True)
+            for kept, stored in zip(self._kept_fraction, self._stored_mean, strict=True)
         ]
         return shown
 
@@ -228,7 +238,8 @@ class FrameGenerator:
         skewness = float(((mean + ccd.dark_e) / np.maximum(variance, 1e-30) ** 1.5).max())
         highest = brightest_e + ACCURACY.max_charge_sd * np.sqrt(float(variance.max()))
         return _Wells(
-            counted=skewness > ACCURACY.counted_skewness, overflow=bool(highest > ccd.full_well_e)
+            counts_electrons=skewness > ACCURACY.counted_skewness,
+            overflow=bool(highest > ccd.full_well_e),
         )
 
     def _read(self, frame: int, coarse: Array, mean: Array, wells: _Wells, gain: float) -> Frame:
@@ -237,30 +248,30 @@ class FrameGenerator:
         codes: Frame = np.empty(mean.shape, video.code_type)
         charge = self._charge
         wing = far_wing(screen.kernel, coarse, mean.shape)
-        read_e = ccd.read_noise_e if wells.read_apart else 0.0
-        variance = ccd.dark_e + (0.0 if wells.read_apart else ccd.read_noise_e**2)
+        read_e = ccd.read_noise_e if wells.reads_later else 0.0
+        variance = ccd.dark_e + (0.0 if wells.reads_later else ccd.read_noise_e**2)
         key, read_key = key_of(self._seed, CHARGE, frame), key_of(self._seed, READ, frame)
         noise = tuple(np.array([read_e, video.sync_jitter_px, video.line_noise_dn], np.float32))
         per_e = video.conversion_gain_dn_per_e * video.gain * gain
         levels = tuple(
             np.array([per_e, video.black_level_dn, video.full_scale_dn, video.gamma], np.float32)
         )
-        reading = wells.read_apart, read_key, self._taps, noise, levels
-        drawn = wells.counted, np.float32(variance)
+        readout = wells.reads_later, read_key, self._taps, noise, levels
+        charge_noise = wells.counts_electrons, np.float32(variance)
 
         def collect(first: int, last: int) -> None:
             light = screen.shown, screen.spread, wing, mean, self._response
-            charge_rows(first, last, key, *light, drawn, normal, reading, charge, codes)
+            charge_rows(first, last, key, *light, charge_noise, normal, readout, charge, codes)
 
         self._run_in_bands(collect, len(codes), 1)
-        if wells.read_apart:
-            if wells.counted:
+        if wells.reads_later:
+            if wells.counts_electrons:
                 dark = np.float32(ccd.dark_e)
                 charge = poisson_numbers(key_of(self._seed, COUNTED, frame), charge + dark) - dark
-            held = ccd.limit_to_full_well(charge) if wells.overflow else charge
+            limited = ccd.limit_to_full_well(charge) if wells.overflow else charge
             self._run_in_bands(
                 lambda a, b: read_rows(
-                    a, b, read_key, held, self._taps, noise, levels, normal, codes
+                    a, b, read_key, limited, self._taps, noise, levels, normal, codes
                 ),
                 len(codes),
                 1,
@@ -274,15 +285,15 @@ class FrameGenerator:
             return
         borders = np.linspace(0, -(-rows // block), self._threads + 1).round().astype(int) * block
         bands = [(int(a), int(min(b, rows))) for a, b in pairwise(borders) if a < b]
-        for done in [_pool(self._threads).submit(work, *band) for band in bands]:
-            done.result()
+        for job in [_pool(self._threads).submit(work, *band) for band in bands]:
+            job.result()
 
 
 def far_wing(
     kernel: Kernel | PulseKernel, coarse: Array, shape: Sequence[int]
 ) -> tuple[Array, Array]:
-    """Return the far wing on coarse rows and the frame's columns, and each frame row's place among
-    the coarse rows.
+    """Return the far wing on coarse rows and the frame's columns, and the position of each frame
+    row among the coarse rows.
 
     `coarse` is the noise summed over coarse cells, shape (..., coarse row, coarse col).
     """
@@ -292,16 +303,18 @@ def far_wing(
         for n, m in zip((rows, cols), kernel.wing.shape, strict=True)
     )
     transform = _transform(kernel.wing.tobytes(), kernel.wing.shape, size)
-    middle = kernel.wing.shape[0] // 2
+    centre_row = kernel.wing.shape[0] // 2
     spectrum: Any = fft.rfft2(coarse, size)
-    spread: Any = fft.irfft2(spectrum * transform, size)
-    spread = spread[..., middle : middle + rows, middle : middle + cols]
-    places, left, right, share = _places((rows, cols), kernel.height, tuple(shape))
+    wing_image: Any = fft.irfft2(spectrum * transform, size)
+    wing_image = wing_image[..., centre_row : centre_row + rows, centre_row : centre_row + cols]
+    rows_on_coarse, left, right, fraction = _coarse_positions(
+        (rows, cols), kernel.height, tuple(shape)
+    )
     # A row beyond the last, which the rows of the frame look at with no weight.
-    wide = np.empty((*coarse.shape[:-2], rows + 1, shape[1]), np.float32)
-    images = np.ascontiguousarray(spread, np.float32).reshape(-1, rows, cols)
-    interpolate_columns(images, left, right, share, wide.reshape(-1, rows + 1, shape[1]))
-    return wide, places
+    interpolated = np.empty((*coarse.shape[:-2], rows + 1, shape[1]), np.float32)
+    images = np.ascontiguousarray(wing_image, np.float32).reshape(-1, rows, cols)
+    interpolate_columns(images, left, right, fraction, interpolated.reshape(-1, rows + 1, shape[1]))
+    return interpolated, rows_on_coarse
 
 
 @lru_cache(maxsize=4)
@@ -311,7 +324,7 @@ def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, ...]) -> ND
 
 
 @lru_cache(maxsize=4)
-def _places(
+def _coarse_positions(
     coarse: tuple[int, ...], height: int, shape: tuple[int, ...]
 ) -> tuple[Array, NDArray[np.uint32], NDArray[np.uint32], Array]:
     """Positions of the frame's rows and columns between the centres of coarse cells."""

@@ -5,7 +5,7 @@ would lose or gain variance (an eighth at a blur of half a pixel). The kernel is
 transform of sqrt(sum_m |H(f + m)|^2), whose squared modulus is exactly that of the samples of the
 continuous noise: the covariance of pixels is exact at every distance. What is left is the third
 moment, and `skewness_ratio` says by how much it is off. Where pulses are so rare that single ones
-are seen, their shape tells on: these fall on places of their own (`PulseKernel`).
+are seen, their shape tells on: these fall on positions of their own (`PulseKernel`).
 """
 
 from dataclasses import dataclass, field
@@ -67,23 +67,23 @@ class Kernel:
 
 @dataclass(frozen=True, kw_only=True)
 class PulseKernel:
-    """Spread of single pulses, from places `FINEST` to a pixel pitch both ways, to pixels."""
+    """Spread of single pulses, from positions `FINEST` to a pixel pitch both ways, to pixels."""
 
     height: int  # rows of the chip in a pixel as read
-    # Fraction of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A
-    # place in row R and column C of the chip, counted from `reach` before the first, lights the
-    # pixels that end with row R, column C.
-    shares: NDArray[np.float32]
+    # Fraction of a pulse's light on pixels, shape (row and col of the position, row, col). A
+    # position in row R and column C of the chip, counted from `half_width_px` before the first,
+    # lights the pixels that end with row R, column C.
+    fractions: NDArray[np.float32]
     # half-width of the fractions, pixels: `NEAR` where what lies beyond is little, else `REACH`
-    reach: int
-    wing: NDArray[np.float32]  # what reaches farther than `REACH`, as in `Kernel`
+    half_width_px: int
+    wing: NDArray[np.float32]  # light farther than `REACH`, as in `Kernel`
 
     @property
     def squares(self) -> float:
         """Sum of the squared fractions that pixels collect of a pulse, over the mean sum,
         dimensionless.
         """
-        return float(np.sum(self.shares**2)) / (FINEST**2 * self.height)
+        return float(np.sum(self.fractions**2)) / (FINEST**2 * self.height)
 
 
 @lru_cache(maxsize=8)
@@ -93,22 +93,22 @@ def pulse_kernel(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> Pulse
     """
     divisions = FINEST, FINEST
     transfer = _fine_transfer(blurs, grid, height)
-    whole = np.fft.ifft2(_matching_transfer(transfer, height, divisions)).real * FINEST**2 * height
-    planes, outer = np.array(_compact(whole, height, divisions)), REACH - NEAR
-    near = planes.copy()
-    near[:, outer:-outer, outer:-outer] = 0.0
-    if np.abs(near).sum() < ACCURACY.max_near_wing_fraction * np.abs(planes).sum():
-        planes -= near
-        shares, reach = planes[:, outer:-outer, outer:-outer], NEAR
+    image = np.fft.ifft2(_matching_transfer(transfer, height, divisions)).real * FINEST**2 * height
+    planes, margin = np.array(_compact_planes(image, height, divisions)), REACH - NEAR
+    inner_wing = planes.copy()
+    inner_wing[:, margin:-margin, margin:-margin] = 0.0
+    if np.abs(inner_wing).sum() < ACCURACY.max_near_wing_fraction * np.abs(planes).sum():
+        planes -= inner_wing
+        fractions, half_width_px = planes[:, margin:-margin, margin:-margin], NEAR
     else:
-        shares, reach = planes, REACH
+        fractions, half_width_px = planes, REACH
     return PulseKernel(
         height=height,
-        shares=np.ascontiguousarray(shares[:, ::-1, ::-1], np.float32).reshape(
-            FINEST, FINEST, *shares.shape[1:]
+        fractions=np.ascontiguousarray(fractions[:, ::-1, ::-1], np.float32).reshape(
+            FINEST, FINEST, *fractions.shape[1:]
         ),
-        reach=reach,
-        wing=_wing_of(whole, list(planes), height, divisions),
+        half_width_px=half_width_px,
+        wing=_wing_of(image, list(planes), height, divisions),
     )
 
 
@@ -137,10 +137,10 @@ def noise_kernel(
         Error that the third moment may have, dimensionless; the finest lattice has what it has.
     """
     transfer = _fine_transfer(blurs, grid, height)
-    exact = _third_moment(_read(transfer, impulse, FINEST))
+    exact_moment = _third_moment(_filtered_transfer(transfer, impulse, FINEST))
     kernel = None
     for divisions in DIVISIONS:
-        kernel = _on_lattice(transfer, height, divisions, impulse, exact)
+        kernel = _on_lattice(transfer, height, divisions, impulse, exact_moment)
         if abs(kernel.skewness_ratio - 1.0) <= tolerance:
             break
     assert kernel is not None
@@ -152,23 +152,25 @@ def _on_lattice(
     height: int,
     divisions: tuple[int, int],
     impulse: tuple[float, ...],
-    exact: float,
+    exact_moment: float,
 ) -> Kernel:
-    matched = _matching_transfer(transfer, height, divisions)
-    cells = divisions[0] * divisions[1]
-    whole = np.fft.ifft2(matched).real * cells * height
-    parts = [_separable_parts(plane) for plane in _compact(whole, height, divisions)]
-    read = np.fft.ifft2(_read(matched, impulse, divisions[1])).real * cells
+    lattice_transfer = _matching_transfer(transfer, height, divisions)
+    n_cells = divisions[0] * divisions[1]
+    image = np.fft.ifft2(lattice_transfer).real * n_cells * height
+    parts = [_separable_parts(plane) for plane in _compact_planes(image, height, divisions)]
+    filtered = (
+        np.fft.ifft2(_filtered_transfer(lattice_transfer, impulse, divisions[1])).real * n_cells
+    )
     return Kernel(
         divisions=divisions,
         height=height,
         down=_stack_ranks([down for down, _ in parts]),
         along=_stack_ranks([along for _, along in parts]),
-        wing=_wing_of(whole, [down.T @ along for down, along in parts], height, divisions),
-        blur_factor=float(np.sum(read**2) / cells) * height,
-        third_factor=float(np.sum(read**3) / cells) * height**2,
-        skewness_ratio=float(np.sum(read**3) / cells / exact),
-        sharpening=_sharpening(transfer, matched, height, divisions),
+        wing=_wing_of(image, [down.T @ along for down, along in parts], height, divisions),
+        blur_factor=float(np.sum(filtered**2) / n_cells) * height,
+        third_factor=float(np.sum(filtered**3) / n_cells) * height**2,
+        skewness_ratio=float(np.sum(filtered**3) / n_cells / exact_moment),
+        sharpening=_sharpening(transfer, lattice_transfer, height, divisions),
     )
 
 
@@ -178,17 +180,20 @@ def _fine_transfer(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> NDA
     FINEST).
     """
     aperture = PixelAperture.of(grid, height)
-    fine = np.fft.fftfreq(SIDE * FINEST, 1.0 / FINEST)
-    cells = {"cell_x_mm": grid.pitch_x_mm / FINEST, "cell_y_mm": grid.pitch_y_mm / FINEST}
-    return fold_transfer(blurs, aperture, fine / grid.pitch_x_mm, fine / grid.pitch_y_mm, **cells)
+    frequency = np.fft.fftfreq(SIDE * FINEST, 1.0 / FINEST)
+    cell_size = {"cell_x_mm": grid.pitch_x_mm / FINEST, "cell_y_mm": grid.pitch_y_mm / FINEST}
+    return fold_transfer(
+        blurs, aperture, frequency / grid.pitch_x_mm, frequency / grid.pitch_y_mm, **cell_size
+    )
 
 
-def _read(transfer: NDArray, impulse: tuple[float, ...], per_column: int) -> NDArray[np.complex128]:
+def _filtered_transfer(
+    transfer: NDArray, impulse: tuple[float, ...], per_column: int
+) -> NDArray[np.complex128]:
     """The transfer with that of a filter along lines."""
     frequency = np.fft.fftfreq(SIDE * per_column, 1.0 / per_column)
     phase = np.exp(-2j * np.pi * np.multiply.outer(frequency, np.arange(len(impulse))))
-    filtered: NDArray[np.complex128] = transfer * (phase @ np.array(impulse))
-    return filtered
+    return np.asarray(transfer * (phase @ np.array(impulse)), np.complex128)
 
 
 def _third_moment(transfer: NDArray[np.complex128]) -> float:
@@ -202,47 +207,56 @@ def _matching_transfer(
     """Transfer on the lattice of cells whose squared modulus is that of all that falls on it,
     centred on the pixel.
     """
-    down, along = divisions
+    per_row, per_column = divisions
     power = (
         (transfer**2)
-        .reshape(FINEST // down, SIDE * down, FINEST // along, SIDE * along)
+        .reshape(FINEST // per_row, SIDE * per_row, FINEST // per_column, SIDE * per_column)
         .sum(axis=(0, 2))
     )
-    fy, fx = np.fft.fftfreq(SIDE * down, 1.0 / down), np.fft.fftfreq(SIDE * along, 1.0 / along)
-    turned = np.exp(2j * np.pi * _shift(height, divisions, fy, fx))
-    return np.copysign(np.sqrt(power), transfer[_same(fy, fx)]) * turned
+    fy, fx = _frequencies(divisions)
+    phase = np.exp(2j * np.pi * _shift(height, divisions, fy, fx))
+    return np.copysign(np.sqrt(power), transfer[_fine_indices(fy, fx)]) * phase
 
 
 def _sharpening(
     transfer: NDArray[np.float64],
-    matched: NDArray[np.complex128],
+    lattice_transfer: NDArray[np.complex128],
     height: int,
     divisions: tuple[int, int],
 ) -> NDArray[np.float64]:
-    """Ratio of the transforms of the squared blur and of the squared kernel, cells of even light
+    """Ratio of the transforms of the squared blur and of the squared kernel, cells of uniform light
     between them.
     """
-    down, along = divisions
-    squared = np.fft.fft2(np.fft.ifft2(transfer).real ** 2).real * FINEST**2
-    fy, fx = np.fft.fftfreq(SIDE * down, 1.0 / down), np.fft.fftfreq(SIDE * along, 1.0 / along)
-    wanted = squared[_same(fy, fx)]
-    back = np.exp(-2j * np.pi * _shift(height, divisions, fy, fx))
-    there = (np.fft.fft2(np.fft.ifft2(matched).real ** 2) * back).real * (down * along)
-    even = np.sinc(fy / down)[:, None] * np.sinc(fx / along)[None, :]
-    reached = there * even
+    per_row, per_column = divisions
+    fine_blur = np.fft.fft2(np.fft.ifft2(transfer).real ** 2).real * FINEST**2
+    fy, fx = _frequencies(divisions)
+    squared_blur = fine_blur[_fine_indices(fy, fx)]
+    phase = np.exp(-2j * np.pi * _shift(height, divisions, fy, fx))
+    squared_kernel = np.fft.fft2(np.fft.ifft2(lattice_transfer).real ** 2) * phase
+    squared_kernel = squared_kernel.real * (per_row * per_column)
+    cell = np.sinc(fy / per_row)[:, None] * np.sinc(fx / per_column)[None, :]
+    cell_kernel = squared_kernel * cell
     # Where the kernel passes next to nothing the ratio means nothing, and light is left as it is.
-    floor = (ACCURACY.min_sharpened_transfer * there[0, 0]) ** 2
-    ratio = (wanted * reached + floor) / (reached**2 + floor)
-    near = [
+    floor = (ACCURACY.min_sharpened_transfer * squared_kernel[0, 0]) ** 2
+    ratio = (squared_blur * cell_kernel + floor) / (cell_kernel**2 + floor)
+    tapers = [
         np.maximum(1.0 - np.abs(np.fft.fftfreq(n, 1.0 / n)) / (REACH * d), 0.0)
         for n, d in zip(ratio.shape, divisions, strict=True)
     ]
-    kernel = np.fft.ifft2(ratio).real * np.sqrt(near[0])[:, None] * np.sqrt(near[1])[None, :]
+    kernel = np.fft.ifft2(ratio).real * np.sqrt(tapers[0])[:, None] * np.sqrt(tapers[1])[None, :]
     return kernel / kernel.sum()
 
 
-def _same(fy: NDArray[np.floating], fx: NDArray[np.floating]) -> tuple[NDArray[np.int64], ...]:
-    """Places of a lattice's frequencies in the finest transform."""
+def _frequencies(divisions: tuple[int, int]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Frequencies (fy, fx) of a lattice's transform, cycles per pixel."""
+    fy, fx = (np.fft.fftfreq(SIDE * cells, 1.0 / cells) for cells in divisions)
+    return fy, fx
+
+
+def _fine_indices(
+    fy: NDArray[np.floating], fx: NDArray[np.floating]
+) -> tuple[NDArray[np.int64], ...]:
+    """Indices of a lattice's frequencies in the finest transform."""
     return np.ix_(*(np.rint(f * SIDE).astype(int) % (SIDE * FINEST) for f in (fy, fx)))
 
 
@@ -250,43 +264,47 @@ def _shift(
     height: int, divisions: tuple[int, int], fy: NDArray[np.floating], fx: NDArray[np.floating]
 ) -> NDArray[np.float64]:
     """Cycles by which the pixel's centre lies beyond that of its first cell."""
-    down, along = divisions
-    return (0.5 * height - 0.5 / down) * fy[:, None] + (0.5 - 0.5 / along) * fx[None, :]
+    per_row, per_column = divisions
+    return (0.5 * height - 0.5 / per_row) * fy[:, None] + (0.5 - 0.5 / per_column) * fx[None, :]
 
 
-def _places(height: int, divisions: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _compact_indices(
+    height: int, divisions: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of the kernel's lattice on which cells within `REACH` pixels have their
     fractions.
     """
-    down, along = divisions
-    rows = np.arange(-REACH * down, (REACH + height) * down)
-    columns = np.arange(-REACH * along, (REACH + 1) * along)
-    return -rows % (SIDE * down), -columns % (SIDE * along)
+    per_row, per_column = divisions
+    rows = np.arange(-REACH * per_row, (REACH + height) * per_row)
+    columns = np.arange(-REACH * per_column, (REACH + 1) * per_column)
+    return -rows % (SIDE * per_row), -columns % (SIDE * per_column)
 
 
-def _compact(
-    whole: NDArray[np.float64], height: int, divisions: tuple[int, int]
+def _compact_planes(
+    image: NDArray[np.float64], height: int, divisions: tuple[int, int]
 ) -> list[NDArray[np.float64]]:
     """What a wing leaves to do within `REACH` pixels, for each plane of cells, shape (row, col) of
     its own cells.
     """
-    down, along = divisions
-    inside = tuple(slice(SIDE // 2 + 1 - n - REACH, SIDE // 2 + REACH + 1) for n in (height, 1))
-    wing = _fit_wing(_per_pixel(whole, divisions), height, inside)
+    per_row, per_column = divisions
+    core = tuple(slice(SIDE // 2 + 1 - n - REACH, SIDE // 2 + REACH + 1) for n in (height, 1))
+    wing = _fit_wing(_per_pixel(image, divisions), height, core)
     spread = [_spread_of_wing(n) for n in (height, 1)]
-    far = (
-        np.fft.ifftshift(spread[0] @ wing @ spread[1].T).repeat(down, axis=0).repeat(along, axis=1)
+    wing_image = (
+        np.fft.ifftshift(spread[0] @ wing @ spread[1].T)
+        .repeat(per_row, axis=0)
+        .repeat(per_column, axis=1)
     )
-    rest = whole - np.roll(far, (1 - down, 1 - along), axis=(0, 1))
-    part = rest[np.ix_(*_places(height, divisions))]
-    return [part[i::down, j::along] for i in range(down) for j in range(along)]
+    residual = image - np.roll(wing_image, (1 - per_row, 1 - per_column), axis=(0, 1))
+    compact = residual[np.ix_(*_compact_indices(height, divisions))]
+    return [compact[i::per_row, j::per_column] for i in range(per_row) for j in range(per_column)]
 
 
 def _separable_parts(plane: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Separable parts, (rank, row) and (rank, col), whose outer products add up to the plane."""
     u, s, v = np.linalg.svd(plane)
-    beyond = np.append(np.cumsum(s[::-1] ** 2)[::-1][1:], 0.0)
-    rank = 1 + int(np.argmax(beyond < ACCURACY.separable_residual * np.sum(s**2)))
+    residual_power = np.append(np.cumsum(s[::-1] ** 2)[::-1][1:], 0.0)
+    rank = 1 + int(np.argmax(residual_power < ACCURACY.separable_residual * np.sum(s**2)))
     root = np.sqrt(s[:rank])[:, None]
     return u[:, :rank].T * root, v[:rank] * root
 
@@ -300,64 +318,72 @@ def _stack_ranks(parts: list[NDArray[np.float64]]) -> NDArray[np.float32]:
 
 
 def _wing_of(
-    whole: NDArray[np.float64],
+    image: NDArray[np.float64],
     planes: list[NDArray[np.float64]],
     height: int,
     divisions: tuple[int, int],
 ) -> NDArray[np.float32]:
     """Return the weights of coarse cells for what compact planes leave of the kernel."""
-    (down, along), rest = divisions, whole.copy()
-    rows, columns = _places(height, divisions)
+    (per_row, per_column), residual = divisions, image.copy()
+    rows, columns = _compact_indices(height, divisions)
     for n, plane in enumerate(planes):
-        i, j = divmod(n, along)
-        rest[np.ix_(rows[i::down], columns[j::along])] -= plane
-    return _fit_wing(_per_pixel(rest, divisions), height).astype(np.float32)
+        i, j = divmod(n, per_column)
+        residual[np.ix_(rows[i::per_row], columns[j::per_column])] -= plane
+    return _fit_wing(_per_pixel(residual, divisions), height).astype(np.float32)
 
 
 def _fit_wing(
-    rest: NDArray[np.float64], height: int, unseen: tuple[slice, ...] = ()
+    residual: NDArray[np.float64], height: int, excluded: tuple[slice, ...] = ()
 ) -> NDArray[np.float64]:
-    """Return the weights of coarse cells that bring to pixels what comes closest to a rest of the
-    kernel.
+    """Return the weights of coarse cells that bring to pixels what comes closest to a residual of
+    the kernel.
 
     Cells gather in coarse ones, and pixels lie anywhere between the centres of these: of weights
-    that are the rest's means over coarse cells, a tenth is lost at a hundredth of a cycle per
-    pixel. The rest is by distance from the pixel, -SIDE/2 first; distances that are together in
-    `unseen` do not count.
+    that are the residual's means over coarse cells, a tenth is lost at a hundredth of a cycle per
+    pixel. The residual is by distance from the pixel, -SIDE/2 first; distances that are together in
+    `excluded` do not count.
     """
-    down, along = (_spread_of_wing(n) for n in (height, 1))
-    information, seen = np.kron(down.T @ down, along.T @ along), rest.copy()
-    if unseen:
-        rows, columns = down[unseen[0]], along[unseen[1]]
+    row_spread, column_spread = (_spread_of_wing(n) for n in (height, 1))
+    information, data = (
+        np.kron(row_spread.T @ row_spread, column_spread.T @ column_spread),
+        residual.copy(),
+    )
+    if excluded:
+        rows, columns = row_spread[excluded[0]], column_spread[excluded[1]]
         information -= np.kron(rows.T @ rows, columns.T @ columns)
-        seen[unseen] = 0.0
-    wing = np.asarray(np.linalg.solve(information, (down.T @ seen @ along).ravel()), np.float64)
-    return wing.reshape(down.shape[1], along.shape[1])
+        data[excluded] = 0.0
+    wing = np.asarray(
+        np.linalg.solve(information, (row_spread.T @ data @ column_spread).ravel()), np.float64
+    )
+    return wing.reshape(row_spread.shape[1], column_spread.shape[1])
 
 
-def _per_pixel(whole: NDArray[np.float64], divisions: tuple[int, int]) -> NDArray[np.float64]:
+def _per_pixel(image: NDArray[np.float64], divisions: tuple[int, int]) -> NDArray[np.float64]:
     """Average over the cells of a pixel pitch both ways, distances from -SIDE/2 pixels on, shape
     (SIDE, SIDE).
     """
-    down, along = divisions
-    aligned = np.roll(whole, (down - 1, along - 1), axis=(0, 1))
-    return np.fft.fftshift(aligned.reshape(SIDE, down, SIDE, along).mean(axis=(1, 3)))
+    per_row, per_column = divisions
+    aligned = np.roll(image, (per_row - 1, per_column - 1), axis=(0, 1))
+    return np.fft.fftshift(aligned.reshape(SIDE, per_row, SIDE, per_column).mean(axis=(1, 3)))
 
 
 @lru_cache(maxsize=2)
 def _spread_of_wing(height: int) -> NDArray[np.float64]:
-    """How weights come to pixels so many rows high: mean over their places, shape (distance, coarse
-    cell).
+    """How weights come to pixels so many rows high: mean over their positions, shape
+    (distance, coarse cell).
 
     It goes round, as the kernel's lattice does, so that the best weights keep all light.
     """
     coarse, distance = SIDE // COARSE, np.arange(-SIDE // 2, SIDE // 2)
     spread = np.zeros((SIDE, coarse))
-    for first in range(COARSE):
+    for row in range(COARSE):
         # The pixel's centre, between those of two coarse cells.
-        place = (first + 0.5 * height) / COARSE - 0.5
-        before = int(np.floor(place))
-        for cell, share in ((before, before + 1.0 - place), (before + 1, place - before)):
-            weight = cell - (first - distance) // COARSE + coarse // 2
-            spread[np.arange(SIDE), weight % coarse] += share / COARSE
+        position = (row + 0.5 * height) / COARSE - 0.5
+        lower_cell = int(np.floor(position))
+        for cell, fraction in (
+            (lower_cell, lower_cell + 1.0 - position),
+            (lower_cell + 1, position - lower_cell),
+        ):
+            weight = cell - (row - distance) // COARSE + coarse // 2
+            spread[np.arange(SIDE), weight % coarse] += fraction / COARSE
     return spread

@@ -52,16 +52,15 @@ class Facets:
         normals = microfacet.sample_visible_normals(
             outgoing, self.roughness, rng.random((len(outgoing), 2))
         )
-        drawn = sample_mixture(
+        direction = sample_mixture(
             microfacet.mirror_direction(outgoing, normals), self.specular_share(outgoing), rng
         )
-        return drawn, self.pdf(drawn, outgoing)
+        return direction, self.pdf(direction, outgoing)
 
     def pdf(self, incoming: Array, outgoing: Array) -> Array:
-        """Return the density of `sample`, sr-1, shape (ray,)."""
         specular = self.specular_share(outgoing)
-        mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
-        return specular * mirrored + (1.0 - specular) * cosine_density(incoming)
+        mirror_density = microfacet.mirror_density(incoming, outgoing, self.roughness)
+        return specular * mirror_density + (1.0 - specular) * cosine_density(incoming)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,16 +80,18 @@ class Metal(Facets):
         return specular_albedo(self.roughness)
 
     def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return f, sr-1, shape (band, ray)."""
         normal = self.reflectance.at(wavelength_nm)[:, None]
-        facing = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
-        mirrored = microfacet.lobe(incoming, outgoing, self.roughness)
-        single_bounce = normal * mirrored + (1.0 - normal) * (
-            mirrored * microfacet.schlick_rise(facing)
+        half_cosine = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
+        lobe = microfacet.lobe(incoming, outgoing, self.roughness)
+        single_bounce = normal * lobe + (1.0 - normal) * (
+            lobe * microfacet.schlick_rise(half_cosine)
         )
         perfect = self._perfect
         multiple_bounce = base_value(
-            perfect.at(incoming), perfect.at(outgoing), perfect.mean, self._between(normal)
+            perfect.at(incoming),
+            perfect.at(outgoing),
+            perfect.mean,
+            self._multiple_reflectance(normal),
         )
         return single_bounce + multiple_bounce * both_above(incoming, outgoing)
 
@@ -99,14 +100,15 @@ class Metal(Facets):
         return self._perfect.at(outgoing)
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
-        ray).
-        """
         normal = self.reflectance.at(wavelength_nm)[:, None]
         perfect, rise = self._perfect.at(outgoing), schlick_albedo(self.roughness).at(outgoing)
-        return normal * perfect + (1.0 - normal) * rise + (1.0 - perfect) * self._between(normal)
+        return (
+            normal * perfect
+            + (1.0 - normal) * rise
+            + (1.0 - perfect) * self._multiple_reflectance(normal)
+        )
 
-    def _between(self, normal: Array) -> Array:
+    def _multiple_reflectance(self, normal: Array) -> Array:
         """Return F_m, the reflectance of light scattered more than once between facets."""
         facet, perfect = normal + (1.0 - normal) * MEAN_RISE, self._perfect.mean
         return facet**2 * perfect / (1.0 - facet * (1.0 - perfect))
@@ -139,18 +141,14 @@ class Glossy(Facets):
         return dielectric_albedo(self.roughness, self.refractive_index)
 
     def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return f, sr-1, shape (band, ray)."""
-        facing = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
-        mirrored = microfacet.lobe(incoming, outgoing, self.roughness)
-        mirrored = mirrored * microfacet.dielectric(facing, self.refractive_index)
+        half_cosine = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
+        lobe = microfacet.lobe(incoming, outgoing, self.roughness)
+        lobe = lobe * microfacet.dielectric(half_cosine, self.refractive_index)
         coat, base = self._coat, self.reflectance.at(wavelength_nm)[:, None]
         from_base = base_value(coat.at(incoming), coat.at(outgoing), coat.mean, base)
-        return mirrored + from_base * both_above(incoming, outgoing)
+        return lobe + from_base * both_above(incoming, outgoing)
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
-        ray).
-        """
         coat = self._coat.at(outgoing)
         return coat + (1.0 - coat) * self.reflectance.at(wavelength_nm)[:, None]
 
@@ -196,10 +194,9 @@ class Retroreflector:
         return _lobe_albedo(self.concentration)
 
     def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return f, sr-1, shape (band, ray)."""
         is_above = both_above(incoming, outgoing)
-        back = _lobe(incoming, outgoing, self.concentration)
-        back = back * is_above / np.maximum(np.maximum(incoming[:, 2], outgoing[:, 2]), 1e-12)
+        lobe = _lobe(incoming, outgoing, self.concentration)
+        lobe = lobe * is_above / np.maximum(np.maximum(incoming[:, 2], outgoing[:, 2]), 1e-12)
         retroreflectance, base = (
             self.retroreflectance.at(wavelength_nm)[:, None],
             self.reflectance.at(wavelength_nm)[:, None],
@@ -211,24 +208,24 @@ class Retroreflector:
             retroreflectance * table.mean,
             base,
         )
-        return retroreflectance * back + from_base * is_above
+        return retroreflectance * lobe + from_base * is_above
 
     def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw directions from the lobe or by the cosine law, half of each; and their densities."""
-        back = _lobe_directions(outgoing, self.concentration, rng.random((len(outgoing), 2)))
-        drawn = sample_mixture(back, np.full(len(outgoing), 0.5), rng)
-        return drawn, self.pdf(drawn, outgoing)
+        lobe_direction = _lobe_directions(
+            outgoing, self.concentration, rng.random((len(outgoing), 2))
+        )
+        direction = sample_mixture(lobe_direction, np.full(len(outgoing), 0.5), rng)
+        return direction, self.pdf(direction, outgoing)
 
     def pdf(self, incoming: Array, outgoing: Array) -> Array:
-        """Return the density of `sample`, sr-1, shape (ray,)."""
         return 0.5 * _lobe(incoming, outgoing, self.concentration) + 0.5 * cosine_density(incoming)
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
-        ray).
-        """
-        back = self.retroreflectance.at(wavelength_nm)[:, None] * self._lobe_albedo.at(outgoing)
-        return back + (1.0 - back) * self.reflectance.at(wavelength_nm)[:, None]
+        lobe_albedo = self.retroreflectance.at(wavelength_nm)[:, None] * self._lobe_albedo.at(
+            outgoing
+        )
+        return lobe_albedo + (1.0 - lobe_albedo) * self.reflectance.at(wavelength_nm)[:, None]
 
 
 def _lobe(incoming: Array, outgoing: Array, concentration: float) -> Array:
@@ -246,8 +243,8 @@ def _lobe_directions(outgoing: Array, concentration: float, uniform_pairs: Array
     one_minus_cosine = (
         -np.log1p(uniform_pairs[:, 0] * np.expm1(-2.0 * concentration)) / concentration
     )
-    aside = np.sqrt(np.maximum(one_minus_cosine * (2.0 - one_minus_cosine), 0.0))
-    turn = 2.0 * np.pi * uniform_pairs[:, 1]
+    sine = np.sqrt(np.maximum(one_minus_cosine * (2.0 - one_minus_cosine), 0.0))
+    azimuth = 2.0 * np.pi * uniform_pairs[:, 1]
     # Two directions normal to the viewing direction (Duff et al., J. Comput. Graph. Tech. 6(1),
     # 2017).
     sign = np.copysign(1.0, outgoing[:, 2])
@@ -256,10 +253,10 @@ def _lobe_directions(outgoing: Array, concentration: float, uniform_pairs: Array
     x, y = outgoing[:, 0], outgoing[:, 1]
     first_tangent = np.column_stack([1.0 + sign * x**2 * a, sign * b, -sign * x])
     second_tangent = np.column_stack([b, sign + y**2 * a, -y])
-    across = (aside * np.cos(turn))[:, None] * first_tangent + (aside * np.sin(turn))[
+    tangent_part = (sine * np.cos(azimuth))[:, None] * first_tangent + (sine * np.sin(azimuth))[
         :, None
     ] * second_tangent
-    return (1.0 - one_minus_cosine)[:, None] * outgoing + across
+    return (1.0 - one_minus_cosine)[:, None] * outgoing + tangent_part
 
 
 @lru_cache(maxsize=64)

@@ -71,15 +71,18 @@ def sample_visible_normals(outgoing: Array, roughness: float, uniform_pairs: Arr
     Stretch to a hemisphere, draw on the cap that faces the viewer, stretch back (Dupuy and Benyoub,
     Comput. Graph. Forum 42(8), 2023).
     """
-    stretched = outgoing * np.array([roughness, roughness, 1.0])
-    stretched = stretched / np.linalg.norm(stretched, axis=1)[:, None]
-    turn = 2.0 * np.pi * uniform_pairs[:, 0]
-    height = (1.0 - uniform_pairs[:, 1]) * (1.0 + stretched[:, 2]) - stretched[:, 2]
+    scaled_outgoing = outgoing * np.array([roughness, roughness, 1.0])
+    scaled_outgoing = scaled_outgoing / np.linalg.norm(scaled_outgoing, axis=1)[:, None]
+    azimuth = 2.0 * np.pi * uniform_pairs[:, 0]
+    height = (1.0 - uniform_pairs[:, 1]) * (1.0 + scaled_outgoing[:, 2]) - scaled_outgoing[:, 2]
     level = np.sqrt(np.maximum(1.0 - height**2, 0.0))
-    cap = np.column_stack([level * np.cos(turn), level * np.sin(turn), height]) + stretched
-    back = cap * np.array([roughness, roughness, 1.0])
-    back[:, 2] = np.maximum(back[:, 2], 0.0)
-    return back / np.linalg.norm(back, axis=1)[:, None]
+    cap = (
+        np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), height])
+        + scaled_outgoing
+    )
+    normal = cap * np.array([roughness, roughness, 1.0])
+    normal[:, 2] = np.maximum(normal[:, 2], 0.0)
+    return normal / np.linalg.norm(normal, axis=1)[:, None]
 
 
 def mirror_direction(outgoing: Array, normal: Array) -> Array:
@@ -145,8 +148,8 @@ class AlbedoTable:
     def mean(self) -> float:
         """2 int E mu dmu of the broken line, exactly."""
         low, high = self.cosine[:-1], self.cosine[1:]
-        first, last = self.albedo[:-1], self.albedo[1:]
-        piece = (high - low) / 6.0 * (first * (2.0 * low + high) + last * (low + 2.0 * high))
+        lower, upper = self.albedo[:-1], self.albedo[1:]
+        piece = (high - low) / 6.0 * (lower * (2.0 * low + high) + upper * (low + 2.0 * high))
         return float(2.0 * piece.sum())
 
 
@@ -175,9 +178,9 @@ def _rough_albedo(roughness: float, reflectance: Callable[[Array], Array]) -> Al
     # Nodes are denser at grazing angles, where the albedo changes most.
     cosine = np.linspace(0.0, 1.0, NODES) ** 2
     cosine[0] = 1e-5
-    middle, edge = (np.arange(STRATA) + 0.5) / STRATA, np.arange(STRATA + 1) / STRATA
-    quantile, weight = 1.0 - (1.0 - middle) ** TAIL_POWER, -np.diff((1.0 - edge) ** TAIL_POWER)
-    uniform_pairs = np.stack(np.meshgrid(middle, quantile, indexing="ij"), axis=-1).reshape(-1, 2)
+    centre, edge = (np.arange(STRATA) + 0.5) / STRATA, np.arange(STRATA + 1) / STRATA
+    quantile, weight = 1.0 - (1.0 - centre) ** TAIL_POWER, -np.diff((1.0 - edge) ** TAIL_POWER)
+    uniform_pairs = np.stack(np.meshgrid(centre, quantile, indexing="ij"), axis=-1).reshape(-1, 2)
     weight = np.tile(weight, STRATA) / STRATA
     albedo = [
         _one_albedo(float(mu), roughness, reflectance, uniform_pairs) @ weight for mu in cosine

@@ -90,9 +90,11 @@ def both_above(incoming: Array, outgoing: Array) -> Array:
 
 def cosine_directions(count: int, rng: np.random.Generator) -> Array:
     """Draw directions with density cos/pi, shape (count, 3)."""
-    square, turn = rng.random(count), 2.0 * np.pi * rng.random(count)
+    square, azimuth = rng.random(count), 2.0 * np.pi * rng.random(count)
     radius = np.sqrt(square)
-    return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - square)])
+    return np.column_stack(
+        [radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1.0 - square)]
+    )
 
 
 def cosine_density(incoming: Array) -> Array:
@@ -110,9 +112,8 @@ class CosineSampled:
     """Sampling by the cosine law, for BRDFs without a lobe."""
 
     def sample(self, outgoing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Draw directions and return them with their densities."""
-        drawn = cosine_directions(len(outgoing), rng)
-        return drawn, cosine_density(drawn)
+        direction = cosine_directions(len(outgoing), rng)
+        return direction, cosine_density(direction)
 
     def pdf(self, incoming: Array, outgoing: Array) -> Array:
         """Return cos(i) / pi."""
@@ -126,7 +127,6 @@ class Lambert(CosineSampled):
     reflectance: Reflectance
 
     def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return f, sr-1, shape (band, ray)."""
         return self.reflectance.at(wavelength_nm)[:, None] / np.pi * both_above(incoming, outgoing)
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
@@ -187,21 +187,21 @@ class MeasuredTable(CosineSampled):
             )
         if not np.isfinite(table).all() or table.min() < 0.0:
             raise BadInput("a measured BRDF must be finite and not negative")
-        mirrored = table.transpose(0, 2, 1, 3)
-        asymmetry = float(np.abs(table - mirrored).max())
+        exchanged = table.transpose(0, 2, 1, 3)
+        asymmetry = float(np.abs(table - exchanged).max())
         if asymmetry > ASYMMETRY * table.max():
             raise BadInput(
                 f"a BRDF must be the same with light and eye exchanged, got a difference of "
                 f"{asymmetry:g} sr-1"
             )
         upright = np.concatenate([table[:, 0], table[:, :, 0]], axis=1)
-        turned = float(np.ptp(upright, axis=2).max())
-        if turned > ASYMMETRY * table.max():
+        azimuth_range = float(np.ptp(upright, axis=2).max())
+        if azimuth_range > ASYMMETRY * table.max():
             raise BadInput(
                 f"a BRDF must not depend on the azimuth of the normal, got a difference of "
-                f"{turned:g} sr-1"
+                f"{azimuth_range:g} sr-1"
             )
-        table = 0.5 * (table + mirrored)
+        table = 0.5 * (table + exchanged)
         table[:, 0] = table[:, 0].mean(axis=-1, keepdims=True)
         table[:, :, 0] = table[:, :, 0].mean(axis=-1, keepdims=True)
         arrays = (wavelength, polar, azimuth, table)
@@ -217,50 +217,46 @@ class MeasuredTable(CosineSampled):
             )
 
     def value(self, incoming: Array, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return f, sr-1, shape (band, ray)."""
         return self._linear(self._bands(wavelength_nm), incoming, outgoing) * both_above(
             incoming, outgoing
         )
 
     def albedo(self, outgoing: Array, wavelength_nm: ArrayLike) -> Array:
-        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band,
-        ray).
-        """
-        column, along = _place(self.polar_deg, _polar_deg(outgoing))
-        table = self._between(self._albedo, wavelength_nm)
-        return table[:, column] * (1.0 - along) + table[:, column + 1] * along
+        column, fraction = _interval(self.polar_deg, _polar_deg(outgoing))
+        table = self._at_wavelengths(self._albedo, wavelength_nm)
+        return table[:, column] * (1.0 - fraction) + table[:, column + 1] * fraction
 
     def _bands(self, wavelength_nm: ArrayLike) -> Array:
         """Return the table at wavelengths."""
-        return self._between(self.table, wavelength_nm)
+        return self._at_wavelengths(self.table, wavelength_nm)
 
-    def _between(self, values: Array, wavelength_nm: ArrayLike) -> Array:
-        wanted = np.clip(
+    def _at_wavelengths(self, values: Array, wavelength_nm: ArrayLike) -> Array:
+        clipped_nm = np.clip(
             np.atleast_1d(np.asarray(wavelength_nm, float)),
             self.wavelength_nm[0],
             self.wavelength_nm[-1],
         )
         if self.wavelength_nm.size == 1:
-            return np.repeat(np.asarray(values, float), wanted.size, axis=0)
-        band, along = _place(self.wavelength_nm, wanted)
-        along = along.reshape(-1, *[1] * (values.ndim - 1))
-        return values[band] * (1.0 - along) + values[band + 1] * along
+            return np.repeat(np.asarray(values, float), clipped_nm.size, axis=0)
+        band, fraction = _interval(self.wavelength_nm, clipped_nm)
+        fraction = fraction.reshape(-1, *[1] * (values.ndim - 1))
+        return values[band] * (1.0 - fraction) + values[band + 1] * fraction
 
     def _linear(self, table: Array, incoming: Array, outgoing: Array) -> Array:
         """Return the table's bands at directions: linear in both polar angles and in azimuth, shape
         (band, ray).
         """
         cells = [
-            _place(self.polar_deg, _polar_deg(incoming)),
-            _place(self.polar_deg, _polar_deg(outgoing)),
-            _place(self.azimuth_deg, _azimuth_between_deg(incoming, outgoing)),
+            _interval(self.polar_deg, _polar_deg(incoming)),
+            _interval(self.polar_deg, _polar_deg(outgoing)),
+            _interval(self.azimuth_deg, _azimuth_between_deg(incoming, outgoing)),
         ]
         total = np.zeros((len(table), len(incoming)))
         for corner in np.ndindex(2, 2, 2):
             weight = np.ones(len(incoming))
-            for (_, along), up in zip(cells, corner, strict=True):
-                weight = weight * (along if up else 1.0 - along)
-            index = [cell + up for (cell, _), up in zip(cells, corner, strict=True)]
+            for (_, fraction), is_upper in zip(cells, corner, strict=True):
+                weight = weight * (fraction if is_upper else 1.0 - fraction)
+            index = [cell + is_upper for (cell, _), is_upper in zip(cells, corner, strict=True)]
             total += weight * table[:, index[0], index[1], index[2]]
         return total
 
@@ -270,25 +266,27 @@ class MeasuredTable(CosineSampled):
         It is linear in between, as f is; rings of light are summed by Gauss-Legendre between the
         table's angles.
         """
-        around = 2.0 * np.asarray(np.trapezoid(self.table, np.deg2rad(self.azimuth_deg), axis=3))
+        azimuth_integral = 2.0 * np.asarray(
+            np.trapezoid(self.table, np.deg2rad(self.azimuth_deg), axis=3)
+        )
         node, weight = np.polynomial.legendre.leggauss(8)
         edges = np.deg2rad(self.polar_deg)
         half = 0.5 * np.diff(edges)
         total = np.zeros((len(self.table), edges.size))
-        for at, node_weight in zip(node, weight, strict=True):
-            angle = edges[:-1] + half * (at + 1.0)
-            rise = 0.5 * (at + 1.0)
+        for cosine, node_weight in zip(node, weight, strict=True):
+            angle = edges[:-1] + half * (cosine + 1.0)
+            rise = 0.5 * (cosine + 1.0)
             ring = node_weight * half * np.sin(angle) * np.cos(angle)
-            light = around[:, :-1] * (1.0 - rise) + around[:, 1:] * rise
+            light = azimuth_integral[:, :-1] * (1.0 - rise) + azimuth_integral[:, 1:] * rise
             total += np.einsum("bpo,p->bo", light, ring)
         return total
 
 
-def _place(axis: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
+def _interval(axis: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     """Return the interval of an ascending axis that each value lies in, and how far along."""
     index = np.clip(np.searchsorted(axis, value, side="right") - 1, 0, axis.size - 2)
-    along = (value - axis[index]) / (axis[index + 1] - axis[index])
-    return index, np.clip(along, 0.0, 1.0)
+    fraction = (value - axis[index]) / (axis[index + 1] - axis[index])
+    return index, np.clip(fraction, 0.0, 1.0)
 
 
 def _polar_deg(direction: Array) -> Array:
@@ -296,9 +294,9 @@ def _polar_deg(direction: Array) -> Array:
 
 
 def _azimuth_between_deg(incoming: Array, outgoing: Array) -> Array:
-    across = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
-    along = incoming[:, 0] * outgoing[:, 0] + incoming[:, 1] * outgoing[:, 1]
-    return np.rad2deg(np.arctan2(np.abs(across), along))
+    sine = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
+    cosine = incoming[:, 0] * outgoing[:, 0] + incoming[:, 1] * outgoing[:, 1]
+    return np.rad2deg(np.arctan2(np.abs(sine), cosine))
 
 
 ARRAYS = ("wavelength_nm", "polar_deg", "azimuth_deg", "table")

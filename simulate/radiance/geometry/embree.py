@@ -139,18 +139,18 @@ class EmbreeScene:
         scene = library.rtcNewScene(device)
         _attach(scene, _triangles(vertices_m - centre_m, faces))
         for mesh in copied:
-            shared = library.rtcNewScene(device)
-            _attach(shared, _triangles(mesh.vertices_m, mesh.faces))
-            library.rtcCommitScene(shared)
-            placed = np.concatenate(
+            copied_scene = library.rtcNewScene(device)
+            _attach(copied_scene, _triangles(mesh.vertices_m, mesh.faces))
+            library.rtcCommitScene(copied_scene)
+            poses = np.concatenate(
                 [mesh.turn, (mesh.shift_m - centre_m)[:, :, None]], axis=2
             ).astype(np.float32)
-            for pose in placed:
+            for pose in poses:
                 copy = library.rtcNewGeometry(device, INSTANCE)
-                library.rtcSetGeometryInstancedScene(copy, shared)
+                library.rtcSetGeometryInstancedScene(copy, copied_scene)
                 library.rtcSetGeometryTransform(copy, 0, ROWS_3X4, pose.ctypes.data)
                 _attach(scene, copy)
-            library.rtcReleaseScene(shared)
+            library.rtcReleaseScene(copied_scene)
         library.rtcCommitScene(scene)
         error = library.rtcGetDeviceError(device)
         if error:

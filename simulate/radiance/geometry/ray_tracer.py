@@ -54,10 +54,12 @@ class RayTracer:
     def normals(self, face: NDArray[np.integer]) -> Array:
         """Return unit normals of faces, shape (face, 3)."""
         normals, copy = self.planes[1][face & ROW], face >> COPY_BITS
-        of = np.flatnonzero(copy)
-        if len(of):
-            turn, size = self.planes[3][copy[of]], self.planes[5][copy[of]]
-            normals[of] = np.einsum("fij,fj->fi", turn, normals[of]) / size[:, None]
+        copied_faces = np.flatnonzero(copy)
+        if len(copied_faces):
+            rotation, size = self.planes[3][copy[copied_faces]], self.planes[5][copy[copied_faces]]
+            normals[copied_faces] = (
+                np.einsum("fij,fj->fi", rotation, normals[copied_faces]) / size[:, None]
+            )
         return normals
 
     def hits(self, origin_m: Array, direction: Array) -> Hits:
@@ -67,7 +69,7 @@ class RayTracer:
         count = len(origin_m)
         if self.scene is None:
             return Hits(np.full(count, NOTHING, np.int64), np.full(count, np.inf))
-        return Hits(*self.scene.hits(self.planes, _plain(origin_m), _plain(direction)))
+        return Hits(*self.scene.hits(self.planes, _contiguous(origin_m), _contiguous(direction)))
 
     def is_occluded(
         self, origin_m: Array, direction: Array, length_limit: ArrayLike | None = None
@@ -80,9 +82,9 @@ class RayTracer:
         limits = np.full(
             len(origin_m), np.inf if length_limit is None else length_limit, np.float64
         )
-        return self.scene.is_occluded(_plain(origin_m), _plain(direction), limits)
+        return self.scene.is_occluded(_contiguous(origin_m), _contiguous(direction), limits)
 
-    def facing(self, face: NDArray[np.integer], direction: Array) -> tuple[Array, Array]:
+    def sided_normals(self, face: NDArray[np.integer], direction: Array) -> tuple[Array, Array]:
         """Return normals of triangles on the side of ray origins, shape (ray, 3), and cosines to
         them, shape (ray,).
         """
@@ -90,7 +92,7 @@ class RayTracer:
         cosine = -np.einsum("ij,ij->i", normal, direction)
         return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * normal, np.abs(cosine)
 
-    def above(self, face: NDArray[np.integer], position_m: Array, side: Array) -> Array:
+    def ray_starts(self, face: NDArray[np.integer], position_m: Array, side: Array) -> Array:
         """Return positions (point, 3) on triangles displaced towards the side of a normal, as
         starts of rays, m.
         """
@@ -116,8 +118,12 @@ def tracer(
     corners = vertices[faces]
     if not len(faces):
         return RayTracer(None, np.zeros(3), _planes(corners, ()), np.zeros(0))
-    ends = [corners.min(axis=(0, 1)), corners.max(axis=(0, 1)), *(mesh.shift_m for mesh in copied)]
-    corners_of_all = np.concatenate([np.atleast_2d(end) for end in ends])
+    bounds = [
+        corners.min(axis=(0, 1)),
+        corners.max(axis=(0, 1)),
+        *(mesh.shift_m for mesh in copied),
+    ]
+    corners_of_all = np.concatenate([np.atleast_2d(bound) for bound in bounds])
     centre = 0.5 * (corners_of_all.min(axis=0) + corners_of_all.max(axis=0))
     extent = [np.abs(corners - centre).max(axis=(1, 2)), *(_extent(mesh) for mesh in copied)]
     return RayTracer(
@@ -129,17 +135,17 @@ def tracer(
 
 
 def _planes(corners: Array, copied: tuple[Copied, ...]) -> Planes:
-    every = np.concatenate([corners, *(mesh.vertices_m[mesh.faces] for mesh in copied)])
+    all_corners = np.concatenate([corners, *(mesh.vertices_m[mesh.faces] for mesh in copied)])
     starts = np.cumsum([len(corners), *(len(mesh.faces) for mesh in copied)])[: len(copied)]
-    first = np.repeat(starts, np.array([len(mesh.turn) for mesh in copied], np.int64))
-    turn = np.concatenate([np.eye(3)[None], *(mesh.turn for mesh in copied)])
+    first_row = np.repeat(starts, np.array([len(mesh.turn) for mesh in copied], np.int64))
+    rotation = np.concatenate([np.eye(3)[None], *(mesh.turn for mesh in copied)])
     shift = np.concatenate([np.zeros((1, 3)), *(mesh.shift_m for mesh in copied)])
-    size = np.cbrt(np.linalg.det(turn))
+    size = np.cbrt(np.linalg.det(rotation))
     return (
-        np.ascontiguousarray(every[:, 0]),
-        normals(every),
-        np.concatenate([[0], first]),
-        turn,
+        np.ascontiguousarray(all_corners[:, 0]),
+        normals(all_corners),
+        np.concatenate([[0], first_row]),
+        rotation,
         shift,
         size,
     )
@@ -157,10 +163,10 @@ def normals(corners_m: Array) -> Array:
     """Return unit normals of triangles (face, corner, 3), zero for those without area, shape (face,
     3).
     """
-    across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
-    length = np.linalg.norm(across, axis=1, keepdims=True)
-    return np.divide(across, length, out=np.zeros_like(across), where=length > 0.0)
+    product = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    length = np.linalg.norm(product, axis=1, keepdims=True)
+    return np.divide(product, length, out=np.zeros_like(product), where=length > 0.0)
 
 
-def _plain(rays: Array) -> Array:
+def _contiguous(rays: Array) -> Array:
     return np.ascontiguousarray(rays, np.float64)

@@ -51,15 +51,17 @@ class Mesh:
             [self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]
         )
         # Vertices at one position count as the first of them.
-        _, first, which = np.unique(
+        _, first, index = np.unique(
             self.vertices_m.round(9), axis=0, return_index=True, return_inverse=True
         )
-        same = first[which.reshape(-1)][edges]
-        key, back = (
-            same[:, 0] * len(self.vertices_m) + same[:, 1],
-            same[:, 1] * len(self.vertices_m) + same[:, 0],
+        vertex = first[index.reshape(-1)][edges]
+        key, reverse_key = (
+            vertex[:, 0] * len(self.vertices_m) + vertex[:, 1],
+            vertex[:, 1] * len(self.vertices_m) + vertex[:, 0],
         )
-        return len(np.unique(key)) == len(key) and np.array_equal(np.sort(key), np.sort(back))
+        return len(np.unique(key)) == len(key) and np.array_equal(
+            np.sort(key), np.sort(reverse_key)
+        )
 
 
 def join_meshes(meshes: list[Mesh]) -> Mesh:
@@ -150,8 +152,10 @@ def ground(side: float) -> Mesh:
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     quads = [[4 * (len(halves) - 1) + i for i in range(4)]]
     for ring in range(len(halves) - 1):
-        out, inner = 4 * ring, 4 * (ring + 1)
-        quads += [[out + i, out + (i + 1) % 4, inner + (i + 1) % 4, inner + i] for i in range(4)]
+        outer, inner = 4 * ring, 4 * (ring + 1)
+        quads += [
+            [outer + i, outer + (i + 1) % 4, inner + (i + 1) % 4, inner + i] for i in range(4)
+        ]
     return Mesh(np.concatenate([half * square for half in halves]), _cut(quads))
 
 
@@ -176,8 +180,8 @@ def shed(width: float, depth: float, eaves: float, ridge: float) -> Mesh:
         [[thick, 0], [thick, -0.5 * thick], [0, -thick], [-thick, -0.5 * thick], [-thick, 0]]
     )
     inner = outer + drop
-    front, back, inner_back = -0.5 * depth, 0.5 * depth, 0.5 * depth - thick
-    sides = ((outer, front), (outer, back), (inner, front), (inner, inner_back))
+    front, rear, inner_rear = -0.5 * depth, 0.5 * depth, 0.5 * depth - thick
+    sides = ((outer, front), (outer, rear), (inner, front), (inner, inner_rear))
     rings = [np.insert(outline, 1, y, axis=1) for outline, y in sides]
     of_front, of_back, in_front, in_back = (5 * i for i in range(4))
     quads = []
@@ -197,8 +201,8 @@ def shed(width: float, depth: float, eaves: float, ridge: float) -> Mesh:
 
 
 def _circle(radius: float, z: float) -> Array:
-    turn = 2.0 * np.pi * np.arange(AROUND) / AROUND
-    return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(AROUND, z)])
+    azimuth = 2.0 * np.pi * np.arange(AROUND) / AROUND
+    return np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.full(AROUND, z)])
 
 
 def _cut(polygons: list[list[int]]) -> NDArray[np.int64]:
@@ -251,7 +255,7 @@ class Surfaces:
         # Embree's scene cannot be pickled: it is built again.
         return {name: value for name, value in vars(self).items() if name != "tracer"}
 
-    def near(self, position_m: Array, radius_m: float) -> Iterator[tuple[Array, str]]:
+    def triangles_near(self, position_m: Array, radius_m: float) -> Iterator[tuple[Array, str]]:
         """Yield triangles that a sphere may touch, in parts (face, corner, 3), m, and names of
         their objects.
         """
@@ -273,10 +277,10 @@ class Surfaces:
                     axis=1
                 )
             ):
-                placed = mesh.vertices_m @ mesh.turn[copy].T + mesh.shift_m[copy]
-                close = _boxes_touch(placed[mesh.faces], position_m, radius_m)
+                vertices = mesh.vertices_m @ mesh.turn[copy].T + mesh.shift_m[copy]
+                close = _boxes_touch(vertices[mesh.faces], position_m, radius_m)
                 if len(close):
-                    yield placed[mesh.faces[close]], self.objects[self.object_of[row]]
+                    yield vertices[mesh.faces[close]], self.objects[self.object_of[row]]
             row += len(mesh.faces)
 
 
@@ -306,19 +310,19 @@ def collect_surfaces(
         )
     objects = tuple(dict.fromkeys(name for name, _, _ in parts))
     materials = tuple(dict.fromkeys(material for _, material, _ in parts))
-    every = [*parts, *copied]
-    counts = [len(mesh.faces) for _, _, mesh in every]
+    bodies = [*parts, *copied]
+    counts = [len(mesh.faces) for _, _, mesh in bodies]
     mesh = join_meshes([mesh for _, _, mesh in parts])
-    of_part = np.repeat(np.arange(len(every)), counts)
+    of_part = np.repeat(np.arange(len(bodies)), counts)
     object_of = (
-        np.array([objects.index(name) for name, _, _ in every], np.int64)[of_part]
-        if every
+        np.array([objects.index(name) for name, _, _ in bodies], np.int64)[of_part]
+        if bodies
         else of_part
     )
     material_of = (
-        np.array([materials.index(name) for _, name, _ in every], np.int64)[of_part]
-        if every
+        np.array([materials.index(name) for _, name, _ in bodies], np.int64)[of_part]
+        if bodies
         else of_part
     )
-    together = tuple(mesh for _, _, mesh in copied)
-    return Surfaces(mesh, object_of, material_of, objects, materials, together)
+    copies = tuple(mesh for _, _, mesh in copied)
+    return Surfaces(mesh, object_of, material_of, objects, materials, copies)

@@ -95,20 +95,20 @@ class Viewpoint:
     @cached_property
     def axes(self) -> Array:
         """Directions to the right, down and forward in the image, rows of a (3, 3) array."""
-        ahead = np.asarray(self.forward) / np.linalg.norm(self.forward)
+        forward = np.asarray(self.forward) / np.linalg.norm(self.forward)
         # A camera that looks straight up or down has north at the top of the image.
         zenith = (
-            np.array([0.0, 0.0, 1.0]) if abs(ahead[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])
+            np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])
         )
-        right = np.cross(ahead, zenith)
+        right = np.cross(forward, zenith)
         right /= np.linalg.norm(right)
-        down = np.cross(ahead, right)
-        turn = np.deg2rad(self.roll_deg)
+        down = np.cross(forward, right)
+        roll = np.deg2rad(self.roll_deg)
         return np.array(
             [
-                np.cos(turn) * right + np.sin(turn) * down,
-                np.cos(turn) * down - np.sin(turn) * right,
-                ahead,
+                np.cos(roll) * right + np.sin(roll) * down,
+                np.cos(roll) * down - np.sin(roll) * right,
+                forward,
             ]
         )
 
@@ -116,8 +116,8 @@ class Viewpoint:
         """Return the same view with fewer pixels on each side, by a factor."""
         shape = tuple(max(1, -(-side // factor)) for side in self.shape)
         focal = tuple(
-            f * new / old
-            for f, new, old in zip(self.focal_px, shape[::-1], self.shape[::-1], strict=True)
+            f * size / full_size
+            for f, size, full_size in zip(self.focal_px, shape[::-1], self.shape[::-1], strict=True)
         )
         scan = (
             None
@@ -132,21 +132,22 @@ class Viewpoint:
 
         Coordinates are integers at the corners of pixels.
         """
-        along = 0.5 * self.shape[0] + row % 1.0 - 0.5 if self.scan else row
+        lens_row = 0.5 * self.shape[0] + row % 1.0 - 0.5 if self.scan else row
         x = (col - 0.5 * self.shape[1]) / self.focal_px[0]
-        y = np.broadcast_to((along - 0.5 * self.shape[0]) / self.focal_px[1], x.shape)
+        y = np.broadcast_to((lens_row - 0.5 * self.shape[0]) / self.focal_px[1], x.shape)
         if self.distortion_fraction:
             shrink = 1.0 / (
-                1.0 + self.distortion_fraction * self._before(np.hypot(x, y) / self._corner) ** 2
+                1.0
+                + self.distortion_fraction * self._undistorted(np.hypot(x, y) / self._corner) ** 2
             )
             x, y = x * shrink, y * shrink
-        towards = np.stack([x, y, np.ones_like(x)], axis=1) @ self.axes
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        origin = np.broadcast_to(np.asarray(self.position_m, float), towards.shape)
+        direction = np.stack([x, y, np.ones_like(x)], axis=1) @ self.axes
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        origin = np.broadcast_to(np.asarray(self.position_m, float), direction.shape)
         if self.scan is None:
-            return origin, towards
-        displacement, turn = self.scan.at(row)
-        return origin + displacement, _turn_about_vertical(towards, turn)
+            return origin, direction
+        displacement, rotation = self.scan.at(row)
+        return origin + displacement, _turn_about_vertical(direction, rotation)
 
     def exposures(self) -> Iterator[Exposure]:
         """Yield the rows taken at one time: all of a framing camera, each of a scanner."""
@@ -155,10 +156,10 @@ class Viewpoint:
             yield Exposure(eye_m=eye, turn_rad=0.0, first=0.0, rows=self.shape[0], picture_row=0)
             return
         for row in range(self.shape[0]):
-            displacement, turn = self.scan.at(np.array([float(row)]))
+            displacement, rotation = self.scan.at(np.array([float(row)]))
             yield Exposure(
                 eye_m=eye + displacement[0],
-                turn_rad=float(turn[0]),
+                turn_rad=float(rotation[0]),
                 first=0.5 * (self.shape[0] - 1),
                 rows=1,
                 picture_row=row,
@@ -170,20 +171,24 @@ class Viewpoint:
 
         Those of a scanner are without its motion. Radii are limited to `FARTHEST`.
         """
-        right, down, ahead = self.axes @ np.asarray(direction, float).T
-        front = ahead > 1e-9
+        right, down, depth = self.axes @ np.asarray(direction, float).T
+        front = depth > 1e-9
         x, y = (
-            np.divide(side, ahead, out=np.zeros_like(side), where=front) for side in (right, down)
+            np.divide(side, depth, out=np.zeros_like(side), where=front) for side in (right, down)
         )
         radius = np.hypot(x, y) / self._corner
         limited_radius = np.minimum(radius, FARTHEST)
-        stretch = (
+        magnification = (
             limited_radius
             / np.maximum(radius, 1e-300)
             * (1.0 + self.distortion_fraction * limited_radius**2)
         )
-        row = y * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[1] + 0.5 * self.shape[0]
-        col = x * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[0] + 0.5 * self.shape[1]
+        row = (
+            y * np.where(radius > 0.0, magnification, 1.0) * self.focal_px[1] + 0.5 * self.shape[0]
+        )
+        col = (
+            x * np.where(radius > 0.0, magnification, 1.0) * self.focal_px[0] + 0.5 * self.shape[1]
+        )
         return row, col, front
 
     def solid_angle_sr(self, row: Array, col: Array) -> Array:
@@ -209,10 +214,12 @@ class Viewpoint:
             np.hypot(self.shape[1] / self.focal_px[0], self.shape[0] / self.focal_px[1])
         )
 
-    def _before(self, radius: Array) -> Array:
+    def _undistorted(self, radius: Array) -> Array:
         """Return the undistorted radii of radii in the image, corner radii."""
-        came = np.linspace(0.0, FARTHEST, STEPS)
-        return np.interp(radius, came * (1.0 + self.distortion_fraction * came**2), came)
+        undistorted = np.linspace(0.0, FARTHEST, STEPS)
+        return np.interp(
+            radius, undistorted * (1.0 + self.distortion_fraction * undistorted**2), undistorted
+        )
 
 
 def _turn_about_vertical(direction: Array, turn_rad: Array | float) -> Array:

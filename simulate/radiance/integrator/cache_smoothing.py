@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.geometry.embree import COMPILED, INLINED
 from simulate.radiance.geometry.ray_tracer import NOTHING
-from simulate.radiance.integrator.integrator_settings import Run, local_mean
+from simulate.radiance.integrator.integrator_settings import Run
 
 # Neighbours belong to one smooth surface if their normals differ by less than acos(0.98) = 11
 # degrees, and if neither deviates from the other's plane by more than this fraction of their
@@ -63,10 +63,6 @@ class Nodes:
         grid[self.row, self.col] = values
         return grid
 
-    def local_mean(self, values: Array, half_width: int) -> Array:
-        """Return means of values (row, col) over squares of nodes around each."""
-        return local_mean(values, self.has_surface, half_width)
-
     def smooth(self, values: Array, width: NDArray[np.int64], run: Run) -> Array:
         """Return values (row, col, band) smoothed over windows of half widths (row, col), nodes."""
         smoothed, rows = np.zeros_like(values), len(values)
@@ -113,17 +109,6 @@ class Nodes:
         return interpolated, has_node
 
 
-def same_surface_pairs(
-    position_m: Array, normal: Array, other_position_m: Array, other_normal: Array
-) -> NDArray[np.bool_]:
-    """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape
-    (pair,).
-    """
-    same_surface = np.empty(len(position_m), np.bool_)
-    _compare_surfaces(position_m, normal, other_position_m, other_normal, same_surface)
-    return same_surface
-
-
 @numba.njit(**INLINED)
 def is_same_surface(position: Any, normal: Any, other_position: Any, other_normal: Any) -> bool:
     """Return whether two points lie on one smooth surface."""
@@ -139,13 +124,16 @@ def is_same_surface(position: Any, normal: Any, other_position: Any, other_norma
 
 
 @numba.njit(**COMPILED)
-def _compare_surfaces(
-    position: Any, normal: Any, other_position: Any, other_normal: Any, same_surface: Any
-) -> None:
+def same_surface_pairs(position: Any, normal: Any, other_position: Any, other_normal: Any) -> Any:
+    """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape
+    (pair,).
+    """
+    same_surface = np.empty(len(position), np.bool_)
     for pair in range(len(same_surface)):
         same_surface[pair] = is_same_surface(
             position[pair], normal[pair], other_position[pair], other_normal[pair]
         )
+    return same_surface
 
 
 @numba.njit(**COMPILED)

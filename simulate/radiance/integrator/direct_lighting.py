@@ -151,7 +151,7 @@ def sample_panels(
         distance[lit],
         panels.face[panel[lit]],
     )
-    target = tracer.above(face, panel_point[lit], panels.normal[panel]) - ray_starts(
+    target = tracer.ray_starts(face, panel_point[lit], panels.normal[panel]) - ray_starts(
         points, lit, tracer
     )
     panel_density = panels.per_m2_of_face[face] * distance**2 / source_cosine[lit]
@@ -190,7 +190,7 @@ def gather_mis_weight(
 
 def ray_starts(points: ShadingPoints, rows: NDArray[np.int64], tracer: RayTracer) -> Array:
     """Return where rays from some of the points start, shape (ray, 3), m."""
-    return tracer.above(points.face[rows], points.position_m[rows], points.normal[rows])
+    return tracer.ray_starts(points.face[rows], points.position_m[rows], points.normal[rows])
 
 
 def dot(a: Array, b: Array) -> Array:

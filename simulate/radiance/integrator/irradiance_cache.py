@@ -23,6 +23,7 @@ from simulate.radiance.integrator.integrator_settings import (
     Run,
     additional_rays,
     excess_variance,
+    local_mean,
 )
 from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
 from simulate.radiance.integrator.sampling import (
@@ -239,7 +240,7 @@ class _NodeOrigins:
         rays = hit.rays
         position = lens[rays] + hit.range_m[rays, None] * direction[rays]
         face = hit.face[rays]
-        normal, _ = self.scene.surfaces.tracer.facing(face, direction[rays])
+        normal, _ = self.scene.surfaces.tracer.sided_normals(face, direction[rays])
         is_same = same_surface_pairs(
             origins.position_m[rays], origins.normal[rays], position, normal
         )
@@ -310,7 +311,8 @@ def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[NDArray[np.int64], 
     noise. The mean of both halves has half of the error, and at least the noise of a mean over the
     window.
     """
-    noise = grid.local_mean(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, LIMITS.error_half_width)
+    difference = 0.5 * (signals[..., 0] - signals[..., 1]) ** 2
+    noise = local_mean(difference, grid.has_surface, LIMITS.error_half_width)
     min_error, fit = np.full(noise.shape, np.inf), np.zeros(noise.shape)
     width = np.zeros(noise.shape, np.int64)
     for half_width in LIMITS.smoothing_half_widths:
@@ -318,7 +320,7 @@ def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[NDArray[np.int64], 
             grid.smooth(signals, np.full(noise.shape, half_width), run) if half_width else signals
         )
         deviation = 0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1)
-        error = grid.local_mean(deviation, LIMITS.error_half_width) - noise
+        error = local_mean(deviation, grid.has_surface, LIMITS.error_half_width) - noise
         is_better = error < min_error
         min_error[is_better], width[is_better] = error[is_better], half_width
         fit[is_better] = smooth[is_better].mean(axis=-1)

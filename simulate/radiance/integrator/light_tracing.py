@@ -137,16 +137,16 @@ def _is_efficient(lamp: LampLight, versines: Array, tracer: RayTracer) -> bool:
     )
     position, (normal, hit_cosine) = (
         lamp.position_m + range_m[:, None] * direction,
-        tracer.facing(face, direction),
+        tracer.sided_normals(face, direction),
     )
     light_density = per_sr * hit_cosine / range_m**2
     local = cosine_lobe(rng.random((len(hit_rays), 2)))
     reflected_direction = np.einsum("ri,rij->rj", local, shading_frames(normal))
-    second_hits = tracer.hits(tracer.above(face, position, normal), reflected_direction)
+    second_hits = tracer.hits(tracer.ray_starts(face, position, normal), reflected_direction)
     reflected_rays = np.flatnonzero(second_hits.face != NOTHING)
     if not len(reflected_rays):
         return False
-    second_cosine = tracer.facing(
+    second_cosine = tracer.sided_normals(
         second_hits.face[reflected_rays], reflected_direction[reflected_rays]
     )[1]
     with np.errstate(divide="ignore"):

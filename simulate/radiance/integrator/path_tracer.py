@@ -156,7 +156,7 @@ def follow_paths(
         owner, path_depth, face, position, direction, np.empty((capacity, bands), np.float32)
     )
     assert tracer.scene is not None
-    start = tracer.above(points.face, points.position_m, points.normal)
+    start = tracer.ray_starts(points.face, points.position_m, points.normal)
     roulette = np.iinfo(np.int64).max if effort.roulette_depth is None else effort.roulette_depth
     count = _follow(
         (tracer.scene.address, tracer.centre_m, tracer.planes, tracer.clearance_m),

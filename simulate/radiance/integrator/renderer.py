@@ -7,7 +7,6 @@ their variance gives the error, and where it is above the limit rays are added, 
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +26,8 @@ from simulate.radiance.integrator.integrator_settings import (
     one_by_one,
 )
 from simulate.radiance.integrator.irradiance_cache import IrradianceCache, build_irradiance_cache
-from simulate.radiance.integrator.outgoing_radiance import CachedIrradiance
 from simulate.radiance.integrator.sampling import R2, fraction
-from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
+from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.integrator.subpixel_sources import add_small_sources
 
 Array = NDArray[np.floating]
@@ -102,7 +100,7 @@ class _BatchRenderer:
         rng = np.random.default_rng(
             [self.seed, batch.rays, int(batch.pixels[0]), batch.uncached, batch.iteration]
         )
-        count, columns, factor = len(batch.pixels), self.view.shape[1], 1
+        count, columns, factor, cache = len(batch.pixels), self.view.shape[1], 1, self.cache
         if batch.uncached:
             factor = (
                 LIMITS.sky_shadow_ray_factor if self.only_shadow else LIMITS.uncached_ray_factor
@@ -118,17 +116,11 @@ class _BatchRenderer:
             gather_rays=self.gather_rays * factor,
             sky_control_fraction=np.repeat(self.control.ravel()[batch.pixels], batch.rays),
             cached_irradiance=None
-            if self.cache is None or batch.uncached
-            else partial(_irradiance_from_cache, self.cache, row, col),
+            if cache is None or batch.uncached
+            else lambda points, rays: cache.irradiance(points, row[rays], col[rays]),
         ).total()
         ray_signals = (light @ self.weight).reshape(count, batch.rays)
         return light.reshape(count, batch.rays, -1).mean(axis=1), _variance_of_mean(ray_signals)
-
-
-def _irradiance_from_cache(
-    cache: IrradianceCache, row: Array, col: Array, points: ShadingPoints, rays: NDArray[np.int64]
-) -> CachedIrradiance:
-    return cache.irradiance(points, row[rays], col[rays])
 
 
 def _variance_of_mean(ray_signals: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -163,7 +155,7 @@ def sky_control_fraction(scene: SpectralScene, view: Viewpoint, seed: int) -> ND
     origin, direction = view.rays(row, col)
     hit = scene.surfaces.tracer.hits(origin, direction)
     points = scene.points(hit, origin, direction, hit.rays)
-    start = scene.surfaces.tracer.above(points.face, points.position_m, points.normal)
+    start = scene.surfaces.tracer.ray_starts(points.face, points.position_m, points.normal)
     occluded = np.zeros(len(row))
     for _ in range(LIMITS.control_rays):
         direction, _ = scene.bsdfs.sample(points, rng.random((len(points), 2)), rng)

@@ -190,7 +190,7 @@ def set_cosine_direction(normal: Any, point: Any, direction: Any) -> float:
 def set_ray_start(
     clearance: Any, centre: Any, face: Any, position: Any, normal: Any, start: Any
 ) -> None:
-    """Set where a ray from a surface starts, as `RayTracer.above`."""
+    """Set where a ray from a surface starts, as `RayTracer.ray_starts`."""
     shift = 0.0
     for axis in range(3):
         shift = max(shift, abs(position[axis] - centre[axis]))

@@ -60,7 +60,7 @@ class Panes:
         hit = self.tracer.hits(origin_m, direction)
         rays = np.flatnonzero((hit.face != NOTHING) & (hit.range_m < max_range_m))
         face, range_m, hit_direction = hit.face[rays], hit.range_m[rays], direction[rays]
-        normal, cosine = self.tracer.facing(face, hit_direction)
+        normal, cosine = self.tracer.sided_normals(face, hit_direction)
         reflectance = np.zeros((len(face), self.transmittance.shape[1]), np.float32)
         transmittance = np.zeros_like(reflectance)
         for kind, index in enumerate(self.refractive_index):
@@ -76,7 +76,7 @@ class Panes:
         side = np.where(
             np.broadcast_to(is_reflected, hits.rays.shape)[:, None], hits.normal, -hits.normal
         )
-        return self.tracer.above(hits.face, hits.position_m, side)
+        return self.tracer.ray_starts(hits.face, hits.position_m, side)
 
     def transmittance_along(
         self, start_m: Array, vector: Array, length_limit: float | None

@@ -4,6 +4,7 @@ files (IES LM-63).
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -44,7 +45,6 @@ class Isotropic:
         return np.full(len(direction), 0.25 / np.pi)
 
     def encode(self) -> Array:
-        """Return the numbers for `light_sources.lamp_pattern`."""
         return np.array([POWER, 0.25 / np.pi, 0.0])
 
 
@@ -57,7 +57,6 @@ class Cosine:
         return np.maximum(direction[:, 2], 0.0) / np.pi
 
     def encode(self) -> Array:
-        """Return the numbers for `light_sources.lamp_pattern`."""
         return np.array([POWER, 1.0 / np.pi, 1.0])
 
 
@@ -81,7 +80,6 @@ class SpotBeam:
         return (self.power + 1.0) / (2.0 * np.pi) * np.maximum(direction[:, 2], 0.0) ** self.power
 
     def encode(self) -> Array:
-        """Return the numbers for `light_sources.lamp_pattern`."""
         return np.array([POWER, (self.power + 1.0) / (2.0 * np.pi), self.power])
 
 
@@ -97,7 +95,6 @@ class MeasuredDistribution:
     # 360.
     azimuth_deg: Array
     candela: Array  # intensities in any unit, shape (azimuth, polar)
-    _total: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         polar, azimuth = np.asarray(self.polar_deg, float), np.asarray(self.azimuth_deg, float)
@@ -126,15 +123,8 @@ class MeasuredDistribution:
             raise BadInput("candela must be finite, not negative, and somewhere positive")
         for name, values in (("polar_deg", polar), ("azimuth_deg", azimuth), ("candela", candela)):
             object.__setattr__(self, name, read_only(values))
-        object.__setattr__(self, "_total", self._integral())
-
-    @property
-    def integral(self) -> float:
-        """Integral of the intensities over all directions: lumens where they are candela."""
-        return self._total
 
     def encode(self) -> Array:
-        """Return the numbers for `light_sources.lamp_pattern`."""
         head = [
             MEASURED,
             1.0 / self.integral,
@@ -147,53 +137,61 @@ class MeasuredDistribution:
         """Return the fraction of the flux per sr, linear in both angles between the table's."""
         polar = np.rad2deg(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))
         azimuth = np.rad2deg(np.arctan2(direction[:, 1], direction[:, 0])) % 360.0
-        return self._candela(polar, azimuth) / self._total
+        return self._candela(polar, azimuth) / self.integral
 
     def _candela(self, polar: Array, azimuth: Array) -> Array:
         column = np.clip(
             np.searchsorted(self.polar_deg, polar, side="right") - 1, 0, self.polar_deg.size - 2
         )
-        along = (polar - self.polar_deg[column]) / np.diff(self.polar_deg)[column]
+        polar_fraction = (polar - self.polar_deg[column]) / np.diff(self.polar_deg)[column]
         in_range = (polar >= self.polar_deg[0]) & (polar <= self.polar_deg[-1])
-        row, across = self._row(azimuth)
-        following = np.minimum(row + 1, self.azimuth_deg.size - 1)
+        row, row_fraction = self._row(azimuth)
+        next_row = np.minimum(row + 1, self.azimuth_deg.size - 1)
         row_candela = (
-            self.candela[row, column] * (1.0 - along) + self.candela[row, column + 1] * along
+            self.candela[row, column] * (1.0 - polar_fraction)
+            + self.candela[row, column + 1] * polar_fraction
         )
-        following_candela = (
-            self.candela[following, column] * (1.0 - along)
-            + self.candela[following, column + 1] * along
+        next_candela = (
+            self.candela[next_row, column] * (1.0 - polar_fraction)
+            + self.candela[next_row, column + 1] * polar_fraction
         )
-        return np.where(in_range, row_candela * (1.0 - across) + following_candela * across, 0.0)
+        return np.where(
+            in_range, row_candela * (1.0 - row_fraction) + next_candela * row_fraction, 0.0
+        )
 
     def _row(self, azimuth: Array) -> tuple[NDArray[np.intp], Array]:
-        last = self.azimuth_deg[-1]
-        if last == 0.0:
+        last_azimuth = self.azimuth_deg[-1]
+        if last_azimuth == 0.0:
             return np.zeros(azimuth.shape, np.intp), np.zeros(azimuth.shape)
-        folded = azimuth
-        if last <= 180.0:
-            folded = np.where(folded > 180.0, 360.0 - folded, folded)
-        if last <= 90.0:
-            folded = np.where(folded > 90.0, 180.0 - folded, folded)
+        folded_azimuth = azimuth
+        if last_azimuth <= 180.0:
+            folded_azimuth = np.where(
+                folded_azimuth > 180.0, 360.0 - folded_azimuth, folded_azimuth
+            )
+        if last_azimuth <= 90.0:
+            folded_azimuth = np.where(folded_azimuth > 90.0, 180.0 - folded_azimuth, folded_azimuth)
         row = np.clip(
-            np.searchsorted(self.azimuth_deg, folded, side="right") - 1,
+            np.searchsorted(self.azimuth_deg, folded_azimuth, side="right") - 1,
             0,
             self.azimuth_deg.size - 2,
         )
-        return row, (folded - self.azimuth_deg[row]) / np.diff(self.azimuth_deg)[row]
+        return row, (folded_azimuth - self.azimuth_deg[row]) / np.diff(self.azimuth_deg)[row]
 
-    def _integral(self) -> float:
-        """Return the integral over all directions: exact in azimuth, by midpoints in the polar
-        angle.
+    @cached_property
+    def integral(self) -> float:
+        """Integral of the intensities over all directions, lumens where they are candela: exact in
+        azimuth, by midpoints in the polar angle.
         """
         edges = np.linspace(self.polar_deg[0], self.polar_deg[-1], 3600)
-        middle = 0.5 * (edges[1:] + edges[:-1])
+        centre = 0.5 * (edges[1:] + edges[:-1])
         ring = np.cos(np.deg2rad(edges[:-1])) - np.cos(np.deg2rad(edges[1:]))
         if self.azimuth_deg.size == 1:
-            around = self.candela[0]
+            mean_candela = self.candela[0]
         else:
-            around = np.trapezoid(self.candela, self.azimuth_deg, axis=0) / self.azimuth_deg[-1]
-        return float(2.0 * np.pi * np.sum(np.interp(middle, self.polar_deg, around) * ring))
+            mean_candela = (
+                np.trapezoid(self.candela, self.azimuth_deg, axis=0) / self.azimuth_deg[-1]
+            )
+        return float(2.0 * np.pi * np.sum(np.interp(centre, self.polar_deg, mean_candela) * ring))
 
 
 # Beams by name, made from a scene's lamp (`LampPlacement`).
@@ -277,9 +275,9 @@ def parse_photometry(text: str) -> Photometry:
     azimuth = numbers.take("horizontal angles", _count("horizontal angles", azimuth_count))
     candela = numbers.take("candela", polar.size * azimuth.size).reshape(azimuth.size, polar.size)
     numbers.end()
-    around, intensities = _from_zero(azimuth, candela)
+    azimuths, intensities = _from_zero(azimuth, candela)
     table = MeasuredDistribution(
-        polar_deg=polar, azimuth_deg=around, candela=intensities * multiplier * ballast
+        polar_deg=polar, azimuth_deg=azimuths, candela=intensities * multiplier * ballast
     )
     return Photometry(table=table, lumens=table.integral)
 
@@ -289,10 +287,10 @@ def _after_tilt(lines: list[str]) -> Iterator[str]:
     for number, line in enumerate(lines):
         text = line.strip()
         if text.upper().startswith("TILT"):
-            what = text.partition("=")[2].strip().upper()
-            if what == "NONE":
+            tilt = text.partition("=")[2].strip().upper()
+            if tilt == "NONE":
                 return iter(lines[number + 1 :])
-            if what == "INCLUDE":
+            if tilt == "INCLUDE":
                 return _without_tilt(lines[number + 1 :])
             raise BadInput(f"TILT must be NONE or INCLUDE, got {text[:40]!r}")
     raise BadInput("a photometric file must have a line TILT=, got none")
@@ -319,12 +317,12 @@ class _Numbers:
         self.lines = lines
         self._held: list[str] = []
 
-    def take(self, what: str, count: int) -> Array:
+    def take(self, quantity: str, count: int) -> Array:
         while len(self._held) < count:
             line = next(self.lines, None)
             if line is None:
                 raise BadInput(
-                    f"a photometric file must hold {count} numbers for {what}, got "
+                    f"a photometric file must hold {count} numbers for {quantity}, got "
                     f"{len(self._held)}"
                 )
             self._held += line.replace(",", " ").split()
@@ -332,9 +330,9 @@ class _Numbers:
         try:
             numbers = np.array([float(word) for word in words])
         except ValueError:
-            raise BadInput(f"{what} must be numbers, got {' '.join(words)[:60]!r}") from None
+            raise BadInput(f"{quantity} must be numbers, got {' '.join(words)[:60]!r}") from None
         if not np.isfinite(numbers).all():
-            raise BadInput(f"{what} must be finite, got {' '.join(words)[:60]!r}")
+            raise BadInput(f"{quantity} must be finite, got {' '.join(words)[:60]!r}")
         return numbers
 
     def end(self) -> None:
@@ -345,10 +343,10 @@ class _Numbers:
             )
 
 
-def _count(what: str, number: float) -> int:
+def _count(quantity: str, number: float) -> int:
     if not (1 <= number <= MOST_ANGLES and number == int(number)):
         raise BadInput(
-            f"the number of {what} must be whole and within 1 to {MOST_ANGLES}, got {number:g}"
+            f"the number of {quantity} must be whole and within 1 to {MOST_ANGLES}, got {number:g}"
         )
     return int(number)
 
@@ -359,10 +357,10 @@ def _from_zero(azimuth: Array, candela: Array) -> tuple[Array, Array]:
     """
     if (azimuth[0], azimuth[-1]) != (90.0, 270.0):
         return azimuth, candela
-    mirrored = (180.0 - azimuth) % 360.0
-    every = np.concatenate([azimuth, mirrored])
-    angles, first = np.unique(every, return_index=True)
-    rows = np.concatenate([candela, candela])[first]
+    mirror_azimuth = (180.0 - azimuth) % 360.0
+    all_azimuths = np.concatenate([azimuth, mirror_azimuth])
+    angles, indices = np.unique(all_azimuths, return_index=True)
+    rows = np.concatenate([candela, candela])[indices]
     if angles[0] != 0.0:
         # Between the last angle and 360 + the first lies 0: by both, linearly.
         last_weight = angles[0] / (360.0 - angles[-1] + angles[0])

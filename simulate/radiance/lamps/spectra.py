@@ -115,14 +115,14 @@ def read_spectrum(
     """
     rows = _rows(Path(path))
     try:
-        unscaled = SourceSpectrum(wavelength_nm=rows[:, 0], density=rows[:, 1])
+        file_spectrum = SourceSpectrum(wavelength_nm=rows[:, 0], density=rows[:, 1])
     except BadInput as error:
         raise BadInput(f"{error}, in {path}") from None
-    return scale_to(unscaled, lumens, watts, str(path))
+    return scale_to(file_spectrum, lumens, watts, str(path))
 
 
 def scale_to(
-    unscaled: SourceSpectrum,
+    source: SourceSpectrum,
     lumens: float,
     watts: float | None,
     name: str,
@@ -132,19 +132,19 @@ def scale_to(
     for unit, power in (("lumens", lumens), ("watts", watts)):
         if power is not None and not power >= 0.0:
             raise BadInput(f"{unit} must not be negative, got {power:g}")
-    power_before, asked, unit = (
-        (unscaled.lumens, lumens, "lumens")
+    power_before, target, unit = (
+        (source.lumens, lumens, "lumens")
         if watts is None
-        else (total or unscaled.total(), watts, "watts")
+        else (total or source.total(), watts, "watts")
     )
     if not power_before > 0.0:
-        needed = (
+        requirement = (
             "have visible light to be scaled to lumens (state watts)"
             if unit == "lumens"
             else "have some power"
         )
-        raise BadInput(f"the spectrum of a lamp must {needed}, got none in {name}")
-    return unscaled.scale(asked / power_before)
+        raise BadInput(f"the spectrum of a lamp must {requirement}, got none in {name}")
+    return source.scale(target / power_before)
 
 
 def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:
@@ -154,14 +154,14 @@ def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:
             f"tenth of that wide, got {wavelength_nm:g} nm and {width_nm:g} nm"
         )
     if width_nm == 0.0:
-        ends = np.array([FIRST_NM, LAST_NM])
+        limits = np.array([FIRST_NM, LAST_NM])
         return SourceSpectrum(
-            wavelength_nm=ends, density=np.zeros(2), line_nm=(wavelength_nm,), line_power=(1.0,)
+            wavelength_nm=limits, density=np.zeros(2), line_nm=(wavelength_nm,), line_power=(1.0,)
         )
     # A normal distribution to four standard deviations.
-    off = np.linspace(-4.0, 4.0, 65)
-    at = wavelength_nm + off * width_nm / np.sqrt(8.0 * np.log(2.0))
-    return SourceSpectrum(wavelength_nm=at, density=np.exp(-0.5 * off**2))
+    deviation = np.linspace(-4.0, 4.0, 65)
+    nm = wavelength_nm + deviation * width_nm / np.sqrt(8.0 * np.log(2.0))
+    return SourceSpectrum(wavelength_nm=nm, density=np.exp(-0.5 * deviation**2))
 
 
 def _rows(path: Path) -> np.ndarray:
@@ -224,8 +224,8 @@ def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
     lines = (
         *lines,
         *(
-            (nm, near_infrared_share * part)
-            for nm, part in infrared_lines
+            (nm, near_infrared_share * fraction)
+            for nm, fraction in infrared_lines
             if near_infrared_share > 0.0
         ),
     )

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from simulate.radiance.outdoor.build import build_surfaces, place_mesh
     from simulate.radiance.outdoor.built_scene import BuiltScene
     from simulate.radiance.outdoor.materials import Layer, MaterialSpec, Slab
+    from simulate.radiance.outdoor.objects import Object
     from simulate.radiance.outdoor.poses import (
         CameraKeyframe,
         ObjectKeyframe,
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from simulate.radiance.outdoor.scene import (
         ConvectionLaw,
         LampPlacement,
-        Object,
         OutdoorScene,
         RigSensor,
         SceneCamera,
@@ -56,10 +56,11 @@ __getattr__ = import_on_first_use(
         "simulate.radiance.outdoor.build": "build_surfaces place_mesh",
         "simulate.radiance.outdoor.built_scene": "BuiltScene",
         "simulate.radiance.outdoor.materials": "Layer MaterialSpec Slab",
+        "simulate.radiance.outdoor.objects": "Object",
         "simulate.radiance.outdoor.poses": "CameraKeyframe ObjectKeyframe Pose pose_at rotation_of",
         "simulate.radiance.outdoor.render_settings": "choose_render_settings",
         "simulate.radiance.outdoor.scene": (
-            "ConvectionLaw LampPlacement Object OutdoorScene RigSensor SceneCamera Weather Where"
+            "ConvectionLaw LampPlacement OutdoorScene RigSensor SceneCamera Weather Where"
         ),
     },
 )

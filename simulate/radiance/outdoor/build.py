@@ -15,8 +15,9 @@ from labdata.errors import BadInput
 from labdata.file_io import require_regular
 from simulate.radiance.geometry.embree import Copied
 from simulate.radiance.geometry.surfaces import Mesh, Surfaces, collect_surfaces, join_meshes, shape
+from simulate.radiance.outdoor.objects import METRE, Object
 from simulate.radiance.outdoor.poses import Pose, rotation_of
-from simulate.radiance.outdoor.scene import METRE, Object, OutdoorScene
+from simulate.radiance.outdoor.scene import OutdoorScene
 
 Array = NDArray[np.floating]
 
@@ -53,32 +54,32 @@ def split_by_material(
     map.
     """
     values = _read_map(path, len(materials))
-    row, first, last, number = _runs(values)
+    row, start_col, stop_col, number = _runs(values)
     if len(row) > MOST_RUNS:
         raise BadInput(
             f"a material map must change at most {MOST_RUNS} times along its rows, got {len(row)} "
             f"in {path.name}"
         )
     rows, columns = values.shape
-    x = np.stack([first, last], axis=1) / columns * size_m[0] - 0.5 * size_m[0]
+    x = np.stack([start_col, stop_col], axis=1) / columns * size_m[0] - 0.5 * size_m[0]
     y = 0.5 * size_m[1] - np.stack([row, row + 1], axis=1) / rows * size_m[1]
     return [
-        (name, _rectangles(x[number == which], y[number == which]))
-        for which, name in enumerate(materials)
-        if (number == which).any()
+        (name, _rectangles(x[number == index], y[number == index]))
+        for index, name in enumerate(materials)
+        if (number == index).any()
     ]
 
 
 def _runs(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
     """Return row, first and last column and value of each run of one value along a row."""
     columns = values.shape[1]
-    begins = np.ones(values.shape, bool)
-    begins[:, 1:] = values[:, 1:] != values[:, :-1]
-    starts = np.flatnonzero(begins)
-    row, first = starts // columns, starts % columns
-    last = np.append(first[1:], 0)
-    last[last == 0] = columns
-    return row, first, last, values.ravel()[starts]
+    is_start = np.ones(values.shape, bool)
+    is_start[:, 1:] = values[:, 1:] != values[:, :-1]
+    start_cells = np.flatnonzero(is_start)
+    row, start_col = start_cells // columns, start_cells % columns
+    stop_col = np.append(start_col[1:], 0)
+    stop_col[stop_col == 0] = columns
+    return row, start_col, stop_col, values.ravel()[start_cells]
 
 
 def _rectangles(x: Array, y: Array) -> Mesh:
@@ -86,8 +87,8 @@ def _rectangles(x: Array, y: Array) -> Mesh:
     (rectangle, 2) each.
     """
     corners = np.stack([x[:, [0, 1, 1, 0]], y[:, [1, 1, 0, 0]], np.zeros((len(x), 4))], axis=-1)
-    first = 4 * np.arange(len(x))[:, None]
-    halves = [first + np.array(half) for half in ([0, 1, 2], [0, 2, 3])]
+    first_corner = 4 * np.arange(len(x))[:, None]
+    halves = [first_corner + np.array(half) for half in ([0, 1, 2], [0, 2, 3])]
     return Mesh(corners.reshape(-1, 3), np.concatenate(halves))
 
 
@@ -113,39 +114,41 @@ def build_surfaces(scene: OutdoorScene, *, opaque: bool = False) -> Surfaces:
     glass = frozenset(surface.label for surface in panes)
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
     parts, copied, notes = [], [], []
-    for thing in scene.object:
-        poses = thing.instances or (thing,)
-        pieces, unused = _pieces(scene, thing)
-        notes += unused
+    for scene_object in scene.object:
+        poses = scene_object.instances or (scene_object,)
+        pieces, unused_content = _pieces(scene, scene_object)
+        notes += unused_content
         for material, mesh in pieces:
-            if thing.file is not None and material in glowing and not mesh.is_closed:
+            if scene_object.file is not None and material in glowing and not mesh.is_closed:
                 raise BadInput(
                     "the mesh of an object that glows must be closed, so that it has an outer "
-                    f"side, got an open one in {thing.file} of {thing.label!r}"
+                    f"side, got an open one in {scene_object.file} of {scene_object.label!r}"
                 )
-            if thing.gaps > 0.0:
-                mesh = remove_triangles(mesh, thing.gaps, thing.label)
+            if scene_object.gaps > 0.0:
+                mesh = remove_triangles(mesh, scene_object.gaps, scene_object.label)
             # Emitters and glass are sampled by triangle, so that their copies are not shared.
-            shared = (
+            is_shared = (
                 material not in glowing | glass
                 and len(poses) * len(mesh.faces) > SHARED_FROM
                 and len(poses) > 1
             )
-            if shared:
-                copied.append((thing.label, material, _copies(mesh, poses[1:])))
+            if is_shared:
+                copied.append((scene_object.label, material, _copies(mesh, poses[1:])))
             parts += [
-                (thing.label, material, place_mesh(mesh, pose))
-                for pose in (poses[:1] if shared else poses)
+                (scene_object.label, material, place_mesh(mesh, pose))
+                for pose in (poses[:1] if is_shared else poses)
             ]
     return replace(collect_surfaces(parts, glass, tuple(copied)), notes=tuple(notes))
 
 
 def _copies(mesh: Mesh, poses: tuple[Pose, ...]) -> Copied:
     """Return a mesh relative to its centre, for single precision, and the poses of its copies."""
-    middle = 0.5 * (mesh.vertices_m.min(axis=0) + mesh.vertices_m.max(axis=0))
-    turn = np.array([pose.scale * rotation_of(pose) for pose in poses])
-    shift = np.array([pose.position_m for pose in poses]) + turn @ middle
-    return Copied(vertices_m=mesh.vertices_m - middle, faces=mesh.faces, turn=turn, shift_m=shift)
+    centre = 0.5 * (mesh.vertices_m.min(axis=0) + mesh.vertices_m.max(axis=0))
+    rotation = np.array([pose.scale * rotation_of(pose) for pose in poses])
+    shift = np.array([pose.position_m for pose in poses]) + rotation @ centre
+    return Copied(
+        vertices_m=mesh.vertices_m - centre, faces=mesh.faces, turn=rotation, shift_m=shift
+    )
 
 
 def remove_triangles(mesh: Mesh, gaps: float, label: str) -> Mesh:
@@ -158,61 +161,68 @@ def remove_triangles(mesh: Mesh, gaps: float, label: str) -> Mesh:
             f"an object with gaps must have at least {FINE} triangles, as a sphere has, got "
             f"{len(mesh.faces)} in {label!r}"
         )
-    drawn = np.random.default_rng(zlib.crc32(label.encode())).permutation(len(mesh.faces))
-    area = mesh.area_m2[drawn]
-    stays = np.cumsum(area) > gaps * area.sum()
-    return Mesh(mesh.vertices_m, mesh.faces[np.sort(drawn[stays])])
+    order = np.random.default_rng(zlib.crc32(label.encode())).permutation(len(mesh.faces))
+    area = mesh.area_m2[order]
+    is_kept = np.cumsum(area) > gaps * area.sum()
+    return Mesh(mesh.vertices_m, mesh.faces[np.sort(order[is_kept])])
 
 
 def place_mesh(mesh: Mesh, pose: Pose) -> Mesh:
     """Transform a mesh into a pose."""
-    turned = pose.scale * mesh.vertices_m @ rotation_of(pose).T
-    return Mesh(turned + np.asarray(pose.position_m), mesh.faces)
+    vertices_m = pose.scale * mesh.vertices_m @ rotation_of(pose).T
+    return Mesh(vertices_m + np.asarray(pose.position_m), mesh.faces)
 
 
-def _pieces(scene: OutdoorScene, thing: Object) -> tuple[list[tuple[str, Mesh]], list[str]]:
+def _pieces(scene: OutdoorScene, scene_object: Object) -> tuple[list[tuple[str, Mesh]], list[str]]:
     """Return the triangles of an object by materials of the scene, and what of its file is not
     used, in sentences.
     """
-    if thing.map is not None and thing.file is None:
-        return split_by_material(scene.file(thing.map), thing.size_m, thing.map_materials), []
-    if thing.map is not None and thing.file is not None:
-        numbers = _read_map(scene.file(thing.map), len(thing.map_materials))
-        return split_by_texture(
-            scene.file(thing.file), METRE[thing.unit or "m"], numbers, thing.map_materials
+    if scene_object.map is not None and scene_object.file is None:
+        return split_by_material(
+            scene.file(scene_object.map), scene_object.size_m, scene_object.map_materials
         ), []
-    if thing.shape is not None:
-        return [(thing.material, shape(thing.shape, thing.size_m))], []
-    assert thing.file is not None and thing.unit is not None
-    meshes, colours = read_mesh(scene.file(thing.file), METRE[thing.unit])
-    if not thing.file_materials:
+    if scene_object.map is not None and scene_object.file is not None:
+        numbers = _read_map(scene.file(scene_object.map), len(scene_object.map_materials))
+        return split_by_texture(
+            scene.file(scene_object.file),
+            METRE[scene_object.unit or "m"],
+            numbers,
+            scene_object.map_materials,
+        ), []
+    if scene_object.shape is not None:
+        return [(scene_object.material, shape(scene_object.shape, scene_object.size_m))], []
+    assert scene_object.file is not None and scene_object.unit is not None
+    meshes, colours = read_mesh(scene.file(scene_object.file), METRE[scene_object.unit])
+    if not scene_object.file_materials:
         named = [name for name in meshes if name]
         file_contents = [
             *([f"materials ({', '.join(sorted(named))})"] if named else []),
             *(["colours"] if colours else []),
         ]
         words = " and ".join(file_contents)
-        unused = (
-            f"{thing.file} has {words}, which are not used: all of {thing.label!r} is "
-            f"{thing.material!r}"
+        note = (
+            f"{scene_object.file} has {words}, which are not used: all of "
+            f"{scene_object.label!r} is {scene_object.material!r}"
         )
-        return [(thing.material, join_meshes(list(meshes.values())))], [
-            unused
+        return [(scene_object.material, join_meshes(list(meshes.values())))], [
+            note
         ] if file_contents else []
-    known = ", ".join(sorted(repr(name) for name in meshes))
-    for name in thing.file_materials:
+    file_names = ", ".join(sorted(repr(name) for name in meshes))
+    for name in scene_object.file_materials:
         if name not in meshes:
             raise BadInput(
-                f"file_materials must name materials of {thing.file}, {known}, got {name!r}"
+                f"file_materials must name materials of {scene_object.file}, {file_names}, got "
+                f"{name!r}"
             )
     for name in meshes:
-        if name not in thing.file_materials and not thing.material:
+        if name not in scene_object.file_materials and not scene_object.material:
             raise BadInput(
-                f"file_materials must name all materials of {thing.file} or leave the others to a "
-                f"material, got none for {name!r} of {thing.label!r}"
+                f"file_materials must name all materials of {scene_object.file} or leave the "
+                f"others to a material, got none for {name!r} of {scene_object.label!r}"
             )
     return [
-        (thing.file_materials.get(name, thing.material), mesh) for name, mesh in meshes.items()
+        (scene_object.file_materials.get(name, scene_object.material), mesh)
+        for name, mesh in meshes.items()
     ], []
 
 
@@ -250,19 +260,20 @@ def split_by_texture(
         )
     parts: list[tuple[Array, NDArray[np.int64]]] = []
     for count in np.unique(cuts.astype(np.int64)):
-        of = np.flatnonzero(cuts == count)
+        triangles = np.flatnonzero(cuts == count)
         weights = _subdivision(int(count))
-        col, row = np.floor(np.einsum("pk,fkx->xfp", weights.mean(axis=1), texel[of])).astype(
-            np.int64
-        )
-        which = numbers[(-1 - row) % numbers.shape[0], col % numbers.shape[1]]
-        is_uniform = (which == which[:, :1]).all(axis=1)
-        parts.append((positions[of[is_uniform]], which[is_uniform, 0]))
-        small = np.einsum("pck,fkx->fpcx", weights, positions[of[~is_uniform]])
-        parts.append((small.reshape(-1, 3, 3), which[~is_uniform].ravel()))
-    every, which = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        col, row = np.floor(
+            np.einsum("pk,fkx->xfp", weights.mean(axis=1), texel[triangles])
+        ).astype(np.int64)
+        material = numbers[(-1 - row) % numbers.shape[0], col % numbers.shape[1]]
+        is_uniform = (material == material[:, :1]).all(axis=1)
+        parts.append((positions[triangles[is_uniform]], material[is_uniform, 0]))
+        small = np.einsum("pck,fkx->fpcx", weights, positions[triangles[~is_uniform]])
+        parts.append((small.reshape(-1, 3, 3), material[~is_uniform].ravel()))
+    all_corners, material = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     meshes = (
-        (name, every[which == number].reshape(-1, 3)) for number, name in enumerate(materials)
+        (name, all_corners[material == number].reshape(-1, 3))
+        for number, name in enumerate(materials)
     )
     return [
         (name, Mesh(xyz, np.arange(len(xyz)).reshape(-1, 3))) for name, xyz in meshes if len(xyz)
@@ -274,10 +285,15 @@ def _subdivision(count: int) -> Array:
     corner, 3).
     """
     i, j = (axis.ravel() for axis in np.indices((count, count)))
-    up = (i + j) < count
-    down = (i + j) < count - 1
-    upright = [np.stack([i[up] + a, j[up] + b], axis=1) for a, b in ((0, 0), (1, 0), (0, 1))]
-    turned = [np.stack([i[down] + a, j[down] + b], axis=1) for a, b in ((1, 0), (1, 1), (0, 1))]
+    is_upright = (i + j) < count
+    is_turned = (i + j) < count - 1
+    upright = [
+        np.stack([i[is_upright] + a, j[is_upright] + b], axis=1)
+        for a, b in ((0, 0), (1, 0), (0, 1))
+    ]
+    turned = [
+        np.stack([i[is_turned] + a, j[is_turned] + b], axis=1) for a, b in ((1, 0), (1, 1), (0, 1))
+    ]
     two = np.concatenate([np.stack(upright, axis=1), np.stack(turned, axis=1)]) / count
     return np.concatenate([1.0 - two.sum(axis=2, keepdims=True), two], axis=2)
 
@@ -296,7 +312,11 @@ def read_mesh(path: Path, metre: float) -> tuple[dict[str, Mesh], bool]:
         _check_mesh(path.name, vertices, faces)
     names = dict.fromkeys(name for name, _, _ in parts_by_material)
     meshes = {
-        name: [Mesh(metre * xyz, faces) for other, xyz, faces in parts_by_material if other == name]
+        name: [
+            Mesh(metre * xyz, faces)
+            for part_name, xyz, faces in parts_by_material
+            if part_name == name
+        ]
         for name in names
     }
     return {name: join_meshes(part_meshes) for name, part_meshes in meshes.items()}, colours

@@ -45,17 +45,19 @@ class BuiltScene:
     @cached_property
     def sky(self) -> NightSky | None:
         """The sky; None without a place."""
-        where, weather, sky = self.scene.place, self.scene.weather, self.scene.sky
-        if where is None:
+        location, weather, sky = self.scene.place, self.scene.weather, self.scene.sky
+        if location is None:
             return None
         towns = tuple(TownGlow(**vars(town)) for town in sky.towns)
-        parts = {
+        fields = {
             "airglow": sky.airglow,
             "zodiacal": sky.zodiacal,
             "starlight": sky.starlight,
             "towns": towns,
         }
-        night_sky = NightSky.at(where, where.moment, atmosphere=_atmosphere(weather), **parts)
+        night_sky = NightSky.at(
+            location, location.moment, atmosphere=_atmosphere(weather), **fields
+        )
         shining = {"moon": sky.moon, "sun": sky.sun}
         return replace(
             night_sky, bodies=tuple(body for body in night_sky.bodies if shining[body.name])
@@ -68,7 +70,7 @@ class BuiltScene:
         return tuple((post, lamp) for post, lamp in lamps if lamp.flux.total() > 0.0)
 
     @cached_property
-    def glows(self) -> tuple[tuple[str, SourceSpectrum], ...]:
+    def emitting_materials(self) -> tuple[tuple[str, SourceSpectrum], ...]:
         """Emitting materials and their radiance, W m-2 sr-1: of a Lambertian surface, exitance over
         pi.
         """
@@ -85,7 +87,7 @@ class BuiltScene:
         """Return the spectra of all sources."""
         natural = () if self.sky is None else self.sky.sources()
         lamps = tuple(lamp.flux for _, lamp in self.lamps)
-        return (*natural, *lamps, *(glow for _, glow in self.glows))
+        return (*natural, *lamps, *(glow for _, glow in self.emitting_materials))
 
     def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> Array:
         """Return the bands for the sources, materials and a sensor, see `spectral_grid`."""
@@ -108,30 +110,33 @@ class BuiltScene:
         grid = np.asarray(wavelength_nm, float)
         surfaces = self.surfaces
         by_label = {surface.label: surface for surface in self.scene.material}
-        bsdfs = BsdfSet.of(tuple(self._brdf(by_label[name]) for name in surfaces.materials), grid)
-        if surfaces.panes is not None:
-            bsdfs = replace(bsdfs, panes=_panes(surfaces.panes, by_label, grid))
-        return SpectralScene(
-            surfaces=surfaces, bsdfs=bsdfs, lighting=self._lighting(grid), air=self._air(grid)
-        )
-
-    def like(self, stage: SpectralScene) -> SpectralScene:
-        """Return the scene on the bands of another one that differs by the poses of its objects
-        alone.
-        """
-        surfaces, bsdfs, grid = self.surfaces, stage.bsdfs, stage.bsdfs.wavelength_nm
-        if surfaces.panes is not None:
-            by_label = {surface.label: surface for surface in self.scene.material}
-            bsdfs = replace(bsdfs, panes=_panes(surfaces.panes, by_label, grid))
-        lighting = replace(stage.lighting, panels=self._panels(grid))
-        return replace(stage, surfaces=surfaces, bsdfs=bsdfs, lighting=lighting)
-
-    def _brdf(self, surface: MaterialSpec) -> Brdf:
-        return (
+        brdfs: tuple[Brdf, ...] = tuple(
             surface.material.brdf()
             if surface.measured is None
             else read_measured(self.scene.file(surface.measured))
+            for surface in (by_label[name] for name in surfaces.materials)
         )
+        bsdfs = BsdfSet.of(brdfs, grid)
+        if surfaces.panes is not None:
+            bsdfs = replace(bsdfs, panes=_panes(surfaces.panes, by_label, grid))
+        air = Air()
+        if self.sky is not None:
+            air = Air.of(self.sky.air(), grid)
+        elif self.scene.weather is not None:
+            # Without a place air only attenuates.
+            air = Air.of(_atmosphere(self.scene.weather), grid)
+        return SpectralScene(surfaces=surfaces, bsdfs=bsdfs, lighting=self._lighting(grid), air=air)
+
+    def with_light_of(self, scene: SpectralScene) -> SpectralScene:
+        """Return the scene on the bands of another one that differs by the poses of its objects
+        alone.
+        """
+        surfaces, bsdfs, grid = self.surfaces, scene.bsdfs, scene.bsdfs.wavelength_nm
+        if surfaces.panes is not None:
+            by_label = {surface.label: surface for surface in self.scene.material}
+            bsdfs = replace(bsdfs, panes=_panes(surfaces.panes, by_label, grid))
+        lighting = replace(scene.lighting, panels=self._panels(grid))
+        return replace(scene, surfaces=surfaces, bsdfs=bsdfs, lighting=lighting)
 
     def _spectrum(self, surface: MaterialSpec) -> tuple[Sequence[float], Array]:
         """Return wavelengths and reflectance of a material's table; of a measured one the albedo at
@@ -152,7 +157,7 @@ class BuiltScene:
         sky_map = (
             environment_map.black(len(grid))
             if sky is None
-            else environment_map.environment_map(lambda way: sky.radiance(way, grid))
+            else environment_map.environment_map(lambda direction: sky.radiance(direction, grid))
         )
         discs = () if sky is None else sky.discs()
         return Lighting(
@@ -171,25 +176,15 @@ class BuiltScene:
         )
 
     def _panels(self, grid: Array) -> Panels | None:
-        if not self.glows:
+        if not self.emitting_materials:
             return None
-        names = [name for name, _ in self.glows]
+        names = [name for name, _ in self.emitting_materials]
         kinds = np.array(
             [names.index(name) if name in names else -1 for name in self.surfaces.materials],
             np.int64,
         )
-        spectra = np.array([glow.on(grid) for _, glow in self.glows], np.float32)
+        spectra = np.array([glow.on(grid) for _, glow in self.emitting_materials], np.float32)
         return Panels.of(self.surfaces, kinds[self.surfaces.material_of], spectra)
-
-    def _air(self, grid: Array) -> Air:
-        """Return the air lit by the sky; without a place, that of the weather, with attenuation
-        only.
-        """
-        if self.sky is not None:
-            return Air.of(self.sky.air(), grid)
-        return (
-            Air() if self.scene.weather is None else Air.of(_atmosphere(self.scene.weather), grid)
-        )
 
 
 def _panes(surfaces: Surfaces, by_label: dict[str, MaterialSpec], grid: Array) -> Panes:
@@ -255,19 +250,19 @@ def _frame(axis: Array, heading_deg: float) -> Array:
     shines down), axis.
     """
     heading = np.deg2rad(heading_deg)
-    first = np.array([np.sin(heading), np.cos(heading), 0.0])
-    first -= (first @ axis) * axis
-    length = np.linalg.norm(first)
+    c0_axis = np.array([np.sin(heading), np.cos(heading), 0.0])
+    c0_axis -= (c0_axis @ axis) * axis
+    length = np.linalg.norm(c0_axis)
     if length < 1e-9:
         return shading_frames(axis[None])[0]
-    first /= length
-    return np.stack([first, np.cross(first, axis), axis])
+    c0_axis /= length
+    return np.stack([c0_axis, np.cross(c0_axis, axis), axis])
 
 
 def _refuse_touching(post: LampPlacement, surfaces: Surfaces) -> None:
     """Raise BadInput if a lamp's sphere touches a surface, which would occlude it in part."""
     centre = np.asarray(post.position_m, float)
-    for corners, name in surfaces.near(centre, post.radius_m):
+    for corners, name in surfaces.triangles_near(centre, post.radius_m):
         import trimesh
 
         closest = trimesh.triangles.closest_point(

@@ -113,8 +113,8 @@ class MaterialSpec:
 
     def let_through(self, wavelength_nm: Array) -> Array:
         """Return a pane's transmittance at normal incidence, shape (band,)."""
-        shares = self.pane_transmittance or (0.0,)
-        transmittances = shares * len(self.wavelength_nm) if len(shares) == 1 else shares
+        fractions = self.pane_transmittance or (0.0,)
+        transmittances = fractions * len(self.wavelength_nm) if len(fractions) == 1 else fractions
         return np.interp(wavelength_nm, self.wavelength_nm, transmittances)
 
     @cached_property

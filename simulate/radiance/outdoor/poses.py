@@ -59,7 +59,7 @@ class ObjectKeyframe:
     roll_deg: float | None = None
 
 
-def _stated(keyframe: Any) -> dict[str, Any]:
+def _stated_values(keyframe: Any) -> dict[str, Any]:
     """Return the values that a keyframe states, by their names."""
     values = {
         keyframe_field.name: getattr(keyframe, keyframe_field.name)
@@ -78,11 +78,11 @@ def check_keyframes(keyframes: Sequence[CameraKeyframe | ObjectKeyframe], name: 
                 f"times of keyframes must ascend from 0 s, got {keyframe.time_s:g} s after "
                 f"{before_s:g} s of {name}"
             )
-        if not (stated := _stated(keyframe)):
+        if not (pose_values := _stated_values(keyframe)):
             raise BadInput(
                 f"a keyframe must state a pose, got none at {keyframe.time_s:g} s of {name}"
             )
-        if not all(np.isfinite(value).all() for value in stated.values()):
+        if not all(np.isfinite(value).all() for value in pose_values.values()):
             raise BadInput(f"places and angles of keyframes must be finite, got others of {name}")
         before_s = keyframe.time_s
 
@@ -96,24 +96,27 @@ def pose_at(
     pose: Any = start
     before_s = 0.0
     for keyframe in keyframes:
-        stated = _stated(keyframe)
+        pose_values = _stated_values(keyframe)
         if time_s < keyframe.time_s:
-            part = max(time_s - before_s, 0.0) / (keyframe.time_s - before_s)
+            fraction = max(time_s - before_s, 0.0) / (keyframe.time_s - before_s)
             return replace(
                 pose,
-                **{name: _between(getattr(pose, name), end, part) for name, end in stated.items()},
+                **{
+                    name: _interpolate_pose(getattr(pose, name), end, fraction)
+                    for name, end in pose_values.items()
+                },
             )
-        pose, before_s = replace(pose, **stated), keyframe.time_s
+        pose, before_s = replace(pose, **pose_values), keyframe.time_s
     return pose
 
 
-def _between(start: Any, end: Any, part: float) -> Any:
+def _interpolate_pose(start: Any, end: Any, fraction: float) -> Any:
     if isinstance(start, tuple):
         return tuple(
-            _between(start_value, end_value, part)
+            _interpolate_pose(start_value, end_value, fraction)
             for start_value, end_value in zip(start, end, strict=True)
         )
-    return start + part * (end - start)
+    return start + fraction * (end - start)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,9 +195,9 @@ class RigSensor:
         )
         axes = pose.axes * [[1.0], [-1.0], [1.0]]
         position = np.asarray(camera.position_m) + np.asarray(self.offset_m) @ axes
-        towards = np.append(np.tan(np.deg2rad(self.pointing_deg)), 1.0) @ axes
+        forward = np.append(np.tan(np.deg2rad(self.pointing_deg)), 1.0) @ axes
         distance = float(np.linalg.norm(np.subtract(camera.look_at_m, camera.position_m)))
-        look_at = position + distance * towards / np.linalg.norm(towards)
+        look_at = position + distance * forward / np.linalg.norm(forward)
         return replace(
             camera,
             position_m=tuple(position.tolist()),

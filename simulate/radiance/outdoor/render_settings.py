@@ -115,7 +115,7 @@ class RenderSettings:
 
     def text(self) -> str:
         """Return the settings as text."""
-        fewest_rays, most_rays, chance, bounces = (
+        fewest_rays, most_rays, error_fraction, bounces = (
             self.rays.min_rays,
             self.rays.max_rays,
             self.chance,
@@ -131,8 +131,8 @@ class RenderSettings:
                 f"{self.wavelength_nm[-1]:.0f} nm, which change no source's signal by more than "
                 f"{100.0 * self.spectral_error:.2g} %",
                 f"{fewest_rays} to {most_rays} rays a pixel, rms Monte Carlo error "
-                f"{100.0 * chance:.2g} % of the noise "
-                f"(or {100.0 * KNOWN * chance:.2g} % of the signal where that is more)",
+                f"{100.0 * error_fraction:.2g} % of the noise "
+                f"(or {100.0 * KNOWN * error_fraction:.2g} % of the signal where that is more)",
                 f"bounces followed: {bounces}",
             )
         )
@@ -178,28 +178,28 @@ def choose_render_settings(
     fraction of a pixel's noise floor.
     """
     limits = RENDER_LIMITS
-    stage = site.on(site.bands(eye.response_nm, eye.response, limits.max_spectral_error))
-    tried = trial(stage, view, eye, seed)
-    chosen = select_effects(
-        _effects(tried, eye, view, stage.bands), limits.neglect_fraction * tolerance
+    scene = site.on(site.bands(eye.response_nm, eye.response, limits.max_spectral_error))
+    pilot = trial(scene, view, eye, seed)
+    selection = select_effects(
+        _effects(pilot, eye, view, scene.bands), limits.neglect_fraction * tolerance
     )
-    bright = (
-        float(np.percentile(tried.signal, 100.0 - limits.saturated_percent))
-        if len(tried.signal)
+    bright_signal = (
+        float(np.percentile(pilot.signal, 100.0 - limits.saturated_percent))
+        if len(pilot.signal)
         else 0.0
     )
     error = (
         limits.band_fraction
         * tolerance
-        * float(eye.noise_floor(bright, smooth=True))
-        / max(bright, 1e-30)
+        * float(eye.noise_floor(bright_signal, smooth=True))
+        / max(bright_signal, 1e-30)
     )
     error = float(np.clip(error, limits.min_spectral_error, limits.max_spectral_error))
     if error < limits.max_spectral_error:
-        stage = site.on(site.bands(eye.response_nm, eye.response, error))
-    plan = EffectSelection(tolerance=tolerance, kept=chosen.kept, left_out=chosen.left_out)
+        scene = site.on(site.bands(eye.response_nm, eye.response, error))
+    plan = EffectSelection(tolerance=tolerance, kept=selection.kept, left_out=selection.left_out)
     return RenderSettings(
-        wavelength_nm=stage.bsdfs.wavelength_nm,
+        wavelength_nm=scene.bsdfs.wavelength_nm,
         spectral_error=error,
         rays=SamplingSettings(
             max_rays=limits.max_rays,
@@ -215,7 +215,7 @@ def choose_render_settings(
         effort=_effort(plan),
         plan=plan,
         sensor_name=eye.name,
-    ), stage
+    ), scene
 
 
 def exact(
@@ -223,10 +223,10 @@ def exact(
 ) -> tuple[RenderSettings, SpectralScene]:
     """Return settings that neglect nothing, and the scene on their bands: a slow reference."""
     limits = RENDER_LIMITS
-    stage = site.on(site.bands(eye.response_nm, eye.response, limits.min_spectral_error))
-    effects = _effects(trial(stage, view, eye, seed), eye, view, stage.bands)
+    scene = site.on(site.bands(eye.response_nm, eye.response, limits.min_spectral_error))
+    effects = _effects(trial(scene, view, eye, seed), eye, view, scene.bands)
     return RenderSettings(
-        wavelength_nm=stage.bsdfs.wavelength_nm,
+        wavelength_nm=scene.bsdfs.wavelength_nm,
         spectral_error=limits.min_spectral_error,
         rays=SamplingSettings(
             min_rays=4,
@@ -243,23 +243,23 @@ def exact(
         plan=EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=()),
         sensor_name=eye.name,
         exact=True,
-    ), stage
+    ), scene
 
 
-def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -> PilotEstimate:
+def trial(scene: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -> PilotEstimate:
     """Return the radiance components at points spread over a frame."""
     limits, rng, (rows, columns) = RENDER_LIMITS, np.random.default_rng([seed, 2]), view.shape
-    across = np.sqrt(limits.pilot_points * columns / rows)
-    shape = max(1, int(across * rows / columns)), max(1, int(across))
+    n_columns = np.sqrt(limits.pilot_points * columns / rows)
+    shape = max(1, int(n_columns * rows / columns)), max(1, int(n_columns))
     grid = np.meshgrid(
         *((np.arange(n) + 0.5) * side / n for n, side in zip(shape, view.shape, strict=True)),
         indexing="ij",
     )
-    at = np.stack([axis.ravel() for axis in grid])
+    position = np.stack([axis.ravel() for axis in grid])
     # Several points in a pixel count as one.
-    pixel = np.arange(at.shape[1])
+    pixel = np.arange(position.shape[1])
     if min(shape[0] / rows, shape[1] / columns) >= 1.0:
-        (row, col), shape = at.astype(np.int64), view.shape
+        (row, col), shape = position.astype(np.int64), view.shape
         pixel = row * columns + col
     count = np.bincount(pixel, minlength=shape[0] * shape[1])[:, None]
 
@@ -275,42 +275,42 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
             / count
         )
 
-    spread = np.minimum(1.0, np.array(view.shape) / [len(grid[0]), grid[0].shape[1]])[:, None]
+    cell_px = np.minimum(1.0, np.array(view.shape) / [len(grid[0]), grid[0].shape[1]])[:, None]
     row, col = (
-        np.repeat(at, limits.pilot_rays, axis=1)
-        + (rng.random((2, len(pixel) * limits.pilot_rays)) - 0.5) * spread
+        np.repeat(position, limits.pilot_rays, axis=1)
+        + (rng.random((2, len(pixel) * limits.pilot_rays)) - 0.5) * cell_px
     )
-    origin, towards = view.rays(row, col)
-    weight = eye.weight(stage.bsdfs.wavelength_nm)
+    origin, direction = view.rays(row, col)
+    weight = eye.weight(scene.bsdfs.wavelength_nm)
     effort = IntegratorSettings(
         max_bounces=limits.pilot_max_bounces, roulette_depth=limits.pilot_bounces
     )
     components = radiance_along(
-        stage, origin, towards, effort, rng, gather_rays=limits.pilot_gather_rays, split=True
+        scene, origin, direction, effort, rng, gather_rays=limits.pilot_gather_rays, split=True
     ).by_name
     by_name = {name: means(light @ weight) for name, light in components.items()}
     signal = np.asarray(
         sum(by_name.values(), start=np.zeros((len(count), limits.pilot_rays)))
     ).mean(axis=1)
-    parts: dict[str, Array] = {}
+    signals: dict[str, Array] = {}
     for name, light in by_name.items():
-        for part in _parts_of(name, (*stage.lighting.names, "hidden sky")):
-            parts[part] = parts.get(part, 0.0) + light
-    if stage.air.is_present and stage.lighting.lamps:
+        for component in _parts_of(name, (*scene.lighting.names, "hidden sky")):
+            signals[component] = signals.get(component, 0.0) + light
+    if scene.air.is_present and scene.lighting.lamps:
         # Lamp light that air takes before it reaches surfaces: the same rays with and without air.
-        with_air, without = (
+        with_air, without_air = (
             radiance_along(
-                stage,
+                scene,
                 origin,
-                towards,
+                direction,
                 IntegratorSettings(max_bounces=0, sky_shadowing=False, path_air=path_air),
                 np.random.default_rng([seed, 3]),
                 gather_rays=1,
             ).total()
             for path_air in (True, False)
         )
-        parts["air before surfaces"] = means((without - with_air) @ weight)
-    return PilotEstimate(signal, parts, shape)
+        signals["air before surfaces"] = means((without_air - with_air) @ weight)
+    return PilotEstimate(signal, signals, shape)
 
 
 def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
@@ -320,39 +320,48 @@ def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
     order, source = bounce_order(name)
     if order == 0:
         return (name,)
-    last = LAST_BOUNCE if order >= RENDER_LIMITS.pilot_bounces else f"bounce {order}"
-    return (last, source) if source in sources else (last,)
+    bounce = LAST_BOUNCE if order >= RENDER_LIMITS.pilot_bounces else f"bounce {order}"
+    return (bounce, source) if source in sources else (bounce,)
 
 
 def _effects(
-    tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: int
+    pilot: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: int
 ) -> list[OptionalEffect]:
     """Return effects of the components: influence and cost."""
-    grain = eye.noise_floor(tried.signal, smooth=True)[:, None]
+    noise = eye.noise_floor(pilot.signal, smooth=True)[:, None]
     million = view.shape[0] * view.shape[1] * SamplingSettings().min_rays * 1e-6 * bands / 10.0
     influence = {
-        name: _influence(part / grain, tried.shape)
-        for name, part in tried.parts.items()
+        name: _influence(signal / noise, pilot.shape)
+        for name, signal in pilot.parts.items()
         if name not in ("in view", "sky")
     }
     # A bounce needs all lower bounces.
     orders = [f"bounce {order}" for order in range(1, RENDER_LIMITS.pilot_bounces)] + [LAST_BOUNCE]
-    for order, further in zip(orders[-2::-1], orders[:0:-1], strict=True):
-        if further in influence:
-            influence[order] = max(influence.get(order, 0.0), influence[further])
+    for order, next_order in zip(orders[-2::-1], orders[:0:-1], strict=True):
+        if next_order in influence:
+            influence[order] = max(influence.get(order, 0.0), influence[next_order])
     return [
-        OptionalEffect(name=name, influence=amount, setup_s=million * _cost(name))
+        OptionalEffect(
+            name=name,
+            influence=amount,
+            setup_s=million
+            * (
+                RENDER_LIMITS.bounce_cost_s
+                if name.startswith("bounce") or name == "hidden sky"
+                else RENDER_LIMITS.source_cost_s
+            ),
+        )
         for name, amount in influence.items()
     ]
 
 
-def _influence(part: Array, shape: tuple[int, int]) -> float:
+def _influence(component: Array, shape: tuple[int, int]) -> float:
     """Return the rms of a component (point, ray) over the region where it is largest.
 
     The mean square is that of the product of two rays of the same point, which is not biased by
     Monte Carlo noise as the square of their mean would be.
     """
-    square = (part[:, 0] * part[:, 1]).reshape(shape)
+    square = (component[:, 0] * component[:, 1]).reshape(shape)
     rows = np.array_split(square, RENDER_LIMITS.regions)
     regions = [
         region
@@ -363,24 +372,19 @@ def _influence(part: Array, shape: tuple[int, int]) -> float:
     return float(np.sqrt(max(0.0, *(region.mean() for region in regions))))
 
 
-def _cost(name: str) -> float:
-    gathered = name.startswith("bounce") or name == "hidden sky"
-    return RENDER_LIMITS.bounce_cost_s if gathered else RENDER_LIMITS.source_cost_s
-
-
 def _effort(plan: EffectSelection) -> IntegratorSettings:
     orders = [
         int(effect.name.split()[1]) for effect in plan.kept if effect.name.startswith("bounce ")
     ]
-    out = plan.names
-    followed = max(orders, default=0)
-    to_the_end = followed >= RENDER_LIMITS.pilot_bounces
+    neglected = plan.names
+    max_order = max(orders, default=0)
+    is_unlimited = max_order >= RENDER_LIMITS.pilot_bounces
     return IntegratorSettings(
-        max_bounces=RENDER_LIMITS.exact_bounces if to_the_end else followed,
-        sky_shadowing="hidden sky" not in out,
-        path_air="air before surfaces" not in out,
-        neglected=frozenset(out),
+        max_bounces=RENDER_LIMITS.exact_bounces if is_unlimited else max_order,
+        sky_shadowing="hidden sky" not in neglected,
+        path_air="air before surfaces" not in neglected,
+        neglected=frozenset(neglected),
         roulette_depth=RENDER_LIMITS.exact_roulette_depth
-        if to_the_end
+        if is_unlimited
         else RENDER_LIMITS.early_roulette_depth,
     )

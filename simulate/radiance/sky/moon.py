@@ -88,8 +88,8 @@ class Ephemeris:
         to_earth = np.array([0.0, 0.0, -EARTH_RADIUS_KM]) - self.moon.position_km
         to_sun = self.sun.position_km - self.moon.position_km
         sun, earth = (
-            float(np.arcsin(radius / np.linalg.norm(way)))
-            for radius, way in ((SUN_RADIUS_KM, to_sun), (EARTH_RADIUS_KM, to_earth))
+            float(np.arcsin(radius / np.linalg.norm(direction)))
+            for radius, direction in ((SUN_RADIUS_KM, to_sun), (EARTH_RADIUS_KM, to_earth))
         )
         return visible_disc_fraction(sun, earth, float(np.deg2rad(angle_deg(to_sun, to_earth))))
 
@@ -116,10 +116,17 @@ def ephemeris(location: ObserverLocation, time: datetime) -> Ephemeris:
     """
     import ephem
 
+    if time.tzinfo is None:
+        raise BadInput(
+            f"a time must know its zone, as in 2024-02-24T06:00:00Z, got {time.isoformat()}"
+        )
+    universal = time.astimezone(UTC)
+    if not 1900 <= universal.year <= 2100:
+        raise BadInput(f"a time must lie between 1900 and 2100, got {universal.isoformat()}")
     observer = ephem.Observer()
     observer.lat, observer.lon = str(location.latitude_deg), str(location.longitude_deg)
     observer.elevation, observer.pressure = location.altitude_m, 0.0
-    observer.date = ephem.Date(_universal(time).replace(tzinfo=None))
+    observer.date = ephem.Date(universal.replace(tzinfo=None))
     sun, moon = ephem.Sun(observer), ephem.Moon(observer)
     return Ephemeris(
         sun=_body(sun, SUN_RADIUS_KM),
@@ -130,17 +137,6 @@ def ephemeris(location: ObserverLocation, time: datetime) -> Ephemeris:
         observer_selenographic_latitude_deg=float(np.rad2deg(float(moon.libration_lat))),
         observer_selenographic_longitude_deg=float(np.rad2deg(float(moon.libration_long))),
     )
-
-
-def _universal(time: datetime) -> datetime:
-    if time.tzinfo is None:
-        raise BadInput(
-            f"a time must know its zone, as in 2024-02-24T06:00:00Z, got {time.isoformat()}"
-        )
-    universal = time.astimezone(UTC)
-    if not 1900 <= universal.year <= 2100:
-        raise BadInput(f"a time must lie between 1900 and 2100, got {universal.isoformat()}")
-    return universal
 
 
 def _body(ephemeris_body: object, radius_km: float) -> Body:
@@ -155,10 +151,12 @@ def _body(ephemeris_body: object, radius_km: float) -> Body:
     return Body(direction=direction, distance_km=distance_km, radius_km=radius_km)
 
 
-def angle_deg(first: Array, second: Array) -> float:
+def angle_deg(vector: Array, other_vector: Array) -> float:
     """Return the angle between two vectors, degrees, exact for small ones."""
     return float(
-        np.rad2deg(np.arctan2(np.linalg.norm(np.cross(first, second)), np.dot(first, second)))
+        np.rad2deg(
+            np.arctan2(np.linalg.norm(np.cross(vector, other_vector)), np.dot(vector, other_vector))
+        )
     )
 
 
@@ -180,10 +178,10 @@ def visible_disc_fraction(radius: float, cover_radius: float, separation: float)
         * (separation - radius + cover_radius)
         * (separation + radius + cover_radius)
     )
-    covered = (
+    covered_area = (
         radius**2 * np.arccos(cosine_at_disc) + cover_radius**2 * np.arccos(cosine_at_cover) - kite
     )
-    return float(1.0 - covered / (np.pi * radius**2))
+    return float(1.0 - covered_area / (np.pi * radius**2))
 
 
 def sun_spectrum(distance_au: float = 1.0) -> SourceSpectrum:
@@ -284,20 +282,20 @@ def moon_spectrum(
     )
 
 
-def moonlight(at: Ephemeris) -> SourceSpectrum:
+def moonlight(positions: Ephemeris) -> SourceSpectrum:
     """Return the moon's irradiance before the atmosphere, W m-2, at a place and time; dark in an
     eclipse's umbra.
     """
-    from_sun = at.sun.position_km - at.moon.position_km
+    from_sun = positions.sun.position_km - positions.moon.position_km
     light = moon_spectrum(
-        at.phase_deg,
-        at.sun_selenographic_longitude_deg,
-        at.observer_selenographic_latitude_deg,
-        at.observer_selenographic_longitude_deg,
-        moon_distance_km=at.moon.distance_km,
+        positions.phase_deg,
+        positions.sun_selenographic_longitude_deg,
+        positions.observer_selenographic_latitude_deg,
+        positions.observer_selenographic_longitude_deg,
+        moon_distance_km=positions.moon.distance_km,
         sun_distance_au=float(np.linalg.norm(from_sun)) / AU_KM,
     )
-    return light.scale(at.sunlit_share)
+    return light.scale(positions.sunlit_share)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,6 +1,4 @@
-"""Sky radiance: sun and moon, scattered light, twilight, airglow, zodiacal light, stars and
-towns.
-"""
+"""Sky radiance: sun and moon, scattered light, airglow, zodiacal light, stars and towns."""
 
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -17,12 +15,12 @@ from simulate.radiance.sky import scattering
 from simulate.radiance.sky.moon import (
     AU_KM,
     Disc,
-    Ephemeris,
     ObserverLocation,
     ephemeris,
     moonlight,
     sun_spectrum,
 )
+from simulate.radiance.sky.twilight import LAST_DEG, twilight_shape, twilight_spectrum
 from simulate.radiance.spectrum import (
     LUMENS_PER_WATT,
     SourceSpectrum,
@@ -90,11 +88,11 @@ def dark_sky() -> DarkSky:
     )
     total_spectrum = sum_spectra([smooth, lines])
     sunlight = np.interp(smooth.wavelength_nm, sun_spectrum().wavelength_nm, sun_spectrum().density)
-    zodiacal = _share(total_spectrum, sunlight, 0.30)
+    zodiacal = _luminance_fraction(total_spectrum, sunlight, 0.30)
     # Colour of the stars' integrated light: redder than the sun.
     # Shares of the zenith's luminance, after Leinert et al., Astron. Astrophys. Suppl. 127, 1
     # (1998).
-    starlight = _share(total_spectrum, planck(smooth.wavelength_nm, 4700.0), 0.20)
+    starlight = _luminance_fraction(total_spectrum, planck(smooth.wavelength_nm, 4700.0), 0.20)
     residual_density = total_spectrum.density - zodiacal.density - starlight.density
     airglow = SourceSpectrum(
         wavelength_nm=total_spectrum.wavelength_nm,
@@ -105,7 +103,9 @@ def dark_sky() -> DarkSky:
     return DarkSky(airglow, zodiacal, starlight)
 
 
-def _share(total_spectrum: SourceSpectrum, shape: Array, luminance_share: float) -> SourceSpectrum:
+def _luminance_fraction(
+    total_spectrum: SourceSpectrum, shape: Array, luminance_share: float
+) -> SourceSpectrum:
     component = SourceSpectrum(wavelength_nm=total_spectrum.wavelength_nm, density=shape)
     return component.scale(luminance_share * total_spectrum.lumens / component.lumens)
 
@@ -140,72 +140,6 @@ def _band_mean(knots: Array, low_nm: float) -> Array:
     return weight / weight.sum()
 
 
-# Zenith brightness, mag arcsec-2, over the depression d in degrees: a0 + a1 (d - 5) + a2 (d - 5)^2
-# for 5 <= d <= 15, in U, B, V, R, I (Patat, Ugolnikov and Postylyakov, Astron. Astrophys. 455, 385,
-# 2006).
-BANDS_NM = np.array([366.0, 438.0, 545.0, 641.0, 798.0])
-A0 = np.array([11.78, 11.84, 11.84, 11.40, 10.93])
-A1 = np.array([1.376, 1.411, 1.518, 1.567, 1.470])
-A2 = np.array([-0.039, -0.041, -0.057, -0.064, -0.062])
-# Flux of magnitude 0 in these bands, W m-2 nm-1 (Bessell, Castelli and Plez 1998).
-ZERO_W_M2_NM = np.array([4.175e-11, 6.32e-11, 3.631e-11, 2.177e-11, 1.126e-11])
-FIRST_DEG, TANGENT_DEG, LAST_DEG = 5.0, 12.0, 20.0
-# Relative radiance 1 + RISE s^2 + 2.0 s^2 cos(azimuth from the sun), s the sine of the zenith
-# angle: with a hemisphere of twice the zenith the illuminances of civil and nautical dusk come out,
-# 3.4 and 0.008 lux.
-RISE = 2.0
-
-
-def twilight_magnitude(depression_deg: float) -> Array:
-    """Return the zenith's brightness in U, B, V, R, I, mag arcsec-2, at a depression of the sun of
-    0 to 20 degrees.
-    """
-    if depression_deg < FIRST_DEG:
-        # From sunset on the zenith dims so much per degree that a level place has 600 lux at
-        # sunset; above, the glow fades out until daylight of `scattering` has taken over.
-        return A0 - 0.85 * (FIRST_DEG - depression_deg)
-    # Beyond 12 degrees the measured sky approaches its night level; the twilight is extrapolated
-    # with the slope there.
-    x = min(depression_deg, TANGENT_DEG) - FIRST_DEG
-    extrapolated_deg = max(depression_deg - TANGENT_DEG, 0.0)
-    return A0 + A1 * x + A2 * x**2 + extrapolated_deg * (A1 + 2.0 * A2 * (TANGENT_DEG - FIRST_DEG))
-
-
-def twilight_spectrum(elevation_deg: float, relative: float = 1.0) -> SourceSpectrum | None:
-    """Return the zenith's radiance by twilight, W m-2 sr-1, or None, for an elevation and strength
-    over the sun's.
-
-    Notes
-    -----
-    Below -20 degrees there is none, above 0 it stays and fades out towards 10 degrees. The moon
-    counts as a dim sun.
-    """
-    if elevation_deg <= -LAST_DEG or elevation_deg >= 10.0 or relative <= 0.0:
-        return None
-    magnitude = twilight_magnitude(max(-elevation_deg, 0.0))
-    faded = 1.0 - max(elevation_deg, 0.0) / 10.0
-    radiance = (
-        relative * faded * ZERO_W_M2_NM * (180.0 * 3600.0 / np.pi) ** 2 * 10.0 ** (-0.4 * magnitude)
-    )
-    fine = np.arange(350.0, 1151.0, 10.0)
-    return SourceSpectrum(
-        wavelength_nm=fine, density=np.exp(np.interp(fine, BANDS_NM, np.log(radiance)))
-    )
-
-
-def twilight_shape(direction: Array, towards: tuple[float, float, float]) -> Array:
-    """Return radiance relative to the zenith's for directions (path, 3) and a body's direction,
-    shape (path,).
-    """
-    level = float(np.hypot(towards[0], towards[1]))
-    sine = np.hypot(direction[:, 0], direction[:, 1])
-    if level == 0.0:
-        return 1.0 + RISE * sine**2
-    # s cos(azimuth difference) is the projection on the body's azimuth.
-    along = (direction[:, 0] * towards[0] + direction[:, 1] * towards[1]) / level
-    return 1.0 + RISE * sine**2 + 2.0 * sine * along
-
-
 @dataclass(frozen=True, kw_only=True)
 class TownGlow:
     """Lamp light scattered by the air above a town.
@@ -235,8 +169,10 @@ class TownGlow:
         """Return radiance relative to the maximum for directions (path, 3), shape (path,)."""
         elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)))
         azimuth = np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) - self.azimuth_deg
-        aside = (azimuth + 180.0) % 360.0 - 180.0
-        return np.exp(-elevation / self.height_deg - np.square(aside / self.half_width_deg))
+        relative_azimuth = (azimuth + 180.0) % 360.0 - 180.0
+        return np.exp(
+            -elevation / self.height_deg - np.square(relative_azimuth / self.half_width_deg)
+        )
 
 
 # Irradiance over pi times the zenith's radiance of a layer of airglow, above the air (`van_rhijn`).
@@ -273,7 +209,7 @@ class NightSky:
         time: datetime,
         *,
         atmosphere: Atmosphere | None = None,
-        **parts: object,
+        **fields: object,
     ) -> "NightSky":
         """Return the sky over a place at a time with its zone; by default in air of 23 km of
         visibility.
@@ -282,8 +218,22 @@ class NightSky:
 
         Raises BadInput if the time has no zone or lies outside 1900 to 2100.
         """
-        air = atmosphere or Atmosphere()
-        return cls(atmosphere=air, bodies=_bodies(ephemeris(location, time), air), **parts)  # pyright: ignore[reportArgumentType]
+        air, positions = atmosphere or Atmosphere(), ephemeris(location, time)
+        sunlight = sun_spectrum(positions.sun.distance_km / AU_KM).scale(positions.sun_share)
+        bodies = tuple(
+            Disc(
+                name=name,
+                direction=body.direction,
+                angular_radius_rad=body.angular_radius_rad,
+                extraterrestrial=light,
+                atmosphere=air,
+            )
+            for name, body, light in (
+                ("sun", positions.sun, sunlight),
+                ("moon", positions.moon, moonlight(positions)),
+            )
+        )
+        return cls(atmosphere=air, bodies=bodies, **fields)  # pyright: ignore[reportArgumentType]
 
     def discs(self) -> tuple[Disc, ...]:
         """Return sun and moon, those that stand above the horizon."""
@@ -329,14 +279,14 @@ class NightSky:
                 total += self._endless(body, direction, grid)
         directions, weight = scattering.sky_quadrature()
         cosine = weight * directions[:, 2]
-        around = np.zeros(grid.size)
+        radiance = np.zeros(grid.size)
         for town in self.towns:
-            around += town.spectrum.on(grid) * (town.shape(directions) @ cosine)
+            radiance += town.spectrum.on(grid) * (town.shape(directions) @ cosine)
         for body in self.bodies:
             glow = self._twilight(body)
             if glow is not None:
-                around += glow.on(grid) * (twilight_shape(directions, body.direction) @ cosine)
-        isotropic = 0.5 * (1.0 + self.ground_albedo) / np.pi * around + self._night_air(grid)
+                radiance += glow.on(grid) * (twilight_shape(directions, body.direction) @ cosine)
+        isotropic = 0.5 * (1.0 + self.ground_albedo) / np.pi * radiance + self._night_air(grid)
         return total + isotropic[:, None]
 
     def air(self) -> Atmosphere:
@@ -398,10 +348,12 @@ class NightSky:
             self._direct_fraction(elevation, grid),
         )
         total = np.zeros((grid.size, len(direction)))
-        for zenith, shape, back in self._night_parts(elevation, grid):
-            apparent_shape = shape * slant + back * (1.0 - slant)
+        for zenith, shape, air_glow in self._night_parts(elevation, grid):
+            apparent_shape = shape * slant + air_glow * (1.0 - slant)
             total += (
-                zenith[:, None] * apparent_shape / (zenith_direct + back * (1.0 - zenith_direct))
+                zenith[:, None]
+                * apparent_shape
+                / (zenith_direct + air_glow * (1.0 - zenith_direct))
             )
         for town in self.towns:
             total += town.spectrum.on(grid)[:, None] * town.shape(direction)
@@ -415,8 +367,8 @@ class NightSky:
         parts = self._night_parts(np.array([90.0]), grid)
         return np.sum(
             [
-                zenith * back / (zenith_direct + back * (1.0 - zenith_direct))
-                for zenith, _, back in parts
+                zenith * air_glow / (zenith_direct + air_glow * (1.0 - zenith_direct))
+                for zenith, _, air_glow in parts
             ],
             axis=0,
         )
@@ -448,17 +400,3 @@ class NightSky:
         air = self.atmosphere
         depth = air.molecules_depth(grid) + (1.0 - scattering.ASYMMETRY) * air.haze_depth(grid)
         return np.exp(-depth[:, None] * airmass(elevation_deg))
-
-
-def _bodies(at: Ephemeris, air: Atmosphere) -> tuple[Disc, ...]:
-    sunlight = sun_spectrum(at.sun.distance_km / AU_KM).scale(at.sun_share)
-    return tuple(
-        Disc(
-            name=name,
-            direction=body.direction,
-            angular_radius_rad=body.angular_radius_rad,
-            extraterrestrial=light,
-            atmosphere=air,
-        )
-        for name, body, light in (("sun", at.sun, sunlight), ("moon", at.moon, moonlight(at)))
-    )

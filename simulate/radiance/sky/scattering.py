@@ -55,10 +55,10 @@ def diffuse_share(
     ozone_free = np.where(wavelength_nm <= 450.0, ((wavelength_nm + 550.0) / 1000.0) ** 1.8, 1.0)
     by_molecules = 0.5 * (1.0 - molecules**0.95)
     by_haze = molecules**1.5 * (1.0 - scattered) * _forward_share(sine)
-    down = sine * gas * absorbed * (by_molecules + by_haze) * ozone_free
+    diffuse = sine * gas * absorbed * (by_molecules + by_haze) * ozone_free
     direct = sine * gas * molecules * scattered * absorbed
     sky = _sky_albedo(atmosphere, wavelength_nm)
-    return down + (down + direct) * sky * ground_albedo / (1.0 - sky * ground_albedo)
+    return diffuse + (diffuse + direct) * sky * ground_albedo / (1.0 - sky * ground_albedo)
 
 
 def _layers(
@@ -79,9 +79,9 @@ def _forward_share(sine: float) -> float:
     sine.
     """
     log = np.log(1.0 - ASYMMETRY)
-    first = log * (1.459 + log * (0.1595 + log * 0.4129))
+    polynomial = log * (1.459 + log * (0.1595 + log * 0.4129))
     second = log * (0.0783 + log * (-0.3824 - log * 0.5874))
-    return float(1.0 - 0.5 * np.exp((first + second * sine) * sine))
+    return float(1.0 - 0.5 * np.exp((polynomial + second * sine) * sine))
 
 
 def _sky_albedo(atmosphere: Atmosphere, wavelength_nm: Array) -> Array:
@@ -94,7 +94,7 @@ def _sky_albedo(atmosphere: Atmosphere, wavelength_nm: Array) -> Array:
 
 
 def endless_path(
-    direction: Array, towards: tuple[float, float, float], molecules_share: Array
+    direction: Array, sun_direction: tuple[float, float, float], molecules_share: Array
 ) -> Array:
     """Return the relative radiance of an endless path of air in directions (path, 3), sr-1, shape
     (band, path).
@@ -105,7 +105,7 @@ def endless_path(
     -----
     Krisciunas and Schaefer's f_R and f_M, each scaled to an integral of 1 over all directions.
     """
-    separation = np.rad2deg(np.arccos(np.clip(direction @ np.asarray(towards), -1.0, 1.0)))
+    separation = np.rad2deg(np.arccos(np.clip(direction @ np.asarray(sun_direction), -1.0, 1.0)))
     molecules = krisciunas_schaefer_rayleigh(separation) / RAYLEIGH_INTEGRAL
     haze = krisciunas_schaefer_mie(separation) / MIE_INTEGRAL
     return haze + molecules_share[:, None] * (molecules - haze)
@@ -142,12 +142,14 @@ def sky_depth(depth: Array, direction: Array) -> Array:
 
 
 def level_irradiance(
-    towards: tuple[float, float, float], depth: Array, molecules_share: Array
+    sun_direction: tuple[float, float, float], depth: Array, molecules_share: Array
 ) -> Array:
     """Return the irradiance of level ground under the sky of relative radiance `endless_path` x
     `sky_depth`.
     """
-    return _level_irradiance(towards[2], tuple(depth.tolist()), tuple(molecules_share.tolist()))
+    return _level_irradiance(
+        sun_direction[2], tuple(depth.tolist()), tuple(molecules_share.tolist())
+    )
 
 
 @lru_cache(maxsize=64)
@@ -167,10 +169,10 @@ def sky_quadrature() -> tuple[Array, Array]:
     Gauss-Legendre in the sine of elevation, even in azimuth.
     """
     node, width = np.polynomial.legendre.leggauss(RINGS)
-    height, turn = 0.5 * (node + 1.0), 2.0 * np.pi * (np.arange(TURNS) + 0.5) / TURNS
-    up, around = np.meshgrid(height, turn, indexing="ij")
-    level = np.sqrt(1.0 - up**2)
-    directions = np.stack([level * np.sin(around), level * np.cos(around), up], axis=-1).reshape(
-        -1, 3
-    )
+    height, azimuth = 0.5 * (node + 1.0), 2.0 * np.pi * (np.arange(TURNS) + 0.5) / TURNS
+    sine, azimuths = np.meshgrid(height, azimuth, indexing="ij")
+    level = np.sqrt(1.0 - sine**2)
+    directions = np.stack(
+        [level * np.sin(azimuths), level * np.cos(azimuths), sine], axis=-1
+    ).reshape(-1, 3)
     return directions, np.repeat(0.5 * width * 2.0 * np.pi / TURNS, TURNS)
