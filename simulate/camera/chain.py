@@ -145,7 +145,7 @@ class Chain:
         slots = [stage.slot for stage in self.stages]
         if slot not in slots:
             raise BadInput(
-                f"a stage must be one of {[str(each) for each in slots]}, got {str(slot)!r}"
+                f"a stage must be one of {[str(name) for name in slots]}, got {str(slot)!r}"
             )
         return slots.index(slot)
 

@@ -37,12 +37,12 @@ class Optics(
     def of(cls, camera: CameraFrame, conditions: Conditions) -> Self:
         """Return the lens of a camera for light stated at the photocathode."""
         optics = camera.description.optics
-        stated = (
+        wavelength = (
             {}
             if conditions.wavelength_nm is None
             else {"wavelength_um": conditions.wavelength_nm * 1e-3}
         )
-        return values_of(cls, optics, blur=values_of(Lens, optics, **stated))
+        return values_of(cls, optics, blur=values_of(Lens, optics, **wavelength))
 
     def mean(self, light: StageImage) -> StageImage:
         """Return (1 - v) E + v mean(E), with the blur pending; the sum over cells is conserved."""

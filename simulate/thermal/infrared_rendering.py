@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.effect_selection import OptionalEffect, select_effects
-from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.viewpoint import Viewpoint
-from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers
+from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers, layers_of
 from simulate.radiance.integrator.integrator_settings import workers
 from simulate.radiance.integrator.sampling import SequenceSlice
 from simulate.radiance.outdoor.scene import OutdoorScene
@@ -253,7 +252,7 @@ def _effects(
         for name in (AIR, MORE, SUN, BETWEEN)
     ]
     plan = select_effects(optional, 1e3 * (tolerance or 0.0) * netd_k)
-    surface_pixels = full.met
+    surface_pixels = full.surface_pixels
     black, bare = (
         tracer.air.black_body(full.kelvin[surface_pixels]),
         _pilot(replace(tracer, without=frozenset({AIR})), 1),
@@ -294,29 +293,18 @@ def _effects(
 
 def _truth(tracer: InfraredTracer, parts: list[TracedPixels]) -> AuxiliaryLayers:
     """Return the auxiliary layers of rows of pixels."""
-    surfaces, shape = tracer.temperatures.balance.facets.surfaces, tracer.viewpoint.shape
-    count = shape[0] * shape[1]
-    material, thing = np.full(count, -1, np.int16), np.full(count, -1, np.int32)
-    normal, shadow = np.zeros((count, 3), np.float32), np.zeros(count, np.uint32)
-    first_pixel = 0
-    for part in parts:
-        pixels, row = first_pixel + part.met, part.points.face & ROW
-        material[pixels], thing[pixels] = surfaces.material_of[row], surfaces.object_of[row]
-        normal[pixels], shadow[pixels] = (
-            part.points.normal,
-            part.shadow if tracer.sky.sun is not None else 0,
-        )
-        first_pixel += len(part.radiance)
-    return AuxiliaryLayers(
-        material=material.reshape(shape),
-        object=thing.reshape(shape),
-        range_m=np.concatenate([part.range_m for part in parts]).astype(np.float32).reshape(shape),
-        normal=normal.reshape(*shape, 3),
-        shadow=shadow.reshape(shape),
-        temperature_k=np.concatenate([part.kelvin for part in parts])
-        .astype(np.float32)
-        .reshape(shape),
-        materials=surfaces.materials,
-        objects=surfaces.objects,
-        sources=() if tracer.sky.sun is None else ("sun",),
+    starts = np.cumsum([0, *(len(part.radiance) for part in parts)])
+    has_sun = tracer.sky.sun is not None
+    return layers_of(
+        tracer.temperatures.balance.facets.surfaces,
+        tracer.viewpoint.shape,
+        np.concatenate(
+            [start + part.surface_pixels for start, part in zip(starts, parts, strict=False)]
+        ),
+        np.concatenate([part.points.face for part in parts]),
+        normal=np.concatenate([part.points.normal for part in parts]),
+        shadow=np.concatenate([part.shadow & has_sun for part in parts]),
+        range_m=np.concatenate([part.range_m for part in parts]),
+        temperature_k=np.concatenate([part.kelvin for part in parts]),
+        sources=("sun",) if has_sun else (),
     )

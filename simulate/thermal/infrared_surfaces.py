@@ -150,10 +150,10 @@ class InfraredSurfaces:
         glass = np.flatnonzero((self.clear.max(axis=1) > 0.0)[material])
         transmittance = np.zeros((len(glass), self.clear.shape[1]))
         for number in np.unique(material[glass]):
-            of = np.flatnonzero(material[glass] == number)
-            transmittance[of] = pane_fractions(cosine[glass[of]], self.clear[number], GLASS_INDEX)[
-                1
-            ]
+            rows = np.flatnonzero(material[glass] == number)
+            transmittance[rows] = pane_fractions(
+                cosine[glass[rows]], self.clear[number], GLASS_INDEX
+            )[1]
         return glass, transmittance
 
     def change_by_lit_interiors(self, sky: Surroundings, ground: Array) -> float:

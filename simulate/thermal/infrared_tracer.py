@@ -45,7 +45,7 @@ class TracedPixels:
     glossy: NDArray[np.bool_]
     range_m: Array
     points: ShadingPoints
-    met: Index
+    surface_pixels: Index
     shadow: NDArray[np.bool_]
     albedo: Array  # towards the viewer, mean over the bins, of those that meet a surface
 
@@ -67,10 +67,7 @@ class InfraredTracer:
     def rows(self, start: int) -> TracedPixels:
         """Return the pixels of some rows."""
         stop = min(start + INFRARED.rows, self.viewpoint.shape[0])
-        grid = np.meshgrid(
-            np.arange(start, stop), np.arange(self.viewpoint.shape[1]), indexing="ij"
-        )
-        row, col = (axis.ravel() for axis in grid)
+        row, col = np.mgrid[start:stop, : self.viewpoint.shape[1]].reshape(2, -1)
         sequence = low_discrepancy_points(row, col, self.rays, [self.seed, start])
         return self.see(row + 0.5, col + 0.5, sequence, np.random.default_rng([self.seed, start]))
 
@@ -161,7 +158,7 @@ class InfraredTracer:
             glossy=np.zeros(len(row), np.bool_),
             range_m=hit.range_m,
             points=points,
-            met=rays,
+            surface_pixels=rays,
             shadow=np.ones(len(rays), np.bool_),
             albedo=albedo.mean(axis=1),
         )

@@ -284,8 +284,8 @@ def _balance_faces(
     face: Array,
 ) -> Array:
     """Solve the balance of faces: what they absorb is what they lose and conduct inwards."""
-    front, through = columns.conductance[0], eliminated.pivot[0]
-    inward, offset = front * (1.0 - front / through), front * reduced / through
+    front, face_pivot = columns.conductance[0], eliminated.pivot[0]
+    inward, offset = front * (1.0 - front / face_pivot), front * reduced / face_pivot
     for attempt in range(LIMITS.max_steps):
         loss, slope = forcing.loss(face, step)
         change = (forcing.flux_w_m2[step] + offset - loss - inward * face) / (slope + inward)
@@ -356,22 +356,26 @@ def periodic_start(
     eliminated = _Elimination.of(columns.conductance[:, None], diagonal)
     behind_k = np.broadcast_to(forcing.behind_k(columns, slice(None)), (steps, surfaces))
     reduced = eliminated.reduce(columns.back[:, None] * np.fft.rfft(behind_k, axis=0))
-    front, through = columns.conductance[0], eliminated.pivot[0]
-    admittance, offset = front * (1.0 - front / through), front * reduced[0] / through
+    front, face_pivot = columns.conductance[0], eliminated.pivot[0]
+    admittance, offset = front * (1.0 - front / face_pivot), front * reduced[0] / face_pivot
     face, melting = np.minimum(forcing.air_k, columns.max_k), np.zeros((steps, surfaces))
     for _ in range(LIMITS.max_passes):
         loss, slope = forcing.loss(face, slice(None))
         linear = 0.5 * (slope.max(axis=0) + slope.min(axis=0))
         remainder = np.fft.rfft(forcing.flux_w_m2 - melting - loss + linear * face, axis=0)
-        new = np.fft.irfft((remainder + offset) / (linear + admittance), steps, axis=0)
+        next_face = np.fft.irfft((remainder + offset) / (linear + admittance), steps, axis=0)
         # Melting takes what would warm the face beyond its limit; the limit is met when it no
         # longer changes.
         melting_flux = np.where(
-            columns.max_k < np.inf, np.maximum(melting + linear * (new - columns.max_k), 0.0), 0.0
+            columns.max_k < np.inf,
+            np.maximum(melting + linear * (next_face - columns.max_k), 0.0),
+            0.0,
         )
-        new = np.minimum(new, columns.max_k)
-        change = max(np.abs(new - face).max(), np.abs((melting_flux - melting) / linear).max())
-        face, melting = new, melting_flux
+        next_face = np.minimum(next_face, columns.max_k)
+        change = max(
+            np.abs(next_face - face).max(), np.abs((melting_flux - melting) / linear).max()
+        )
+        face, melting = next_face, melting_flux
         if change < LIMITS.periodic_k:
             cells = eliminated.substitute(reduced, np.fft.rfft(face, axis=0))
             weight = np.where(
@@ -417,17 +421,19 @@ def kernels(
         step before.
         """
         for step in steps:
-            passed = front / (slope[step] + front)
+            face_fraction = front / (slope[step] + front)
             diagonal = columns.diagonal(1.0 / length_s)
-            diagonal[0] -= front * passed
+            diagonal[0] -= front * face_fraction
             eliminated = _Elimination.of(columns.conductance, diagonal)
             if last:
-                source[0] += passed
+                source[0] += face_fraction
             # Nothing comes through the face: what it passes on stands in the diagonal.
             sensitivities = eliminated.substitute(
                 eliminated.reduce(source), np.zeros(slope.shape[1])
             )
-            effect = sensitivities[0] * passed + (1.0 / (slope[step] + front) if last else 0.0)
+            effect = sensitivities[0] * face_fraction + (
+                1.0 / (slope[step] + front) if last else 0.0
+            )
             steps_per_length = round(length_s / step_s)
             effects[step - steps_per_length + 1 : step + 1] += effect / steps_per_length
             source, last = columns.capacity / length_s * sensitivities, False

@@ -215,8 +215,7 @@ class Temperatures:
 
     def _rows(self, viewpoint: Viewpoint, start: int) -> NDArray[np.float32]:
         surfaces, stop = self.balance.facets.surfaces, min(start + LIMITS.rows, viewpoint.shape[0])
-        grid = np.meshgrid(np.arange(start, stop), np.arange(viewpoint.shape[1]), indexing="ij")
-        row, col = (axis.ravel() for axis in grid)
+        row, col = np.mgrid[start:stop, : viewpoint.shape[1]].reshape(2, -1)
         origin, direction = viewpoint.rays(row + 0.5, col + 0.5)
         hit = surfaces.tracer.hits(origin, direction)
         rays = hit.rays

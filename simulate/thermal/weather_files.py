@@ -257,17 +257,17 @@ def _csv(name: str, lines: list[str], moment: datetime) -> Record:
             f"times of a weather file must state their offset from UTC, got others in {name}"
         )
     time_s = np.array([time.timestamp() for time in times])
-    present = {
+    file_columns = {
         column: (column, 1.0, np.inf) for column in (*OWN, *OWN_OPTIONAL) if column in headings
     }
     return Record(
         name=name,
         location=_location(*(location_fields[key] for key in OWN_PLACE)),
         time_s=time_s,
-        columns=_read(rows, present),
+        columns=_read(rows, file_columns),
         interval_s=float(np.median(np.diff(time_s))),
         notes=(f"longwave of {name} is as the file gives it",)
-        if "longwave_w_m2" in present
+        if "longwave_w_m2" in file_columns
         else (),
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.geometry.embree import ROW
+from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.direct_lighting import dot, ray_starts
 from simulate.radiance.integrator.light_sources import SHORT, DiscLight
@@ -81,38 +82,67 @@ class AuxiliaryLayers:
         np.savez_compressed(path, **maps)
 
 
-def truth(scene: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
-    """Return the auxiliary layers of a view."""
-    surfaces, count = scene.surfaces, view.shape[0] * view.shape[1]
-    row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
-    origin, direction = view.rays(row, col)
-    hit = surfaces.tracer.hits(origin, direction)
-    rays = hit.rays
-    points = scene.points(hit, origin, direction, rays)
-    layers = {
-        "material": np.full(count, -1, np.int16),
-        "object": np.full(count, -1, np.int32),
-        "normal": np.zeros((count, 3), np.float32),
-        "shadow": np.zeros(count, np.uint32),
-    }
-    row_of = hit.face[rays] & ROW
-    hit_values = (
-        surfaces.material_of[row_of],
-        surfaces.object_of[row_of],
-        points.normal,
-        _shadows(scene, points),
-    )
-    for layer, values in zip(layers.values(), hit_values, strict=True):
-        layer[rays] = values
-    layers["range_m"] = hit.range_m.astype(np.float32)
-    shaped_layers = {
-        name: values.reshape(*view.shape, *values.shape[1:]) for name, values in layers.items()
-    }
+def layers_of(
+    surfaces: Surfaces,
+    shape: tuple[int, int],
+    pixels: NDArray[np.int64],
+    face: NDArray[np.int64],
+    *,
+    normal: Array,
+    shadow: NDArray,
+    range_m: Array,
+    temperature_k: Array,
+    sources: tuple[str, ...],
+) -> AuxiliaryLayers:
+    """Return the auxiliary layers of a frame (row, col).
+
+    Parameters
+    ----------
+    surfaces, shape
+        What is seen, and the frame.
+    pixels, face, normal, shadow
+        Pixels that see a surface, shape (pixel,), the triangle, its normal on the camera's side and
+        its bits of shadow.
+    range_m, temperature_k
+        Distance and temperature of all pixels, m and K.
+    sources
+        Names of the sources of the shadows.
+    """
+    row, layers = face & ROW, {}
+    for name, values, sky_value in (
+        ("material", surfaces.material_of[row], np.int16(-1)),
+        ("object", surfaces.object_of[row], np.int32(-1)),
+        ("normal", normal, np.float32(0.0)),
+        ("shadow", shadow, np.uint32(0)),
+    ):
+        layer = np.full((shape[0] * shape[1], *values.shape[1:]), sky_value)
+        layer[pixels] = values
+        layers[name] = layer.reshape(*shape, *values.shape[1:])
     return AuxiliaryLayers(
-        **shaped_layers,
-        temperature_k=np.full(view.shape, np.nan, np.float32),
+        **layers,
+        range_m=range_m.astype(np.float32).reshape(shape),
+        temperature_k=temperature_k.astype(np.float32).reshape(shape),
         materials=surfaces.materials,
         objects=surfaces.objects,
+        sources=sources,
+    )
+
+
+def truth(scene: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
+    """Return the auxiliary layers of a view."""
+    row, col = np.indices(view.shape).reshape(2, -1) + 0.5
+    origin, direction = view.rays(row, col)
+    hit = scene.surfaces.tracer.hits(origin, direction)
+    points = scene.points(hit, origin, direction, hit.rays)
+    return layers_of(
+        scene.surfaces,
+        view.shape,
+        hit.rays,
+        points.face,
+        normal=points.normal,
+        shadow=_shadows(scene, points),
+        range_m=hit.range_m,
+        temperature_k=np.full(row.shape, np.nan),
         sources=scene.lighting.names,
     )
 

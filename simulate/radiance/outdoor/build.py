@@ -112,14 +112,14 @@ def build_surfaces(scene: OutdoorScene, *, opaque: bool = False) -> Surfaces:
         else [surface for surface in scene.material if surface.pane_transmittance is not None]
     )
     glass = frozenset(surface.label for surface in panes)
-    glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
+    emitter_labels = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
     parts, copied, notes = [], [], []
     for scene_object in scene.object:
         poses = scene_object.instances or (scene_object,)
         pieces, unused_content = _pieces(scene, scene_object)
         notes += unused_content
         for material, mesh in pieces:
-            if scene_object.file is not None and material in glowing and not mesh.is_closed:
+            if scene_object.file is not None and material in emitter_labels and not mesh.is_closed:
                 raise BadInput(
                     "the mesh of an object that glows must be closed, so that it has an outer "
                     f"side, got an open one in {scene_object.file} of {scene_object.label!r}"
@@ -128,7 +128,7 @@ def build_surfaces(scene: OutdoorScene, *, opaque: bool = False) -> Surfaces:
                 mesh = remove_triangles(mesh, scene_object.gaps, scene_object.label)
             # Emitters and glass are sampled by triangle, so that their copies are not shared.
             is_shared = (
-                material not in glowing | glass
+                material not in emitter_labels | glass
                 and len(poses) * len(mesh.faces) > SHARED_FROM
                 and len(poses) > 1
             )

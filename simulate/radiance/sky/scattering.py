@@ -50,13 +50,13 @@ def diffuse_share(
         return np.zeros(len(wavelength_nm))
     sine = np.sin(np.deg2rad(elevation_deg))
     mass = float(airmass(elevation_deg))
-    molecules, scattered, absorbed = _layers(atmosphere, wavelength_nm, mass)
+    molecules, scattered, transmitted = _layers(atmosphere, wavelength_nm, mass)
     gas = atmosphere.gas_slant_transmittance(elevation_deg, wavelength_nm)[:, 0]
     ozone_free = np.where(wavelength_nm <= 450.0, ((wavelength_nm + 550.0) / 1000.0) ** 1.8, 1.0)
     by_molecules = 0.5 * (1.0 - molecules**0.95)
     by_haze = molecules**1.5 * (1.0 - scattered) * _forward_share(sine)
-    diffuse = sine * gas * absorbed * (by_molecules + by_haze) * ozone_free
-    direct = sine * gas * molecules * scattered * absorbed
+    diffuse = sine * gas * transmitted * (by_molecules + by_haze) * ozone_free
+    direct = sine * gas * molecules * scattered * transmitted
     sky = _sky_albedo(atmosphere, wavelength_nm)
     return diffuse + (diffuse + direct) * sky * ground_albedo / (1.0 - sky * ground_albedo)
 
@@ -86,11 +86,11 @@ def _forward_share(sine: float) -> float:
 
 def _sky_albedo(atmosphere: Atmosphere, wavelength_nm: Array) -> Array:
     """Return the reflectance of the sky for light from the ground, at an air mass of 1.8."""
-    molecules, scattered, absorbed = _layers(atmosphere, wavelength_nm, 1.8)
+    molecules, scattered, transmitted = _layers(atmosphere, wavelength_nm, 1.8)
     elevation = np.rad2deg(np.arcsin(1.0 / 1.8))
     gas = atmosphere.gas_slant_transmittance(elevation, wavelength_nm)[:, 0]
     by_haze = (1.0 - _forward_share(1.0 / 1.8)) * molecules * (1.0 - scattered)
-    return gas * absorbed * (0.5 * (1.0 - molecules) + by_haze)
+    return gas * transmitted * (0.5 * (1.0 - molecules) + by_haze)
 
 
 def endless_path(
