@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata import BadInput, Camera, Conditions, Kind, Target
+from labdata.settings import Progress, ignore_progress
 from simulate.camera.scene_to_photoelectrons import (
     camera_from_description,
     photoelectrons_from_image,
@@ -26,7 +27,7 @@ from simulate.camera.scene_to_photoelectrons import (
 from simulate.image_source import name_of, read_cube, read_image
 from simulate.motion import Look, Motion
 from simulate.radiance.scene import LabScene, load_scene
-from simulate.shot import InfraredShot, Progress, Shot, ignore_progress
+from simulate.shot import InfraredShot, Shot
 
 if TYPE_CHECKING:
     from simulate.infrared_view import InfraredView

@@ -31,7 +31,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labdata import Camera, SessionWriter, save_sensor, write_atomically
-from simulate.shot import Progress, Shot, ignore_progress
+from labdata.settings import Progress, ignore_progress
+from simulate.shot import Shot
 
 if TYPE_CHECKING:
     from labdata.session_writer import SessionWriter

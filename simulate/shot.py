@@ -23,12 +23,7 @@ if TYPE_CHECKING:
     from simulate.outdoor_rendering import RenderedView
 
 NamedImage = tuple[str, str, NDArray[Any]]  # name, quantity with unit, image (row, col)
-Progress = Callable[[str, float], None]  # called with a message and the fraction done
 Keep = Callable[[int, Any], None]  # called with the number of a frame and its view
-
-
-def ignore_progress(sentence: str, fraction: float) -> None:
-    """Discard a progress message."""
 
 
 @dataclass(frozen=True, kw_only=True)

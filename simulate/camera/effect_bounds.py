@@ -16,10 +16,10 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammainccinv, gammaincinv, ndtri
 
 from labdata import BadInput, Conditions
+from simulate.arrays import Array, Mask
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticControls, AutomaticState
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Chain, Slot
@@ -35,7 +35,6 @@ from simulate.effect_selection import (
     select_effects,
 )
 
-Map = NDArray[np.floating]
 # Seconds that effects cost for a million pixels, once and a frame, as `python -m benchmarks.economy
 # --costs` measures them: medians, which scatter by some 0.05 s and 0.5 ms; what is not here costs
 # less than that.
@@ -63,7 +62,7 @@ class NoiseBudget:
     camera: CameraModel  # the camera, nothing left out
     # Photoelectrons that light frees per pixel as read and exposure, in the frame and in the margin
     # around it, see `CameraModel.photoelectrons_per_pixel`, shape (row, col).
-    photoelectrons: Map
+    photoelectrons: Array
     conditions: Conditions  # gate, voltage and temperature
     # What may change in all, as a fraction of the temporal noise. Variances do not add like
     # standard deviations: how much a fraction of the variance counts depends on how much may be
@@ -116,23 +115,23 @@ class NoiseBudget:
         return self.camera.cathode_lux(StageImage(values=per_cell / cells_per_pixel))
 
     @cached_property
-    def surroundings(self) -> Map:
+    def surroundings(self) -> Array:
         """Photoelectrons per pixel and exposure, dark ones included, in the frame and in the margin
         around it.
         """
         return np.asarray(self.photoelectrons, np.float64) + self.dark_pe
 
-    def frame_of(self, scene_map: Map, margin: int = 0) -> Map:
+    def frame_of(self, scene_map: Array, margin: int = 0) -> Array:
         """Crop a map with the scene margin to the frame and `margin` pixels on each side."""
         offset, (rows, cols) = ACCURACY.scene_margin_px - margin, self.camera.shape
         return scene_map[offset : offset + rows + 2 * margin, offset : offset + cols + 2 * margin]
 
     @cached_property
-    def mean_pe(self) -> Map:
+    def mean_pe(self) -> Array:
         """Photoelectrons per pixel and exposure, dark ones included, shape (row, col)."""
         return self.frame_of(self.surroundings)
 
-    def load(self, photoelectrons: Map) -> Map:
+    def load(self, photoelectrons: Array) -> Array:
         """Unsaturated MCP output over its saturation output, from photoelectrons per pixel and
         exposure.
         """
@@ -210,7 +209,7 @@ class NoiseBudget:
         )
 
     @cached_property
-    def of_pulses(self) -> Map:
+    def of_pulses(self) -> Array:
         """Temporal variance of pulses, ion feedback included, e-^2, shape (row, col)."""
         return self.mean_pe * self.charge_e * (self.pulses[0] + self.of_chain.white) + self.of_ions
 
@@ -227,22 +226,22 @@ class NoiseBudget:
         return self.ions * event_e2 * self.blurs[0] * self.of_chain.decay[0]
 
     @cached_property
-    def variance(self) -> Map:
+    def variance(self) -> Array:
         """Temporal variance of every pixel as read, e-^2, rounding included, shape (row, col)."""
         return self.of_pulses + self.electronics + self.step_e**2 / 12.0 + 1e-12
 
     @cached_property
-    def noise(self) -> Map:
+    def noise(self) -> Array:
         """Temporal noise of every pixel, in photoelectrons, shape (row, col)."""
         return np.sqrt(self.variance) / self.charge_e
 
     @cached_property
-    def smear(self) -> Map:
+    def smear(self) -> Array:
         """Charge that smear adds to each pixel of a column, in photoelectrons, shape (col,)."""
         return self.mean_pe.sum(axis=0) * self.ccd.smear_fraction / (self.mean_pe.shape[0] / 10.0)
 
     @cached_property
-    def brightest_e(self) -> Map:
+    def brightest_e(self) -> Array:
         """Upper bound of the charge, e-, shape (row, col), without MCP saturation."""
         charge = (
             self.of_chain.gain_e * (self.mean_pe + self.smear) + self.ccd.dark_e + self.hottest_e
@@ -266,13 +265,13 @@ class NoiseBudget:
         return offset_e + self.ccd.dark_e * float(max(hottest - 1.0, 1.0 - coldest))
 
     @cached_property
-    def running(self) -> NDArray[np.bool_]:
+    def running(self) -> Mask:
         """Columns that may bloom, shape (col,)."""
         limit = self.ccd.full_well_e * max(self.ccd.antibloom_ratio, 1.0)
         return np.asarray(self.brightest_e.max(axis=0) > limit)
 
     @cached_property
-    def quiet(self) -> Map:
+    def quiet(self) -> Array:
         """Variance of each pixel, e-^2; that of reading alone where the well may be full."""
         reading = (
             self.of_chain.white * self.ccd.read_noise_e**2
@@ -289,7 +288,7 @@ class NoiseBudget:
         """
         return float(-ndtri(ACCURACY.extreme_probability / max(number, 1.0)))
 
-    def of_mean(self, change: Map | float) -> float:
+    def of_mean(self, change: Array | float) -> float:
         """Influence of a change of the mean that leaves the noise as it is, in photoelectrons.
 
         Notes
@@ -302,7 +301,7 @@ class NoiseBudget:
         column_change = size.sum(axis=0)[self.running] / self.noise.min(axis=0)[self.running]
         return float(max(np.max(size / self.noise), np.max(column_change, initial=0.0)))
 
-    def of_light(self, change: Map | float) -> float:
+    def of_light(self, change: Array | float) -> float:
         """Influence of a change of light, in photoelectrons per pixel, by its mean and by the noise
         of its pulses.
 
@@ -315,7 +314,7 @@ class NoiseBudget:
         noise = np.abs(change) * self.charge_e * (self.pulses[0] + self.of_chain.white)
         return max(self.of_mean(change), self.of_variance(noise))
 
-    def of_gain(self, relative: Map | float) -> float:
+    def of_gain(self, relative: Array | float) -> float:
         """Influence of a relative change of the gain: of the mean and of the noise of the pulses
         alike.
         """
@@ -325,7 +324,7 @@ class NoiseBudget:
             float(np.max(change * self.of_pulses / self.variance)),
         )
 
-    def of_variance(self, variance_e2: Map | float) -> float:
+    def of_variance(self, variance_e2: Array | float) -> float:
         """Influence of a part of the variance, e-^2, that has the correlations of the rest.
 
         Notes
@@ -336,7 +335,7 @@ class NoiseBudget:
         """
         return float(np.max(variance_e2 / self.variance)) / (2.0 - min(self.tolerance, 1.0))
 
-    def of_white(self, variance_e2: Map | float) -> float:
+    def of_white(self, variance_e2: Array | float) -> float:
         """Influence of a part of the variance, e-^2, whose correlations differ from those of the
         rest.
 
@@ -355,7 +354,7 @@ class NoiseBudget:
             * (1.0 + self.tolerance)
         )
 
-    def of_skewness(self, photoelectrons: Map | float) -> float:
+    def of_skewness(self, photoelectrons: Array | float) -> float:
         """Influence of the skewness of pulses on the level that one frame in a thousand exceeds.
 
         Notes
@@ -367,7 +366,7 @@ class NoiseBudget:
         smallest_variance = self.variance * (1.0 - self.tolerance / (1.0 + self.tolerance))
         return float(np.max(third / smallest_variance**1.5)) * (self.RARE_SD**2 - 1.0) / 6.0
 
-    def with_blur(self, blur: StageBlur) -> Map:
+    def with_blur(self, blur: StageBlur) -> Array:
         """The frame after a blur, surroundings included."""
         cells, scene_map = self.camera.cells, self.surroundings
         fy = np.fft.fftfreq(scene_map.shape[0], cells.pitch_y_mm)[:, None]

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.arrays import Array, Array32
 from simulate.camera.grid import ACCURACY, Grid
 
 
-def place_on_cells(image: NDArray, grid: Grid, *, row_pairs: bool) -> NDArray[np.float32]:
+def place_on_cells(image: NDArray, grid: Grid, *, row_pairs: bool) -> Array32:
     """Return an image of any size on cells, each cell the average of what it covers.
 
     Parameters
@@ -58,9 +59,6 @@ def _overlaps(pixels: int, cells: int, start: float, length: float):
     centre, width = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
     pixel = np.clip(np.searchsorted(borders, centre, side="right") - 1, 0, pixels - 1)
     return csr_array((width.astype(np.float32), (centre.astype(int), pixel)), shape=(cells, pixels))
-
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +116,7 @@ def corner_mm(grid: Grid) -> float:
     return 0.5 * float(np.hypot(grid.columns * grid.pitch_x_mm, grid.rows * grid.pitch_y_mm))
 
 
-def resample_image(
-    image: NDArray, grid: Grid, x_mm: Array, y_mm: Array, *, order: int
-) -> NDArray[np.float32]:
+def resample_image(image: NDArray, grid: Grid, x_mm: Array, y_mm: Array, *, order: int) -> Array32:
     """Return an image whose cells show what lies at other places of it, mm about its middle.
 
     Beyond its border the image goes on as it ends. Order 1 is linear, never below zero, and loses

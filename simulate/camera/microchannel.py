@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput, check
+from simulate.arrays import Array, Array32
 from simulate.camera import pattern, tube_photometry
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import CameraFrame, Grid
 from simulate.camera.stage_image import StageImage
 from simulate.camera.transfer import GapSpread
-
-Map = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +62,7 @@ class MicrochannelPlate(
     depletion_blur_um: float | None = None
     recovery_ms: float = 10.0  # time constant with which channels recharge, ms
     # Gain over `gain`, shape (row, col), of an MCP under a known load; None for none.
-    gain_map: NDArray[np.floating] | None = field(default=None, compare=False)
+    gain_map: Array | None = field(default=None, compare=False)
     # Whether a normal law of the same mean and variance stands for that of the sum of many pulses.
     normal_law: bool = False
     effects: ClassVar = {
@@ -128,7 +127,7 @@ class MicrochannelPlate(
         """F^2 = (1 + relative variance of pulse heights)/p, dimensionless."""
         return (1.0 + 1.0 / self.pulse_height_shape) / self.detection_probability
 
-    def load(self, photoelectrons: Map, grid: Grid) -> Map:
+    def load(self, photoelectrons: Array, grid: Grid) -> Array:
         """Return the load of each cell's neighbourhood by photoelectrons per cell and exposure,
         (..., row, col).
         """
@@ -146,7 +145,7 @@ class MicrochannelPlate(
             / per_cell
         )
 
-    def states_under(self, state: Map | None, load: Map) -> tuple[Map, Map]:
+    def states_under(self, state: Array | None, load: Array) -> tuple[Array, Array]:
         """Return the mean state of the channels over a field under a load, and the state at its
         end.
         """
@@ -155,7 +154,7 @@ class MicrochannelPlate(
         initial = 0.0 if state is None else state
         return load * (1.0 - mean) + initial * mean, load * (1.0 - decay) + initial * decay
 
-    def with_depletion(self, state: Map) -> "MicrochannelPlate":
+    def with_depletion(self, state: Array) -> "MicrochannelPlate":
         """Return the MCP whose channels are in a state, shape (row, col)."""
         return replace(
             self, gain_map=(1.0 / (1.0 + state)).astype(np.float32), saturation_e_per_s_cm2=np.inf
@@ -226,9 +225,7 @@ class MicrochannelPlate(
         electrons *= (self.gain_under_load(light) / self.detection_probability).astype(np.float32)
         return light.with_values(self._with_multifibres(electrons, light.grid))
 
-    def _with_multifibres(
-        self, electrons: NDArray[np.float32], grid: Grid | None
-    ) -> NDArray[np.float32]:
+    def _with_multifibres(self, electrons: Array32, grid: Grid | None) -> Array32:
         if self.pattern_contrast == 0.0 or grid is None:
             return electrons
         pitch_mm, line_mm = self.pattern_pitch_um * 1e-3, self.line_um * 1e-3

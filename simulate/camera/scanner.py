@@ -7,15 +7,14 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata import BadInput, Camera, Conditions
+from simulate.arrays import Array, Mask
 from simulate.camera.chain import Stage, values_of
 from simulate.camera.stage_image import StageImage
 from simulate.camera.thermal_lens import KELVIN, Slot
 from simulate.camera.thresholds import LIMITS
 
-Array = NDArray[np.floating]
 # Noise bandwidth of one pole over its 3 dB frequency.
 NOISE_BANDWIDTH = 0.5 * np.pi
 
@@ -68,7 +67,7 @@ class ScanTiming:
         )
 
 
-def is_scanned_left(rows: int) -> NDArray[np.bool_]:
+def is_scanned_left(rows: int) -> Mask:
     """Return whether rows of a frame of two fields are scanned to the left, shape (row,); fields
     begin to the right.
     """

@@ -7,14 +7,12 @@ from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
+from simulate.arrays import Array
 from simulate.camera.chain import Stage, values_of
 from simulate.camera.stage_image import StageImage
 from simulate.camera.thermal_lens import KELVIN, Slot
-
-Array = NDArray[np.floating]
 
 
 @lru_cache(maxsize=8)

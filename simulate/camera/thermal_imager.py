@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata import BadInput, Camera, Conditions
+from simulate.arrays import Array
 from simulate.camera.chain import Chain, Stage, stages_with_section
 from simulate.camera.scanner import (
     NOISE_BANDWIDTH,
@@ -33,7 +34,6 @@ from simulate.camera.thresholds import LIMITS
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.spectrum import band_photon_radiance, band_radiance
 
-Array = NDArray[np.floating]
 # Temperature at which noise is stated, and of the spectrum within a bin and a band, K.
 STATED_K = 300.0
 

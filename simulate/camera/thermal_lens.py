@@ -7,15 +7,14 @@ from enum import StrEnum
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata import BadInput, Conditions
+from simulate.arrays import Array
 from simulate.camera.chain import Stage, values_of
 from simulate.camera.grid import irfft_image, rfft_image
 from simulate.camera.stage_image import StageImage
 from simulate.camera.thresholds import LIMITS
 
-Array = NDArray[np.floating]
 KELVIN = 273.15
 
 

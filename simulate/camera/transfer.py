@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j1, sici
 
+from simulate.arrays import Array
 from simulate.camera.grid import ACCURACY, Grid
-
-Array = NDArray[np.floating]
 
 # Replicas of the lattice that are taken together, first and last.
 REPLICA_GROUPS = ((1, 1), (2, 2), (3, 4), (5, 8), (9, 16), (17, 32))

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from labdata.camera.chip import gain_at_no_signal
 from labdata.conditions import Conditions
 from labdata.errors import check, check_range
+from simulate.arrays import Array, Array32
 from simulate.camera.chain import Slot, Stage, values_of
 from simulate.camera.grid import ACCURACY, CameraFrame
 from simulate.camera.readout_noise import draw_interference, draw_row_offsets
 from simulate.camera.stage_image import StageImage
-
-Array = NDArray[np.floating]
-
 
 _OF_READOUT = (
     "row_noise_dn2",
@@ -91,7 +89,7 @@ class NoFilter:
         """Return 1 and zeros, shape (length,)."""
         return np.eye(1, length)[0]
 
-    def transfer(self, frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.complex128]:
+    def transfer(self, frequency_cy_per_px: Array) -> NDArray[np.complex128]:
         """Return 1 at every frequency."""
         return np.ones(np.shape(frequency_cy_per_px), np.complex128)
 
@@ -193,7 +191,7 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
             np.clip(np.rint(level), 0, self.full_scale_dn).astype(self.code_type)
         )
 
-    def _add_readout_noise(self, level: NDArray[np.float32], rng: np.random.Generator) -> None:
+    def _add_readout_noise(self, level: Array32, rng: np.random.Generator) -> None:
         """Add offsets of rows and interference to frames (..., row, col), each frame its own."""
         rows, columns = level.shape[-2:]
         for frame in level.reshape(-1, rows, columns):
@@ -203,7 +201,7 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
                 fx, fy = self.interference_x_cy_per_px, self.interference_y_cy_per_px
                 frame += draw_interference(rng, (rows, columns), self.interference_dn2, fx, fy)
 
-    def _level(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _level(self, signal: Array32) -> Array32:
         signal = signal * np.float32(self.conversion_gain_dn_per_e * self.gain)
         if self.compression_fraction != 0.0:
             signal *= np.float32(gain_at_no_signal(1.0, self.compression_fraction))
@@ -239,7 +237,7 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
         }
 
 
-def shift_lines(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDArray[np.float32]:
+def shift_lines(lines: Array32, late_px: Array32) -> Array32:
     """Return lines (..., col) delayed by less than a pixel, (..., 1), by a parabola through three
     pixels.
     """
@@ -249,20 +247,20 @@ def shift_lines(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDA
     )
 
 
-def _bend(lines: NDArray[np.float32]) -> NDArray[np.float32]:
+def _bend(lines: Array32) -> Array32:
     return (_neighbour(lines, 1) - np.float32(2.0) * lines + _neighbour(lines, -1)).astype(
         np.float32
     )
 
 
-def _neighbour(lines: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+def _neighbour(lines: Array32, step: int) -> Array32:
     """Lines shifted by one pixel, with their ends repeated."""
     shifted = np.roll(lines, -step, axis=-1)
     shifted[..., -1 if step > 0 else 0] = lines[..., -1 if step > 0 else 0]
     return shifted
 
 
-def filter_lines(lines: NDArray, impulse_response: NDArray[np.floating]) -> NDArray[np.float32]:
+def filter_lines(lines: NDArray, impulse_response: Array) -> Array32:
     """Return lines (..., col) after a causal filter; the first pixel is repeated before the
     line.
     """

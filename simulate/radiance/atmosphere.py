@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from labdata.errors import BadInput, check, check_range
+from simulate.arrays import Array
 from simulate.radiance.spectrum import table
-
-Array = NDArray[np.floating]
 
 # ln 50: the visibility is defined by a contrast of 2 %.
 KOSCHMIEDER = 3.912

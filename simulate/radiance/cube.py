@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
-
-Array = NDArray[np.floating]
+from simulate.arrays import Array, Array32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +36,7 @@ class RadianceCube:
         object.__setattr__(self, "wavelength_nm", read_only(wavelength))
         object.__setattr__(self, "radiance", read_only(radiance))
 
-    def sum_bands(self, weight: Array) -> NDArray[np.float32]:
+    def sum_bands(self, weight: Array) -> Array32:
         """Return the sum over bands with weights (band,), shape (row, col)."""
         return np.tensordot(
             weight.astype(np.float32), self.radiance.astype(np.float32, copy=False), axes=1

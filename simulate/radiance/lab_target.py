@@ -10,15 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata import BadInput, Kind, Target
+from simulate.arrays import Array, Array32, Mask
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.integrator.sampling import R2
 from simulate.radiance.scene import Holder, LabScene
 from simulate.radiance.spectrum import luminous_efficiency, planck
 
-Array = NDArray[np.floating]
 OPEN, MASK, RING = 0, 1, 2
 # Length of an edge beyond any image.
 FAR_PX = 4e3
@@ -121,9 +120,7 @@ def render_bench(
     )
 
 
-def _cell_fractions(
-    scene: LabScene, kind: Kind, target: Target, view: TargetView
-) -> NDArray[np.float32]:
+def _cell_fractions(scene: LabScene, kind: Kind, target: Target, view: TargetView) -> Array32:
     """Return the fraction of each cell that transmits the port, then that reflects the room light,
     by material.
     """
@@ -186,7 +183,7 @@ def _tilt(target: Target) -> Array:
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def outline_cells(outlines: list[Array], view: TargetView) -> NDArray[np.bool_]:
+def outline_cells(outlines: list[Array], view: TargetView) -> Mask:
     """Return the cells in or next to which materials meet, shape (row, col)."""
     from scipy.ndimage import binary_dilation
 
@@ -208,7 +205,7 @@ def outline_cells(outlines: list[Array], view: TargetView) -> NDArray[np.bool_]:
 
 def _fractions_at(
     scene: LabScene, kind: Kind, target: Target, view: TargetView, cell: Array
-) -> NDArray[np.float32]:
+) -> Array32:
     """Return for cell coordinates (row, col) the weight of port and room light, by material."""
     positions_px = view.places_px(cell)
     material = np.where(_is_open(kind, target, positions_px), OPEN, MASK)
@@ -237,7 +234,7 @@ def _fractions_at(
     return np.concatenate([one_hot, one_hot * np.where(shaded, 0.0, lit)]).astype(np.float32)
 
 
-def _is_open(kind: Kind, target: Target, place_px: Array) -> NDArray[np.bool_]:
+def _is_open(kind: Kind, target: Target, place_px: Array) -> Mask:
     """Return whether positions (x, y) on the plate are clear, shape (point,)."""
     x, y = (place_px @ _tilt(target).T).T
     if kind == "edge":
@@ -253,6 +250,6 @@ def _is_open(kind: Kind, target: Target, place_px: Array) -> NDArray[np.bool_]:
     return np.full(len(place_px), kind == "flat")
 
 
-def _meets_ring(holder: Holder, position_m: Array, view: TargetView) -> NDArray[np.bool_]:
+def _meets_ring(holder: Holder, position_m: Array, view: TargetView) -> Mask:
     radius_px = np.hypot(position_m[:, 0], position_m[:, 1]) / view.metre_per_px
     return (holder.inner_radius_px < radius_px) & (radius_px < holder.outer_radius_px)

@@ -8,17 +8,16 @@ from importlib import resources
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from labdata.errors import BadInput, check
 from labdata.serialiser import from_toml
+from simulate.arrays import Array
 from simulate.radiance.brdf.microfacet import dielectric, dielectric_polarised
 from simulate.radiance.brdf.protocol import Lambert, Reflectance
 
 if TYPE_CHECKING:
     from simulate.radiance.brdf.protocol import Brdf
-
-Array = NDArray[np.floating]
 
 
 Finish = Literal["diffuse", "glossy", "metal", "retroreflective"]

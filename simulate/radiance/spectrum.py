@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
+from simulate.arrays import Array
 from simulate.radiance.cube import band_widths
 
-Array = NDArray[np.floating]
 # CODATA 2018: W m-2 K-4; J s; m/s; J/K.
 STEFAN_BOLTZMANN = 5.670374419e-8
 PLANCK, LIGHT, BOLTZMANN = 6.62607015e-34, 2.99792458e8, 1.380649e-23

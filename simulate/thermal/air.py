@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
+from simulate.arrays import Array
 from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.outdoor.scene import Weather as State
@@ -24,7 +25,6 @@ from simulate.radiance.spectrum import band_radiance, band_radiance_slope
 from simulate.thermal.thresholds import INFRARED, MODTRAN
 from simulate.thermal.weather import Weather
 
-Array = NDArray[np.floating]
 # Windows of the infrared that the bins cover, um.
 WINDOWS_UM = ((3.0, 5.0), (7.5, 14.0))
 # Temperature to which the continuum's coefficients belong, K.

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Index
 from simulate.effect_selection import OptionalEffect
 from simulate.radiance.outdoor.materials import Slab
 from simulate.radiance.outdoor.scene import Object
@@ -26,7 +26,6 @@ from simulate.thermal.slab import (
 from simulate.thermal.thresholds import LIMITS, UNCERTAINTY
 from simulate.thermal.weather import DAY_STEPS, Weather
 
-Array = NDArray[np.floating]
 # Reflectance of the ground beyond the scene, which has the temperature of the air.
 GROUND_REFLECTANCE = 0.2
 # Irradiance of the full moon in the zenith, W m-2.
@@ -244,7 +243,7 @@ class Balance:
 
     def _errors_k(
         self,
-        free: NDArray[np.int64],
+        free: Index,
         columns: Columns,
         forcing: Forcing,
         faces: Array,
@@ -345,9 +344,7 @@ class Balance:
             + self._heat
         )
 
-    def _forcing(
-        self, free: NDArray[np.int64], flux: Array, *, condensation: bool = True
-    ) -> Forcing:
+    def _forcing(self, free: Index, flux: Array, *, condensation: bool = True) -> Forcing:
         weather = self.weather
         return Forcing(
             flux_w_m2=flux[:, free],
@@ -367,9 +364,7 @@ class Balance:
             ),
         )
 
-    def _terms(
-        self, free: NDArray[np.int64], flux: Array, faces: Array, at_air: Array
-    ) -> dict[str, Array]:
+    def _terms(self, free: Index, flux: Array, faces: Array, at_air: Array) -> dict[str, Array]:
         """Fluxes of the terms that are kept, last day or all of it, W m-2."""
         sky, neighbours = self.longwave(faces[LAST])
         condensed, last_k = np.zeros((DAY_STEPS, len(self.slabs))), faces[LAST][:, free]

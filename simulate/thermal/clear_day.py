@@ -3,14 +3,14 @@
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from simulate.arrays import Array, Mask
 from simulate.radiance.sky.moon import AU_KM, ObserverLocation, ephemeris
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.slab import ZERO_C, vapour_pressure_pa
 from simulate.thermal.thresholds import LIMITS
 
-Array = NDArray[np.floating]
 # That of the model's authors: with 1361 W/m2 all of it would be 0.4 % lower.
 SOLAR_CONSTANT_W_M2 = 1366.1
 # Solar hours of the highest air temperature and of the strongest wind; decay of the air's
@@ -132,7 +132,7 @@ def sky_radiance(emissivity: Array, air_k: Array, dew_point_k: Array, sine: Arra
     return np.where(overcast, emissivity, directional) * black
 
 
-def course(hour: Array, is_day: NDArray[np.bool_]) -> tuple[Array, Array]:
+def course(hour: Array, is_day: Mask) -> tuple[Array, Array]:
     """Return the course of a clear day by solar hours: the air's temperature from 0 to 1, and wind
     over its maximum.
 

@@ -9,16 +9,14 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Index
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.ray_tracer import NOTHING, RayTracer
 from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.integrator.sampling import SequenceSlice, cosine_lobe, shading_frames
 from simulate.thermal.thresholds import LIMITS
 
-Array = NDArray[np.floating]
-Index = NDArray[np.int64]
 # Rings of the sky, equal in what level ground receives of a uniform sky, and the sine of the
 # elevation of each.
 RINGS = 12

@@ -5,8 +5,8 @@ limits it.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32
 from simulate.effect_selection import OptionalEffect
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers
@@ -15,7 +15,6 @@ from simulate.thermal.air import InfraredAir
 from simulate.thermal.slab import ZERO_C, vapour_pressure_pa
 from simulate.thermal.thresholds import INFRARED
 
-Array = NDArray[np.floating]
 # Gas constant of water vapour, J kg-1 K-1.
 VAPOUR_GAS = 461.5
 
@@ -47,7 +46,7 @@ class InfraredPicture:
     """
 
     edges_um: tuple[float, ...]
-    radiance: NDArray[np.float32]
+    radiance: Array32
     truth: AuxiliaryLayers
     error_k: float
     rays: tuple[int, int]
@@ -55,7 +54,7 @@ class InfraredPicture:
     left_out: tuple[OptionalEffect, ...]
     notes: tuple[str, ...] = ()
 
-    def apparent_k(self) -> NDArray[np.float32]:
+    def apparent_k(self) -> Array32:
         """Return the temperature of black bodies of the pixels' radiance over all bins, shape (row,
         col), K.
         """
@@ -85,7 +84,7 @@ class InfraredPicture:
         return "\n".join([*lines, f"{by_chance}; NETD of a pixel {netd_mk:.3g} mK"])
 
 
-def apparent_temperature(radiance: Array, band_um: tuple[float, float]) -> NDArray[np.float32]:
+def apparent_temperature(radiance: Array, band_um: tuple[float, float]) -> Array32:
     """Return temperatures of black bodies of given radiances (W m-2 sr-1) in a band (um), K, to
     1e-4 K.
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array
 from simulate.effect_selection import OptionalEffect, select_effects
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers, layers_of
@@ -29,8 +29,6 @@ from simulate.thermal.infrared_tracer import (
 from simulate.thermal.temperatures import Temperatures
 from simulate.thermal.thresholds import INFRARED
 
-Array = NDArray[np.floating]
-Index = NDArray[np.int64]
 BINS, FINER = "transmittance by bins, not one of the band", "bins finer than these"
 INSIDE = "sky and sun on it through the glass"
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array
 from simulate.radiance.atmosphere import airmass
 from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN, band_radiance
@@ -16,7 +16,6 @@ from simulate.thermal.slab import ZERO_C, vapour_pressure_pa
 from simulate.thermal.thresholds import INFRARED
 from simulate.thermal.weather import Weather
 
-Array = NDArray[np.floating]
 # Lengths of paths in air as at the ground that emit as the clear sky does in the zenith, km, and
 # the powers of the air mass by which they grow: of dry gases, lines of water, its continuum. Fitted
 # with the depth of ozone (`air.csv`) to the brightness temperatures of six model atmospheres of

@@ -7,8 +7,8 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Index
 from simulate.radiance.brdf.glossy import Facets as Microfacets
 from simulate.radiance.brdf.glossy import Glossy, Metal
 from simulate.radiance.brdf.microfacet import dielectric
@@ -22,8 +22,6 @@ from simulate.thermal.infrared_sky import Surroundings, ring_radiance
 from simulate.thermal.temperatures import Temperatures, slab_of
 from simulate.thermal.thresholds import INFRARED
 
-Array = NDArray[np.floating]
-Index = NDArray[np.int64]
 # Between these wavelengths, nm, the emissivity goes from that of 3.5 to 4.1 um to that of 8 to 14
 # um.
 BETWEEN_NM = tuple(1e3 * end for end in (WINDOWS_UM[0][1], WINDOWS_UM[1][0]))

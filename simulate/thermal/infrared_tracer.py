@@ -5,8 +5,8 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Index, Mask
 from simulate.radiance.brdf.protocol import Brdf
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.viewpoint import Viewpoint
@@ -24,8 +24,6 @@ from simulate.thermal.infrared_surfaces import InfraredSurfaces
 from simulate.thermal.temperatures import Temperatures
 from simulate.thermal.thresholds import INFRARED
 
-Array = NDArray[np.floating]
-Index = NDArray[np.int64]
 # Terms that may be left out.
 AIR, MORE, SUN = "air on the path", "reflected light of surfaces that reflect", "sunlight reflected"
 BETWEEN, GLASS = "air between surfaces", "what lies behind clear glass"
@@ -42,11 +40,11 @@ class TracedPixels:
 
     radiance: Array
     kelvin: Array
-    glossy: NDArray[np.bool_]
+    glossy: Mask
     range_m: Array
     points: ShadingPoints
     surface_pixels: Index
-    shadow: NDArray[np.bool_]
+    shadow: Mask
     albedo: Array  # towards the viewer, mean over the bins, of those that meet a surface
 
 

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from simulate.arrays import Array
 from simulate.radiance.outdoor.materials import Slab
 from simulate.radiance.outdoor.scene import ConvectionLaw
 from simulate.radiance.spectrum import STEFAN_BOLTZMANN
 from simulate.thermal.thresholds import LIMITS
 
-Array = NDArray[np.floating]
 ZERO_C = 273.15
 # Psychrometric constant at 1013 hPa, Pa/K; it scales with pressure.
 PSYCHROMETRIC_PA_K, STANDARD_HPA = 66.5, 1013.0

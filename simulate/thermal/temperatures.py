@@ -10,10 +10,10 @@ from functools import cache, cached_property
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata import BadInput, from_mapping, read_toml
 from labdata.camera.parameters import Parameter
+from simulate.arrays import Array, Array32, Index
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import workers
 from simulate.radiance.integrator.sampling import SequenceSlice, low_discrepancy_points
@@ -106,9 +106,6 @@ def _absorptivity(surface: MaterialSpec) -> Parameter:
     )
 
 
-Array = NDArray[np.floating]
-
-
 @dataclass(frozen=True)
 class Temperatures:
     """Temperatures of a scene.
@@ -195,7 +192,7 @@ class Temperatures:
 
     def map_k(
         self, viewpoint: Viewpoint, progress: Callable[[float], None] = lambda fraction: None
-    ) -> NDArray[np.float32]:
+    ) -> Array32:
         """Return the temperatures of the middles of a view's pixels at the scene's time, NaN for
         the sky, K.
 
@@ -213,7 +210,7 @@ class Temperatures:
                 progress(len(parts) / len(starts))
         return np.concatenate(parts)
 
-    def _rows(self, viewpoint: Viewpoint, start: int) -> NDArray[np.float32]:
+    def _rows(self, viewpoint: Viewpoint, start: int) -> Array32:
         surfaces, stop = self.balance.facets.surfaces, min(start + LIMITS.rows, viewpoint.shape[0])
         row, col = np.mgrid[start:stop, : viewpoint.shape[1]].reshape(2, -1)
         origin, direction = viewpoint.rays(row + 0.5, col + 0.5)
@@ -231,7 +228,7 @@ class Temperatures:
         )
         return kelvin.reshape(stop - start, -1)
 
-    def spots_k(self, facet: NDArray[np.int64], spots: Spots, views: Views) -> Array:
+    def spots_k(self, facet: Index, spots: Spots, views: Views) -> Array:
         """Return the temperatures of spots on facets (spot,) at the scene's time by what they see,
         shape (spot,), K.
         """

@@ -8,9 +8,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.arrays import Array
 from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.outdoor.scene import Weather as State
 from simulate.radiance.sky.moon import EARTH_RADIUS_KM, ObserverLocation
@@ -27,7 +27,6 @@ from simulate.thermal.slab import ZERO_C, dew_point_k
 from simulate.thermal.thresholds import LIMITS, UNCERTAINTY, WEATHER_BOUNDS
 from simulate.thermal.weather_files import Record, read_weather, utc_text
 
-Array = NDArray[np.floating]
 DAY_STEPS = round(86400.0 / LIMITS.step_s)
 # Sunlight of hours is interpolated as a fraction of the clear sky's where that is more, W m-2.
 SHINES_W_M2 = 10.0

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.arrays import Array
 from simulate.radiance.sky.moon import ObserverLocation
 from simulate.thermal.slab import ZERO_C, dew_point_k
 from simulate.thermal.thresholds import UNCERTAINTY
 
-Array = NDArray[np.floating]
 # Of each quantity its column in a kind of file, our unit over that of the file, and from where on
 # it is missing.
 Columns = Mapping[str, tuple[int | str, float, float]]

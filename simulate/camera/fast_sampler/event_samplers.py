@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.arrays import Array32
 from simulate.camera.chain import Chain, Slot
 from simulate.camera.fast_sampler.cell_planes import (
     CELLS,
@@ -26,7 +27,7 @@ from simulate.camera.fast_sampler.kernel import (
 from simulate.camera.fast_sampler.phosphor_rows import (
     glow_rows,
 )
-from simulate.camera.fast_sampler.single_pulses import Array, RunInBands, SparseLight
+from simulate.camera.fast_sampler.single_pulses import RunInBands, SparseLight
 from simulate.camera.grid import ACCURACY, Grid, irfft_image, rfft_image
 from simulate.camera.phosphor import PhosphorDecay
 from simulate.camera.random_numbers import key_of
@@ -44,7 +45,7 @@ class Exposure:
     """
 
     light: "DenseLight | SparseLight"
-    light_e: Array
+    light_e: Array32
 
 
 def prepare_exposure(chain: Chain, at_mcp: StageImage, fields: int, *, sparse: bool) -> Exposure:
@@ -72,13 +73,13 @@ class DenseLight:
 
     # Mean number of detected photoelectrons of every cell, the inverse of the probability of any,
     # and the row of the law, shape (plane, row, col).
-    expected: Array
-    inverse: Array
+    expected: Array32
+    inverse: Array32
     rows: NDArray[np.uint16]
-    gain: Array  # CCD electrons per mean pulse of every cell, shape (plane, row, col)
+    gain: Array32  # CCD electrons per mean pulse of every cell, shape (plane, row, col)
     # Gamma shape of pulses, and the rows of their law, flat.
     shape: float
-    quantiles: Array
+    quantiles: Array32
     # Ion events on all cells in one exposure, and their mean number of pulses.
     ions_per_field: float
     ion_size: float
@@ -153,7 +154,7 @@ class DenseScreen:
 
     def expose(
         self, frame: int, lights: Sequence[DenseLight], brightness: float, run_in_bands: RunInBands
-    ) -> Array:
+    ) -> Array32:
         """Draw the pulses of a frame's exposures, `brightness` times the mean light, and apply
         phosphor decay.
 
@@ -229,7 +230,7 @@ class DenseScreen:
         )
 
 
-Ions = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Array]
+Ions = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Array32]
 _NO_IONS: Ions = (
     np.empty(0, np.int64),
     np.empty(0, np.int64),

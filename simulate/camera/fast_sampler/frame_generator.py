@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from labdata.errors import BadInput
+from simulate.arrays import Array32
 from simulate.camera import pattern
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticState
 from simulate.camera.chain import Chain, Slot
@@ -21,7 +22,6 @@ from simulate.camera.fast_sampler.charge_distribution import normal_quantiles
 from simulate.camera.fast_sampler.charge_rows import charge_rows, interpolate_columns, read_rows
 from simulate.camera.fast_sampler.event_samplers import Exposure, prepare_exposure
 from simulate.camera.fast_sampler.kernel import COARSE, REACH, Kernel, PulseKernel
-from simulate.camera.fast_sampler.single_pulses import Array
 from simulate.camera.grid import ACCURACY
 from simulate.camera.random_numbers import key_of, poisson_numbers
 from simulate.camera.stage_image import StageImage
@@ -110,11 +110,11 @@ class FrameGenerator:
             return 1.0 if brightness == 1.0 else output_factor(brightness)
 
         @lru_cache(maxsize=1)
-        def mean(shown: tuple[float, ...]) -> Array:
+        def mean(shown: tuple[float, ...]) -> Array32:
             by_row = np.resize(np.array(shown, np.float32), len(light_e))[:, None]
             return np.ascontiguousarray(by_row * light_e + self._dark_pattern)
 
-        def expose(frame: int) -> tuple[Array, tuple[float, ...]]:
+        def expose(frame: int) -> tuple[Array32, tuple[float, ...]]:
             brightness = brightness_of(frame)
             coarse = self._screen.expose(
                 frame, [e.light for e in exposures], brightness, self._run_in_bands
@@ -242,7 +242,9 @@ class FrameGenerator:
             overflow=bool(highest > ccd.full_well_e),
         )
 
-    def _read(self, frame: int, coarse: Array, mean: Array, wells: _Wells, gain: float) -> Frame:
+    def _read(
+        self, frame: int, coarse: Array32, mean: Array32, wells: _Wells, gain: float
+    ) -> Frame:
         """Spread a frame's exposures over the pixels that are read from them, and read these."""
         ccd, video, screen, normal = self._ccd, self._video, self._screen, normal_quantiles()
         codes: Frame = np.empty(mean.shape, video.code_type)
@@ -290,8 +292,8 @@ class FrameGenerator:
 
 
 def far_wing(
-    kernel: Kernel | PulseKernel, coarse: Array, shape: Sequence[int]
-) -> tuple[Array, Array]:
+    kernel: Kernel | PulseKernel, coarse: Array32, shape: Sequence[int]
+) -> tuple[Array32, Array32]:
     """Return the far wing on coarse rows and the frame's columns, and the position of each frame
     row among the coarse rows.
 
@@ -326,7 +328,7 @@ def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, ...]) -> ND
 @lru_cache(maxsize=4)
 def _coarse_positions(
     coarse: tuple[int, ...], height: int, shape: tuple[int, ...]
-) -> tuple[Array, NDArray[np.uint32], NDArray[np.uint32], Array]:
+) -> tuple[Array32, NDArray[np.uint32], NDArray[np.uint32], Array32]:
     """Positions of the frame's rows and columns between the centres of coarse cells."""
     centres = REACH + 0.5 * height, REACH + 0.5
     rows, cols = (

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.arrays import Array32
 from simulate.camera.chain import Chain, Slot
 from simulate.camera.fast_sampler.cell_planes import (
     CELLS,
@@ -29,7 +30,6 @@ from simulate.camera.phosphor import PhosphorDecay
 from simulate.camera.stage_image import StageImage
 from simulate.camera.transfer import StageBlur
 
-Array = NDArray[np.float32]
 # Does work on rows in bands of whole blocks: (work of first and last row, rows, rows in a block).
 RunInBands = Callable[[Callable[[int, int], None], int, int], None]
 # Purpose of a random generator.
@@ -42,8 +42,8 @@ class SparseLight:
 
     # Mean number of detected photoelectrons of every cell in one exposure, shape (row, col); the
     # first cell lies under the kernel of the first pixel.
-    expected: Array
-    gain: Array  # CCD electrons per mean pulse of every cell, shape (row, col)
+    expected: Array32
+    gain: Array32  # CCD electrons per mean pulse of every cell, shape (row, col)
     shape: float  # gamma shape of pulses
     # Ion events on all cells in one exposure, and their mean number of pulses.
     ions_per_field: float
@@ -86,12 +86,12 @@ class SparseLight:
         return np.searchsorted(self.cumulative_pe, sums, side="right").astype(np.int32)
 
     @cached_property
-    def charge_e(self) -> Array:
+    def charge_e(self) -> Array32:
         """Mean charge that pulses bring to cells, e-, shape (row, col)."""
         ions = np.float32(self.ions_per_field * self.ion_size / self.gain.size)
         return np.asarray(self.gain * (self.expected + ions), np.float32)
 
-    def compact_charge_e(self, size: tuple[int, ...]) -> Array:
+    def compact_charge_e(self, size: tuple[int, ...]) -> Array32:
         """Return the mean charge that pulses bring to so many pixels by the compact kernel, e-,
         shape (row, col).
         """
@@ -126,7 +126,7 @@ class SparseLight:
         return np.ascontiguousarray(charge_e[: size[0], : size[1]], np.float32)
 
     @cached_property
-    def coarse_e(self) -> Array:
+    def coarse_e(self) -> Array32:
         """Mean charge that pulses bring to coarse cells, e-, shape (coarse row, coarse col)."""
         side = CELLS * COARSE
         rows, cols = (n // side for n in self.charge_e.shape)
@@ -135,13 +135,12 @@ class SparseLight:
     def screen(
         self, decay: PhosphorDecay, fields: int, seed: int, shape: tuple[int, ...]
     ) -> "SparseScreen":
-        """Return the phosphor in its initial state."""
         return SparseScreen(self, decay, fields, seed, shape)
 
 
 # Rows and columns of pulses in fractions of a pixel, their electrons, and those of them that the
 # components of the phosphor store, (component, pulse).
-Pulses = tuple[NDArray[np.int32], NDArray[np.int32], Array, Array]
+Pulses = tuple[NDArray[np.int32], NDArray[np.int32], Array32, Array32]
 
 
 class SparseScreen:
@@ -171,19 +170,15 @@ class SparseScreen:
         self._padded_fractions = np.pad(
             fractions, [(0, 0)] * 3 + [(0, -fractions.shape[3] % VECTOR_COLUMNS)]
         )
-        self._compact_charge: tuple[SparseLight, Array] = light, light.compact_charge_e(shape)
+        self._compact_charge: tuple[SparseLight, Array32] = light, light.compact_charge_e(shape)
 
     def forget(self) -> None:
-        """Reset the stored light to its mean."""
         self._stored[:] = 0.0
         self._coarse_stored[:] = 0.0
 
     def expose(
         self, frame: int, lights: Sequence[SparseLight], brightness: float, run_in_bands: RunInBands
-    ) -> Array:
-        """Draw the pulses of a frame's exposures and apply phosphor decay; see
-        `DenseScreen.expose`.
-        """
+    ) -> Array32:
         coarse, factor, size = [], np.float32(brightness), self.shown.shape[2:]
         for number, light in enumerate(lights):
             if light is not self._compact_charge[0]:
@@ -235,7 +230,7 @@ class SparseScreen:
             stored_charge.astype(np.float32),
         )
 
-    def _on_coarse_cells(self, light: SparseLight, pulses: Pulses, factor: np.float32) -> Array:
+    def _on_coarse_cells(self, light: SparseLight, pulses: Pulses, factor: np.float32) -> Array32:
         """Light of an exposure beyond the mean, summed over coarse cells."""
         side = FINEST * COARSE
         sums = coarse_sums(*pulses, side, *light.coarse_e.shape)

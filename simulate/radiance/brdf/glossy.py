@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from labdata.errors import BadInput, check_range
 from labdata.frames import read_only
+from simulate.arrays import Array
 from simulate.radiance.brdf import microfacet
 from simulate.radiance.brdf.microfacet import (
     AlbedoTable,
@@ -26,7 +27,6 @@ from simulate.radiance.brdf.protocol import (
     directions_at_cosine,
 )
 
-Array = NDArray[np.floating]
 # Mean of (1 - cos)^5 over the hemisphere, cosine-weighted.
 MEAN_RISE = 1.0 / 21.0
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from labdata.frames import read_only
+from simulate.arrays import Array
 from simulate.radiance.brdf.protocol import cosine_directions, directions_at_cosine
-
-Array = NDArray[np.floating]
 
 # Limits of the roughness.
 SMOOTHEST, ROUGHEST = 0.002, 1.0

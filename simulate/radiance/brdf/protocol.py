@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
 from labdata.frames import read_only
-
-Array = NDArray[np.floating]
+from simulate.arrays import Array
 
 
 class Brdf(Protocol):

@@ -18,8 +18,7 @@ from numba.core import types
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-
-Array = NDArray[np.floating]
+from simulate.arrays import Array, Array32, Index, Mask
 
 # Constants of Embree 4's C interface: kinds of geometry and of buffers, and formats.
 TRIANGLES, INSTANCE, INDEX, VERTEX, UINT3, FLOAT3, ROWS_3X4 = 0, 121, 0, 1, 0x5003, 0x9003, 0x9134
@@ -108,7 +107,7 @@ class Copied:
     """A mesh with many copies, stored once."""
 
     vertices_m: Array  # shape (vertex, 3)
-    faces: NDArray[np.int64]  # shape (face, 3)
+    faces: Index  # shape (face, 3)
     turn: Array  # rotation times scale of each copy, shape (copy, 3, 3)
     shift_m: Array  # and then translation, shape (copy, 3)
 
@@ -161,9 +160,7 @@ class EmbreeScene:
         self.centre_m = centre_m
         finalize(self, library.rtcReleaseScene, scene)
 
-    def hits(
-        self, planes: Planes, origin: Array, direction: Array
-    ) -> tuple[NDArray[np.int64], Array]:
+    def hits(self, planes: Planes, origin: Array, direction: Array) -> tuple[Index, Array]:
         """Return the triangle that each ray (ray, 3) hits first, -1 for none, and its distance,
         each of shape (ray,).
 
@@ -181,9 +178,7 @@ class EmbreeScene:
         )
         return face, range_m
 
-    def is_occluded(
-        self, origin: Array, direction: Array, length_limit: Array
-    ) -> NDArray[np.bool_]:
+    def is_occluded(self, origin: Array, direction: Array, length_limit: Array) -> Mask:
         """Return whether rays hit a surface within a number of direction lengths, shape (ray,)."""
         occluded = np.empty(len(origin), np.bool_)
         _trace_occlusions(
@@ -220,7 +215,7 @@ _intersect: Any = types.ExternalFunction("rtcIntersect16", types.void(*(types.ui
 _occluded: Any = types.ExternalFunction("rtcOccluded16", types.void(*(types.uintp,) * 4))
 
 
-def new_packets(rays: int) -> NDArray[np.float32]:
+def new_packets(rays: int) -> Array32:
     """Return empty ray packets: one row for each number and one column for each ray."""
     packet_count = -(-rays // PACKET)
     room = np.zeros(packet_count * ROWS * PACKET + ALIGNED // 4, np.float32)

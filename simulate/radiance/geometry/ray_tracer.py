@@ -11,9 +11,8 @@ from functools import reduce
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulate.arrays import Array, Index, Mask
 from simulate.radiance.geometry.embree import COPY_BITS, ROW, Copied, EmbreeScene, Planes
-
-Array = NDArray[np.floating]
 
 # A ray starts at least so far above the surface it leaves, m, or so large a share of the
 # coordinates there. Measured on a scene of 60 m, shifted by up to 10 km: no ray then hits its own
@@ -26,12 +25,12 @@ NOTHING = -1
 class Hits:
     """First hits of rays."""
 
-    face: NDArray[np.int64]  # triangle that each ray hits first, `NOTHING` for none, shape (ray,)
+    face: Index  # triangle that each ray hits first, `NOTHING` for none, shape (ray,)
     # distance to it along a direction of unit length, infinite for none, shape (ray,), m
     range_m: Array
 
     @property
-    def rays(self) -> NDArray[np.int64]:
+    def rays(self) -> Index:
         """Indices of the rays that hit a surface."""
         return np.flatnonzero(self.face != NOTHING)
 
@@ -73,7 +72,7 @@ class RayTracer:
 
     def is_occluded(
         self, origin_m: Array, direction: Array, length_limit: ArrayLike | None = None
-    ) -> NDArray[np.bool_]:
+    ) -> Mask:
         """Return whether rays (ray, 3) are occluded within a number of lengths of their direction;
         None: infinite.
         """

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.arrays import Array, Index
 from simulate.radiance.geometry.embree import Copied
 from simulate.radiance.geometry.ray_tracer import RayTracer, tracer
 
-Array = NDArray[np.floating]
 # Corners of a round shape, and subdivisions of a sphere.
 AROUND, SPHERE_CUTS = 48, 4
 # Half the side of the innermost square of the ground, m; each square around it is twice as wide.
@@ -25,9 +24,7 @@ class Mesh:
     """Triangles."""
 
     vertices_m: Array  # shape (vertex, 3), m
-    faces: NDArray[
-        np.int64
-    ]  # vertices of each triangle, counterclockwise seen from outside, shape (face, 3)
+    faces: Index  # vertices of each triangle, counterclockwise seen from outside, shape (face, 3)
 
     @property
     def corners_m(self) -> Array:
@@ -205,7 +202,7 @@ def _circle(radius: float, z: float) -> Array:
     return np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.full(AROUND, z)])
 
 
-def _cut(polygons: list[list[int]]) -> NDArray[np.int64]:
+def _cut(polygons: list[list[int]]) -> Index:
     """Triangulate convex polygons."""
     return np.array(
         [[p[0], p[i], p[i + 1]] for p in polygons for i in range(1, len(p) - 1)], np.int64
@@ -231,8 +228,8 @@ class Surfaces:
     mesh: Mesh  # triangles without copies, in scene coordinates
     # Number of the object and of the material of each triangle, of `mesh` and then of `copied`,
     # shape (row,).
-    object_of: NDArray[np.int64]
-    material_of: NDArray[np.int64]
+    object_of: Index
+    material_of: Index
     # Their names.
     objects: tuple[str, ...]
     materials: tuple[str, ...]
@@ -284,7 +281,7 @@ class Surfaces:
             row += len(mesh.faces)
 
 
-def _boxes_touch(corners_m: Array, position_m: Array, radius_m: float) -> NDArray[np.int64]:
+def _boxes_touch(corners_m: Array, position_m: Array, radius_m: float) -> Index:
     """Return which triangles (face, corner, 3) have bounding boxes that overlap a sphere's."""
     overlaps = (corners_m.min(axis=1) <= position_m + radius_m) & (
         corners_m.max(axis=1) >= position_m - radius_m

@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.errors import BadInput, check
+from simulate.arrays import Array, Mask
 
-Array = NDArray[np.floating]
 # Largest radius, in corner radii, and nodes of the table that inverts a distortion.
 FARTHEST, STEPS = 2.0, 4096
 
@@ -165,7 +164,7 @@ class Viewpoint:
                 picture_row=row,
             )
 
-    def project(self, direction: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def project(self, direction: Array) -> tuple[Array, Array, Mask]:
         """Return image coordinates (row, col) of directions, and whether they are in front of the
         lens, shape (ray,).
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulate.arrays import Array, Array32, Index, Mask
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.geometry.viewpoint import Viewpoint
@@ -17,7 +18,6 @@ from simulate.radiance.integrator.direct_lighting import dot, ray_starts
 from simulate.radiance.integrator.light_sources import SHORT, DiscLight
 from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
-Array = NDArray[np.floating]
 # Bits of the shadow map; further sources have none.
 BITS = 32
 # Neighbours whose normals differ by more than acos(0.98) = 11 degrees belong to different faces.
@@ -31,22 +31,18 @@ class AuxiliaryLayers:
     # Numbers into `materials` and `objects`, -1 for the sky, shape (row, col).
     material: NDArray[np.int16]
     object: NDArray[np.int32]
-    range_m: NDArray[
-        np.float32
-    ]  # distance from the lens, infinite for the sky, shape (row, col), m
-    normal: NDArray[
-        np.float32
-    ]  # unit normal on the camera's side, zero for the sky, shape (row, col, 3)
+    range_m: Array32  # distance from the lens, infinite for the sky, shape (row, col), m
+    normal: Array32  # unit normal on the camera's side, zero for the sky, shape (row, col, 3)
     # Bit n is set where source n of `sources` gives no light, because it is occluded or behind the
     # surface, shape (row, col).
     shadow: NDArray[np.uint32]
-    temperature_k: NDArray[np.float32]  # layer of the thermal model, here NaN, shape (row, col), K
+    temperature_k: Array32  # layer of the thermal model, here NaN, shape (row, col), K
     # Names.
     materials: tuple[str, ...]
     objects: tuple[str, ...]
     sources: tuple[str, ...]
 
-    def edges(self, *, shadows: bool = True) -> NDArray[np.bool_]:
+    def edges(self, *, shadows: bool = True) -> Mask:
         """Return the pixels at which object, face or, if requested, shadow changes, shape (row,
         col).
         """
@@ -85,8 +81,8 @@ class AuxiliaryLayers:
 def layers_of(
     surfaces: Surfaces,
     shape: tuple[int, int],
-    pixels: NDArray[np.int64],
-    face: NDArray[np.int64],
+    pixels: Index,
+    face: Index,
     *,
     normal: Array,
     shadow: NDArray,

@@ -7,6 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index, Mask
 from simulate.radiance.geometry.embree import COMPILED, INLINED
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator.integrator_settings import Run
@@ -17,29 +18,27 @@ from simulate.radiance.integrator.integrator_settings import Run
 SAME_NORMAL, OFF_PLANE, MIN_HEIGHT_M = 0.98, 0.05, 1e-5
 # A plane fit needs at least this many nodes, else the mean is used; and rows of nodes in one job.
 MIN_NODES, STRIP = 4, 16
-Array = NDArray[np.floating]
-Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Nodes:
     """A grid of surface points in view of a camera."""
 
-    row: Rows  # of the nodes that see a surface, shape (node,)
-    col: Rows
+    row: Index  # of the nodes that see a surface, shape (node,)
+    col: Index
     position_m: Array  # shape (row, col, 3)
     normal: Array
-    face: Rows  # triangles, -1 where there is no surface, shape (row, col)
+    face: Index  # triangles, -1 where there is no surface, shape (row, col)
 
     @classmethod
     def of(
         cls,
-        row: Rows,
-        col: Rows,
+        row: Index,
+        col: Index,
         shape: tuple[int, int],
         position_m: Array,
         normal: Array,
-        face: Rows,
+        face: Index,
     ) -> "Nodes":
         """Return a grid of positions and normals (node, 3) and triangles (node,) at rows and
         columns (node,).
@@ -53,7 +52,7 @@ class Nodes:
         return grid
 
     @property
-    def has_surface(self) -> NDArray[np.bool_]:
+    def has_surface(self) -> Mask:
         """Whether there is a surface, shape (row, col)."""
         return self.face != NOTHING
 
@@ -63,7 +62,7 @@ class Nodes:
         grid[self.row, self.col] = values
         return grid
 
-    def smooth(self, values: Array, width: NDArray[np.int64], run: Run) -> Array:
+    def smooth(self, values: Array, width: Index, run: Run) -> Array:
         """Return values (row, col, band) smoothed over windows of half widths (row, col), nodes."""
         smoothed, rows = np.zeros_like(values), len(values)
 
@@ -83,8 +82,8 @@ class Nodes:
         return smoothed
 
     def interpolate(
-        self, values: NDArray[np.float32], row: Array, col: Array, position_m: Array, normal: Array
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        self, values: Array32, row: Array, col: Array, position_m: Array, normal: Array
+    ) -> tuple[Array32, Mask]:
         """Interpolate values (row, col, band) at points; return also which points had a node on
         their surface.
 

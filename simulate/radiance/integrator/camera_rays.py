@@ -1,15 +1,13 @@
 """Radiance along camera rays: what they meet, panes that split them, and the air between."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
 from simulate.radiance.integrator.outgoing_radiance import (
     CacheLookup,
-    Light,
     RadianceComponents,
-    Rows,
     outgoing_radiance,
 )
 from simulate.radiance.integrator.spectral_scene import (
@@ -17,8 +15,6 @@ from simulate.radiance.integrator.spectral_scene import (
     reflect_direction,
     trace_segments,
 )
-
-Array = NDArray[np.floating]
 
 
 def radiance_along(
@@ -29,7 +25,7 @@ def radiance_along(
     rng: np.random.Generator,
     *,
     gather_rays: int,
-    sky_control_fraction: Light | None = None,
+    sky_control_fraction: Array32 | None = None,
     split: bool = False,
     cached_irradiance: CacheLookup | None = None,
     splits: int = LIMITS.max_pane_splits,
@@ -46,7 +42,7 @@ def radiance_along(
     has_air = scene.air.is_present and "air" not in effort.neglected
     panes = scene.bsdfs.panes
 
-    def add_air(range_m: Array, direction: Array, rays: Rows) -> None:
+    def add_air(range_m: Array, direction: Array, rays: Index) -> None:
         """Add the path radiance of air, less the light that it removes from all components."""
         if has_air:
             change = scene.air.change_of(components.total()[rays], range_m, direction)

@@ -9,28 +9,27 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index
 from simulate.radiance.geometry.ray_tracer import RayTracer
 from simulate.radiance.integrator.light_sources import SHORT, DiscLight, LampLight, Panels
 from simulate.radiance.integrator.sampling import shading_frames
 from simulate.radiance.integrator.spectral_scene import BsdfSet, ShadingPoints, SpectralScene
 
-Array = NDArray[np.floating]
 # Transmittance of air over lengths (ray,), m: shape (ray, band).
-AirTransmittance = Callable[[Array], NDArray[np.float32]]
+AirTransmittance = Callable[[Array], Array32]
 # Indices of illuminated points, and their outgoing radiance, shape (point, band).
-Lit = tuple[NDArray[np.int64], NDArray[np.float32]]
+Lit = tuple[Index, Array32]
 
 
 class LightSamples(NamedTuple):
     """Samples of sources, at most one for each point, without occlusion, shape (sample, ...)."""
 
-    points: NDArray[np.int64]  # indices of the points
+    points: Index  # indices of the points
     direction: Array  # unit direction by which the BSDF is evaluated
     target: Array  # vector from the point to the sampled position; a direction for sun and moon
     factor: Array  # irradiance over the spectrum
-    spectrum: NDArray[np.float32]  # shape (band,) or (sample, band)
+    spectrum: Array32  # shape (band,) or (sample, band)
     distance_m: Array | None = None  # None for sun and moon
 
 
@@ -167,7 +166,7 @@ def sample_panels(
 
 def gather_mis_weight(
     panels: Panels,
-    face: NDArray[np.int64],
+    face: Index,
     range_m: Array,
     source_cosine: Array,
     density: Array,
@@ -188,7 +187,7 @@ def gather_mis_weight(
     return np.where(source_cosine > 0.0, rays * density / (rays * density + panel_density), 0.0)
 
 
-def ray_starts(points: ShadingPoints, rows: NDArray[np.int64], tracer: RayTracer) -> Array:
+def ray_starts(points: ShadingPoints, rows: Index, tracer: RayTracer) -> Array:
     """Return where rays from some of the points start, shape (ray, 3), m."""
     return tracer.ray_starts(points.face[rows], points.position_m[rows], points.normal[rows])
 

@@ -8,13 +8,12 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32
 from simulate.radiance.geometry.embree import INLINED
 from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.integrator.sampling import fraction
 
-Array = NDArray[np.floating]
 # Cells of the radiance table, in height and azimuth; step between the normals of the irradiance
 # table.
 HEIGHTS, AZIMUTHS, NORMAL_STEP_DEG = 90, 120, 4.0
@@ -27,15 +26,15 @@ class EnvironmentMap:
     # By height from horizon to zenith and azimuth from east by north, both ends of each included,
     # shape (height, azimuth, band), W m-2 sr-1 nm-1; and without obstacles by the normal's angle
     # from the zenith and azimuth.
-    radiance_table: NDArray[np.float32]
-    irradiance_table: NDArray[np.float32]
+    radiance_table: Array32
+    irradiance_table: Array32
 
     @property
     def is_dark(self) -> bool:
         """Whether it emits no light."""
         return not self.radiance_table.any()
 
-    def radiance(self, direction: Array) -> NDArray[np.float32]:
+    def radiance(self, direction: Array) -> Array32:
         """Return spectral radiance from unit directions (ray, 3), shape (ray, band)."""
         height = np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)) / (0.5 * np.pi)
         radiance = _interpolate(
@@ -44,7 +43,7 @@ class EnvironmentMap:
         radiance[direction[:, 2] < 0.0] = 0.0
         return radiance
 
-    def irradiance(self, normal: Array) -> NDArray[np.float32]:
+    def irradiance(self, normal: Array) -> Array32:
         """Return the unoccluded irradiance of surfaces with unit normals (point, 3), shape (point,
         band).
         """
@@ -83,7 +82,7 @@ def black(bands: int) -> EnvironmentMap:
     return EnvironmentMap(np.zeros((2, 2, bands), np.float32), np.zeros((2, 2, bands), np.float32))
 
 
-def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
+def _irradiance(table: Array32) -> Array32:
     """Integrate the radiance table over the hemisphere of each normal, in equal steps of the sine
     of the height.
     """
@@ -127,9 +126,7 @@ def azimuth_turns(direction: Array) -> Array:
     return fraction(np.arctan2(direction[:, 1], direction[:, 0]) / (2.0 * np.pi))
 
 
-def _interpolate(
-    table: NDArray[np.float32], height_fraction: Array, width_fraction: Array
-) -> NDArray[np.float32]:
+def _interpolate(table: Array32, height_fraction: Array, width_fraction: Array) -> Array32:
     """Interpolate a table (row, col, band) linearly at fractions of its height and width, shape
     (point, band).
     """

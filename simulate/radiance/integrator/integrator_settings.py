@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulate.arrays import Array, Array32, Index, Mask
 from simulate.radiance.cube import band_widths
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +139,7 @@ def excess_variance(variance: Array, signal: Array, error_limit: Callable[[Array
     )
 
 
-def local_mean(values: Array, group: NDArray[np.bool_], half_width: int) -> Array:
+def local_mean(values: Array, group: Mask, half_width: int) -> Array:
     """Return means of values (row, col) over those of a group in squares around each."""
     from scipy.ndimage import uniform_filter
 
@@ -154,10 +153,10 @@ def local_mean(values: Array, group: NDArray[np.bool_], half_width: int) -> Arra
 def additional_rays(
     excess: Array,
     rays: NDArray[np.integer],
-    groups: tuple[NDArray[np.bool_], ...],
+    groups: tuple[Mask, ...],
     max_rays: int,
     total: float = np.inf,
-) -> NDArray[np.int64]:
+) -> Index:
     """Return the additional rays of pixels or cache nodes by their measured variance, powers of two
     or zero.
 
@@ -224,7 +223,7 @@ class RenderSensor:
     noise_averaging_factor: float = 1.0
     name: str = "sensor"  # name of the sensor
 
-    def weight(self, wavelength_nm: ArrayLike) -> NDArray[np.float32]:
+    def weight(self, wavelength_nm: ArrayLike) -> Array32:
         """Return the signal for spectral radiance in the bands of a grid, shape (band,), per W m-2
         sr-1 nm-1.
         """

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from math import gcd
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.cache_smoothing import Nodes, same_surface_pairs
 from simulate.radiance.integrator.integrator_settings import (
@@ -34,8 +34,6 @@ from simulate.radiance.integrator.sampling import (
 )
 from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True, kw_only=True)
 class IrradianceCache:
@@ -43,16 +41,14 @@ class IrradianceCache:
 
     scene: SpectralScene
     nodes: Nodes
-    change: NDArray[
-        np.float32
-    ]  # irradiance minus that of an unoccluded sky, shape (row, col, band), W m-2 nm-1
+    change: (
+        Array32  # irradiance minus that of an unoccluded sky, shape (row, col, band), W m-2 nm-1
+    )
     variance: Array  # estimated squared error of the signal of a white surface, shape (row, col)
-    rays: NDArray[np.int64]  # gather rays of each node, shape (row, col)
+    rays: Index  # gather rays of each node, shape (row, col)
     fine: bool = False  # whether each pixel is a node
 
-    def irradiance(
-        self, points: ShadingPoints, row: Array, col: Array
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def irradiance(self, points: ShadingPoints, row: Array, col: Array) -> tuple[Index, Array32]:
         """Return which points have a cached irradiance, and that irradiance, shape (cached point,
         band).
 
@@ -179,8 +175,8 @@ class _NodePoints:
     """Points on diffuse surfaces, and the rows and columns of their nodes."""
 
     points: ShadingPoints
-    row: NDArray[np.int64]
-    col: NDArray[np.int64]
+    row: Index
+    col: Index
     shape: tuple[int, int]
 
 
@@ -221,7 +217,7 @@ class _NodeOrigins:
         )
 
     def points(
-        self, nodes: NDArray[np.int64], origins_per_node: int, rng: np.random.Generator
+        self, nodes: Index, origins_per_node: int, rng: np.random.Generator
     ) -> ShadingPoints:
         """Return ray origins of some nodes, node by node.
 
@@ -256,16 +252,16 @@ class _NodeOrigins:
 def _gather(
     scene: SpectralScene,
     node_origins: _NodeOrigins,
-    nodes: NDArray[np.int64],
+    nodes: Index,
     effort: IntegratorSettings,
     sequence: SequenceSlice,
     seed: list[int],
     run: Run,
-) -> NDArray[np.float32]:
+) -> Array32:
     """Gather at nodes: irradiance minus that of an unoccluded sky, shape (node, band)."""
     sky, origins_per_node = scene.lighting.environment_map, node_origins.count(sequence.rays)
 
-    def gather_part(start: int) -> NDArray[np.float32]:
+    def gather_part(start: int) -> Array32:
         rows = np.arange(start, min(start + batch_nodes, len(nodes)))
         rng = np.random.default_rng([*seed, start])
         origins = node_origins.points(nodes[rows], origins_per_node, rng)
@@ -289,9 +285,7 @@ def _gather(
     return np.concatenate(parts) if parts else np.zeros((0, scene.bands), np.float32)
 
 
-def _smooth(
-    grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], run: Run
-) -> NDArray[np.float32]:
+def _smooth(grid: Nodes, values: Array32, width: Index, run: Run) -> Array32:
     """Return values of nodes smoothed over their windows, plus the smoothed residual.
 
     Windows chosen from noisy values avoid rare bright light, which biases the mean. The residual,
@@ -303,7 +297,7 @@ def _smooth(
     return smoothed
 
 
-def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[NDArray[np.int64], Array, Array]:
+def _windows(grid: Nodes, signals: Array, run: Run) -> tuple[Index, Array, Array]:
     """Choose each node's window by cross-validation of the two halves; return it, its squared error
     and the fit.
 

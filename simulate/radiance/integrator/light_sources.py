@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index
 from simulate.radiance.geometry.embree import COMPILED, INLINED
 from simulate.radiance.geometry.ray_tracer import normals
 from simulate.radiance.geometry.surfaces import Surfaces
@@ -19,7 +20,6 @@ from simulate.radiance.integrator.environment_map import EnvironmentMap, SkyImpo
 from simulate.radiance.integrator.sampling import draw_disc_point, set_direction, shading_frames
 from simulate.radiance.lamps.distribution import POWER, Distribution
 
-Array = NDArray[np.floating]
 # Shadow rays end before their source, at this fraction of the distance.
 SHORT = 1.0 - 1e-4
 
@@ -31,7 +31,7 @@ class LampLight:
     name: str
     position_m: Array  # of its centre
     radius_m: float  # it sets the width of penumbrae
-    spectrum: NDArray[np.float32]  # radiant flux, shape (band,), W nm-1
+    spectrum: Array32  # radiant flux, shape (band,), W nm-1
     distribution: Distribution
     frame: Array  # axes of the distribution in scene coordinates, as rows, shape (3, 3)
 
@@ -49,27 +49,23 @@ class DiscLight:
     name: str
     direction: Array  # unit vector to its centre
     angular_radius_rad: float
-    irradiance: NDArray[np.float32]  # at normal incidence, shape (band,), W m-2 nm-1
+    irradiance: Array32  # at normal incidence, shape (band,), W m-2 nm-1
 
 
 @dataclass(frozen=True)
 class Panels:
     """Emitting triangles, Lambertian on their outer side."""
 
-    face: NDArray[np.int64]  # numbers of the triangles, shape (panel,)
+    face: Index  # numbers of the triangles, shape (panel,)
     corners_m: Array  # shape (panel, 3, 3)
     normal: Array  # shape (panel, 3)
-    spectra: NDArray[
-        np.float32
-    ]  # radiance of each kind of emitter, shape (kind, band), W m-2 sr-1 nm-1
-    kind_of_face: NDArray[np.int64]  # of each triangle of the scene, -1 for none
+    spectra: Array32  # radiance of each kind of emitter, shape (kind, band), W m-2 sr-1 nm-1
+    kind_of_face: Index  # of each triangle of the scene, -1 for none
     per_m2_of_face: Array  # sampling density on each triangle of the scene
     cumulative: Array  # cumulative probability of the panels, shape (panel,)
 
     @classmethod
-    def of(
-        cls, surfaces: Surfaces, kind_of_face: NDArray[np.int64], spectra: NDArray[np.float32]
-    ) -> "Panels | None":
+    def of(cls, surfaces: Surfaces, kind_of_face: Index, spectra: Array32) -> "Panels | None":
         """Return the emitting triangles of surfaces, or None without any."""
         face = np.flatnonzero(kind_of_face >= 0)
         power = (
@@ -90,7 +86,7 @@ class Panels:
             face, corners, normals(corners), spectra, kind_of_face, per_m2, np.cumsum(probability)
         )
 
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[Index, Array]:
         """Draw panels by power and a uniform point on each: indices (count,) and positions (count,
         3), m.
         """

@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.arrays import Array, Mask
 from simulate.radiance.geometry.embree import (
     COMPILED,
     INLINED,
@@ -34,8 +35,6 @@ from simulate.radiance.integrator.sampling import (
     uniform,
 )
 
-Array = NDArray[np.floating]
-
 # Rings of equal light about a lamp's axis, from which directions are drawn; samples in both angles
 # that define them.
 RINGS, N_POLARS, N_AZIMUTHS = 64, 2000, 24
@@ -50,7 +49,7 @@ MIN_WEIGHT = 0.01
 class LightTracingSettings:
     """Sampling of lamp directions by intensity."""
 
-    is_efficient: NDArray[np.bool_]  # whether each lamp is light-traced
+    is_efficient: Mask  # whether each lamp is light-traced
     versines: (
         Array  # 1 less the cosines between rings about the lamps' axes, shape (lamp, ring + 1)
     )
@@ -64,9 +63,7 @@ class LightTracingSettings:
         ]
         return cls(is_efficient=np.array(is_efficient, np.bool_), versines=versines)
 
-    def arrays(
-        self, lamps: tuple[LampLight, ...], mask: NDArray[np.bool_]
-    ) -> tuple[NDArray, NDArray, NDArray]:
+    def arrays(self, lamps: tuple[LampLight, ...], mask: Mask) -> tuple[NDArray, NDArray, NDArray]:
         """Return the probabilities of some of the lamps, their cumulative sums, and the ring
         limits.
         """

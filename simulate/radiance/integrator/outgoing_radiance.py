@@ -15,8 +15,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator import direct_lighting
 from simulate.radiance.integrator.direct_lighting import LightSamples
@@ -30,14 +30,11 @@ from simulate.radiance.integrator.spectral_scene import (
     trace_segments,
 )
 
-Array = NDArray[np.floating]
-Rows = NDArray[np.int64]
-Light = NDArray[np.float32]
 # Points with a cached irradiance (without lamps and discs), and that irradiance, shape (cached
 # point, band).
-CachedIrradiance = tuple[Rows, Light]
+CachedIrradiance = tuple[Index, Array32]
 # Cached irradiance of points, by the numbers of the rays that met them.
-CacheLookup = Callable[[ShadingPoints, Rows], CachedIrradiance]
+CacheLookup = Callable[[ShadingPoints, Index], CachedIrradiance]
 
 
 class RadianceComponents:
@@ -45,9 +42,9 @@ class RadianceComponents:
 
     def __init__(self, shape: tuple[int, int], *, split: bool = False) -> None:
         self.shape, self.split = shape, split
-        self.by_name: dict[str, Light] = {}
+        self.by_name: dict[str, Array32] = {}
 
-    def add(self, name: str, rows: Rows, light: Array) -> None:
+    def add(self, name: str, rows: Index, light: Array) -> None:
         """Add light to a component at some points, each named once."""
         if len(rows):
             component = self.by_name.setdefault(
@@ -55,7 +52,7 @@ class RadianceComponents:
             )
             component[slice(None) if len(rows) == self.shape[0] else rows] += light
 
-    def total(self) -> Light:
+    def total(self) -> Array32:
         """Return the sum of all components."""
         return sum(self.by_name.values(), start=np.zeros(self.shape, np.float32))
 
@@ -74,7 +71,7 @@ class ShadingRequest:
 
     points: ShadingPoints
     components: RadianceComponents  # that the light is added to
-    rows: Rows  # row of each point in them
+    rows: Index  # row of each point in them
     effort: IntegratorSettings
     rng: np.random.Generator
     rays: int  # gather rays of each point
@@ -97,25 +94,25 @@ class ShadingRequest:
         )
 
     @cached_property
-    def control(self) -> Light:
+    def control(self) -> Array32:
         """Control-variate fraction of the sky: 0 where not diffuse, 1 where sky shadowing is
         off.
         """
         diffuse = self.points.is_diffuse.astype(np.float32)
         return self.points.sky_control_fraction * diffuse if self.effort.sky_shadowing else diffuse
 
-    def select(self, indices: Rows) -> "ShadingRequest":
+    def select(self, indices: Index) -> "ShadingRequest":
         """Return the request for some of the points."""
         sequence = None if self.sequence is None else self.sequence.select(indices)
         return replace(
             self, points=self.points.select(indices), rows=self.rows[indices], sequence=sequence
         )
 
-    def add(self, name: str, indices: Rows, light: Array) -> None:
+    def add(self, name: str, indices: Index, light: Array) -> None:
         """Add light to a component at some of the points, each named once."""
         self.components.add(name, self.rows[indices], light)
 
-    def add_rays(self, name: str, gather_rays: Rows, light: Array) -> None:
+    def add_rays(self, name: str, gather_rays: Index, light: Array) -> None:
         """Add light of some gather rays to a component; the rays of a point are consecutive."""
         if len(gather_rays):
             point = gather_rays // self.rays
@@ -130,7 +127,7 @@ def outgoing_radiance(
     rng: np.random.Generator,
     *,
     rays: int,
-    destination: tuple[RadianceComponents, Rows] | None = None,
+    destination: tuple[RadianceComponents, Index] | None = None,
     split: bool = False,
     depth: int = 0,
     cached: CachedIrradiance | None = None,
@@ -364,7 +361,7 @@ def _add_sky(
     request: ShadingRequest,
     direction: Array,
     density: Array,
-    weight: Light,
+    weight: Array32,
     segments: Segments,
 ) -> None:
     """Add the sky that gather rays meet, and subtract the occluded part of the control variate."""

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index
 from simulate.radiance.brdf.protocol import Lambert
 from simulate.radiance.geometry.embree import (
     COMPILED,
@@ -52,8 +52,6 @@ from simulate.radiance.integrator.source_sampling_loops import (
 )
 from simulate.radiance.integrator.spectral_scene import ShadingPoints, SpectralScene
 
-Array = NDArray[np.floating]
-
 # Paths traced together: enough that the active ones fill Embree's packets.
 WAVE = 256
 # Limits of the survival probability in Russian roulette.
@@ -63,14 +61,14 @@ MIN_SURVIVAL, MAX_SURVIVAL = 0.05, 0.95
 class PathStates(NamedTuple):
     """The paths of a wave, one a row."""
 
-    active: NDArray[np.int64]  # paths still followed, in order; their number is passed separately
-    shadow_rays: NDArray[np.int64]  # paths with a shadow ray, by the slot of the ray
-    point: NDArray[np.int64]  # shading point at which each path starts
-    face: NDArray[np.int64]  # triangle of its current vertex
-    weight: NDArray[
-        np.float32
-    ]  # contribution to the irradiance of the start per radiance from ahead, (path, band)
-    throughput: NDArray[np.float32]  # and per irradiance of the current vertex
+    active: Index  # paths still followed, in order; their number is passed separately
+    shadow_rays: Index  # paths with a shadow ray, by the slot of the ray
+    point: Index  # shading point at which each path starts
+    face: Index  # triangle of its current vertex
+    weight: (
+        Array32  # contribution to the irradiance of the start per radiance from ahead, (path, band)
+    )
+    throughput: Array32  # and per irradiance of the current vertex
     vertex: Array  # current vertex, (path, 3)
     start: Array  # ray start above it
     normal: Array  # on the side of the path
@@ -79,7 +77,7 @@ class PathStates(NamedTuple):
     cosine: Array  # of the direction at the last vertex
     reflectance: Array  # mean reflectance of the current vertex
     factor: Array  # irradiance over spectrum of the chosen source
-    source: NDArray[np.int64]  # number of the chosen source
+    source: Index  # number of the chosen source
     path_density: Array  # density with which paths reach the vertex, m-2
 
     @classmethod
@@ -102,14 +100,14 @@ class PathStates(NamedTuple):
 class DeferredPaths(NamedTuple):
     """Paths that met a surface which is not diffuse, shape (path, ...)."""
 
-    owner: NDArray[np.int64]  # point at which the path started
-    depth: NDArray[np.int64]  # bounces between there and the surface that the camera sees
-    face: NDArray[np.int64]  # of the last hit
+    owner: Index  # point at which the path started
+    depth: Index  # bounces between there and the surface that the camera sees
+    face: Index  # of the last hit
     position_m: Array
     direction: Array  # of the last segment
-    weight: NDArray[
-        np.float32
-    ]  # contribution to the irradiance of the start per radiance from there, (path, band)
+    weight: (
+        Array32  # contribution to the irradiance of the start per radiance from there, (path, band)
+    )
 
 
 def follow_paths(
@@ -119,10 +117,10 @@ def follow_paths(
     effort: IntegratorSettings,
     bright: SkyImportance | None,
     *,
-    control: NDArray[np.float32],
+    control: Array32,
     depth: int,
     seed: int,
-) -> tuple[NDArray[np.float32], DeferredPaths]:
+) -> tuple[Array32, DeferredPaths]:
     """Return the indirect irradiance of points, shape (point, band), and the deferred paths.
 
     Parameters

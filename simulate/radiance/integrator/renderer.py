@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index, Mask
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers, truth
@@ -30,8 +31,6 @@ from simulate.radiance.integrator.sampling import R2, fraction
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.integrator.subpixel_sources import add_small_sources
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
@@ -41,8 +40,8 @@ class Rendering:
     # Sensor signal of each pixel, and its estimated variance from slices of the pixel's rays, shape
     # (row, col): on average too large where objects meet; the variance of the irradiance cache is
     # not included.
-    signal: NDArray[np.float32]
-    variance: NDArray[np.float32]
+    signal: Array32
+    variance: Array32
     rays: NDArray[np.int32]  # rays of each pixel, shape (row, col)
     truth: AuxiliaryLayers  # auxiliary layers
     # Number of pixels with negative radiance in some band, because of the control variate. They are
@@ -58,7 +57,7 @@ class _Batch:
     cache and gather more.
     """
 
-    pixels: NDArray[np.int64]
+    pixels: Index
     rays: int
     uncached: bool
     iteration: int
@@ -71,10 +70,10 @@ class _BatchRenderer:
     scene: SpectralScene
     view: Viewpoint
     effort: IntegratorSettings
-    weight: NDArray[np.float32]
+    weight: Array32
     gather_rays: int
     seed: int
-    control: NDArray[np.float32]  # control-variate fraction of the sky, shape (row, col)
+    control: Array32  # control-variate fraction of the sky, shape (row, col)
     cache: IrradianceCache | None = None
 
     @property
@@ -83,7 +82,7 @@ class _BatchRenderer:
         return self.effort.max_bounces == 0 and self.scene.lighting.panels is None
 
     def batches(
-        self, new_rays: NDArray[np.integer], uncached: NDArray[np.bool_], iteration: int
+        self, new_rays: NDArray[np.integer], uncached: Mask, iteration: int
     ) -> Iterator[_Batch]:
         """Yield batches in frame order, from maps of shape (row, col)."""
         kinds = 2 * new_rays.ravel() + uncached.ravel()
@@ -93,7 +92,7 @@ class _BatchRenderer:
             for start in range(0, len(pixels), batch_pixels):
                 yield _Batch(pixels[start : start + batch_pixels], count, bool(kind % 2), iteration)
 
-    def render(self, batch: _Batch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def render(self, batch: _Batch) -> tuple[Array32, Array32]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape
         (pixel,).
         """
@@ -123,7 +122,7 @@ class _BatchRenderer:
         return light.reshape(count, batch.rays, -1).mean(axis=1), _variance_of_mean(ray_signals)
 
 
-def _variance_of_mean(ray_signals: NDArray[np.float32]) -> NDArray[np.float32]:
+def _variance_of_mean(ray_signals: Array32) -> Array32:
     """Return the variance of the mean of signals (pixel, ray), from means of slices."""
     rays = ray_signals.shape[1]
     starts = (
@@ -136,7 +135,7 @@ def _variance_of_mean(ray_signals: NDArray[np.float32]) -> NDArray[np.float32]:
     return (length * slice_deviations**2).sum(axis=1) / (max(len(starts) - 1, 1) * rays)
 
 
-def sky_control_fraction(scene: SpectralScene, view: Viewpoint, seed: int) -> NDArray[np.float32]:
+def sky_control_fraction(scene: SpectralScene, view: Viewpoint, seed: int) -> Array32:
     """Return the unoccluded fraction of the hemisphere at the surfaces in view, averaged over a
     tile, shape (row, col).
 

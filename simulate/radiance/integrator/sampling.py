@@ -7,12 +7,11 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Index
 from simulate.radiance.geometry.embree import INLINED, ROW
 from simulate.radiance.geometry.ray_tracer import CLEARANCE_SHARE
 
-Array = NDArray[np.floating]
 # Increments of the R2 sequence (Roberts, 2018): powers of the inverse plastic number.
 R2 = np.array([0.7548776662466927, 0.5698402909980532])
 # Inverse of the increment of that sequence in six dimensions, x^7 = x + 1.
@@ -47,7 +46,7 @@ class SequenceSlice:
         """Return slices with independent random starts."""
         return cls(rng.random((points, 2)), rays)
 
-    def select(self, indices: NDArray[np.int64]) -> "SequenceSlice":
+    def select(self, indices: Index) -> "SequenceSlice":
         """Return the slices of some points."""
         return SequenceSlice(self.start[indices], self.rays)
 
@@ -84,9 +83,7 @@ class LowDiscrepancyNumbers:
         return fraction(start + (np.arange(self.rays)[:, None] + 1.0) * step).reshape(shape)
 
 
-def low_discrepancy_points(
-    row: NDArray[np.int64], col: NDArray[np.int64], rays: int, seed: list[int]
-) -> SequenceSlice:
+def low_discrepancy_points(row: Index, col: Index, rays: int, seed: list[int]) -> SequenceSlice:
     """Return slices for rays of points on a grid, with a random shift for each tile.
 
     The points of a tile use consecutive slices in Morton order, so that every quarter of a tile is

@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index, Mask
 from simulate.radiance.brdf.protocol import Brdf, Lambert
 from simulate.radiance.geometry.embree import ROW
 from simulate.radiance.geometry.ray_tracer import NOTHING, Hits, RayTracer
@@ -28,20 +28,17 @@ from simulate.radiance.materials import pane_fractions
 if TYPE_CHECKING:
     from simulate.radiance.atmosphere import Atmosphere
 
-Array = NDArray[np.floating]
-Rows = NDArray[np.int64]
-
 
 class PaneHits(NamedTuple):
     """Rays that meet a pane, shape (meeting ray, ...)."""
 
-    rays: Rows  # numbers of the rays
+    rays: Index  # numbers of the rays
     range_m: Array
     position_m: Array
     normal: Array  # on the side of the ray's origin
-    face: Rows
-    reflectance: NDArray[np.float32]  # shape (meeting ray, band)
-    transmittance: NDArray[np.float32]
+    face: Index
+    reflectance: Array32  # shape (meeting ray, band)
+    transmittance: Array32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +46,7 @@ class Panes:
     """All panes of a scene, on bands."""
 
     tracer: RayTracer
-    kind_of_face: NDArray[np.int64]  # kind of glass of each triangle
+    kind_of_face: Index  # kind of glass of each triangle
     transmittance: Array  # of each kind at normal incidence, shape (kind, band)
     refractive_index: tuple[float, ...]  # of each kind
 
@@ -71,7 +68,7 @@ class Panes:
         position = origin_m[rays] + range_m[:, None] * hit_direction
         return PaneHits(rays, range_m, position, normal, face, reflectance, transmittance)
 
-    def start(self, hits: PaneHits, is_reflected: NDArray[np.bool_] | bool = False) -> Array:
+    def start(self, hits: PaneHits, is_reflected: Mask | bool = False) -> Array:
         """Return starts of transmitted or reflected rays, shape (meeting ray, 3), m."""
         side = np.where(
             np.broadcast_to(is_reflected, hits.rays.shape)[:, None], hits.normal, -hits.normal
@@ -80,7 +77,7 @@ class Panes:
 
     def transmittance_along(
         self, start_m: Array, vector: Array, length_limit: float | None
-    ) -> tuple[Rows, NDArray[np.float32]]:
+    ) -> tuple[Index, Array32]:
         """Return indices of rays that meet panes, and their transmittances (ray, band).
 
         Rays have a length of `length_limit` times that of their vectors (ray, 3), or none.
@@ -112,11 +109,11 @@ class Segments(NamedTuple):
     direction: Array
     hit: Hits  # opaque surface that the segment hits
     preceding_m: Array  # path length before the segment
-    meets_pane: NDArray[np.bool_]  # whether the ray met a pane
-    is_reflected: NDArray[np.bool_]  # whether a pane reflected it
-    weight: NDArray[
-        np.float32
-    ]  # fraction of the light over the probability of the path, shape (ray, band or 1)
+    meets_pane: Mask  # whether the ray met a pane
+    is_reflected: Mask  # whether a pane reflected it
+    weight: (
+        Array32  # fraction of the light over the probability of the path, shape (ray, band or 1)
+    )
 
 
 def trace_segments(
@@ -175,24 +172,24 @@ class ShadingPoints:
     """Points on surfaces at which radiance is computed, shape (point, ...)."""
 
     position_m: Array
-    face: Rows
+    face: Index
     normal: Array  # on the side of the viewer
     outgoing: Array  # unit direction to the viewer
-    on_outer_side: NDArray[np.bool_]  # whether the viewer sees the outer side of the triangle
-    material: Rows
+    on_outer_side: Mask  # whether the viewer sees the outer side of the triangle
+    material: Index
     glossy: tuple[
-        tuple[Rows, Brdf], ...
+        tuple[Index, Brdf], ...
     ]  # points of each surface that is not diffuse, and its BRDF
     # Fraction of the unoccluded sky irradiance of diffuse points that serves as control variate;
     # the rest is gathered. Any fraction independent of the samples gives the same mean: 1 has no
     # noise in the open, 0 has least where little sky is visible.
-    sky_control_fraction: NDArray[np.float32]
+    sky_control_fraction: Array32
 
     def __len__(self) -> int:
         return len(self.face)
 
     @property
-    def is_diffuse(self) -> NDArray[np.bool_]:
+    def is_diffuse(self) -> Mask:
         """Whether each point is on a diffuse surface, shape (point,)."""
         is_diffuse = np.ones(len(self), np.bool_)
         for rows, _ in self.glossy:
@@ -203,7 +200,7 @@ class ShadingPoints:
         """Return the same points on a perfectly reflecting diffuse surface."""
         return replace(self, material=np.full(len(self), WHITE), glossy=())
 
-    def select(self, indices: Rows) -> "ShadingPoints":
+    def select(self, indices: Index) -> "ShadingPoints":
         """Return a selection of the points, with repetition."""
         glossy = []
         for rows, brdf in self.glossy:
@@ -221,9 +218,7 @@ class BsdfSet:
 
     wavelength_nm: Array
     brdfs: tuple[Brdf, ...]  # one for each material of the surfaces
-    rho_by_pi: NDArray[
-        np.float32
-    ]  # of the diffuse ones, and last of `WHITE`, shape (material + 1, band), sr-1
+    rho_by_pi: Array32  # of the diffuse ones, and last of `WHITE`, shape (material + 1, band), sr-1
     panes: Panes | None = None
 
     @classmethod
@@ -239,10 +234,10 @@ class BsdfSet:
     def points(
         self,
         surfaces: Surfaces,
-        face: Rows,
+        face: Index,
         position_m: Array,
         direction: Array,
-        control: NDArray[np.float32] | None = None,
+        control: Array32 | None = None,
     ) -> ShadingPoints:
         """Return shading points for rays of unit direction (ray, 3) that hit triangles (ray,) at
         positions (ray, 3), m.
@@ -263,11 +258,11 @@ class BsdfSet:
             position_m, face, viewer_normal, -direction, on_outer_side, material, glossy, control
         )
 
-    def diffuse_brdf(self, points: ShadingPoints) -> NDArray[np.float32]:
+    def diffuse_brdf(self, points: ShadingPoints) -> Array32:
         """Return rho / pi of diffuse points and zero for others, shape (point, band), sr-1."""
         return self.rho_by_pi[points.material]
 
-    def value(self, points: ShadingPoints, incoming: Array) -> NDArray[np.float32]:
+    def value(self, points: ShadingPoints, incoming: Array) -> Array32:
         """Return the BRDF of points for unit directions to the light above them, shape (point,
         band), sr-1.
         """
@@ -307,7 +302,7 @@ def local_direction(frame: Array, direction: Array) -> Array:
     return np.einsum("ijk,ik->ij", frame, direction)
 
 
-def _to_light_and_viewer(points: ShadingPoints, rows: Rows, incoming: Array) -> list[Array]:
+def _to_light_and_viewer(points: ShadingPoints, rows: Index, incoming: Array) -> list[Array]:
     """Return the directions to light and viewer of some points, in the frames of their normals."""
     frame = shading_frames(points.normal[rows])
     return [local_direction(frame, way[rows]) for way in (incoming, points.outgoing)]
@@ -323,9 +318,9 @@ class Air:
     """Air of a scene, on bands."""
 
     # by haze and molecules, shape (band,); None: no air
-    extinction_per_m: NDArray[np.float32] | None = None
+    extinction_per_m: Array32 | None = None
     # over paths of 2^(n / `NODES`) m, shape (length, band)
-    gas_transmittance: NDArray[np.float32] | None = None
+    gas_transmittance: Array32 | None = None
     # radiance of an infinite path; None for unlit air
     infinite_path: environment_map.EnvironmentMap | None = None
 
@@ -351,13 +346,11 @@ class Air:
         """Whether there is air."""
         return self.extinction_per_m is not None
 
-    def transmittance(self, range_m: Array) -> NDArray[np.float32]:
+    def transmittance(self, range_m: Array) -> Array32:
         """Return the transmittance of paths of given lengths (ray,), m, shape (ray, band)."""
         return self._particle_transmittance(range_m) * self._gas_transmittance(range_m)
 
-    def change_of(
-        self, light: NDArray[np.float32], range_m: Array, direction: Array
-    ) -> NDArray[np.float32]:
+    def change_of(self, light: Array32, range_m: Array, direction: Array) -> Array32:
         """Return the change of light (ray, band) along paths in unit directions (ray, 3): path
         radiance minus losses.
 
@@ -376,11 +369,11 @@ class Air:
             )
         return change
 
-    def _particle_transmittance(self, range_m: Array) -> NDArray[np.float32]:
+    def _particle_transmittance(self, range_m: Array) -> Array32:
         assert self.extinction_per_m is not None
         return np.exp(np.asarray(-range_m, np.float32)[:, None] * self.extinction_per_m)
 
-    def _gas_transmittance(self, range_m: Array) -> NDArray[np.float32]:
+    def _gas_transmittance(self, range_m: Array) -> Array32:
         """Interpolate the gas transmittance in the logarithm of the length, shape (ray, band)."""
         table = self.gas_transmittance
         assert table is not None
@@ -424,8 +417,8 @@ class SpectralScene:
         hit: Hits,
         origin_m: Array,
         direction: Array,
-        rays: Rows,
-        control: NDArray[np.float32] | None = None,
+        rays: Index,
+        control: Array32 | None = None,
     ) -> ShadingPoints:
         """Return the shading points of some of the rays of unit direction (ray, 3), which hit a
         surface.
@@ -435,7 +428,7 @@ class SpectralScene:
             self.surfaces, hit.face[rays], position_m, direction[rays], control
         )
 
-    def emission(self, points: ShadingPoints) -> tuple[Rows, NDArray[np.float32]]:
+    def emission(self, points: ShadingPoints) -> tuple[Index, Array32]:
         """Return the indices of emitting points and their emitted radiance, shape (emitting point,
         band).
         """

@@ -8,16 +8,14 @@ where the path meets that pane.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array, Array32, Index
 from simulate.radiance.geometry.viewpoint import Exposure, Viewpoint
 from simulate.radiance.integrator.direct_lighting import dot
 from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.integrator.light_sources import SHORT, DiscLight, LampLight
 from simulate.radiance.integrator.sampling import shading_frames
 from simulate.radiance.integrator.spectral_scene import Panes, SpectralScene, reflect_direction
-
-Array = NDArray[np.floating]
 
 
 def coverage(row: Array, col: Array, shape: tuple[int, int]) -> Array:
@@ -75,7 +73,7 @@ def _pieces(corner: Array) -> tuple[Array, Array]:
 GOLDEN_TURN = np.pi * (3.0 - 5.0**0.5)
 
 
-def add_small_sources(scene: SpectralScene, view: Viewpoint, radiance: NDArray[np.float32]) -> None:
+def add_small_sources(scene: SpectralScene, view: Viewpoint, radiance: Array32) -> None:
     """Add the directly visible lamps, sun and moon to the radiance of pixels, shape (pixel, band).
 
     Sources whose light on surfaces is neglected are included, because they may still dazzle.
@@ -102,7 +100,7 @@ def _add_disc(
     exposure: Exposure,
     source: Source,
     plane: "_Plane | None",
-    radiance: NDArray[np.float32],
+    radiance: Array32,
 ) -> None:
     """Add a source, or its image in a plane of panes, to the rows of an exposure."""
     eye = exposure.eye_m
@@ -167,9 +165,7 @@ def _add_disc(
     radiance[exposure.picture_row * columns + pixel] += weight * mean_transmittance * light
 
 
-def _means(
-    positions: Array, transmittance: NDArray[np.float32], centre: Array
-) -> NDArray[np.float32]:
+def _means(positions: Array, transmittance: Array32, centre: Array) -> Array32:
     """Return means of pixels over the points (row, col) in them, or of the nearest, shape (pixel,
     band or 1).
     """
@@ -219,9 +215,7 @@ def _source_points(source: Source, eye: Array, area_fraction: Array, angle: Arra
     return length[:, None] * centre + radius * disc_radius[:, None] * offset
 
 
-def _transmittance(
-    scene: SpectralScene, eye: Array, vector: Array, source: Source
-) -> NDArray[np.float32]:
+def _transmittance(scene: SpectralScene, eye: Array, vector: Array, source: Source) -> Array32:
     """Return the transmittance to points of a source past surfaces and through panes, shape (point,
     band or 1).
     """
@@ -241,7 +235,7 @@ def _transmittance(
     )
 
 
-def _irradiance(scene: SpectralScene, source: Source, eye: Array) -> NDArray[np.float32]:
+def _irradiance(scene: SpectralScene, source: Source, eye: Array) -> Array32:
     """Return the irradiance by a source through air alone, shape (band,)."""
     if isinstance(source, DiscLight):
         return source.irradiance
@@ -272,8 +266,8 @@ def _attenuate(
     start: Array,
     vector: Array,
     length_limit: float | None,
-    light: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    light: Array32,
+) -> Array32:
     """Attenuate light along paths by panes, in place."""
     rows, pane_transmittance = panes.transmittance_along(start, vector, length_limit)
     light[rows] *= pane_transmittance
@@ -288,7 +282,7 @@ class _Plane:
 
     normal: Array
     offset_m: float
-    faces: NDArray[np.int64]
+    faces: Index
 
     def height(self, position_m: Array) -> float:
         """Return the height of a position above the plane, m."""
@@ -320,7 +314,7 @@ def _image_directions(vector: Array, plane: _Plane | None) -> Array:
 
 def _pane_transmittance(
     scene: SpectralScene, eye: Array, image_eye: Array, vector: Array, plane: _Plane, source: Source
-) -> NDArray[np.float32]:
+) -> Array32:
     """Return the transmittance to points of an image, over both segments of its path, shape (point,
     band).
     """

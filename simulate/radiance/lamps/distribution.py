@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
 from labdata.frames import read_only
+from simulate.arrays import Array
 from simulate.radiance.spectrum import SourceSpectrum
 
-Array = NDArray[np.floating]
 # How compiled loops know a distribution: its kind, then factor and power, or sizes, angles and
 # intensities of a table.
 POWER, MEASURED = 1.0, 2.0

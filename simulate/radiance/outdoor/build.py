@@ -9,23 +9,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
+from simulate.arrays import Array, Index
 from simulate.radiance.geometry.embree import Copied
 from simulate.radiance.geometry.surfaces import Mesh, Surfaces, collect_surfaces, join_meshes, shape
 from simulate.radiance.outdoor.objects import METRE, Object
 from simulate.radiance.outdoor.poses import Pose, rotation_of
 from simulate.radiance.outdoor.scene import OutdoorScene
 
-Array = NDArray[np.floating]
-
 # Each run of one material along a row becomes a rectangle; an image with more runs is not a map.
 MOST_RUNS = 500_000
 
 
-def _read_map(path: Path, count: int) -> NDArray[np.int64]:
+def _read_map(path: Path, count: int) -> Index:
     """Return the numbers of materials of an image, shape (row, col); refuse others than 0 to count
     - 1.
     """
@@ -70,7 +68,7 @@ def split_by_material(
     ]
 
 
-def _runs(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+def _runs(values: Index) -> tuple[Index, ...]:
     """Return row, first and last column and value of each run of one value along a row."""
     columns = values.shape[1]
     is_start = np.ones(values.shape, bool)
@@ -227,7 +225,7 @@ def _pieces(scene: OutdoorScene, scene_object: Object) -> tuple[list[tuple[str, 
 
 
 def split_by_texture(
-    path: Path, metre: float, numbers: NDArray[np.int64], materials: Sequence[str]
+    path: Path, metre: float, numbers: Index, materials: Sequence[str]
 ) -> list[tuple[str, Mesh]]:
     """Return the parts of a mesh file, one for each material of an image that its texture
     coordinates lay on it.
@@ -258,7 +256,7 @@ def split_by_texture(
             f"a map on a mesh must make at most {MOST_RUNS} parts, got {(cuts**2).sum():.0f} of "
             f"{path.name}; give an image of fewer pixels"
         )
-    parts: list[tuple[Array, NDArray[np.int64]]] = []
+    parts: list[tuple[Array, Index]] = []
     for count in np.unique(cuts.astype(np.int64)):
         triangles = np.flatnonzero(cuts == count)
         weights = _subdivision(int(count))
@@ -341,7 +339,7 @@ def _load(path: Path) -> list[Any]:
     return parts
 
 
-def _check_mesh(name: str, vertices: Array, faces: NDArray[np.int64]) -> None:
+def _check_mesh(name: str, vertices: Array, faces: Index) -> None:
     if vertices.shape[1:] != (3,):
         raise BadInput(
             f"the vertices of a mesh must have three coordinates, got {vertices.shape[1:]} in "

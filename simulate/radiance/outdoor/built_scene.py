@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from labdata.errors import BadInput
+from simulate.arrays import Array
 from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.brdf.protocol import Brdf, read_measured
 from simulate.radiance.geometry.surfaces import Surfaces
@@ -22,8 +23,6 @@ from simulate.radiance.outdoor.materials import MaterialSpec
 from simulate.radiance.outdoor.scene import LampPlacement, OutdoorScene, Weather
 from simulate.radiance.sky.night_sky import NightSky, TownGlow
 from simulate.radiance.spectrum import SourceSpectrum, spectral_grid
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)

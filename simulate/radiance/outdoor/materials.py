@@ -4,13 +4,11 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.camera.parameters import Parameter
 from labdata.errors import BadInput, check
+from simulate.arrays import Array
 from simulate.radiance.materials import Finish, Material, clearest, material
-
-Array = NDArray[np.floating]
 
 # Refractive index of soda-lime glass.
 WINDOW_GLASS = 1.52

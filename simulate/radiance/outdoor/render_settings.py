@@ -11,8 +11,8 @@ bounds: a small object that the pilot missed may have more.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.camera_rays import radiance_along
@@ -25,8 +25,6 @@ from simulate.radiance.integrator.integrator_settings import (
 from simulate.radiance.integrator.outgoing_radiance import bounce_order
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)

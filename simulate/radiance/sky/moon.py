@@ -7,13 +7,13 @@ from datetime import UTC, datetime
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from labdata.errors import BadInput, check_range
+from simulate.arrays import Array
 from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.spectrum import SourceSpectrum, require_grid, table
 
-Array = NDArray[np.floating]
 AU_KM = 149_597_870.7
 SUN_RADIUS_KM, EARTH_RADIUS_KM = 695_700.0, 6371.0
 

@@ -5,9 +5,10 @@ from datetime import datetime
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from labdata.errors import check
+from simulate.arrays import Array
 from simulate.radiance.atmosphere import Atmosphere, airmass
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import spectrum
@@ -31,7 +32,6 @@ from simulate.radiance.spectrum import (
     table,
 )
 
-Array = NDArray[np.floating]
 BAND_NM = 50.0
 # Airglow's lines that stand out of a 50 nm band, W m-2 sr-1: oxygen at 558 and 630 nm (160 and 115
 # rayleigh), sodium.

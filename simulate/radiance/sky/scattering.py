@@ -5,11 +5,10 @@ distribution.
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from simulate.arrays import Array
 from simulate.radiance.atmosphere import Atmosphere, airmass, scattering_albedo
-
-Array = NDArray[np.floating]
 
 # Haze scatters forward: its mean cosine, and the angle within which the aureole is taken as flat.
 ASYMMETRY = 0.65

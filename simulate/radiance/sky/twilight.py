@@ -1,11 +1,10 @@
 """Twilight: zenith brightness by the depression of sun or moon, its spectrum and its shape."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulate.arrays import Array
 from simulate.radiance.spectrum import SourceSpectrum
 
-Array = NDArray[np.floating]
 # Zenith brightness, mag arcsec-2, over the depression d in degrees: a0 + a1 (d - 5) + a2 (d - 5)^2
 # for 5 <= d <= 15, in U, B, V, R, I (Patat, Ugolnikov and Postylyakov, Astron. Astrophys. 455, 385,
 # 2006).
