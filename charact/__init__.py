@@ -13,10 +13,18 @@ from typing import TYPE_CHECKING
 
 from labdata.lazy_names import import_on_first_use
 from labdata.numba_cache import keep_loops
+from labdata.quantity import QUANTITIES
 
 __version__ = "0.1.0"
 
 keep_loops()
+
+
+def _declare_quantities() -> None:
+    import charact.observables  # noqa: F401
+
+
+QUANTITIES.declare_more = _declare_quantities
 
 if TYPE_CHECKING:
     from charact.api.analysis import Analysis

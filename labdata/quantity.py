@@ -52,8 +52,32 @@ def _entry(title: str, *units: str, **more: Any) -> Quantity:
     return Quantity(units=units, title=title, **more)
 
 
+class Catalogue(dict[str, Quantity]):
+    """Quantities by name. A package may declare more when one is asked for that is not listed."""
+
+    declare_more: Callable[[], object] | None = None  #: Adds them; is called once
+
+    def __missing__(self, name: str) -> Quantity:
+        if self.declare_more is None:
+            raise KeyError(name)
+        declare_more, self.declare_more = self.declare_more, None
+        declare_more()
+        return self[name]
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return the quantity of a name, or a default."""
+        try:
+            return self[name]
+        except KeyError:
+            return default
+
+    def __contains__(self, name: object) -> bool:
+        return self.get(str(name)) is not None
+
+
 # In the order in which a user looks for them.
-QUANTITIES: dict[str, Quantity] = {
+QUANTITIES = Catalogue()
+QUANTITIES |= {
     "mtf50": _entry(
         "MTF50: frequency at which the MTF falls to 0.5",
         "cy/px",

@@ -72,6 +72,12 @@ class StackStatistics:
     parity: NDArray[np.int64]
     bins: Bins  # bins of the spectra
     cube: Cube | None = None  # 3-D noise; None if not requested or the stack is too short
+    entry: StackEntry | None = None  # the stack
+
+    @property
+    def data(self) -> NDArray:
+        """Frames, shape (frame, row, col), DN; none where the stack is not known."""
+        return np.zeros((0, *self.size)) if self.entry is None else self.entry.read().data
 
     @property
     def mean_sd_dn(self) -> float:
@@ -135,6 +141,7 @@ def _join(
     frame_mean = np.concatenate([run.frame_mean_dn for run in runs])
     return StackStatistics(
         label=entry.label,
+        entry=entry,
         kind=entry.kind,
         conditions=entry.conditions,
         frames=shape[0],

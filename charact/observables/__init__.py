@@ -1,4 +1,10 @@
-"""Statistics of darks and flats: one class each, for noise, fit and validation."""
+"""Statistics of darks and flats: one class each, for noise, fit and validation.
+
+A statistic is declared where its module is imported, and all modules of this folder are.
+"""
+
+from importlib import import_module
+from pkgutil import iter_modules
 
 from charact.observables.admissible import admissible_measurements, sd_of
 from charact.observables.dark_spectrum import readout_spectrum
@@ -11,6 +17,7 @@ from charact.observables.observable import (
     MeasuredStack,
     Numbers,
     Observable,
+    Printed,
     Ridge,
     Stacks,
     Values,
@@ -41,6 +48,7 @@ __all__ = [
     "Numbers",
     "Observable",
     "PhotonTransfer",
+    "Printed",
     "Prnu",
     "Ridge",
     "StackLevel",
@@ -54,3 +62,6 @@ __all__ = [
     "readout_spectrum",
     "sd_of",
 ]
+
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")

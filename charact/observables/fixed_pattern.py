@@ -16,6 +16,7 @@ from charact.observables.observable import (
     MeasuredStack,
     Numbers,
     Observable,
+    Printed,
     Stacks,
     Values,
     cube_root,
@@ -36,6 +37,15 @@ class Prnu(Observable[Any]):
 
     name = "PRNU"
     order = 34
+    printed = Printed(
+        quantity="prnu",
+        kind="pattern",
+        unit="%",
+        factor=100.0,
+        with_flats=True,
+        of_flat=True,
+        note="includes shading of illumination and lens",
+    )
     tube = False
     depends = (PRNU_FRACTION,)
     relative_model_sd = 2.0 * SILICON.noise_model_sd
@@ -75,6 +85,7 @@ class Dsnu(Observable[Any]):
 
     name = "DSNU"
     order = 35
+    printed = Printed(quantity="dsnu", kind="pattern", with_flats=True, per_electron=True)
     tube = False
     relative_model_sd = 2.0 * SILICON.noise_model_sd
 

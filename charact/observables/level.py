@@ -7,8 +7,11 @@ b: black level; p: photons of a pixel; eta: quantum efficiency.
 
 from charact.observables.observable import (
     ComparedStack,
+    Estimates,
+    MeasuredStack,
     Numbers,
     Observable,
+    Printed,
     Stacks,
     log,
     observable,
@@ -23,6 +26,12 @@ class Level(Observable[Stacks[ComparedStack]]):
     order = 0
     title = "Level of the dark, and signal of the brightest flat"
     cause = "sensitivity, gain, black level, EBI, dark current, or the light meter"
+
+    printed = Printed(quantity="dark_signal", kind="level")
+
+    def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
+        """Return the level of the first dark, DN."""
+        return Estimates.of_number(stacks.dark.mean_dn, stacks.dark.mean_sd_dn)
 
     def numbers(self, stacks: Stacks[ComparedStack]) -> Numbers:
         dark, flat = stacks.dark, stacks.flat

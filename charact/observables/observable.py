@@ -8,11 +8,12 @@ misfit, the validation compares those of measured with those of simulated frames
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from labdata import Array, Camera, Conditions, Result
+from labdata import QUANTITIES, Array, Camera, Conditions, Result
+from labdata.quantity import Quantity
 
 # Every parameter of a description by its path: n draws, or one value, shape (n,) or (1,)
 Values = Mapping[str, Array]
@@ -150,6 +151,26 @@ class Case(Generic[Shown]):
     label: str = ""  # name in messages, where it is not that of the statistic
 
 
+@dataclass(frozen=True, kw_only=True)
+class Printed:
+    """How noise prints the first number of a statistic, of a dark or of a flat with its dark.
+
+    `kind`: "noise" and "pattern" are variances in time and over pixels, printed as their root;
+    "level" is that of a dark; "number" is none of these. Rounding and clipping have known effects
+    on noise and level.
+    """
+
+    quantity: str
+    kind: Literal["level", "noise", "number", "pattern"] = "number"
+    unit: str = "DN"
+    factor: float = 1.0  # to the unit
+    with_flats: bool = False  # whether it is printed only where there are flats
+    of_flat: bool = False
+    per_electron: bool = False  # in electrons where the gain is known
+    note: str = ""
+    entry: Quantity | None = None  # in the catalogue, of a quantity that `labdata` does not list
+
+
 class Observable(Generic[Shown]):
     """One statistic of the frames of a session.
 
@@ -179,6 +200,7 @@ class Observable(Generic[Shown]):
     model_sd: float = 0.0
     # Whether the numbers are lower bounds: a prediction beyond them agrees
     is_bound: bool = False
+    printed: Printed | None = None
 
     def usable(self, stacks: Any) -> Any:
         """Return the stacks that show the statistic to a fit; None where there are none."""
@@ -228,6 +250,11 @@ def observable(statistic: type[Statistic]) -> type[Statistic]:
 def declare(*statistics: Observable[Any]) -> None:
     """Add statistics that are values of a class to those that are looped over."""
     _KNOWN.extend(statistics)
+    QUANTITIES.update(
+        (statistic.printed.quantity, statistic.printed.entry)
+        for statistic in statistics
+        if statistic.printed is not None and statistic.printed.entry is not None
+    )
 
 
 def observables() -> tuple[Observable[Any], ...]:

@@ -19,6 +19,7 @@ from charact.observables.observable import (
     MeasuredStack,
     Numbers,
     Observable,
+    Printed,
     Stacks,
     Values,
     columns,
@@ -179,6 +180,11 @@ class DarkNoise(Observable[Any]):
 
     name = "dark-noise"
     order = 30
+    printed = Printed(
+        quantity="read_noise",
+        kind="noise",
+        note="temporal noise of a dark frame: electronics, digitiser and dark scintillation",
+    )
     tube = False
     relative_model_sd = SILICON.noise_model_sd
 

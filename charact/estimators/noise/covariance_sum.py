@@ -57,9 +57,9 @@ from charact.estimators.noise.predictive_check import (
 )
 from charact.estimators.noise.quantities import (
     dark_clipping,
-    dark_quantities,
     electron_quantities,
-    pattern_quantities,
+    printed_quantities,
+    printed_stacks,
     saturation_level,
     transfer_figure_data,
     without_flats,
@@ -71,6 +71,7 @@ from charact.estimators.noise.thresholds import GAIN
 from charact.frames.spectrum import Bins
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context, register
+from charact.observables import Stacks
 from charact.verdict import judge
 from labdata import Measurement, Result, Session, has_tube, make_refusal, measurement_from_draws
 
@@ -203,7 +204,8 @@ def _measure_levels(
             make_refusal(*name, small, **fields)
             for name in (("covariance_gain", "DN"), ("blur_factor", "1"))
         ]
-        out += dark_quantities(tuple(darks), (), **fields) if darks else []
+        stacks = Stacks(darks=tuple(darks))
+        out += printed_quantities(stacks, (), with_flats=False, **fields)
         return Result(measurements=tuple(out))
     series = series_of(flats, darks, single) if flats else None
     if series is None or gain_obstacle(series) is not None:
@@ -283,12 +285,13 @@ def _measure_series(
             series, posterior, context=context, of_signal=plain, of_noise=noisy, **fields
         )
     out.append(saturation_level(series, plain, **fields))
-    if series.all_darks:
-        out += dark_quantities(series.all_darks, findings_of_darks(series), **fields)
-    out += pattern_quantities(
-        series,
-        gain,
+    stacks = printed_stacks(series)
+    out += printed_quantities(stacks, findings_of_darks(series), with_flats=False, **fields)
+    out += printed_quantities(
+        stacks,
         plain,
+        with_flats=True,
+        gain=gain,
         of_gain=findings_in(bounded(slope)) if pooled.white else noisy,
         of_pairs=findings_in(bounded(lagging)),
         **fields,

@@ -30,11 +30,10 @@ from charact.frames.rounding import (
 )
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
-from charact.observables import Stacks
+from charact.observables import Printed, Stacks, observables
 from charact.observables.fixed_pattern import Dsnu, Prnu
-from charact.observables.photon_transfer import DarkNoise
 from charact.verdict import Finding, judge
-from labdata import Array
+from labdata import QUANTITIES, Array
 from labdata.measurement import (
     Measurement,
     make_refusal,
@@ -45,45 +44,154 @@ from labdata.measurement import (
 PAIR = "from two frames: includes any temporal correlation between them"
 
 
-def dark_quantities(
-    darks: tuple[StackStatistics, ...], findings: Sequence[Finding], **fields: Any
+def printed_quantities(
+    stacks: Stacks[StackStatistics],
+    findings: Sequence[Finding],
+    *,
+    with_flats: bool,
+    gain: Array | None = None,
+    of_gain: Sequence[Finding] = (),
+    of_pairs: Sequence[Finding] = (),
+    **fields: Any,
 ) -> list[Measurement]:
-    """Return read noise and dark signal, DN, from the dark of the shortest exposure.
+    """Return the statistics that declare how they are printed, in the order of the catalogue.
 
-    Values cut off at 0 DN lower the noise and raise the signal, see `clipping_effects`.
+    `stacks`: the last flat is printed with the dark of most frames; level and noise are those of
+    the dark of the shortest exposure. `findings`: on all stacks. `gain`: draws, DN per electron.
+    `of_gain`, `of_pairs`: findings on values in electrons, and on few frames.
     """
-    dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
-    variance, variance_sd = DarkNoise().measure(Stacks(darks=(dark,))).number
-    spread = float(np.hypot(variance_sd, rounding_sd(variance)[1]))
-    noise, sd = emva1288.noise_of(variance, spread)
-    cut = dark_clipping(dark)
-    raised, lowered = clipping_effects(dark.low_fraction, noise, dark.mean_dn)
-    if dark.high_fraction > CHECKS.max_clipped_fraction:
-        raised = lowered = None
     out = []
-    if noise > 0:
-        note = ("temporal noise of a dark frame: electronics, digitiser and dark scintillation",)
-        read = measurement_from_sd("read_noise", "DN", noise, sd, notes=note, **fields)
-        remarks = [*findings, *bounded(cut, lowered, -1), *rounding_findings(variance)]
-        out.append(judged(read, remarks))
-    else:
-        out.append(
-            make_refusal(
-                "read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields
-            )
+    for statistic in observables():
+        printed = statistic.printed
+        if printed is None or printed.with_flats != with_flats or not stacks.darks:
+            continue
+        dark = (
+            min(stacks.darks, key=lambda level: level.conditions.exposure_s or 0.0)
+            if printed.kind in ("level", "noise")
+            else max(stacks.darks, key=lambda level: level.frames)
         )
-    level_sd = dark.mean_sd_above(QUANTISED_DN2)
-    level = measurement_from_sd("dark_signal", "DN", dark.mean_dn, level_sd, **fields)
-    return [*out, judged(level, [*findings, *bounded(cut, raised, 1)])]
+        shown = stacks.only(darks=[dark], flats=stacks.flats[-1:] if printed.of_flat else [])
+        remarks = [*findings, *CHECKS_OF[printed.kind](shown)]
+        if printed.of_flat and shown.flat.frames <= CORRELATION.few_frames:
+            remarks += of_pairs
+        gain_of_it = gain if printed.per_electron else None
+        if gain_of_it is not None:
+            remarks += of_gain
+        remarks += [printed.note] if printed.note else []
+        estimate = statistic.measure(shown).number
+        out.append(_print(printed, shown, estimate, gain_of_it, remarks, **fields))
+    catalogue = list(QUANTITIES)
+    return sorted(out, key=lambda m: catalogue.index(m.quantity))
 
 
-def dark_clipping(dark: StackStatistics) -> list[Finding]:
-    """Return the finding of a dark with clipped values."""
+def _print(
+    printed: Printed,
+    shown: Stacks[StackStatistics],
+    estimate: tuple[float, float],
+    gain: Array | None,
+    remarks: Remarks,
+    **fields: Any,
+) -> Measurement:
+    """Return the number in its unit, in electrons with a gain; refused if a variance is hidden."""
+    number, sd = estimate
+    unit, scale = printed.unit, printed.factor
+    if printed.kind == "level":
+        sd = max(sd, (QUANTISED_DN2 / (shown.dark.pixels * shown.dark.frames)) ** 0.5)
+    if printed.kind == "noise":
+        sd = float(np.hypot(sd, rounding_sd(number)[1]))
+        if number <= 0.0:
+            reason = f"{shown.dark.label} does not change from frame to frame"
+            return make_refusal(printed.quantity, unit, reason, **fields)
+    if gain is not None:
+        unit, scale = "e-", scale / float(np.median(gain))
+        sd = float(np.hypot(sd, 2.0 * float(np.std(gain) / np.median(gain)) * number))
+    if printed.kind == "pattern" and (number < 3.0 * sd or number <= 0):
+        limit = scale * float(np.sqrt(max(number, 0.0) + 3.0 * sd))
+        reason = (
+            f"hidden by temporal noise; more frames are needed to detect less than "
+            f"{limit:.3g} {unit}"
+        )
+        notes = tuple(entry for entry in remarks if isinstance(entry, str))
+        return make_refusal(printed.quantity, unit, reason, notes=notes, **fields)
+    if printed.kind in ("noise", "pattern"):
+        number, sd = emva1288.noise_of(number, sd)
+    m = measurement_from_sd(printed.quantity, unit, scale * number, scale * sd, **fields)
+    return judged(m, remarks)
+
+
+def _noise_remarks(shown: Stacks[StackStatistics]) -> Remarks:
+    """Return what was seen of the noise of a dark; see `clipping_effects`."""
+    dark = shown.dark
+    _, lowered = clipping_effects(dark.low_fraction, dark.variance_dn2**0.5, dark.mean_dn)
+    return [*dark_clipping(dark, lowered, -1), *rounding_findings(dark.variance_dn2)]
+
+
+def _level_remarks(shown: Stacks[StackStatistics]) -> Remarks:
+    """Return what was seen of the level of a dark; see `clipping_effects`."""
+    dark = shown.dark
+    raised, _ = clipping_effects(dark.low_fraction, dark.variance_dn2**0.5, dark.mean_dn)
+    return [*dark_clipping(dark, raised, 1)]
+
+
+def _number_remarks(shown: Stacks[StackStatistics]) -> Remarks:
+    """Return what was seen of a dark whose effect on a number is not known."""
+    return [*dark_clipping(shown.dark), *bounded(rounding_findings(shown.dark.variance_dn2))]
+
+
+def _pattern_remarks(shown: Stacks[StackStatistics]) -> Remarks:
+    """Return what was seen of the fixed pattern of a flat, or of a dark alone.
+
+    Slowly varying noise may count as fixed pattern, that of a dark for a flat where it weighs.
+    """
+    dark, remarks, levels = shown.dark, Remarks(), [*shown.flats]
+    if shown.flats:
+        relative = Prnu().measure(shown).number[0]
+        weighs_from = CHECKS.dark_pattern_fraction * relative * float(shown.signal_dn[0]) ** 2
+        levels += [dark] if sum(Dsnu().measure(shown).number) > weighs_from else []
+    else:
+        levels = [dark]
+        remarks += bounded(rounding_findings(dark.variance_dn2))
+        remarks += [PAIR] if dark.frames < CORRELATION.few_frames else []
+    return remarks + [
+        finding("lag", f"slowly varying noise of {level.label} may count as fixed pattern")
+        for level in levels
+        if not level.settled
+    ]
+
+
+CHECKS_OF = {
+    "level": _level_remarks,
+    "noise": _noise_remarks,
+    "number": _number_remarks,
+    "pattern": _pattern_remarks,
+}
+
+
+def printed_stacks(series: FlatSeries) -> Stacks[StackStatistics]:
+    """Return all darks, and last the flat of most frames nearest to half of saturation.
+
+    Half of saturation is that of the standard; without saturation the brightest flat is taken,
+    where PRNU is largest.
+    """
+    chosen = np.flatnonzero(series.fitted)
+    middle = (
+        series.signal_dn[chosen[-1]] if series.peak is None else 0.5 * series.signal_dn[series.peak]
+    )
+    best = max(chosen, key=lambda i: (series.flats[i].frames, -abs(series.signal_dn[i] - middle)))
+    return series.stacks.only(flats=[series.flats[best]])
+
+
+def dark_clipping(
+    dark: StackStatistics, bound: float | None = None, sign: int = 0
+) -> list[Finding]:
+    """Return the finding of a dark with clipped values, with the bound of those cut off at 0 DN."""
     clipped = max(dark.low_fraction, dark.high_fraction)
     if clipped <= CHECKS.max_clipped_fraction:
         return []
+    is_high = dark.high_fraction > CHECKS.max_clipped_fraction
     end = "0 DN" if clipped == dark.low_fraction else "full scale"
-    return [finding("clipped", f"{100 * clipped:.2g} % of the values of {dark.label} are at {end}")]
+    effect = f"{100 * clipped:.2g} % of the values of {dark.label} are at {end}"
+    return [finding("clipped", effect, bound=None if is_high else bound, sign=sign)]
 
 
 def saturation_level(series: FlatSeries, findings: Sequence[Finding], **fields: Any) -> Measurement:
@@ -99,107 +207,6 @@ def saturation_level(series: FlatSeries, findings: Sequence[Finding], **fields: 
     sd = float(np.ptp(peak_levels)) / np.sqrt(24.0)
     saturation = measurement_from_sd("saturation", "DN", level[series.peak], sd, **fields)
     return judge(saturation, findings)
-
-
-def pattern_quantities(
-    series: FlatSeries,
-    gain: Array | None,
-    findings: Sequence[Finding],
-    *,
-    of_gain: Sequence[Finding] = (),
-    of_pairs: Sequence[Finding] = (),
-    **fields: Any,
-) -> list[Measurement]:
-    """Return DSNU and PRNU, from the stacks of most frames.
-
-    Values in electrons take the findings on the gain, stacks of few frames those of temporal
-    correlation.
-    """
-    out = []
-    dark = max(series.all_darks, key=lambda level: level.frames) if series.all_darks else None
-    if dark is not None:
-        remarks = [*findings, *(() if gain is None else of_gain)]
-        out.append(_dark_pattern(dark, gain, remarks, **fields))
-    chosen = np.flatnonzero(series.fitted)
-    if dark is None or not len(chosen):
-        return out
-    # Half of saturation by the standard; without saturation the brightest flat, where PRNU is
-    # largest.
-    middle = (
-        series.signal_dn[chosen[-1]] if series.peak is None else 0.5 * series.signal_dn[series.peak]
-    )
-    best = max(chosen, key=lambda i: (series.flats[i].frames, -abs(series.signal_dn[i] - middle)))
-    flat = series.flats[best]
-    lit = series.stacks.only(darks=[dark], flats=[flat])
-    relative, relative_sd = Prnu().measure(lit).number
-    pattern, pattern_sd = Dsnu().measure(lit).number
-    weighs = pattern + pattern_sd > (
-        CHECKS.dark_pattern_fraction * relative * float(lit.signal_dn[0]) ** 2
-    )
-    remarks = [
-        *findings,
-        *image_lag_findings(flat, *((dark,) if weighs else ())),
-        *(of_pairs if flat.frames <= CORRELATION.few_frames else ()),
-        "includes shading of illumination and lens",
-    ]
-    out.append(_spatial_deviation("prnu", "%", relative, relative_sd, 100.0, remarks, **fields))
-    return out
-
-
-def _dark_pattern(
-    dark: StackStatistics, gain: Array | None, findings: Sequence[Finding], **fields: Any
-) -> Measurement:
-    """Return the DSNU, in electrons if the gain is known."""
-    remarks = [
-        *findings,
-        *image_lag_findings(dark),
-        *bounded(rounding_findings(dark.variance_dn2)),
-        *((PAIR,) if dark.frames < CORRELATION.few_frames else ()),
-    ]
-    unit, scale, relative_sd = "DN", 1.0, 0.0
-    if gain is not None:
-        unit, scale, relative_sd = (
-            "e-",
-            1.0 / float(np.median(gain)),
-            float(np.std(gain) / np.median(gain)),
-        )
-    variance, variance_sd = Dsnu().measure(Stacks(darks=(dark,))).number
-    sd = float(np.hypot(variance_sd, 2.0 * relative_sd * variance))
-    return _spatial_deviation("dsnu", unit, variance, sd, scale, remarks, **fields)
-
-
-def image_lag_findings(*levels: StackStatistics) -> list[Finding]:
-    """Return findings of stacks in which slowly varying noise may count as fixed pattern."""
-    return [
-        finding("lag", f"slowly varying noise of {level.label} may count as fixed pattern")
-        for level in levels
-        if not level.settled
-    ]
-
-
-def _spatial_deviation(
-    quantity: str,
-    unit: str,
-    variance: float,
-    sd: float,
-    scale: float,
-    remarks: Remarks,
-    **fields: Any,
-) -> Measurement:
-    """Return a spatial standard deviation, the root of a variance times a scale; refused if hidden
-    by temporal noise.
-    """
-    if variance < 3.0 * sd or variance <= 0:
-        limit = scale * float(np.sqrt(max(variance, 0.0) + 3.0 * sd))
-        reason = (
-            f"hidden by temporal noise; more frames are needed to detect less than "
-            f"{limit:.3g} {unit}"
-        )
-        notes = tuple(entry for entry in remarks if isinstance(entry, str))
-        return make_refusal(quantity, unit, reason, notes=notes, **fields)
-    root = float(np.sqrt(variance))
-    value, value_sd = scale * root, scale * sd / (2 * root)
-    return judged(measurement_from_sd(quantity, unit, value, value_sd, **fields), remarks)
 
 
 def electron_quantities(
@@ -333,7 +340,8 @@ def without_flats(
         reason = "there are no flats"
     refused = make_refusal(*quantity, reason, refusal="missing", **fields)
     findings = [] if series is None or not len(series.flats) else dark_findings(series)
-    return [refused, *(dark_quantities(tuple(darks), findings, **fields) if darks else [])]
+    printed = printed_quantities(Stacks(darks=tuple(darks)), findings, with_flats=False, **fields)
+    return [refused, *printed]
 
 
 def transfer_figure_data(

@@ -30,9 +30,9 @@ from charact.estimators.noise.gain.undetected_correlation import (
     temporally_correlated_fraction,
 )
 from charact.estimators.noise.quantities import (
-    dark_quantities,
     electron_quantities,
-    pattern_quantities,
+    printed_quantities,
+    printed_stacks,
     saturation_level,
     transfer_figure_data,
     without_flats,
@@ -75,16 +75,14 @@ def variance(session: Session, *, context: Context) -> Result:
     gain = emva1288.gain_line(series, context=context, allowance=allowance)
     first, *out = electron_quantities(series, (gain, gain), (remarks, remarks), context, fields)
     findings = findings_in(bounded(common))
-    of_darks = (
-        dark_quantities(series.all_darks, findings_of_darks(series), **fields)
-        if series.all_darks
-        else []
-    )
+    stacks = printed_stacks(series)
+    of_darks = printed_quantities(stacks, findings_of_darks(series), with_flats=False, **fields)
     out = [first, *of_darks, saturation_level(series, findings, **fields), *out]
-    out += pattern_quantities(
-        series,
-        gain.slope,
+    out += printed_quantities(
+        stacks,
         findings,
+        with_flats=True,
+        gain=gain.slope,
         of_gain=findings_in(bounded([*remarks, *posterior_findings(gain.posterior)])),
         of_pairs=findings_in(bounded(exposure_findings(exposures))),
         **fields,
