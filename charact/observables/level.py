@@ -5,6 +5,8 @@
 b: black level; p: photons of a pixel; eta: quantum efficiency.
 """
 
+from typing import Any
+
 from charact.observables.observable import (
     ComparedStack,
     Estimates,
@@ -19,14 +21,13 @@ from charact.observables.observable import (
 
 
 @observable
-class Level(Observable[Stacks[ComparedStack]]):
+class Level(Observable[Any]):
     """Level of the dark, DN, and the logarithm of the brightest flat's signal above it."""
 
     name = "level"
     order = 0
     title = "Level of the dark, and signal of the brightest flat"
     cause = "sensitivity, gain, black level, EBI, dark current, or the light meter"
-
     printed = Printed(quantity="dark_signal", kind="level")
 
     def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:

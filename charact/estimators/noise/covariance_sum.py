@@ -91,9 +91,9 @@ def spectrum_figure_data(summary: PooledNoise, fit: Fit) -> dict[str, Any]:
         "model_dn": fit.model_dn[order].tolist(),
         "used": fit.in_band[order].tolist(),
         "variance_over_signal_dn": summary.variance_dn,
-        "chi2": fit.chi2,
-        "freedom": fit.freedom,
-        "chance": fit.chance,
+        "chi2": fit.best.chi2,
+        "freedom": fit.best.freedom,
+        "chance": fit.best.chance,
     }
 
 
@@ -369,7 +369,7 @@ def _blur_of_darks(
     blur = fit_spectrum(summary, seed=context.seed, quick=context.quick, forms=forms)
     remarks = [
         "from the darks alone: includes the white noise of the electronics",
-        *misfit_findings(blur),
+        *misfit_findings(blur.best),
         *dark_clipping(dark),
         *bounded(rounding_findings(dark.variance_dn2)),
         *posterior_findings(blur.posterior),

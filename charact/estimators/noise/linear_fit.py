@@ -48,6 +48,32 @@ def _fit(columns: Sequence[Array], y: Array, weight: Array) -> LinearFit:
     return LinearFit(best, covariance, float(residual @ weight @ residual))
 
 
+class Trend(NamedTuple):
+    """Straight line through values against signal, and their mean, in the unit of the values."""
+
+    first: float  # at zero signal
+    first_sd: float  # standard error of its difference to the mean
+    rise: float  # change up to the brightest level
+    rise_sd: float
+    mean: float
+
+
+def trend_of(signal: Array, value: Array, covariance: Array, *, stretched: bool) -> Trend:
+    """Fit a line to values, shape (level,), with a covariance; `stretched`: errors of the line
+    explain their scatter.
+    """
+    ones = np.ones_like(signal)
+    line, mean = (
+        generalised_fit(columns, value, covariance)
+        for columns in ([ones, signal / signal.max()], [ones])
+    )
+    scatter = line.stretch(len(signal)) if stretched else 1.0
+    first_sd, rise_sd = scatter * np.sqrt(
+        np.maximum(np.diag(line.covariance) - [mean.covariance[0, 0], 0.0], 0.0)
+    )
+    return Trend(line.best[0], float(first_sd), line.best[1], float(rise_sd), mean.best[0])
+
+
 def weighted_mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Return the mean of values weighted by their errors, and its standard error; 0 and inf without
     finite errors.

@@ -5,7 +5,7 @@ pixels and exposures. The characteristic function is exact at any density and in
 pulses and pulses below the noise, so no threshold is needed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 class PulseDecay:
     """Phosphor decay of a pulse: two exponentials."""
 
-    slow_fraction: float = 0.0  # fraction of slow light, dimensionless
-    # slow_exposures, fast_exposures: decay times of slow and fast light, exposures
-    slow_exposures: float = 1.0
+    glow: float = 0.0  # fraction of slow light, dimensionless
+    # glow_exposures, fast_exposures: decay times of slow and fast light, exposures
+    glow_exposures: float = 1.0
     fast_exposures: float = 0.0
     # fraction of the exposure period, from its start, in which pulses begin
     open_share: float = 1.0
@@ -38,7 +38,7 @@ class PulseDecay:
     @property
     def lasts(self) -> bool:
         """Whether any light falls into later exposures."""
-        return self.slow_fraction > 0.0 or self.fast_exposures > 0.0
+        return self.glow > 0.0 or self.fast_exposures > 0.0
 
     @lru_cache(maxsize=256)  # noqa: B019
     def by_exposure(self) -> tuple[Array, Array]:
@@ -52,8 +52,8 @@ class PulseDecay:
             return np.ones((1, 1)), np.ones(1)
         start, weight = _moments()
         start = self.open_share * start
-        fractions = np.array([self.slow_fraction, 1.0 - self.slow_fraction])
-        time = np.maximum([self.slow_exposures, self.fast_exposures], 1e-9)
+        fractions = np.array([self.glow, 1.0 - self.glow])
+        time = np.maximum([self.glow_exposures, self.fast_exposures], 1e-9)
         last = float(np.max(time * np.log(np.maximum(fractions / EVENT_ACCURACY.min_decay, 1.0))))
         end = np.arange(int(np.clip(np.ceil(last), 1, EVENT_ACCURACY.max_exposures)) + 1) + 1.0
         remaining = np.exp(-(end[None, :, None] - start[:, None, None]) / time) @ fractions
@@ -71,7 +71,7 @@ def _moments() -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PulsePopulation:
+class PulsePopulation(PulseSpread, PulseDecay):
     """Pulses of a dark or dim frame."""
 
     density: float  # detected events per pixel and exposure
@@ -84,20 +84,6 @@ class PulsePopulation:
     # the row and the one after, for noise and light alike
     line_1: float
     line_2: float
-    # column_px, row_px: standard deviation of the Gaussian part of the spot along a row and a
-    # column, px
-    column_px: float
-    row_px: float
-    # strength of the other part, exp(-wings (f/f0)^exponent) with f0 of 0.1 cycles per column pitch
-    wings: float
-    exponent: float  # its exponent
-    # glow, glow_exposures, fast_exposures: as `share`, `slow_exposures` and `fast_exposures` of
-    # `PulseDecay`
-    glow: float = 0.0
-    glow_exposures: float = 1.0
-    fast_exposures: float = 0.0
-    row_pitch: float = 1.0  # row pitch of an exposure, column pitches
-    open_share: float = 1.0  # as in `PulseDecay`
 
     def log_characteristic(self, matched: Filter, frequency: Array) -> NDArray[np.complex128]:
         """Return ln E exp(i t y) of filtered pixels y at frequencies t, shape (t,), 1/DN.
@@ -123,24 +109,13 @@ class PulsePopulation:
 
     @property
     def spot(self) -> PulseSpread:
-        """Spread of a pulse."""
-        return PulseSpread(
-            column_px=self.column_px,
-            row_px=self.row_px,
-            wings=self.wings,
-            exponent=self.exponent,
-            row_pitch=self.row_pitch,
-        )
+        """Spread of a pulse alone."""
+        return PulseSpread(**{part.name: getattr(self, part.name) for part in fields(PulseSpread)})
 
     @property
     def screen(self) -> PulseDecay:
-        """Phosphor decay."""
-        return PulseDecay(
-            slow_fraction=self.glow,
-            slow_exposures=self.glow_exposures,
-            fast_exposures=self.fast_exposures,
-            open_share=self.open_share,
-        )
+        """Phosphor decay alone."""
+        return PulseDecay(**{part.name: getattr(self, part.name) for part in fields(PulseDecay)})
 
 
 def height_transform(z: Array, relative_variance: float) -> NDArray[np.complex128]:

@@ -124,23 +124,15 @@ REFERENCE_CY_PER_PX = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class PulseSpread:
-    """Spread of a pulse after the gain; names as in
-    `charact.estimators.noise.events.event_distribution.PulsePopulation`.
-    """
+    """Spread of a pulse after the gain."""
 
+    # column_px, row_px: standard deviation of the Gaussian part along a row and a column, px
     column_px: float
     row_px: float
+    # strength of the other part, exp(-wings (f/f0)^exponent) with f0 of 0.1 cycles per column pitch
     wings: float
-    exponent: float
-    row_pitch: float
-
-    def area_px(self) -> float:
-        """Return the effective area of a spot, 1 over the integral of its square, px."""
-        sides = _sides(Filter(high=1, broad=1))
-        power = _transfer(self, sides) ** 2
-        return float(
-            sides[0] * sides[1] / (2.0 * power.sum() - power[:, 0].sum() - power[:, -1].sum())
-        )
+    exponent: float  # its exponent
+    row_pitch: float = 1.0  # row pitch of an exposure, column pitches
 
 
 def _sides(matched: Filter) -> tuple[int, int]:

@@ -1,7 +1,5 @@
 """Checks of a flat series: linearity, stationarity, clipping, quantisation, conditions."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from charact.estimators.noise.findings import (
@@ -18,9 +16,10 @@ from charact.estimators.noise.gain.undetected_correlation import (
     gamma_of_noise,
     processing_findings,
 )
-from charact.estimators.noise.linear_fit import generalised_fit
+from charact.estimators.noise.linear_fit import Trend, trend_of
 from charact.estimators.noise.thresholds import CHECKS, CORRELATION
 from charact.frames.stack_statistics import StackStatistics
+from charact.observables import Estimates
 from charact.observables.photon_transfer import PhotonTransfer
 from charact.verdict import Finding
 from labdata import Array
@@ -215,37 +214,13 @@ def quantisation_findings(series: FlatSeries) -> list[Finding]:
     return [finding("quantised", effect, "brighter flats")]
 
 
-class _Trend(NamedTuple):
-    """Straight line through variance over signal against signal, DN, and the errors of the data."""
-
-    gain: Array
-    sd: Array
-    first: float  # at zero signal
-    rise: float  # change up to the brightest level
-    rise_sd: float
-    middle: float  # mean over the levels
-
-
-def _trend(series: FlatSeries) -> _Trend | None:
-    """Fit the line; None for a single level."""
+def _trend(series: FlatSeries) -> tuple[Trend, Estimates] | None:
+    """Return the line through variance over signal, and the data; None for a single level."""
     stacks = series.fitted_stacks
-    signal = stacks.signal_dn
-    if len(np.unique(signal)) < 2:
+    if len(np.unique(stacks.signal_dn)) < 2:
         return None
-    estimates = PhotonTransfer().measure(stacks)
-    ones = np.ones_like(signal)
-    line, mean = (
-        generalised_fit(columns, estimates.value, estimates.covariance)
-        for columns in ([ones, signal / signal.max()], [ones])
-    )
-    return _Trend(
-        gain=estimates.value,
-        sd=np.sqrt(np.diag(estimates.covariance)),
-        first=line.best[0],
-        rise=line.best[1],
-        rise_sd=float(np.sqrt(line.covariance[1, 1])),
-        middle=mean.best[0],
-    )
+    ratio = PhotonTransfer().measure(stacks)
+    return trend_of(stacks.signal_dn, ratio.value, ratio.covariance, stretched=False), ratio
 
 
 def bend_allowance(series: FlatSeries) -> float:
@@ -263,7 +238,7 @@ def bend_allowance(series: FlatSeries) -> float:
     curvature, sd = (
         (0.0, np.inf)
         if trend is None
-        else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
+        else (trend[0].rise / trend[0].mean, trend[0].rise_sd / trend[0].mean)
     )
     shrinkage = CHECKS.curvature**2 / (CHECKS.curvature**2 + sd**2)
     return UndetectedEffect(
@@ -278,21 +253,28 @@ def gain_curvature(series: FlatSeries) -> tuple[float, float] | None:
     Of a response y = s (1 - c s) and shot noise it is -3 c times the signal of that flat, to first
     order.
     """
-    trend = _trend(series)
-    if trend is None or series.fitted.sum() < CHECKS.min_levels:
+    known = _trend(series)
+    if known is None or series.fitted.sum() < CHECKS.min_levels:
         return None
-    return float(trend.rise / trend.middle), float(trend.rise_sd / abs(trend.middle))
+    trend, _ = known
+    return float(trend.rise / trend.mean), float(trend.rise_sd / abs(trend.mean))
 
 
 def variance_ratio_changes(series: FlatSeries) -> Remarks:
     """Return what was seen of variance over signal that changes with the signal."""
-    trend = _trend(series)
-    if trend is None:
+    known = _trend(series)
+    if known is None:
         return []
-    middle, slope, error = trend.middle, trend.rise, trend.rise_sd
+    trend, ratio = known
+    middle, slope, error, sd = (
+        trend.mean,
+        trend.rise,
+        trend.rise_sd,
+        np.sqrt(np.diag(ratio.covariance)),
+    )
     # Behind a gamma curve variance over signal rises and falls again, which no straight line shows.
-    limit = 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * trend.sd
-    deviates = bool(np.any(np.abs(trend.gain - middle) > limit))
+    limit = 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * sd
+    deviates = bool(np.any(np.abs(ratio.value - middle) > limit))
     if abs(slope) <= CHECKS.curvature_sd * error and not deviates:
         return []
     sentence = (
@@ -304,7 +286,7 @@ def variance_ratio_changes(series: FlatSeries) -> Remarks:
         return [f"{sentence}; {more}"]
     signal = series.signal_dn[series.fitted]
     variance = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / signal
-    return [finding("nonlinear", sentence), *gamma_of_noise(signal, variance, trend.sd)]
+    return [finding("nonlinear", sentence), *gamma_of_noise(signal, variance, sd)]
 
 
 def exposure_findings(exposures: UndetectedEffect) -> Remarks:

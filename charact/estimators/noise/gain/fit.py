@@ -20,7 +20,7 @@ from charact.estimators.noise.gain.pooled_noise import PooledNoise
 from charact.estimators.noise.gain.white_floor import integrals
 from charact.estimators.noise.thresholds import GAIN, GAIN_PRIORS
 from charact.inference import find_maximum, importance_sample, laplace
-from charact.inference.gauss_newton import ln_evidence
+from charact.inference.gauss_newton import ln_evidence, weigh_by_evidence
 from charact.inference.importance import ENOUGH, FIRST_DRAWS
 from labdata.measurement import Posterior
 
@@ -133,10 +133,7 @@ class Fit:
     posterior: Posterior  # draws of `NAMES`
     in_band: NDArray[np.bool_]  # bins fitted, shape (bin,)
     model_dn: Array  # power of the best model in every bin, shape (bin,), DN
-    # chi2, freedom, chance: squared residuals over their variance, degrees of freedom, and p-value
-    chi2: float
-    freedom: int
-    chance: float
+    best: "GainSpectrumOptimum"  # optimum of that model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,26 +237,24 @@ def fit_spectrum(
     model = spectrum_at(point, *everywhere)[0] * leakage_ratio(
         point, *everywhere, summary.leak_cy2_per_px2
     )
-    return Fit(
-        posterior=posterior,
-        in_band=in_band,
-        model_dn=model,
-        chi2=best.chi2,
-        freedom=best.freedom,
-        chance=best.chance,
-    )
+    return Fit(posterior=posterior, in_band=in_band, model_dn=model, best=best)
 
 
 def _mixture_draws(peaks: Sequence[GainSpectrumOptimum], seed: int, quick: bool) -> Posterior:
     """Return draws from the posteriors of all blur models, weighted by the root of the evidence."""
-    height = np.array([peak.log_evidence for peak in peaks])
-    weight = np.exp(GAIN.evidence_power * (height - height.max()))
-    weight = np.where(weight < GAIN.min_weight * weight.sum(), 0.0, weight) / weight.sum()
+    weights = sorted(
+        weigh_by_evidence(
+            [peak.log_evidence for peak in peaks],
+            power=GAIN.evidence_power,
+            min_weight=GAIN.min_weight,
+        )
+    )
     # Rounding cumulative sums keeps the total number of draws.
-    numbers = np.diff(np.rint(np.cumsum(weight / weight.sum()) * GAIN.draws).astype(int), prepend=0)
+    total = np.cumsum([weight for _, weight in weights])
+    numbers = np.diff(np.rint(total / total[-1] * GAIN.draws).astype(int), prepend=0)
     drawn_forms = [
-        (peak, _form_draws(peak, int(n), seed, quick))
-        for peak, n in zip(peaks, numbers, strict=True)
+        (peaks[i], _form_draws(peaks[i], int(n), seed, quick))
+        for (i, _), n in zip(weights, numbers, strict=True)
         if n
     ]
     draws = np.concatenate([peak.form.whole(drawn.draws) for peak, drawn in drawn_forms])

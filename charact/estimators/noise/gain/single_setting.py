@@ -1,14 +1,13 @@
 """Covariance gain of the flats of one setting: pooled noise, fitted blur, findings."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from charact.estimators.noise.findings import Remarks, bounded, finding, posterior_findings
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import exposure_findings
-from charact.estimators.noise.gain.fit import Fit, fit_spectrum
+from charact.estimators.noise.gain.fit import Fit, GainSpectrumOptimum, fit_spectrum
 from charact.estimators.noise.gain.model import blur_models
 from charact.estimators.noise.gain.pooled_noise import PooledNoise, pool_noise, pooling
 from charact.estimators.noise.gain.series import FlatSeries
@@ -18,22 +17,12 @@ from charact.estimators.noise.gain.undetected_correlation import (
     temporally_correlated_fraction,
 )
 from charact.estimators.noise.gain.white_floor import has_analogue_chain
-from charact.estimators.noise.linear_fit import linear_fit
+from charact.estimators.noise.linear_fit import Trend, trend_of
 from charact.estimators.noise.thresholds import GAIN
 from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.method import Context
 from charact.verdict import Finding
 from labdata import Array, Posterior, has_tube
-
-
-class _Trend(NamedTuple):
-    """Covariance over signal along the levels, DN."""
-
-    first: float  # at zero signal
-    first_sd: float  # standard error of its difference to the pooled value
-    pooled: float
-    rise: float  # change up to the brightest level
-    rise_sd: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +64,7 @@ class SingleSetting:
         if trend is None:
             return self
         rng, draws = np.random.default_rng([context.seed, 4]), self.posterior.draws.copy()
-        factor = trend.first / trend.pooled + trend.first_sd / trend.pooled * rng.standard_normal(
+        factor = trend.first / trend.mean + trend.first_sd / trend.mean * rng.standard_normal(
             len(draws)
         )
         draws[:, self.posterior.names.index("covariance_gain")] *= factor
@@ -96,31 +85,22 @@ class SingleSetting:
             return 1.0
         return float(
             (trend.first + trend.rise * signal[index] / signal[self.series.fitted].max())
-            / trend.pooled
+            / trend.mean
         )
 
-    def _trend(self) -> _Trend | None:
+    def _trend(self) -> Trend | None:
         """Fit a straight line through the fitted levels; None for fewer than three."""
         chosen = self.series.fitted
         if chosen.sum() < 3:
             return None
-        signal, levels, sd = (
-            self.series.signal_dn[chosen],
-            self.levels_dn[chosen],
-            self.levels_sd_dn[chosen],
-        )
-        fit = linear_fit([np.ones_like(signal), signal / signal.max()], levels, sd)
-        scatter, covariance, weight = fit.stretch(len(signal)), fit.covariance, 1.0 / sd**2
-        first_sd = scatter * np.sqrt(max(covariance[0, 0] - 1.0 / weight.sum(), 0.0))
-        pooled = float(weight @ levels / weight.sum())
-        return _Trend(
-            fit.best[0], first_sd, pooled, fit.best[1], scatter * np.sqrt(covariance[1, 1])
-        )
+        variance = np.diag(self.levels_sd_dn[chosen] ** 2)
+        signal, levels = self.series.signal_dn[chosen], self.levels_dn[chosen]
+        return trend_of(signal, levels, variance, stretched=True)
 
     def remarks(self) -> Remarks:
         """Return what was seen of spectrum and image lag."""
         lag, posterior = self.summary.lag, self.posterior
-        remarks: Remarks = [*misfit_findings(self.fit)]
+        remarks: Remarks = [*misfit_findings(self.fit.best)]
         blur = float(np.median(posterior["blur_factor"]))
         if blur < 0.9:
             remarks.append(
@@ -162,14 +142,14 @@ class SingleSetting:
         trend = None if self.white else self._trend()
         if trend is not None and trend.rise > GAIN.rise_sd * trend.rise_sd:
             effect = (
-                f"covariance gain rises by {100.0 * trend.rise / trend.pooled:.2g} % up to the "
+                f"covariance gain rises by {100.0 * trend.rise / trend.mean:.2g} % up to the "
                 "brightest flat; MCP saturation would make it fall"
             )
             findings.append(finding("nonlinear", effect, "frames without gamma, and their darks"))
         return findings
 
 
-def misfit_findings(fit: Fit) -> list[Finding]:
+def misfit_findings(fit: GainSpectrumOptimum) -> list[Finding]:
     """Return the finding of a spectrum that no blur model fits."""
     if fit.chance >= GAIN.misfit_p_value:
         return []

@@ -44,12 +44,7 @@ class UndetectedEffect:
         """
         if CORRELATION.min_effect + CORRELATION.significant_sd * self.sd <= CORRELATION.negligible:
             return 0.0
-        return float(
-            np.hypot(
-                min(abs(self.fraction), CORRELATION.untestable),
-                min(self.sd, CORRELATION.untestable),
-            )
-        )
+        return self._largest
 
     @property
     def posterior_rms(self) -> float:
@@ -63,16 +58,13 @@ class UndetectedEffect:
             * CORRELATION.max_fraction
             / (self.sd * np.sqrt(2.0 * np.pi))
         )
-        return float(
-            np.sqrt(
-                np.hypot(
-                    min(abs(self.fraction), CORRELATION.untestable),
-                    min(self.sd, CORRELATION.untestable),
-                )
-                ** 2
-                / (1.0 + none)
-            )
-        )
+        return self._largest / float(np.sqrt(1.0 + none))
+
+    @property
+    def _largest(self) -> float:
+        """Root of the squared effect and its error, each up to that of a void test."""
+        sizes = np.minimum([abs(self.fraction), self.sd], CORRELATION.untestable)
+        return float(np.hypot(*sizes))
 
 
 def allowance_of(neighbours: UndetectedEffect, exposures: UndetectedEffect, *, tube: bool) -> float:

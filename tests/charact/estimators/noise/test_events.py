@@ -23,9 +23,7 @@ def measured(scene: DarkScene, seed: int):
 
 
 def test_glow_hands_all_light_on_and_none_twice():
-    light, chance = PulseDecay(
-        slow_fraction=0.6, slow_exposures=1.5, fast_exposures=0.1
-    ).by_exposure()
+    light, chance = PulseDecay(glow=0.6, glow_exposures=1.5, fast_exposures=0.1).by_exposure()
     np.testing.assert_allclose(light.sum(axis=1), 1.0, atol=0.002)
     # A steady light that goes out leaves the glow of one exposure in the next: the shares of all
     # later ones.
