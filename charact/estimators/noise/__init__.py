@@ -19,7 +19,7 @@ __getattr__ = import_on_first_use(
             "add_event_gains posterior_of separate_gains snr_from_specification"
         ),
         "charact.estimators.noise.illumination": (
-            "luminous_sensitivity_ua_per_lm photoelectrons_per_photon"
+            "photoelectrons_per_photon table_sensitivity_ua_per_lm"
         ),
         "charact.estimators.noise.sweep.settings": "KNOBS Sweep",
         "charact.estimators.noise.sweep.sweep": "measure_sweep",

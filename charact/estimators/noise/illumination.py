@@ -17,7 +17,6 @@ from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from labdata import Array, Conditions, has_tube
 from labdata.camera.parameters import Parameter
-from labdata.camera.tube import Photocathode
 
 ELECTRON_C = 1.602176634e-19
 # h c in J nm, and h c / k in nm K.
@@ -67,24 +66,20 @@ def photoelectrons_per_photon(
         right=0.0,
     )
     sensitivity = lognormal_draws(cathode.luminous_sensitivity_ua_per_lm, rng, count)
-    return np.minimum(sensitivity / luminous_sensitivity_ua_per_lm(cathode) * table, 1.0)
-
-
-def luminous_sensitivity_ua_per_lm(cathode: Photocathode) -> float:
-    """Return the luminous sensitivity of the table of quantum efficiencies, uA/lm at 2856 K.
-
-    S = int QE (e lambda / h c) P dlambda / (683 int V P dlambda), P Planck's law. V is the sum of
-    two lobes of Wyman, Sloan & Shirley, JCGT 2 (2), 1 (2013), which gives the lumens of this lamp
-    within 0.2 %.
-    """
-    return table_sensitivity_ua_per_lm(cathode.wavelength_nm, cathode.relative_quantum_efficiency)
+    of_table = table_sensitivity_ua_per_lm(
+        cathode.wavelength_nm, cathode.relative_quantum_efficiency
+    )
+    return np.minimum(sensitivity / of_table * table, 1.0)
 
 
 def table_sensitivity_ua_per_lm(
     wavelength_nm: Sequence[float], quantum_efficiency: Sequence[float]
 ) -> float:
-    """Return the photocurrent of a table of quantum efficiencies; see
-    `luminous_sensitivity_ua_per_lm`.
+    """Return the luminous sensitivity of a table of quantum efficiencies, uA/lm at 2856 K.
+
+    S = int QE (e lambda / h c) P dlambda / (683 int V P dlambda), P Planck's law. V is the sum of
+    two lobes of Wyman, Sloan & Shirley, JCGT 2 (2), 1 (2013), which gives the lumens of this lamp
+    within 0.2 %.
     """
     wavelength = np.arange(360.0, 1101.0, 1.0)
     radiant = wavelength**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength * LAMP_K))

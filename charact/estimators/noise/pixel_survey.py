@@ -74,6 +74,11 @@ class PixelSurvey:
         return self.size[0] * self.size[1]
 
     @property
+    def is_large(self) -> bool:
+        """Whether the images have enough pixels to tell outliers."""
+        return self.pixels >= SURVEY.min_pixels and min(self.size) >= SURVEY.min_side_px
+
+    @property
     def trials(self) -> int:
         """Independent chances of an outlier per pixel."""
         return 1 if self.frames == 2 else self.frames
@@ -117,13 +122,9 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
         "sample": (change / np.sqrt(2.0)).astype(np.float32),
         "sample_place": pixel,
     }
-    if (
-        frames < 2
-        or rows * cols < SURVEY.min_pixels
-        or min(rows, cols) < SURVEY.min_side_px
-        or sd <= 0
-    ):
-        return PixelSurvey(**common, departure_dn=np.empty(0))
+    survey = PixelSurvey(**common, departure_dn=np.empty(0))
+    if frames < 2 or not survey.is_large or sd <= 0:
+        return survey
     blocks = (
         (at, _pixel_rows(stack.frames(at, min(at + STACK.block_frames, frames)), entry))
         for at in range(0, frames, STACK.block_frames)

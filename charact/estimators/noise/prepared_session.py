@@ -405,16 +405,12 @@ def prepare(session: Session, *, context: Context) -> Prepared:
     )
     surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
     multi_frame = [survey for survey in surveys if survey.frames > 1]
-    sizes = {survey.size for survey in surveys}
-    large = (
-        multi_frame
-        and len(sizes) == 1
-        and multi_frame[0].pixels >= SURVEY.min_pixels
-        and min(multi_frame[0].size) >= SURVEY.min_side_px
+    is_large = (
+        multi_frame and len({survey.size for survey in surveys}) == 1 and multi_frame[0].is_large
     )
     defects = (
         find_defective_pixels(multi_frame, multiplies=has_multiplication(session, context))
-        if large
+        if is_large
         else None
     )
     unit, integral = _unit(surveys)

@@ -370,29 +370,17 @@ def has_pulses(frames: DarkFrames) -> bool:
     return max(out) > EVENTS.outlier_fraction or skewed
 
 
-@dataclass(frozen=True, kw_only=True)
-class ImageLagCorrelation:
-    """Exposures with image lag."""
-
-    across: bool  # in the next field
-    later: bool  # two exposures later
-
-
-def image_lag_correlation(frames: DarkFrames) -> ImageLagCorrelation:
-    """Return in which later exposures image lag is detected."""
+def image_lag_reach(frames: DarkFrames) -> tuple[bool, bool]:
+    """Return whether image lag is detected in the next field, and two exposures later."""
     matched, values = frames.filters(1, lag=False)[MIDDLE], filter_exposures(frames)
     if frames.stride == 1:
-        return ImageLagCorrelation(
-            across=False, later=_is_correlated(values[0][:-2], values[0][2:], matched)
-        )
+        return False, _is_correlated(values[0][:-2], values[0][2:], matched)
     even_fields, odd_fields = values
     across = any(
         _is_correlated(*pair, matched, lowered=0.0)
         for pair in ((even_fields, odd_fields), (odd_fields[:-1], even_fields[1:]))
     )
-    return ImageLagCorrelation(
-        across=across, later=any(_is_correlated(value[:-1], value[1:], matched) for value in values)
-    )
+    return across, any(_is_correlated(value[:-1], value[1:], matched) for value in values)
 
 
 def _is_correlated(

@@ -21,7 +21,7 @@ from charact.estimators.noise.events.frames import (
     REFERENCE_CY_PER_PX,
     DarkFrames,
     Filter,
-    image_lag_correlation,
+    image_lag_reach,
     responses,
     spread,
     usable_values,
@@ -134,9 +134,9 @@ def fit_pulses(
     `period_s`: exposure period, s; None: unknown; `open_share`: fraction of the period, from its
     start, in which photoelectrons arrive.
     """
-    correlation, fast = image_lag_correlation(frames), fast_prior(context, period_s, frames.stride)
+    reaches_next, reaches_later = image_lag_reach(frames)
     known = has_tube(context.camera) and period_s is not None
-    if correlation.across and not correlation.later and not known:
+    if reaches_next and not reaches_later and not known:
         raise Unmeasurable(
             "image lag reaches the next field, whose amount is not measurable from one field "
             "alone: name the sensor, with its phosphor decay, and state the exposure_s of the "
@@ -145,11 +145,11 @@ def fit_pulses(
     # Free parameters of the decay. Frames always measure light in the next frame; fields only
     # detect it.
     screen: tuple[str, ...] = ()
-    if correlation.later:
+    if reaches_later:
         screen = (*SLOW, *FAST)
-    elif correlation.across or frames.stride == 1:
+    elif reaches_next or frames.stride == 1:
         screen = FAST
-    priors = spot_priors(context) | fast
+    priors = spot_priors(context) | fast_prior(context, period_s, frames.stride)
     likelihood = partial(
         PulseLikelihood,
         names=tuple(name for name in UNITS if name in screen or name not in (*SLOW, *FAST)),

@@ -10,9 +10,12 @@ from charact.estimators.noise.findings import (
     findings_in,
 )
 from charact.estimators.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
+from charact.estimators.noise.gain.stated_light import (
+    light_statement_findings,
+    proportionality_findings,
+)
 from charact.estimators.noise.gain.undetected_correlation import (
     UndetectedEffect,
-    gamma_of_light,
     gamma_of_noise,
     processing_findings,
 )
@@ -23,7 +26,6 @@ from charact.observables import Estimates
 from charact.observables.photon_transfer import PhotonTransfer
 from charact.verdict import Finding
 from labdata import Array
-from labdata.conditions import Conditions
 
 ALLOWED = "the interval includes what cannot be excluded"
 CORRELATED = (
@@ -68,7 +70,7 @@ def slope_findings(series: FlatSeries) -> Remarks:
         remarks.append(without_noise(series.single))
     for part in (
         _stationarity_findings,
-        _proportionality_findings,
+        proportionality_findings,
         _clipping_findings,
         _condition_findings,
         processing_findings,
@@ -144,7 +146,7 @@ def light_findings(series: FlatSeries) -> list[Finding]:
     Dark current missing from a shorter dark is Poisson-distributed like light, so it leaves the
     slope unbiased.
     """
-    return [*_dark_current_findings(series), *_light_statement_findings(series)]
+    return [*_dark_current_findings(series), *light_statement_findings(series)]
 
 
 def _dark_current_findings(series: FlatSeries) -> list[Finding]:
@@ -163,38 +165,6 @@ def _dark_current_findings(series: FlatSeries) -> list[Finding]:
         return []
     effect = f"signals include the dark current of up to {max(unequal):.3g} s"
     return [finding("unlike-conditions", effect, "darks of the flats' exposure_s")]
-
-
-def _light_of_conditions(series: FlatSeries) -> tuple[Array, Array] | None:
-    """Return stated light and signal of the fitted flats; None if one is unknown, or there is one
-    flat only.
-    """
-    chosen = np.flatnonzero(series.fitted)
-    light = [light_of(series.flats[i].conditions) for i in chosen]
-    if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
-        return None
-    return np.array(light, float), series.signal_dn[chosen]
-
-
-def _light_statement_findings(series: FlatSeries) -> list[Finding]:
-    """Return the finding of different levels under the same stated light."""
-    stated = _light_of_conditions(series)
-    if stated is None:
-        return []
-    exposure, signal = stated
-    ratio = signal / exposure
-    levels, light = (values.max() / values.min() for values in (ratio, exposure))
-    if light >= CHECKS.min_light_ratio or levels < CHECKS.min_light_ratio:
-        return []
-    effect = (
-        f"levels differ {levels:.3g}-fold under light stated to differ {light:.3g}-fold, so that "
-        "numbers per photon or lux may be off as much"
-    )
-    return [
-        finding(
-            "agc", effect, "illuminance_lux, photons_per_px or exposure_s of each flat as it was"
-        )
-    ]
 
 
 def is_quantisation_limited(dark: StackStatistics, signal_dn: float) -> bool:
@@ -404,48 +374,6 @@ def _scatter_about_steps(means: Array) -> list[float]:
         float(np.sqrt(sum(len(part) * part.var() for part in halves) / (len(means) - 3)))
         for halves in parts
     ]
-
-
-def light_of(conditions: Conditions) -> float | None:
-    """Return the stated exposure in arbitrary units; None if the light is unknown."""
-    if conditions.photons_per_px is not None:
-        return conditions.photons_per_px
-    if conditions.illuminance_lux is None:
-        return None
-    time = conditions.gate_ns if conditions.gate_ns is not None else conditions.exposure_s
-    return conditions.illuminance_lux * (1.0 if time is None else time)
-
-
-def _proportionality_findings(series: FlatSeries) -> list[Finding]:
-    """Return findings of a signal that is not proportional to the stated light."""
-    # A gain change common to all levels does not show in flats; the session must state it.
-    if any(
-        flat.conditions.automatic_gain or flat.conditions.brightness_control
-        for flat in series.flats
-    ):
-        return [finding("agc", "an automatic gain or brightness control was on")]
-    stated = _light_of_conditions(series)
-    if stated is None:
-        return []
-    exposure, signal = stated
-    span = exposure.max() / exposure.min()
-    if span < CHECKS.min_light_ratio:
-        return []
-    if gamma := gamma_of_light(exposure, signal):
-        return gamma
-    slope = float(
-        np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0]
-    )
-    if slope < CHECKS.min_light_exponent:
-        effect = f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only"
-        return [finding("agc", effect)]
-    ratio = signal / exposure
-    reference = float(exposure @ signal / (exposure @ exposure))
-    off = float(np.abs(ratio / reference - 1.0)[signal > 0.05 * signal.max()].max())
-    if off > CHECKS.nonlinear_fraction:
-        effect = f"signal over light deviates by {100 * off:.1f} % from its mean"
-        return [finding("nonlinear", effect)]
-    return []
 
 
 def _clipping_findings(series: FlatSeries) -> list[Finding]:

@@ -61,6 +61,13 @@ class GainLaw:
     # draws of the electron part of every covariance gain, shape (draw,), DN
     electron_gain_dn: Array
 
+    @property
+    def blur(self) -> Array:
+        """Draws of the blur factor of pulses, 1 of white noise, shape (draw,)."""
+        if "log_blur" in self.posterior.names:
+            return np.exp(self.posterior["log_blur"])
+        return np.ones(len(self.pulses))
+
 
 def departure_prior(log_departure: Array) -> Array:
     """Return ln of the prior density of ln departure, shape (point,)."""

@@ -101,12 +101,8 @@ def _pulses_at(floor_dn2: Array, law: GainLaw) -> Array:
     """Return draws of the pulse gain P, DN, at which (K + S P)(K + P) n is the squared read noise,
     K the electron gain.
     """
-    blur = (
-        np.exp(law.posterior["log_blur"])
-        if "log_blur" in law.posterior.names
-        else np.ones(len(floor_dn2))
-    )
-    half, electrons = 0.5 * (1.0 + blur) * law.electron_gain_dn, law.electron_gain_dn
+    blur, electrons = law.blur, law.electron_gain_dn
+    half = 0.5 * (1.0 + blur) * electrons
     root = np.sqrt(np.maximum(half**2 - blur * (electrons**2 - floor_dn2 / STATED_PE), half**2))
     return np.maximum(root - half, 1e-6 * root) / blur
 
@@ -138,13 +134,8 @@ def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]
     low, middle, high = np.quantile(
         pulses + law.electron_gain_dn[:, None], [0.025, 0.5, 0.975], axis=0
     )
-    blur = (
-        np.exp(law.posterior["log_blur"])
-        if "log_blur" in law.posterior.names
-        else np.ones(len(pulses))
-    )
     electrons = law.electron_gain_dn[:, None]
-    stated = np.sqrt((electrons + blur[:, None] * pulses) * (electrons + pulses) * STATED_PE)
+    stated = np.sqrt((electrons + law.blur[:, None] * pulses) * (electrons + pulses) * STATED_PE)
     shrunk = np.quantile(law.settings, [0.025, 0.5, 0.975], axis=0)
     dark = [s.dark_variance_dn2 for s in sweep.settings]
     figure: dict[str, Any] = {

@@ -10,13 +10,13 @@ import pytest
 from charact.estimators.noise import (
     add_event_gains,
     fit_single_setting,
-    luminous_sensitivity_ua_per_lm,
     photoelectrons_per_photon,
     posterior_of,
     read_levels,
     separate_gains,
     series_of,
     snr_from_specification,
+    table_sensitivity_ua_per_lm,
 )
 from charact.method import Context
 from labdata import Conditions, Result, load_sensor, measurement_from_draws
@@ -95,8 +95,9 @@ def test_the_specified_ratio_of_a_tube():
 def test_the_luminous_sensitivity_of_a_table_of_efficiencies():
     """Physics reference, 8: the table of a Gen III cathode as it stands has 1996 uA/lm."""
     cathode = load_sensor("pulnix-ag5745ef3").photocathode
+    table = cathode.wavelength_nm, cathode.relative_quantum_efficiency
     scale = max(cathode.relative_quantum_efficiency) / 0.40
-    assert luminous_sensitivity_ua_per_lm(cathode) == pytest.approx(1996.0 * scale, rel=0.01)
+    assert table_sensitivity_ua_per_lm(*table) == pytest.approx(1996.0 * scale, rel=0.01)
     # Efficiency at 830 nm of a cathode of 1350 uA/lm: 154 mA/W.
     context = Context(camera=known_sensor(0.05))
     efficiency = photoelectrons_per_photon(context, 830.0, np.random.default_rng(1), 4)[0]
