@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.reporting import bloom_images, blooms, curves, noise
+from charact.reporting import bloom_images, blooms, curves, gain_sweep, noise
 from charact.reporting.figure_svg import as_svg
 from charact.reporting.style import COLOURS, arms, first_array, panels, plot_line, report_style
 
@@ -191,12 +191,12 @@ FIGURES: dict[str, tuple[str, Callable[[Data], Any], str]] = {
     ),
     "noise-against-gain": (
         "noise",
-        noise.plot_noise_against_gain,
+        gain_sweep.plot_noise_against_gain,
         "Gain against its setting, and the noise at each gain.",
     ),
     "noise-by-gain": (
         "noise",
-        noise.plot_noise_by_gain,
+        gain_sweep.plot_noise_by_gain,
         "Temporal noise against the signal at each gain setting.",
     ),
     "autocorrelation": (

@@ -106,84 +106,61 @@ def plot_noise_spectrum(data: Data) -> Any:
     gain.
     """
     figure, axes = panel((5.6, 3.8))
-    radius, angle = first_array(data, "radius_cy_per_px"), np.abs(first_array(data, "angle_deg"))
-    power, sd, model = (first_array(data, name) for name in ("power_dn", "power_sd_dn", "model_dn"))
+    angle = np.abs(first_array(data, "angle_deg"))
+    names = "radius_cy_per_px", "power_dn", "power_sd_dn", "model_dn"
+    spectrum = np.stack([first_array(data, name) for name in names])
     fitted = first_array(data, "used").astype(bool)
-    for colour, in_sector, label in (
-        (DATA, fitted & (angle < 30), "near horizontal frequency"),
-        (THIRD, fitted & (angle > 60), "near vertical frequency"),
-    ):
-        if in_sector.any():
-            plot_points(
-                axes,
-                radius[in_sector],
-                power[in_sector],
-                sd[in_sector],
-                color=colour,
-                alpha=0.6,
-                label=f"{label}, ± 1 sd",
-            )
-            order = np.argsort(radius[in_sector])
-            plot_line(axes, radius[in_sector][order], model[in_sector][order], color=colour)
+    sectors = fitted & (angle < 30), fitted & (angle > 60)
+    _plot_sectors(axes, sectors, spectrum, label="{}, ± 1 sd", alpha=0.6)
     if not fitted.all():
-        plot_points(
-            axes,
-            radius[~fitted],
-            power[~fitted],
-            color=INK,
-            alpha=0.25,
-            markersize=1.8,
-            label="not fitted",
-        )
-    axes.axhline(
-        float(data["variance_over_signal_dn"]),
-        color=MODEL,
-        linestyle="--",
-        label="variance over signal",
-    )
-    axes.set(
-        xlabel="spatial frequency (cycles per column pitch)",
-        ylabel="noise power over signal (DN)",
-        ylim=(0, None),
-    )
-    axes.legend()
+        hollow = {"color": INK, "alpha": 0.25, "markersize": 1.8, "label": "not fitted"}
+        plot_points(axes, *spectrum[:2, ~fitted], **hollow)
+    variance, label = float(data["variance_over_signal_dn"]), "variance over signal"
+    axes.axhline(variance, color=MODEL, linestyle="--", label=label)
+    _label_power(axes, "noise power over signal (DN)")
     return figure
 
 
 def plot_post_gain_noise(data: Data) -> Any:
     """Plot the noise power spectrum along rows and columns with its fit."""
     figure, axes = panel((5.6, 3.8))
-    column, row = (
-        np.abs(first_array(data, "column_cy_per_px")),
-        np.abs(first_array(data, "row_cy_per_px")),
+    column, row = (np.abs(first_array(data, f"{name}_cy_per_px")) for name in ("column", "row"))
+    power, dark, white, pulses = (
+        first_array(data, f"{name}_dn2") for name in ("power", "dark", "white", "pulses")
     )
-    radius, power = (
-        np.hypot(column, row),
-        first_array(data, "power_dn2") - first_array(data, "dark_dn2"),
-    )
-    model = first_array(data, "white_dn2") + first_array(data, "pulses_dn2")
-    for colour, in_sector, label in (
-        (DATA, row < 0.27 * column, "near horizontal frequency"),
-        (THIRD, column < 0.27 * row, "near vertical frequency"),
-    ):
-        plot_points(
-            axes,
-            radius[in_sector],
-            power[in_sector],
-            color=colour,
-            alpha=0.4,
-            markersize=2.0,
-            label=label,
-        )
+    spectrum = np.stack([np.hypot(column, row), power - dark])
+    sectors = row < 0.27 * column, column < 0.27 * row
+    _plot_sectors(axes, sectors, spectrum, label="{}", alpha=0.4, markersize=2.0)
     label = "fitted: white floor and blurred pulses"
-    axes.plot(radius, model, ".", color=MODEL, markersize=1.5, alpha=0.5, label=label)
-    axes.set(
-        xlabel="spatial frequency (cycles per column pitch)",
-        ylabel="noise power above the dark (DN²)",
-        ylim=(0, None),
-    )
-    axes.legend()
+    dots = {"color": MODEL, "markersize": 1.5, "alpha": 0.5, "label": label}
+    axes.plot(spectrum[0], white + pulses, ".", **dots)
+    _label_power(axes, "noise power above the dark (DN²)")
     return figure
+
+
+def _plot_sectors(axes: Any, sectors: Any, spectrum: Any, *, label: str, **options: Any) -> None:
+    """Plot powers near horizontal and near vertical frequencies.
+
+    `spectrum`: radial frequency and power, and where known its error and its model, shape
+    (2 or 4, bin).
+    """
+    names = ("near horizontal frequency", "near vertical frequency")
+    for colour, in_sector, name in zip((DATA, THIRD), sectors, names, strict=True):
+        radius, *powers = spectrum[:, in_sector]
+        if radius.size:
+            plot_points(
+                axes, radius, *powers[:2], color=colour, label=label.format(name), **options
+            )
+        if radius.size and len(powers) > 2:
+            order = np.argsort(radius)
+            plot_line(axes, radius[order], powers[2][order], color=colour)
+
+
+def _label_power(axes: Any, ylabel: str) -> None:
+    """Label the axes of noise power against spatial frequency."""
+    xlabel = "spatial frequency (cycles per column pitch)"
+    axes.set(xlabel=xlabel, ylabel=ylabel, ylim=(0, None))
+    axes.legend()
 
 
 def plot_autocorrelation(data: Data) -> Any:
@@ -284,118 +261,6 @@ def plot_predictive_checks(data: Data) -> Any:
     axes.set(xlabel="measured minus expected (standard deviations)", ylim=(len(signs) - 0.5, -0.5))
     axes.axvline(0, color=INK, linewidth=0.8)
     axes.legend(fontsize=7)
-    return figure
-
-
-def plot_noise_against_gain(data: Data) -> Any:
-    """Plot covariance gain, and scintillation and read noise at a stated signal, against the gain
-    setting.
-    """
-    figure, grid = panels(1, 2, size=(7.2, 3.8))
-    gains, noises = grid[0]
-    setting, gain, law = (first_array(data, name) for name in ("setting", "gain_dn", "law_setting"))
-    low, high = np.asarray(data["law_interval95_dn"], float)
-    plot_band(gains, law, low, high, MODEL)
-    plot_line(gains, law, first_array(data, "law_gain_dn"), color=MODEL, label="fit, 95 %")
-    sd = gain * first_array(data, "gain_relative_sd")
-    plot_points(gains, setting, gain, sd, color=DATA, markersize=4.5, label="each, ± 1 sd")
-    joint = np.asarray(data["joint_interval95_dn"], float)
-    gains.vlines(
-        setting,
-        joint[0],
-        joint[1],
-        color=INK,
-        linewidth=2.2,
-        alpha=0.5,
-        label="by all settings, 95 %",
-    )
-    gains.set(ylabel="covariance gain (DN)")
-    low, middle, high = np.asarray(data["stated_noise_dn"], float)
-    plot_band(noises, law, low, high, MODEL)
-    pe = float(data["stated_signal_pe"])
-    plot_line(
-        noises, law, middle, color=MODEL, label=f"scintillation noise at {pe:g} photoelectron/px"
-    )
-    dark = [(s, d) for s, d in zip(setting, data["dark_noise_dn"], strict=True) if d is not None]
-    if dark:
-        plot_points(
-            noises, *np.array(dark).T, color=THIRD, marker="s", markersize=4.5, label="dark frames"
-        )
-    if data.get("read_noise_dn") is not None:
-        read = float(data["read_noise_dn"])
-        noises.axhline(
-            read, color=INK, linewidth=0.9, linestyle=":", label=f"read noise {read:.3g} DN"
-        )
-        low, middle, high = data["knee_setting"]
-        if law.min() <= middle <= law.max():
-            noises.errorbar(
-                [middle],
-                [read],
-                xerr=[[middle - low], [high - middle]],
-                color=WARN,
-                marker="D",
-                mfc="none",
-                markersize=6,
-                linestyle="",
-                label="knee, 95 %",
-            )
-    noises.set(ylabel="temporal noise (DN)")
-    for axes in (gains, noises):
-        axes.set(yscale="log", xlabel=f"{data['knob']} ({data['knob_unit'] or '1'})")
-        if data["logarithmic"]:
-            axes.set_xscale("log")
-            _few_ticks(axes, setting)
-        axes.legend(fontsize=7)
-    return figure
-
-
-def _few_ticks(axes: Any, positions: Any) -> None:
-    """Set ticks at data positions; a logarithmic axis of less than a decade has too few."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-
-    axes.xaxis.set_major_locator(FixedLocator(positions[:: max(1, -(-len(positions) // 5))]))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
-
-
-def plot_noise_by_gain(data: Data) -> Any:
-    """Plot noise against signal and, if the light is known, signal against light; one colour for
-    each setting.
-    """
-    lights = [light for light in data["light"] if light is not None]
-    figure, grid = panels(1, 2 if lights else 1, size=(7.2 if lights else 5.0, 3.8))
-    for number, name in enumerate(data["setting"]):
-        signal, noise = (
-            np.asarray(data["signal_dn"][number], float),
-            np.asarray(data["noise_dn"][number], float),
-        )
-        line_style = {
-            "color": COLOURS[number % len(COLOURS)],
-            "marker": "o",
-            "markersize": 3.5,
-            "linewidth": 0.9,
-        }
-        grid[0, 0].plot(signal, noise, label=name, **line_style)
-        if lights and data["light"][number] is not None:
-            grid[0, 1].plot(np.asarray(data["light"][number], float), signal, **line_style)
-    grid[0, 0].set(
-        xscale="log",
-        yscale="log",
-        xlabel="signal above the dark (DN)",
-        ylabel="temporal noise (DN)",
-    )
-    grid[0, 0].legend(fontsize=7)
-    if lights:
-        unit = {"photon": "photons/px"}.get(data["light_unit"], data["light_unit"])
-        grid[0, 1].set(
-            xscale="log",
-            yscale="log",
-            xlabel=f"light ({unit})",
-            ylabel="signal above the dark (DN)",
-        )
-        _few_ticks(
-            grid[0, 1], np.unique(np.concatenate([np.asarray(light, float) for light in lights]))
-        )
     return figure
 
 
