@@ -61,9 +61,15 @@ def test_a_tubes_name_is_a_file_name(name):
         ledger_of(name)
 
 
-def test_half_a_line_is_left_alone_and_the_next_dose_begins_anew(tmp_path):
+@pytest.fixture
+def ledger(tmp_path):
+    """A ledger of one dose."""
     ledger = DoseLedger(tmp_path / "tube.jsonl")
     ledger.append(dose())
+    return ledger
+
+
+def test_half_a_line_is_left_alone_and_the_next_dose_begins_anew(ledger):
     with open(ledger.path, "ab") as file:
         file.write(b'{"time": "2025-01-01T00:00:00+00:00", "screen_c_p')
     ledger.append(dose())
@@ -74,9 +80,7 @@ def test_half_a_line_is_left_alone_and_the_next_dose_begins_anew(tmp_path):
 @pytest.mark.parametrize(
     "line", ["[]", "7", "{}", '{"screen_c_per_cm2": -1}', "hello", '{"hours_at_gain": "x"}']
 )
-def test_a_line_that_is_no_dose_is_refused_with_its_number(tmp_path, line):
-    ledger = DoseLedger(tmp_path / "tube.jsonl")
-    ledger.append(dose())
+def test_a_line_that_is_no_dose_is_refused_with_its_number(ledger, line):
     with open(ledger.path, "a") as file:
         file.write(line + "\n")
     with pytest.raises(
@@ -127,10 +131,8 @@ def locked(path):
     holder.communicate()
 
 
-def test_a_lock_that_another_process_keeps_is_waited_for_only_so_long(tmp_path, monkeypatch):
+def test_a_lock_that_another_process_keeps_is_waited_for_only_so_long(ledger, monkeypatch):
     monkeypatch.setattr("labdata.tube_dose.PATIENCE_S", 0.2)
-    ledger = DoseLedger(tmp_path / "tube.jsonl")
-    ledger.append(dose())
     before = ledger.path.read_bytes()
     with locked(ledger.path):
         began_s = time.monotonic()
@@ -145,9 +147,7 @@ def test_a_lock_that_another_process_keeps_is_waited_for_only_so_long(tmp_path, 
     assert len(ledger) == 2
 
 
-def test_a_reader_in_the_same_process_does_not_end_the_lock(tmp_path, monkeypatch):
-    ledger = DoseLedger(tmp_path / "tube.jsonl")
-    ledger.append(dose())
+def test_a_reader_in_the_same_process_does_not_end_the_lock(ledger, monkeypatch):
     monkeypatch.setattr("labdata.tube_dose.PATIENCE_S", 0.1)
     with open(ledger.path, "ab") as file:
         tube_dose._lock(file.fileno())
@@ -156,9 +156,7 @@ def test_a_reader_in_the_same_process_does_not_end_the_lock(tmp_path, monkeypatc
             ledger.append(dose())
 
 
-def test_an_append_reads_one_byte_of_the_ledger_however_long_it_is(tmp_path, monkeypatch):
-    ledger = DoseLedger(tmp_path / "tube.jsonl")
-    ledger.append(dose())
+def test_an_append_reads_one_byte_of_the_ledger_however_long_it_is(ledger, monkeypatch):
     read = []
     pread = os.pread
     monkeypatch.setattr(

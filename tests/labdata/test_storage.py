@@ -35,8 +35,12 @@ def writer(tmp_path):
         yield writer
 
 
-def begun(storage: Storage, label: str = "flat"):
-    return storage.begin_stack(label, "flat", SHAPE, np.uint8, Conditions(mcp_v=700.0))
+def begun(storage: Storage, label: str = "flat", count: int = 0):
+    """A stack of which some frames wait."""
+    stack = storage.begin_stack(label, "flat", SHAPE, np.uint8, Conditions(mcp_v=700.0))
+    for frame in frames(count):
+        stack.enqueue(frame)
+    return stack
 
 
 class Disk:
@@ -59,9 +63,7 @@ class Disk:
 def test_frames_of_several_stacks_arrive_whole_and_in_order(writer):
     with Storage(writer) as storage:
         for label in ("a", "b"):
-            stack = begun(storage, label)
-            for frame in frames(40):
-                stack.enqueue(frame)
+            stack = begun(storage, label, count=40)
             stack.finish(losses=(LostFrames(first=41, last=42, reason="missing packets"),))
         storage.wait()
         assert stack.acknowledged == 40
@@ -116,9 +118,7 @@ def test_a_full_disk_ends_the_writing_and_every_frame_that_waited_has_number_and
     disk = Disk(monkeypatch)
     refusal = "the disk must take every frame, got 'No space left on device' after 3 frames"
     with pytest.raises(BadInput, match=refusal), Storage(writer) as storage:
-        stack = begun(storage)
-        for frame in frames(3):
-            stack.enqueue(frame)
+        stack = begun(storage, count=3)
         storage.wait()
         disk.go_on.clear()
         for frame in frames(5, first=4):
@@ -136,9 +136,7 @@ def test_a_full_disk_ends_the_writing_and_every_frame_that_waited_has_number_and
 
 def test_what_is_doubted_is_doubted_after_its_frames(writer):
     with Storage(writer) as storage:
-        stack = begun(storage)
-        for frame in frames(5):
-            stack.enqueue(frame)
+        stack = begun(storage, count=5)
         stack.doubt("the gate was shut")
     assert writer.doubtful == {"flat": "the gate was shut"}
     assert len(open_session(writer.folder).stack("flat").read()) == 5
@@ -150,8 +148,7 @@ def test_a_stack_that_may_not_be_begun_is_told_when_its_frames_come(writer):
         Storage(writer) as storage,
     ):
         for _ in range(2):
-            stack = begun(storage)
-            stack.enqueue(frames(1)[0])
+            stack = begun(storage, count=1)
             stack.finish()
         storage.wait()
 
@@ -197,9 +194,7 @@ def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_count
     sentence = r"got no progress for 0\.3 s: 5 frames of .* are not acknowledged"
     began_s = 0.0
     with pytest.raises(BadInput, match=sentence), Storage(writer) as storage:
-        stack = begun(storage)
-        for frame in frames(3):
-            stack.enqueue(frame)
+        stack = begun(storage, count=3)
         storage.wait()
         disk.go_on.clear()
         for frame in frames(5, first=4):
@@ -238,9 +233,7 @@ def test_a_disk_that_is_slow_but_moves_is_waited_for(writer, monkeypatch):
     forced = os.fsync
     monkeypatch.setattr(os, "fsync", lambda file: (time.sleep(0.03), forced(file))[1])
     with Storage(writer) as storage:
-        stack = begun(storage)
-        for frame in frames(8):
-            stack.enqueue(frame)
+        begun(storage, count=8)
     assert len(open_session(writer.folder).stack("flat").read()) == 8
 
 
