@@ -142,15 +142,37 @@ def test_an_overrun_throws_the_line_away(dg645):
     assert told(dg645, "LERR?") == ["171"]
 
 
-def test_a_factory_instrument_keeps_the_gate_shut():
-    assert not DelayGenerator().gate().gate_open
+# Commands behind a reset, the width of the opening, ns, and its rate, Hz; 0 keeps the gate shut.
+GATES: dict[str, tuple[str, float, float]] = {
+    "a factory instrument keeps it shut": ("", 0.0, 0.0),
+    "from A to B at each trigger": (
+        "DLAY 2,0,1e-6;DLAY 3,2,1.6e-2;TRAT 59.94;LAMP 1,4;TSRC 0",
+        *(1.6e7, 59.94),
+    ),
+    **{
+        f"shut without triggers, source {source}": (
+            f"DLAY 3,2,1e-6;LAMP 1,4;TSRC {source}",
+            0.0,
+            0.0,
+        )
+        for source in (3, 4, 5)
+    },
+    "shut without a level": ("DLAY 3,2,1e-6;LAMP 1,1;TSRC 0", 0.0, 0.0),
+    "a wrong polarity makes idle open": ("LAMP 1,4;LPOL 1,0", math.inf, 0.0),
+    "a burst makes several pulses a trigger": (
+        "DLAY 3,2,1e-6;LAMP 1,4;TRAT 60;TSRC 0;BURC 4;BURP 1e-4;BURM 1",
+        *(1e3, 240.0),
+    ),
+}
 
 
-def test_the_gate_opens_from_a_to_b_at_each_trigger(dg645):
-    told(dg645, "DLAY 2,0,1e-6;DLAY 3,2,1.6e-2;TRAT 59.94;LAMP 1,4;TSRC 0")
+@pytest.mark.parametrize("law", GATES)
+def test_the_gate_is_as_its_edges_level_and_triggers_say(dg645, law):
+    commands, width_ns, rate_hz = GATES[law]
+    told(dg645, commands)
     gate = dg645.gate()
-    assert (gate.gate_open, gate.gate_hz) == (True, 59.94)
-    assert gate.gate_ns == pytest.approx(1.6e7, abs=1e-3)
+    assert (gate.gate_open, gate.gate_hz) == (width_ns > 0.0, rate_hz)
+    assert gate.gate_ns == pytest.approx(width_ns, abs=1e-3)
 
 
 def test_triggers_during_a_cycle_are_lost_and_told(dg645):
@@ -161,26 +183,6 @@ def test_triggers_during_a_cycle_are_lost_and_told(dg645):
     told(dg645, "TRAT 60;INSR?")
     dg645.advance(1.0, Faults())
     assert not int(told(dg645, "INSR?")[0]) & 2
-
-
-def test_without_triggers_or_level_the_gate_stays_shut(dg645):
-    told(dg645, "DLAY 3,2,1e-6;LAMP 1,4")
-    for source in (3, 4, 5):
-        told(dg645, f"TSRC {source}")
-        assert not dg645.gate().gate_open
-    told(dg645, "TSRC 0;LAMP 1,1")
-    assert not dg645.gate().gate_open
-
-
-def test_a_wrong_polarity_makes_idle_open(dg645):
-    told(dg645, "LAMP 1,4;LPOL 1,0")
-    assert dg645.gate().gate_open
-    assert math.isinf(dg645.gate().gate_ns)
-
-
-def test_a_burst_makes_several_pulses_a_trigger(dg645):
-    told(dg645, "DLAY 3,2,1e-6;LAMP 1,4;TRAT 60;TSRC 0;BURC 4;BURP 1e-4;BURM 1")
-    assert dg645.gate().gate_hz == 240
 
 
 # The virtual PS350 slews, trips, latches and refuses as the maker's manual says.
