@@ -333,7 +333,7 @@ def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Poste
         raise BadInput(f"every frame of this study holds an edge, got: {edge.reason}")
     known = known_transfer(edge.picture, edge.profile.angle_rad, context)
     fitter = EdgeFitter(edge.profile, known)
-    fit = fitter.fit(FORM, np.concatenate([[0.0], FORM.start(fitter.guess())]), EVEN_PER_PX)
+    fit = fitter.fit(FORM, np.concatenate([[0.0], FORM.start(np.log(fitter.guess()))]), EVEN_PER_PX)
     likelihood = fitter.log_probability(form_of(FORM), EVEN_PER_PX)
 
     def log_probability(theta: Array) -> Array:
@@ -343,8 +343,8 @@ def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Poste
     width = np.diff(BOUNDS, axis=1)[:, 0]
     found = SAMPLERS[sampler](
         log_probability,
-        names=("edge_shift_px", *FORM.parameters),
-        units=("px", *(unit for unit, _ in FORM.parameters.values())),
+        names=("edge_shift_px", *FORM.names),
+        units=("px", *FORM.units),
         start=np.clip(fit.point, BOUNDS[:, 0] + 0.02 * width, BOUNDS[:, 1] - 0.02 * width),
         covariance=fit.covariance * fit.noise_scale,
         seed=seed,
