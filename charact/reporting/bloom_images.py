@@ -3,7 +3,7 @@
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,12 +43,12 @@ def plot_bloom_frames(data: Data) -> Any:
         axes.set_xlabel("column (px)")
     for axes in grid[:, 0]:
         axes.set_ylabel("row (px)")
-    lines = [
+    lines: list[tuple[str, str, Literal["-", "--"]]] = [
         ("bloom, half of full scale", DATA, "-"),
         ("halo", THIRD, "--"),
         ("streak", MODEL, "-"),
     ]
-    handles = [
+    handles: list[Any] = [
         Line2D([], [], color=colour, linestyle=style, label=words)
         for words, colour, style in lines
         if words != "halo" or data.get("halo_diameter_px")
