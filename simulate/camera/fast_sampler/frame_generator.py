@@ -222,8 +222,8 @@ class FrameGenerator:
             for fraction, stored in zip(self._stored_fraction, self._stored_mean, strict=True)
         )
         self._stored_mean = [
-            kept * stored + (1.0 - kept) * amount
-            for kept, stored in zip(self._kept_fraction, self._stored_mean, strict=True)
+            kept_fraction * stored + (1.0 - kept_fraction) * amount
+            for kept_fraction, stored in zip(self._kept_fraction, self._stored_mean, strict=True)
         ]
         return shown
 

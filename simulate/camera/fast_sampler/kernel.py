@@ -59,10 +59,10 @@ class Kernel:
         """Sum of the squared fractions that pixels collect of a pulse, over the mean sum,
         dimensionless.
         """
-        squared = float(
+        square_sum = float(
             np.einsum("prj,prk,psj,psk->", self.down, self.along, self.down, self.along)
         )
-        return squared / (self.height * len(self.down))
+        return square_sum / (self.height * len(self.down))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -235,10 +235,10 @@ class SparseScreen:
         side = FINEST * COARSE
         sums = coarse_sums(*pulses, side, *light.coarse_e.shape)
         shown = sums[0] - factor * (np.float32(1.0) - self._stored_fraction.sum()) * light.coarse_e
-        for stored, stored_fraction, kept_fraction, new in zip(
+        for stored, stored_fraction, kept_fraction, increase in zip(
             self._coarse_stored, self._stored_fraction, self._kept_fraction, sums[1:], strict=True
         ):
             shown += (np.float32(1.0) - kept_fraction) * stored
             stored *= kept_fraction
-            stored += new - factor * stored_fraction * light.coarse_e
+            stored += increase - factor * stored_fraction * light.coarse_e
         return shown

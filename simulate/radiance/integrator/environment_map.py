@@ -202,12 +202,14 @@ class SkyImportance:
         return np.where(direction[:, 2] >= 0.0, self.per_sr[cell], 0.0)
 
 
-def sky_arrays(environment: EnvironmentMap, bright: SkyImportance | None) -> tuple:
+def sky_arrays(environment: EnvironmentMap, importance: SkyImportance | None) -> tuple:
     """Return tables, whether there is light, probabilities (empty without importance sampling) and
     sines of heights.
     """
     cumulative, per_sr = (
-        (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulative, bright.per_sr)
+        (np.zeros(0), np.zeros((0, 0)))
+        if importance is None
+        else (importance.cumulative, importance.per_sr)
     )
     sines = np.sin(np.linspace(0.0, 0.5 * np.pi, len(per_sr) + 1))
     return (

@@ -138,14 +138,14 @@ def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
     tables.
     """
     tables = [lamp.distribution.encode() for lamp in lamps]
-    ends = np.cumsum([0, *(len(table) for table in tables)])
+    table_starts = np.cumsum([0, *(len(table) for table in tables)])
     return (
         np.array([lamp.position_m for lamp in lamps], float).reshape(-1, 3),
         np.array([lamp.radius_m for lamp in lamps], float),
         np.array([lamp.spectrum for lamp in lamps], np.float32).reshape(-1, bands),
         np.array([float(lamp.spectrum.sum()) for lamp in lamps]),
         np.array([lamp.frame for lamp in lamps], float).reshape(-1, 3, 3),
-        ends,
+        table_starts,
         np.concatenate([*tables, np.zeros(0)]),
     )
 
@@ -196,17 +196,20 @@ def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float
         azimuth = 360.0 - azimuth
     if last_azimuth <= 90.0 and azimuth > 90.0:
         azimuth = 180.0 - azimuth
-    col, along = _cell(polars, polar)
-    row, across = (0, 0.0) if n_azimuths == 1 else _cell(azimuths, azimuth)
+    col, polar_fraction = _cell(polars, polar)
+    row, azimuth_fraction = (0, 0.0) if n_azimuths == 1 else _cell(azimuths, azimuth)
     next_row = min(row + 1, n_azimuths - 1)
     row_candela = (
-        candela[row * n_polars + col] * (1.0 - along) + candela[row * n_polars + col + 1] * along
+        candela[row * n_polars + col] * (1.0 - polar_fraction)
+        + candela[row * n_polars + col + 1] * polar_fraction
     )
     next_row_candela = (
-        candela[next_row * n_polars + col] * (1.0 - along)
-        + candela[next_row * n_polars + col + 1] * along
+        candela[next_row * n_polars + col] * (1.0 - polar_fraction)
+        + candela[next_row * n_polars + col + 1] * polar_fraction
     )
-    return pattern[1] * (row_candela * (1.0 - across) + next_row_candela * across)
+    return pattern[1] * (
+        row_candela * (1.0 - azimuth_fraction) + next_row_candela * azimuth_fraction
+    )
 
 
 @numba.njit(**INLINED)
@@ -214,7 +217,7 @@ def lamp_factor(lamps: Any, lamp: int, position_m: Any, normal: Any) -> float:
     """Return the unoccluded irradiance of a lamp over its spectrum, as
     `direct_lighting.lamp_factor`.
     """
-    position, _, _, _, axes, ends, tables = lamps
+    position, _, _, _, axes, table_starts, tables = lamps
     x, y, z = (
         position[lamp, 0] - position_m[0],
         position[lamp, 1] - position_m[1],
@@ -225,7 +228,7 @@ def lamp_factor(lamps: Any, lamp: int, position_m: Any, normal: Any) -> float:
     cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
     if not cosine > 0.0:
         return 0.0
-    pattern = tables[ends[lamp] : ends[lamp + 1]]
+    pattern = tables[table_starts[lamp] : table_starts[lamp + 1]]
     return (
         cosine
         * lamp_pattern(pattern, axes[lamp], -x / distance, -y / distance, -z / distance)
@@ -242,6 +245,6 @@ def towards_lamp(lamps: Any, lamp: int, point: Any, state: Any, direction: Any) 
         square += direction[axis] ** 2
     distance = np.sqrt(square)
     centre = (direction[0] / distance, direction[1] / distance, direction[2] / distance)
-    square, along, across = draw_disc_point(state)
+    square, cosine, sine = draw_disc_point(state)
     disc_radius = radius * np.sqrt(square)
-    set_direction(centre, disc_radius * along, disc_radius * across, distance, direction)
+    set_direction(centre, disc_radius * cosine, disc_radius * sine, distance, direction)

@@ -271,25 +271,32 @@ def _add_paths(scene: SpectralScene, request: ShadingRequest) -> None:
         return
     # Low-discrepancy rays of neighbouring points sample the sky well enough where only its
     # shadowing is computed.
-    bright = None if request.sequence is not None and only_sky else scene.bright_sky
+    sky_importance = None if request.sequence is not None and only_sky else scene.bright_sky
     sequence = request.slices
-    if bright is not None:
+    if sky_importance is not None:
         _add_bright_sky(scene, request)
     irradiance, deferred = follow_paths(
         scene,
         points,
         sequence,
         request.effort,
-        bright,
+        sky_importance,
         control=request.control,
         depth=request.depth,
         seed=int(request.rng.integers(1 << 63)),
     )
     for depth in np.unique(deferred.depth).tolist():
-        owner, _, *hits, weight = (values[deferred.depth == depth] for values in deferred)
-        hit_points = scene.bsdfs.points(scene.surfaces, *hits, points.sky_control_fraction[owner])
+        paths = np.flatnonzero(deferred.depth == depth)
+        owner = deferred.owner[paths]
+        hit_points = scene.bsdfs.points(
+            scene.surfaces,
+            deferred.face[paths],
+            deferred.position_m[paths],
+            deferred.direction[paths],
+            points.sky_control_fraction[owner],
+        )
         radiance = _radiance_of_hits(scene, request, hit_points, depth).total()
-        np.add.at(irradiance, owner, radiance * weight)
+        np.add.at(irradiance, owner, radiance * deferred.weight[paths])
     request.components.add("around", request.rows, irradiance * scene.bsdfs.diffuse_brdf(points))
 
 
@@ -365,7 +372,7 @@ def _add_sky(
     segments: Segments,
 ) -> None:
     """Add the sky that gather rays meet, and subtract the occluded part of the control variate."""
-    sky, bright, shadowing = (
+    sky, sky_importance, shadowing = (
         scene.lighting.environment_map,
         scene.bright_sky,
         request.effort.sky_shadowing,
@@ -376,8 +383,8 @@ def _add_sky(
     gather_density = request.rays * density
     mis_weight = (
         np.ones(len(gather_density))
-        if bright is None
-        else gather_density / (gather_density + bright.density(direction))
+        if sky_importance is None
+        else gather_density / (gather_density + sky_importance.density(direction))
     )
     # Behind panes the control variate does not apply to the transmitted light.
     sky_fraction = (1.0 - control * ~(segments.meets_pane & shadowing)) * mis_weight
@@ -398,22 +405,24 @@ def _add_bright_sky(scene: SpectralScene, request: ShadingRequest) -> None:
     Visible and occluded directions count as for gather rays: 1 minus, or minus, the control-variate
     fraction.
     """
-    bright, points, shadowing, control = (
+    sky_importance, points, shadowing, control = (
         scene.bright_sky,
         request.points,
         request.effort.sky_shadowing,
         request.control,
     )
-    if bright is None:
+    if sky_importance is None:
         return
-    direction = bright.draw(len(points), request.rng)
+    direction = sky_importance.draw(len(points), request.rng)
     cosine = direct_lighting.dot(points.normal, direction)
     rows = np.flatnonzero(((control < 1.0) | shadowing) & (cosine > 0.0))
     lit_points, direction, tracer = points.select(rows), direction[rows], scene.surfaces.tracer
     is_hidden = tracer.is_occluded(direct_lighting.ray_starts(points, rows, tracer), direction)
     sky_fraction = 1.0 - control[rows]
     sky_fraction = sky_fraction - is_hidden if shadowing else np.where(is_hidden, 0.0, sky_fraction)
-    density = request.rays * scene.bsdfs.density(lit_points, direction) + bright.density(direction)
+    density = request.rays * scene.bsdfs.density(lit_points, direction) + sky_importance.density(
+        direction
+    )
     sky_radiance = scene.lighting.environment_map.radiance(direction)
     light = scene.bsdfs.value(lit_points, direction) * sky_radiance
     light *= (sky_fraction * cosine[rows] / density).astype(np.float32)[:, None]

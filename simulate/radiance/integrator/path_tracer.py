@@ -115,7 +115,7 @@ def follow_paths(
     points: ShadingPoints,
     sequence: SequenceSlice,
     effort: IntegratorSettings,
-    bright: SkyImportance | None,
+    sky_importance: SkyImportance | None,
     *,
     control: Array32,
     depth: int,
@@ -125,7 +125,7 @@ def follow_paths(
 
     Parameters
     ----------
-    scene, points, effort, bright
+    scene, points, effort, sky_importance
         The scene, where, how far light is followed, and the importance sampling of the sky or None.
     sequence
         Pairs of numbers for each ray of each point: directions follow by the cosine law.
@@ -160,7 +160,7 @@ def follow_paths(
         (tracer.scene.address, tracer.centre_m, tracer.planes, tracer.clearance_m),
         (scene.surfaces.material_of, bsdfs.rho_by_pi, is_diffuse),
         (
-            sky_arrays(light.environment_map, bright),
+            sky_arrays(light.environment_map, sky_importance),
             disc_arrays(effort.active_lights(light.discs), bands),
             lamp_arrays(effort.active_lights(light.lamps), bands),
             panel_arrays(light.panels, bands),

@@ -305,7 +305,7 @@ def local_direction(frame: Array, direction: Array) -> Array:
 def _to_light_and_viewer(points: ShadingPoints, rows: Index, incoming: Array) -> list[Array]:
     """Return the directions to light and viewer of some points, in the frames of their normals."""
     frame = shading_frames(points.normal[rows])
-    return [local_direction(frame, way[rows]) for way in (incoming, points.outgoing)]
+    return [local_direction(frame, direction[rows]) for direction in (incoming, points.outgoing)]
 
 
 # Gas transmittance is tabulated at ranges of 2^(n / NODES) m from 1 m; shorter paths lose nothing
