@@ -146,7 +146,8 @@ def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
     from scipy.special import chdtri
 
     best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
-    values, parts = model.values(best[None]), collections.defaultdict[str, float](float)
+    values = model.values(best[None])
+    parts: dict[str, float] = collections.defaultdict(float)
     for observation in model.observed:
         parts[observation.name] += float(observation.chi_squared(values)[0])
     parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
@@ -453,20 +454,19 @@ def _parameter(before: Parameter, value: float, draws: Array, remaining: float) 
     """Return one parameter of the fitted description; `remaining` is the remaining fraction of its
     prior's width.
     """
-    if remaining >= LIMITS.identified:
-        standing_note = (
-            f"requested, but not identified by the session's data: {remaining:.0%} of the prior's "
-            f"width remains"
-        )
+    if remaining < LIMITS.identified:
+        low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
+        standing = "fitted"
+        source = f"fitted to the session's data; {remaining:.0%} of the prior's width remains"
+    else:
         low, high = (value if end is None else end for end in (before.low, before.high))
-        source = f"{standing_note}; prior: {before.source}"
-        return Parameter(
-            value=value, low=min(low, value), high=max(high, value), standing="prior", source=source
+        standing = "prior"
+        source = (
+            f"requested, but not identified by the session's data: {remaining:.0%} of the prior's "
+            f"width remains; prior: {before.source}"
         )
-    low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
-    source = f"fitted to the session's data; {remaining:.0%} of the prior's width remains"
     return Parameter(
-        value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source
+        value=value, low=min(low, value), high=max(high, value), standing=standing, source=source
     )
 
 

@@ -228,8 +228,8 @@ class PulsesOfDarks(OfDarks):
         event = darks.gain(values) * predicted.excess_noise_factor(values)
         small = square_below(values[SHAPE], single_pulse_limit(values, darks.ions))
         light = event * darks.background(values) * small + weak_ions(values, darks.ions)[1]
-        count = len(darks.data)
-        products = field_products(values, darks.level.gate_s, count * darks.step)[:, :: darks.step]
+        count, step = len(darks.data), darks.sensor.fields
+        products = field_products(values, darks.level.gate_s, count * step)[:, ::step]
         spread = predicted.pulse_covariance(values, neighbours_of(darks)).sum(axis=1)
         return light * (spread * (products @ _without_mean(count)))
 
@@ -290,15 +290,15 @@ def _neighbour_covariance(
     is_usable = ~darks.ions.reached
     count, rows, columns = darks.data.shape
     x = np.empty_like(darks.data)
-    for parity in range(darks.step):
-        field = darks.data[:, parity :: darks.step]
-        x[:, parity :: darks.step] = (
-            field - field[:, is_usable[parity :: darks.step]].mean(axis=1)[:, None, None]
+    for parity in range(darks.sensor.fields):
+        field = darks.data[:, parity :: darks.sensor.fields]
+        x[:, parity :: darks.sensor.fields] = (
+            field - field[:, is_usable[parity :: darks.sensor.fields]].mean(axis=1)[:, None, None]
         )
     x = (x - x.mean(axis=0)) * is_usable
     total, number = np.zeros((2, FRAMES.blocks[0] * FRAMES.blocks[1]))
     for right, down in separations:
-        down *= darks.step
+        down *= darks.sensor.fields
         first, second = x[:, : rows - down, : columns - right], x[:, down:, right:]
         total += block_sums(np.einsum("frc,frc->rc", first, second) / (count - 1.0))
         number += block_sums(is_usable[: rows - down, : columns - right] & is_usable[down:, right:])

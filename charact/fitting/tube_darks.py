@@ -32,11 +32,6 @@ class Darks:
     ions: IonEvents
 
     @property
-    def step(self) -> int:
-        """Frame rows from one row of a field to the next."""
-        return self.sensor.fields
-
-    @property
     def is_coarse(self) -> bool:
         """Whether the noise is so small that rounding is no noise of its own."""
         return self.noise_dn <= DARK_ERRORS.coarse_dn

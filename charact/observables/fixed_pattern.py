@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.observables.frame_view import FrameView, bands_of, highest
+from charact.observables.frame_view import FrameView, bands_of, cube_root, highest, log
 from charact.observables.observable import (
     Estimates,
     MeasuredStack,
@@ -19,8 +19,6 @@ from charact.observables.observable import (
     Printed,
     Stacks,
     Values,
-    cube_root,
-    log,
     observable,
 )
 from charact.observables.silicon import amplification, cooling, dn_per_electron, em_gain, warmth

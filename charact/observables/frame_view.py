@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.frames.noise_law import masked_covariance
-from charact.observables.observable import cube_root, log
 from charact.observables.thresholds import FRAMES
 
 Array = NDArray[np.float64]
@@ -82,6 +81,16 @@ class FrameView:
         rows, cols = images.shape[-2:]
         power = np.abs(np.fft.rfft2(images)) ** 2 / (rows * cols)
         return power.reshape(-1, *power.shape[-2:]).mean(axis=0)
+
+
+def log(value: float) -> float:
+    """Return the logarithm of a positive number; that of a small one where frames repeat."""
+    return float(np.log(max(value, 1e-12)))
+
+
+def cube_root(value: float) -> float:
+    """Return the cube root, in which a variance is nearly Gaussian (Wilson and Hilferty 1931)."""
+    return float(np.cbrt(value))
 
 
 def bands_of(power: Array, reference: Array, what: str) -> dict[str, float]:

@@ -7,15 +7,14 @@ b: black level; p: photons of a pixel; eta: quantum efficiency.
 
 from typing import Any
 
+from charact.observables.frame_view import FrameView, log
 from charact.observables.observable import (
-    ComparedStack,
     Estimates,
     MeasuredStack,
     Numbers,
     Observable,
     Printed,
     Stacks,
-    log,
     observable,
 )
 
@@ -34,7 +33,7 @@ class Level(Observable[Any]):
         """Return the level of the first dark, DN."""
         return Estimates.of_number(stacks.dark.mean_dn, stacks.dark.mean_sd_dn)
 
-    def numbers(self, stacks: Stacks[ComparedStack]) -> Numbers:
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
         dark, flat = stacks.dark, stacks.flat
         return {
             f"level of {dark.label}, DN": dark.mean_dn,

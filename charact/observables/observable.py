@@ -8,11 +8,14 @@ misfit, the validation compares those of measured with those of simulated frames
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from labdata import QUANTITIES, Array, Camera, Conditions, Result
+from charact.frames.stack_statistics import StackStatistics
+from charact.observables.frame_view import FrameView
+from charact.observables.stack_level import StackLevel
+from labdata import QUANTITIES, Array, Camera, Result
 from labdata.quantity import Quantity
 
 # Every parameter of a description by its path: n draws, or one value, shape (n,) or (1,)
@@ -20,55 +23,9 @@ Values = Mapping[str, Array]
 Numbers = Mapping[str, float]
 
 
-class ComparedStack(Protocol):
-    """Numbers of one stack that every engine has, however it came by them."""
-
-    @property
-    def label(self) -> str:
-        """Label of the stack."""
-        ...
-
-    @property
-    def mean_dn(self) -> float:
-        """Mean over pixels and frames, DN."""
-        ...
-
-    @property
-    def variance_dn2(self) -> float:
-        """Temporal variance of a pixel, mean over pixels, DN^2."""
-        ...
-
-
-class MeasuredStack(ComparedStack, Protocol):
-    """Numbers of one stack with their standard errors, and its fixed pattern."""
-
-    @property
-    def conditions(self) -> Conditions:
-        """Conditions of the stack."""
-        ...
-
-    @property
-    def mean_sd_dn(self) -> float:
-        """Standard error of the mean, DN."""
-        ...
-
-    @property
-    def variance_sd_dn2(self) -> float:
-        """Standard error of the temporal variance, DN^2; nan of a single frame."""
-        ...
-
-    @property
-    def spatial_variance_dn2(self) -> float:
-        """Variance of the fixed pattern over pixels, DN^2."""
-        ...
-
-    @property
-    def spatial_sd_dn2(self) -> float:
-        """Standard error of the variance of the fixed pattern, DN^2."""
-        ...
-
-
-S_co = TypeVar("S_co", bound=ComparedStack, covariant=True)
+# A stack whose errors are known, as the fit and as the noise of a session read it
+MeasuredStack = StackLevel | StackStatistics
+S_co = TypeVar("S_co", bound=FrameView | MeasuredStack, covariant=True)
 Shown = TypeVar("Shown")
 
 
@@ -262,16 +219,6 @@ def observables() -> tuple[Observable[Any], ...]:
     return tuple(sorted(_KNOWN, key=lambda statistic: statistic.order))
 
 
-def log(value: float) -> float:
-    """Return the logarithm of a positive number; that of a small one where frames repeat."""
-    return float(np.log(max(value, 1e-12)))
-
-
 def columns(*numbers: Array) -> Array:
     """Return predictions of shape (n,) or (1,) each side by side, shape (n, k)."""
     return np.stack(np.broadcast_arrays(*numbers), axis=1)
-
-
-def cube_root(value: float) -> float:
-    """Return the cube root, in which a variance is nearly Gaussian (Wilson and Hilferty 1931)."""
-    return float(np.cbrt(value))

@@ -13,8 +13,8 @@ import numpy as np
 
 from charact.frames.rounding import rounding_sd
 from charact.observables.admissible import admissible_measurements
+from charact.observables.frame_view import FrameView, log
 from charact.observables.observable import (
-    ComparedStack,
     Estimates,
     MeasuredStack,
     Numbers,
@@ -23,7 +23,6 @@ from charact.observables.observable import (
     Stacks,
     Values,
     columns,
-    log,
     observable,
 )
 from charact.observables.silicon import (
@@ -63,7 +62,7 @@ def variance_errors(stacks: Stacks[MeasuredStack]) -> tuple[Array, float]:
     return np.hypot(sd, of_dark), 0.0
 
 
-def variance_over_signal(flat: ComparedStack, dark: ComparedStack) -> float:
+def variance_over_signal(flat: FrameView, dark: FrameView) -> float:
     """Return the variance of a flat above the dark's over its signal, DN."""
     return (flat.variance_dn2 - dark.variance_dn2) / (flat.mean_dn - dark.mean_dn)
 
@@ -140,7 +139,7 @@ class PhotonTransfer(Observable[Any]):
         known = ((*amplification(flat.conditions), HEIGHTS, COMPRESSION) for flat in stacks.flats)
         return tuple(dict.fromkeys(path for paths in known for path in paths))
 
-    def numbers(self, stacks: Stacks[ComparedStack]) -> Numbers:
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
         dark, flat = stacks.dark, stacks.flat
         return {
             f"ln variance of {dark.label}": log(dark.variance_dn2),
@@ -149,7 +148,7 @@ class PhotonTransfer(Observable[Any]):
 
 
 @observable
-class Linearity(Observable[Stacks[ComparedStack]]):
+class Linearity(Observable[Stacks[FrameView]]):
     """Signal, and variance over signal, of each dimmer flat over that of the brightest.
 
     Neither depends on gain or sensitivity where the response is linear.
@@ -163,7 +162,7 @@ class Linearity(Observable[Stacks[ComparedStack]]):
         "light other than stated"
     )
 
-    def numbers(self, stacks: Stacks[ComparedStack]) -> Numbers:
+    def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
         (*dimmer, brightest), dark = stacks.flats, stacks.dark
         numbers = {}
         for flat in dimmer:

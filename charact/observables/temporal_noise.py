@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from charact.observables.frame_view import FrameView, bands_of
-from charact.observables.observable import Numbers, Observable, Stacks, cube_root, observable
+from charact.observables.frame_view import FrameView, bands_of, cube_root
+from charact.observables.observable import Numbers, Observable, Stacks, observable
 from charact.observables.thresholds import FRAMES
 
 

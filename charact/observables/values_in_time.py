@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from charact.observables.frame_view import FrameView, correlations_of, highest
-from charact.observables.observable import Numbers, Observable, Stacks, cube_root, log, observable
+from charact.observables.frame_view import FrameView, correlations_of, cube_root, highest, log
+from charact.observables.observable import Numbers, Observable, Stacks, observable
 from charact.observables.thresholds import FRAMES
 
 
