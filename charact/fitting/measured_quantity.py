@@ -67,10 +67,6 @@ class MeasuredQuantity(Observable[Measured]):
                     label=self.shown_as.format(stack=m.stack),
                 )
 
-    def predict(self, values: Values, shown: Measured) -> Array:
-        """Return the number of cameras, shape (n, 1)."""
-        return self.number(values, shown)[:, None]
-
     def parameters(self, shown: Measured) -> tuple[str, ...]:
         return self.paths(shown.stacks) if self.paths else self.depends
 

@@ -168,9 +168,8 @@ class VeilingGlare(Observable[None]):
             glare = Estimates.of_number((lower - ratio * upper) / scale, ratio_sd * upper / scale)
             yield Case(estimates=glare, of=None, label=f"glare of {entry.label}")
 
-    def predict(self, values: Values, shown: None) -> Array:
-        """Return the glare, shape (n, 1)."""
-        return values[GLARE][:, None]
+    def number(self, values: Values, shown: None) -> Array:
+        return values[GLARE]
 
 
 def _sides_dn(entry: StackEntry, dark_dn: float) -> tuple[float, float, float] | None:

@@ -45,22 +45,20 @@ def mtf(
     its own plane; a camera without a tube has lens x pixel only.
     """
     fx, fy = np.broadcast_arrays(np.atleast_1d(np.asarray(across, float)), np.asarray(along, float))
-    detector = _per_mm_at_detector(values, fx, fy)
+    v, pixel = in_columns(values), slit(fx) * slit(rows_per_pixel(values) * fy)
+    readout = pixel * np.abs(transfer(video_weights(values), fx))
+    detector = _per_mm_at_detector(v, fx, fy)
+    blur_um, f_number = v["optics.aberration_blur_um"], v["optics.f_number"]
     if not has_tube(values):
-        return _lens(values, detector, wavelength_nm) * _readout(values, fx, fy)
-    cathode = detector / _column(values, "taper.demagnification")
-    halo_fraction = _column(values, "photocathode.halo_fraction")
-    u = np.maximum(4.0 * np.pi * _column(values, "photocathode.gap_mm") * cathode, 1e-6)
-    halo_transfer = halo(u, _column(values, "photocathode.halo_elastic_share"))
-    before = _lens(values, cathode, wavelength_nm) * (
+        return lens(detector, blur_um, f_number, wavelength_nm) * readout
+    cathode = detector / v["taper.demagnification"]
+    halo_fraction = v["photocathode.halo_fraction"]
+    u = np.maximum(4.0 * np.pi * v["photocathode.gap_mm"] * cathode, 1e-6)
+    halo_transfer = halo(u, v["photocathode.halo_elastic_share"])
+    before = lens(cathode, blur_um, f_number, wavelength_nm) * (
         (1.0 - halo_fraction) + halo_fraction * halo_transfer
     )
-    return (
-        before
-        * _tube(values, cathode, 1.0)
-        * _coupling(values, detector)
-        * _readout(values, fx, fy)
-    )
+    return before * _after_cathode(v, cathode, detector, 1.0) * readout
 
 
 def blur_factor(values: Values, gain_dn_per_pe: Array) -> Array:
@@ -306,44 +304,21 @@ def rows_per_pixel(values: Values) -> float:
     return 2.0 if "video.bandwidth_mhz" in values else 1.0
 
 
-def _column(values: Values, path: str) -> Array:
-    return values[path][:, None]
+def in_columns(values: Values) -> Values:
+    """Return values of shape (n, 1), against which conditions or frequencies stand in rows."""
+    return {path: value[:, None] for path, value in values.items()}
 
 
-def _per_mm_at_detector(values: Values, fx: Array, fy: Array) -> Array:
-    across = fx / (_column(values, "ccd.pitch_x_um") * 1e-3)
-    along = fy / (_column(values, "ccd.pitch_y_um") * 1e-3)
+def _per_mm_at_detector(v: Values, fx: Array, fy: Array) -> Array:
+    across, along = fx / (v["ccd.pitch_x_um"] * 1e-3), fy / (v["ccd.pitch_y_um"] * 1e-3)
     return np.hypot(across, along)
 
 
-def _lens(values: Values, image_plane: Array, wavelength_nm: float) -> Array:
-    blur_um, f_number = (
-        _column(values, "optics.aberration_blur_um"),
-        _column(values, "optics.f_number"),
-    )
-    return lens(image_plane, blur_um, f_number, wavelength_nm)
-
-
-def _tube(values: Values, cathode: Array, fraction: Array | float) -> Array:
-    return image_tube(
-        cathode,
-        _column(values, "tube.mtf_frequency_lp_per_mm"),
-        _column(values, "tube.mtf_exponent"),
-        fraction,
-    )
-
-
-def _coupling(values: Values, detector: Array) -> Array:
-    return fibres(
-        detector,
-        _column(values, "taper.fibre_pitch_um") * 1e-3,
-        _column(values, "taper.interface_mtf_lp_per_mm"),
-    )
-
-
-def _readout(values: Values, fx: Array, fy: Array) -> Array:
-    pixel = slit(fx) * slit(rows_per_pixel(values) * fy)
-    return pixel * np.abs(transfer(video_weights(values), fx))
+def _after_cathode(v: Values, cathode: Array, detector: Array, share: Array | float) -> Array:
+    """Return the transfer of a share of the tube's blur, and of the fibres behind it."""
+    fibre_mm, interface = v["taper.fibre_pitch_um"] * 1e-3, v["taper.interface_mtf_lp_per_mm"]
+    cut_off, exponent = v["tube.mtf_frequency_lp_per_mm"], v["tube.mtf_exponent"]
+    return image_tube(cathode, cut_off, exponent, share) * fibres(detector, fibre_mm, interface)
 
 
 def of_last_values(function: Callable[..., Array]) -> Callable[..., Array]:
@@ -379,11 +354,11 @@ def video_weights(values: Values) -> Array:
 @of_last_values
 def _power_after_gain(values: Values, nodes: "Nodes") -> Array:
     """Return |H|^2 of the optical stages after the gain at nodes, shape (n, along, across)."""
+    v = in_columns(values)
     fx, fy = np.meshgrid(nodes.across, nodes.along / rows_per_pixel(values))
-    detector = _per_mm_at_detector(values, fx.ravel(), fy.ravel())
-    cathode = detector / _column(values, "taper.demagnification")
-    after = _tube(values, cathode, _column(values, "tube.post_gain_share"))
-    power = (after * _coupling(values, detector)) ** 2
+    detector = _per_mm_at_detector(v, fx.ravel(), fy.ravel())
+    cathode = detector / v["taper.demagnification"]
+    power = _after_cathode(v, cathode, detector, v["tube.post_gain_share"]) ** 2
     return power.reshape(-1, *fx.shape)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from charact.estimators.noise.gain.emva1288 import excess_of
 from charact.estimators.noise.illumination import relative_sd_of, table_sensitivity_ua_per_lm
 from charact.fitting.measured_quantity import Measured, MeasuredQuantity, photon_transfer_of
-from charact.fitting.predicted_quantities import ELEMENTARY_CHARGE_C
+from charact.fitting.predicted_quantities import ELEMENTARY_CHARGE_C, in_columns
 from charact.fitting.stack_levels import SessionStacks, dark_rise_dn_per_s
 from charact.method import Context
 from charact.observables import (
@@ -214,9 +214,8 @@ class BrightestLinearFlat(Observable[SessionStacks]):
         if mean.size:
             yield Case(estimates=Estimates.of_number(float(mean.max()), 0.0), of=stacks)
 
-    def predict(self, values: Values, shown: SessionStacks) -> Array:
-        """Return the level at which the wells are full, shape (n, 1), DN."""
-        return full_well_level(values, shown)[:, None]
+    def number(self, values: Values, shown: SessionStacks) -> Array:
+        return full_well_level(values, shown)
 
     def parameters(self, shown: SessionStacks) -> tuple[str, ...]:
         return well_paths(shown)
@@ -231,16 +230,8 @@ class Lit:
     in_lux: NDArray[np.bool_]  # whether that is per m2
     full: float  # full scale, DN
     rise_dn_per_s: float  # rise of the dark level with exposure
-
-    @property
-    def lit(self) -> list[StackLevel]:
-        """The flats."""
-        return [level for level in self.levels if not level.dark]
-
-    @property
-    def of_lux(self) -> bool:
-        """Whether light is stated in lux."""
-        return any(np.isfinite(level.illuminance_lux) for level in self.lit)
+    lit: tuple[StackLevel, ...]  # the flats
+    of_lux: bool  # whether their light is stated in lux
 
 
 @observable
@@ -261,21 +252,19 @@ class ChipLevels(Observable[Lit]):
         """
         flats = stacks.session.of_kind("flat")
         longest_s = max((entry.conditions.exposure_s or 0.0 for entry in flats), default=0.0)
-        levels = (
-            *(dark for dark in stacks.all_darks if not longest_s or dark.exposure_s <= longest_s),
-            *(flat for flat in stacks.flats if flat.light_known),
-        )
-        silicon, bits = stacks.camera.silicon, stacks.camera.video.bit_depth
-        return (
-            Lit(
-                levels=levels,
-                light=np.array([electrons_per_efficiency(silicon, level) for level in levels]),
-                in_lux=np.array([np.isfinite(level.illuminance_lux) for level in levels]),
-                full=float(2**bits - 1),
-                rise_dn_per_s=dark_rise_dn_per_s(stacks.levels),
-            )
-            if levels
-            else None
+        lit = tuple(flat for flat in stacks.flats if flat.light_known)
+        short = (dark for dark in stacks.all_darks if not longest_s or dark.exposure_s <= longest_s)
+        levels, silicon = (*short, *lit), stacks.camera.silicon
+        if not levels:
+            return None
+        return Lit(
+            levels=levels,
+            light=np.array([electrons_per_efficiency(silicon, level) for level in levels]),
+            in_lux=np.array([np.isfinite(level.illuminance_lux) for level in levels]),
+            full=float(2**stacks.camera.video.bit_depth - 1),
+            rise_dn_per_s=dark_rise_dn_per_s(stacks.levels),
+            lit=lit,
+            of_lux=any(np.isfinite(flat.illuminance_lux) for flat in lit),
         )
 
     def measure(self, shown: Lit) -> Estimates:
@@ -303,7 +292,7 @@ class ChipLevels(Observable[Lit]):
 
     def predict(self, values: Values, shown: Lit) -> Array:
         """Return the level of every stack, shape (n, level), DN."""
-        of_chip = {path: value[:, None] for path, value in values.items()}
+        of_chip = in_columns(values)
         gain = columns(
             *(
                 dn_per_electron(values, level.conditions) * em_gain(values, level.conditions)

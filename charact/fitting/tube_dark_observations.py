@@ -85,7 +85,6 @@ class NoiseBetweenPulses(Observable[Darks]):
         )
 
     def predict(self, values: Values, shown: Darks) -> Array:
-        """Return level and variance of cameras, shape (n, 2)."""
         light = shown.light_below_threshold(values) * shown.background(values)
         return columns(values[BLACK_LEVEL] + light, quiet_variance(values, shown))
 
@@ -116,14 +115,6 @@ class OfDarks(Observable[Darks]):
 
     def estimate(self, darks: Darks) -> tuple[float, float] | None:
         """Return the number and its error; None where the darks cannot show it."""
-        raise NotImplementedError
-
-    def predict(self, values: Values, shown: Darks) -> Array:
-        """Return the number of cameras, shape (n, 1)."""
-        return self.number(values, shown)[:, None]
-
-    def number(self, values: Values, darks: Darks) -> Array:
-        """Return the number of cameras, shape (n,)."""
         raise NotImplementedError
 
 
@@ -166,7 +157,6 @@ class DarkPattern(OfDarks):
         return value / slope**2, error / slope**2
 
     def number(self, values: Values, darks: Darks) -> Array:
-        """Return the covariance of cameras, DN^2."""
         pattern = values[CONVERSION_GAIN] * values[DSNU_E] * darks.warmth(values)
         return pattern**2 * predicted.filter_covariance(values, 1)[:, 0]
 
@@ -224,7 +214,6 @@ class PulsesOfDarks(OfDarks):
         return value, float(np.hypot(sd / kept, model * value))
 
     def number(self, values: Values, darks: Darks) -> Array:
-        """Return the covariance of cameras, DN^2."""
         event = darks.gain(values) * predicted.excess_noise_factor(values)
         small = square_below(values[SHAPE], single_pulse_limit(values, darks.ions))
         light = event * darks.background(values) * small + weak_ions(values, darks.ions)[1]
@@ -245,7 +234,6 @@ class LightOfDarks(OfDarks):
     depends = (EBI, BLACK_LEVEL, *IONS)
 
     def estimate(self, darks: Darks) -> tuple[float, float] | None:
-        """Return the mean."""
         if darks.is_coarse or not darks.ions.are_sparse:
             return None
         is_usable = ~darks.ions.reached
@@ -258,7 +246,6 @@ class LightOfDarks(OfDarks):
         return value, float(np.hypot(scatter, DARK_ERRORS.wing_sd * value))
 
     def number(self, values: Values, darks: Darks) -> Array:
-        """Return the mean of cameras, DN."""
         small = moment_below(values[SHAPE], 1.0, single_pulse_limit(values, darks.ions), 1)
         pulses = darks.background(values) * (small - darks.light_below_threshold(values))
         return pulses + weak_ions(values, darks.ions)[0]

@@ -226,7 +226,6 @@ class IonEventNumber(Observable[IonEvents]):
         return stacks.ions if stacks.ions is not None and stacks.ions.are_sparse else None
 
     def measure(self, shown: IonEvents) -> Estimates:
-        """Return root and logarithm."""
         charges = np.array(shown.charge_dn)
         number = charges.size
         value, sd = [float(np.sqrt(number + 0.375))], [0.5]
@@ -248,7 +247,6 @@ class IonEventNumber(Observable[IonEvents]):
         return np.diag(np.square([of_number, ION_ERRORS.charge][: estimates.value.size]))
 
     def predict(self, values: Values, shown: IonEvents) -> Array:
-        """Return root and logarithm of cameras, shape (n, 1 or 2)."""
         ions = predicted.ion_rate(values) * shown.exposure_of_pixels_s
         counted = ions * (1.0 - _moment_of_weak(values, shown, 0))
         charge_above_limit = ions * (values[SIZE] - _moment_of_weak(values, shown, 1))

@@ -316,10 +316,9 @@ class NeighbourCorrelation(Observable[float]):
             estimates = Estimates.of_number(value, float(np.hypot(sd, ERRORS.neighbour)))
             yield Case(estimates=estimates, of=usual_v(stacks), label=NOISE_LABEL)
 
-    def predict(self, values: Values, shown: float) -> Array:
-        """Return the correlation of cameras, shape (n, 1)."""
+    def number(self, values: Values, shown: float) -> Array:
         gain = predicted.photoelectron_gain(values, shown)
-        return predicted.noise_shape(values, gain)[1][:, None]
+        return predicted.noise_shape(values, gain)[1]
 
 
 @observable
@@ -331,7 +330,6 @@ class TubeLevels(Observable[SessionStacks]):
     tube = True
 
     def usable(self, stacks: SessionStacks) -> SessionStacks | None:
-        """Return the stacks within the linear range."""
         return stacks if stacks.levels else None
 
     def measure(self, shown: SessionStacks) -> Estimates:
@@ -354,7 +352,7 @@ class TubeLevels(Observable[SessionStacks]):
             np.array([getattr(level, name) for level in shown.levels])
             for name in ("illuminance_lux", "gate_s", "mcp_v")
         )
-        values = {path: value[:, None] for path, value in values.items()}
+        values = predicted.in_columns(values)
         background = predicted.background_rate(values) + predicted.ion_light(values)
         events = predicted.photoelectrons(values, lux, gate_s) + background * gate_s
         gain = predicted.photoelectron_gain(values, mcp_v)

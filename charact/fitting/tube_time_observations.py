@@ -102,9 +102,8 @@ class LineNoise(Observable[None]):
         if parts:
             yield Case(estimates=weighted_mean(parts), of=None)
 
-    def predict(self, values: Values, shown: None) -> Array:
-        """Return the variance, shape (n, 1), DN^2."""
-        return values[LINE_NOISE][:, None] ** 2
+    def number(self, values: Values, shown: None) -> Array:
+        return predicted.line_variance(values)
 
 
 @observable
@@ -194,9 +193,9 @@ class WhitePattern(Observable[None]):
         if high is not None and variance.item() < high**4:
             yield Case(estimates=estimates, of=None)
 
-    def predict(self, values: Values, shown: None) -> Array:
-        """Return the variance behind the video filter, shape (n, 1)."""
-        return values[PRNU_FRACTION][:, None] ** 2 * predicted.filter_covariance(values, 1)
+    def number(self, values: Values, shown: None) -> Array:
+        """Return the variance behind the video filter, shape (n,)."""
+        return values[PRNU_FRACTION] ** 2 * predicted.filter_covariance(values, 1)[:, 0]
 
 
 def measure_correlations(fields: Fields) -> tuple[Array, Array]:

@@ -50,11 +50,12 @@ class Prnu(Observable[Any]):
 
     def usable(self, stacks: Stacks[MeasuredStack]) -> Stacks[MeasuredStack] | None:
         """Return the flat of the smallest error."""
-        darks = [dark for dark in stacks.darks if np.isfinite(dark.variance_sd_dn2)][:1]
         shown = [
-            stacks.only(darks=darks, flats=[flat])
+            stacks.only(darks=stacks.darks[:1], flats=[flat])
             for flat in stacks.flats
-            if darks and np.isfinite(flat.spatial_sd_dn2) and flat.mean_dn > darks[0].mean_dn
+            if stacks.darks
+            and np.isfinite(flat.spatial_sd_dn2)
+            and flat.mean_dn > stacks.dark.mean_dn
         ]
         return min(shown, key=lambda one: self.measure(one).covariance[0, 0], default=None)
 
@@ -68,9 +69,8 @@ class Prnu(Observable[Any]):
             float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2)) / square,
         )
 
-    def predict(self, values: Values, stacks: Stacks[MeasuredStack]) -> Array:
-        """Return the squared PRNU, shape (n, 1)."""
-        return values[PRNU_FRACTION][:, None] ** 2
+    def number(self, values: Values, shown: Stacks[MeasuredStack]) -> Array:
+        return values[PRNU_FRACTION] ** 2
 
 
 @observable
@@ -89,20 +89,20 @@ class Dsnu(Observable[Any]):
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
         """Return the dark with most frames and the longest exposure."""
-        darks = [dark for dark in stacks.darks if np.isfinite(dark.variance_sd_dn2)]
-        if not darks:
+        if not stacks.darks:
             return None
-        return stacks.only(darks=[max(darks, key=lambda dark: (dark.shape[0], dark.exposure_s))])
+        chosen = max(stacks.darks, key=lambda dark: (dark.shape[0], dark.exposure_s))
+        return stacks.only(darks=[chosen])
 
     def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
         """Return the variance of the first dark's pattern, DN^2."""
         return Estimates.of_number(stacks.dark.spatial_variance_dn2, stacks.dark.spatial_sd_dn2)
 
-    def predict(self, values: Values, stacks: Stacks[MeasuredStack]) -> Array:
-        """Return the variance of the pattern at the dark's temperature, shape (n, 1), DN^2."""
-        conditions = stacks.dark.conditions
+    def number(self, values: Values, shown: Stacks[MeasuredStack]) -> Array:
+        """Return the variance of the pattern at the dark's temperature, shape (n,), DN^2."""
+        conditions = shown.dark.conditions
         gain = dn_per_electron(values, conditions) * em_gain(values, conditions)
-        return ((gain * values[DSNU_E] * warmth(values, conditions)) ** 2)[:, None]
+        return (gain * values[DSNU_E] * warmth(values, conditions)) ** 2
 
     def parameters(self, stacks: Stacks[MeasuredStack]) -> tuple[str, ...]:
         conditions = stacks.dark.conditions

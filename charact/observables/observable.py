@@ -179,6 +179,10 @@ class Observable(Generic[Shown]):
 
     def predict(self, values: Values, shown: Shown) -> Array:
         """Return the numbers of cameras under the conditions of stacks, shape (n, k)."""
+        return self.number(values, shown)[:, None]
+
+    def number(self, values: Values, shown: Shown) -> Array:
+        """Return the number of cameras, where it is one, shape (n,)."""
         raise NotImplementedError
 
     def parameters(self, shown: Shown) -> tuple[str, ...]:

@@ -90,15 +90,15 @@ class PhotonTransfer(Observable[Any]):
         gains = (("system_gain", "DN/e-"), ("covariance_gain", "DN"))
         if not any(admissible_measurements(stacks.result, *gain) for gain in gains):
             return None
-        darks = [dark for dark in stacks.darks if np.isfinite(dark.variance_sd_dn2)][:1]
         flats = [
             flat
             for flat in stacks.flats
-            if darks
+            if stacks.darks
             and np.isfinite(flat.variance_sd_dn2)
-            and flat.mean_dn - darks[0].mean_dn > SILICON.least_signal * darks[0].noise_dn
+            and flat.mean_dn - stacks.dark.mean_dn > SILICON.least_signal * stacks.dark.noise_dn
         ]
-        return stacks.only(darks=darks, flats=flats) if len(flats) >= SILICON.fewest_flats else None
+        chosen = stacks.only(darks=stacks.darks[:1], flats=flats)
+        return chosen if len(flats) >= SILICON.fewest_flats else None
 
     def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
         """Return variance over signal of each flat, DN."""
@@ -192,8 +192,7 @@ class DarkNoise(Observable[Any]):
         darks = [
             dark
             for dark in stacks.darks
-            if np.isfinite(dark.variance_sd_dn2)
-            and dark.variance_dn2 > (SILICON.least_noise_dn * dark.step_dn) ** 2
+            if dark.variance_dn2 > (SILICON.least_noise_dn * dark.step_dn) ** 2
         ]
         return stacks.only(darks=darks) if darks else None
 

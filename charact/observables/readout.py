@@ -76,7 +76,6 @@ class RowOffsets(OfReadout):
         return Estimates(value=np.log(power) + 0.5 / number, covariance=np.diag(1.0 / number))
 
     def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
-        """Return logarithms of the power of each band, shape (n, band)."""
         spectrum = spectrum_of(stacks.dark)
         ground = spectrum.near_rows / spectrum.shape[2]
         density = row_density(values, spectrum.row_frequency) + ground
@@ -108,10 +107,9 @@ class NeighbourCovariance(OfReadout):
         """Return the covariance, DN^2."""
         return Estimates.of_number(*spectrum_of(stacks.dark).neighbour_covariance)
 
-    def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
-        """Return the covariance, shape (n, 1), DN^2."""
-        read_noise_dn = dn_per_electron(values, stacks.dark.conditions) * values[READ_NOISE]
-        return neighbour_covariance(values, read_noise_dn)[:, None]
+    def number(self, values: Values, shown: Stacks[StackLevel]) -> Array:
+        read_noise_dn = dn_per_electron(values, shown.dark.conditions) * values[READ_NOISE]
+        return neighbour_covariance(values, read_noise_dn)
 
 
 @observable
@@ -143,5 +141,4 @@ class Interference(OfReadout):
         return np.diag([(SILICON.noise_model_sd * estimates.value[0]) ** 2, 0.0, 0.0])
 
     def predict(self, values: Values, stacks: Stacks[StackLevel]) -> Array:
-        """Return the parameters themselves, shape (n, 3)."""
         return columns(*(values[path] for path in self.depends))
