@@ -175,13 +175,13 @@ def pair_measurements(a: Result, b: Result) -> tuple[tuple[Measurement, Measurem
 def _same_place(a: Measurement, b: Measurement) -> bool:
     return (
         same_frequency(a.frequency_cy_per_px, b.frequency_cy_per_px)
-        and _same_direction(a.orientation_deg, b.orientation_deg)
+        and (
+            a.orientation_deg is None
+            or b.orientation_deg is None
+            or turn_deg(a.orientation_deg, b.orientation_deg) <= LIMITS.direction_deg
+        )
         and (a.region is None or b.region is None or _overlap(a.region, b.region))
     )
-
-
-def _same_direction(a: float | None, b: float | None) -> bool:
-    return a is None or b is None or turn_deg(a, b) <= LIMITS.direction_deg
 
 
 def same_frequency(a: float | None, b: float | None) -> bool:

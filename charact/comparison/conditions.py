@@ -135,7 +135,11 @@ def _of_stacks(a: StackEntry, b: StackEntry) -> Iterator[ConditionPair]:
             yield ConditionPair(
                 name=name, a=getattr(a, name), b=getattr(b, name), stack=a.label, unlike=True
             )
-    known = [name for name in LIGHT if _is_known_in_both(a.conditions, b.conditions, name)]
+    known = [
+        name
+        for name in LIGHT
+        if None not in (getattr(a.conditions, name), getattr(b.conditions, name))
+    ]
     deciding = (*GAIN_AND_TIME, *known[:1], "wavelength_nm")
     for item in fields(Conditions):
         if item.name in READINGS or _alike(a.conditions, b.conditions, item.name):
@@ -143,10 +147,6 @@ def _of_stacks(a: StackEntry, b: StackEntry) -> Iterator[ConditionPair]:
         value_a, value_b = getattr(a.conditions, item.name), getattr(b.conditions, item.name)
         unlike = item.name in deciding and None not in (value_a, value_b)
         yield ConditionPair(name=item.name, a=value_a, b=value_b, stack=a.label, unlike=unlike)
-
-
-def _is_known_in_both(a: Conditions, b: Conditions, name: str) -> bool:
-    return None not in (getattr(a, name), getattr(b, name))
 
 
 def _alike(a: Conditions, b: Conditions, name: str) -> bool:

@@ -23,6 +23,7 @@ from charact.fitting.tube_ions import (
     weak_ions,
 )
 from charact.fitting.tube_light import field_light, field_products
+from charact.fitting.tube_time_observations import diagonal_means
 from charact.observables import Case, Estimates, Observable, Values, columns, observable
 from charact.observables.fixed_pattern import DSNU_E
 from charact.observables.silicon import BLACK_LEVEL, CONVERSION_GAIN, READ_NOISE
@@ -220,7 +221,9 @@ class PulsesOfDarks(OfDarks):
         count, step = len(darks.data), darks.sensor.fields
         products = field_products(values, darks.level.gate_s, count * step)[:, ::step]
         spread = predicted.pulse_covariance(values, neighbours_of(darks)).sum(axis=1)
-        return light * (spread * (products @ _without_mean(count)))
+        # About the mean of all frames.
+        lasting = products @ diagonal_means(count, (0,), 0)[0] * count / (count - 1.0)
+        return light * spread * lasting
 
 
 @observable
@@ -257,15 +260,6 @@ def neighbours_of(darks: Darks) -> tuple[tuple[int, int], ...]:
     """
     analog = darks.sensor.video.low_pass is not None
     return ((0, 1), (1, 1)) if analog else ((1, 0), (0, 1), (1, 1))
-
-
-def _without_mean(count: int) -> Array:
-    """Return the weights of the covariances at each lag in the variance about the mean of all
-    frames, (count,).
-    """
-    lag = np.arange(count)
-    total = np.where(lag == 0, count, 2.0 * (count - lag)) / count**2
-    return ((lag == 0) - total) * count / (count - 1.0)
 
 
 def _neighbour_covariance(

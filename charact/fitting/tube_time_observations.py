@@ -154,11 +154,11 @@ class ImageLag(Observable[Fields]):
         pulses = (shown.signal_dn * event)[:, None] * decay
         same = pulses[:, ::step] * shape[:, :1]
         same[:, 0] += predicted.detector_variance(values, shown.signal_dn)
-        expected = same @ _diagonal_means(count, tuple(shown.lags), 0).T
+        expected = same @ diagonal_means(count, tuple(shown.lags), 0).T
         if step > 1:
             later = pulses[:, 1::2] * shape[:, 1:]
             # Of neighbours in time one is a frame later in half of the pairs.
-            next_field = _diagonal_means(count, (0, -1), 1).mean(axis=0)
+            next_field = diagonal_means(count, (0, -1), 1).mean(axis=0)
             expected = np.concatenate([expected, later @ next_field[:, None]], axis=1)
         return expected[:, 1:] / expected[:, :1]
 
@@ -238,7 +238,7 @@ def _next_field(x: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=16)
-def _diagonal_means(count: int, diagonals: tuple[int, ...], later: int) -> Array:
+def diagonal_means(count: int, diagonals: tuple[int, ...], later: int) -> Array:
     """Return the means of diagonals of P C P for unit covariances at each lag, shape (diagonal,
     count).
 

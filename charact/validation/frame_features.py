@@ -4,20 +4,20 @@ and of targets.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.observables import Numbers, Observable, Stacks, observables
+from charact.observables import Numbers, Observable, observables
 from charact.observables.frame_view import FrameView
 from charact.validation.frames import MatchedFrames, MatchedStacks
-from charact.validation.target_features import TARGETS, edge_features, mtf_features, point_features
+from charact.validation.target_features import SetStacks
 
 # Statistics that are compared, by name.
-GROUPS: dict[str, Observable] = {
-    statistic.name: statistic for statistic in (*observables(), *TARGETS) if statistic.title
+GROUPS: dict[str, Observable[Any]] = {
+    statistic.name: statistic for statistic in observables() if statistic.title
 }
-OF_FRAMES = {name: group for name, group in GROUPS.items() if group not in TARGETS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,19 +34,15 @@ def features_of(
     frames: Mapping[str, NDArray], chosen: MatchedStacks, *, context: Context
 ) -> FrameFeatures:
     """Return the numbers of frames given by label; a group that frames cannot give is empty."""
-    stacks = _stacks(frames, chosen.dark, chosen.flats, context)
+    targets = {
+        name: frames[shot.label]
+        for name, shot in (("edge", chosen.edge), ("point", chosen.point))
+        if shot is not None
+    }
+    stacks = _stacks(frames, chosen.dark, chosen.flats, context, **targets)
     dark = stacks.dark
-    groups = {name: group.numbers(stacks) for name, group in OF_FRAMES.items()}
-    if chosen.edge is not None:
-        edge = frames[chosen.edge.label]
-        groups["mtf"] = mtf_features(edge, context)
-        groups["edge"] = edge_features(edge, dark.mean_dn)
-    if chosen.point is not None:
-        groups["point"] = point_features(
-            frames[chosen.point.label], dark.mean_dn, context.full_scale_dn
-        )
     return FrameFeatures(
-        groups=groups,
+        groups={name: group.numbers(stacks) for name, group in GROUPS.items()},
         mean_dn=tuple(flat.mean_dn - dark.mean_dn for flat in stacks.flats),
         variance_dn2=tuple(flat.variance_dn2 - dark.variance_dn2 for flat in stacks.flats),
         covariance_dn2=tuple(
@@ -60,12 +56,18 @@ def _stacks(
     dark: MatchedFrames,
     flats: tuple[MatchedFrames, ...],
     context: Context,
-) -> Stacks[FrameView]:
+    **targets: NDArray,
+) -> SetStacks:
     views = {
         shot.label: FrameView(shot.label, frames[shot.label], interlaced=context.interlaced)
         for shot in (dark, *flats)
     }
-    return Stacks(darks=(views[dark.label],), flats=tuple(views[shot.label] for shot in flats))
+    return SetStacks(
+        darks=(views[dark.label],),
+        flats=tuple(views[shot.label] for shot in flats),
+        context=context,
+        **targets,
+    )
 
 
 def features_of_parts(
@@ -78,6 +80,6 @@ def features_of_parts(
     for part, frames in chosen.parts.items():
         stacks = _stacks(frames, chosen.dark, chosen.flats[-1:], context)
         features[part] = {
-            name: group.numbers(stacks) for name, group in OF_FRAMES.items() if group.over_frame
+            name: group.numbers(stacks) for name, group in GROUPS.items() if group.over_frame
         }
     return features

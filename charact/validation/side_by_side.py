@@ -96,8 +96,17 @@ def validate(
     )
     measured = bench.features(chosen.measured)
     nulls = _null_controls(bench, test, sets, seed)
-    changed = tuple(_parameter_control(test, change) for change in parameters)
-    faulty = _put_faults(bench, test, sets.first)
+    wrong = {
+        f"{change.title} {100.0 * change.change:+.0f} %": change.changed for change in parameters
+    } | {
+        name: bench.features(put_fault(sets.first, chosen, name, bench.rng)).groups
+        for name in FAULTS
+    }
+    negatives = (
+        ValidationControl(name="negative", title=title, statistics=test.statistics(groups))
+        for title, groups in wrong.items()
+    )
+    controls = (*nulls, *negatives)
     progress("validated", 1.0)
     measured_set = {**chosen.measured, **frames_of_levels}, measured
     figures = figures_of(
@@ -112,7 +121,7 @@ def validate(
         statistics=test.statistics(
             measured.groups, features_of_parts(chosen, context=bench.context)
         ),
-        controls=(*nulls, *changed, *faulty),
+        controls=controls,
         power=tuple(test.detectable(change) for change in parameters),
         figures=figures,
         notes=chosen.notes if bench.fitted else (*chosen.notes, NO_DRAWS),
@@ -279,27 +288,3 @@ def _change_parameters(
             )
         )
     return tuple(changes)
-
-
-def _parameter_control(test: ValidationTest, change: ParameterChange) -> ValidationControl:
-    """Return the negative control of a changed parameter."""
-    title = f"{change.title} {100.0 * change.change:+.0f} %"
-    return ValidationControl(
-        name="negative", title=title, statistics=test.statistics(change.changed)
-    )
-
-
-def _put_faults(
-    bench: _Bench, test: ValidationTest, first: Frames
-) -> tuple[ValidationControl, ...]:
-    """Return a negative control a fault of the frames."""
-    return tuple(
-        ValidationControl(
-            name="negative",
-            title=name,
-            statistics=test.statistics(
-                bench.features(put_fault(first, bench.chosen, name, bench.rng)).groups
-            ),
-        )
-        for name in FAULTS
-    )

@@ -4,12 +4,13 @@ source.
 
 import itertools
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.observables import Observable
+from charact.observables import FrameView, Numbers, Observable, Stacks, observable
 from charact.validation.thresholds import VALIDATION
 from labdata.frames import FrameStack
 
@@ -28,8 +29,18 @@ GHOST_PX, LEAST_GHOST_PX = 1.5, 12.0
 RADII_PX = (0.0, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 26.0, 40.0)
 
 
-class EdgeMtf(Observable):
-    """MTF of an edge."""
+@dataclass(frozen=True, kw_only=True)
+class SetStacks(Stacks[FrameView]):
+    """Darks and flats of a set of frames, and those of an edge and a point source."""
+
+    edge: NDArray | None = None  # shape (frame, row, col), DN
+    point: NDArray | None = None
+    context: Context
+
+
+@observable
+class EdgeMtf(Observable[SetStacks]):
+    """MTF of an edge in bands about `FREQUENCY_CY_PER_PX`, none where the method refuses."""
 
     name = "mtf"
     order = 20
@@ -37,8 +48,26 @@ class EdgeMtf(Observable):
     cause = "lens, focus, tube, fibres, video bandwidth, or sharpening"
     least_sd = 1e-4
 
+    def numbers(self, stacks: SetStacks) -> Numbers:
+        from charact.estimators import mtf
 
-class EdgeLevels(Observable):
+        if stacks.edge is None:
+            return {}
+        frames = FrameStack(data=stacks.edge)
+        result = mtf.measure("edge", frames, method="edge-slanted", context=stacks.context)
+        line = next(iter(result.curves.values()), None)
+        if line is None:
+            return {}
+        frequency = FREQUENCY_CY_PER_PX[:, None] + WITHIN_CY_PER_PX
+        values = np.interp(frequency, line.frequency_cy_per_px, line.value).mean(axis=1)
+        return {
+            f"MTF at {at:.2f} cy/px": float(value)
+            for at, value in zip(FREQUENCY_CY_PER_PX, values, strict=True)
+        }
+
+
+@observable
+class EdgeLevels(Observable[SetStacks]):
     """Levels at distances from an edge."""
 
     name = "edge"
@@ -47,8 +76,12 @@ class EdgeLevels(Observable):
     cause = "veiling glare, halo, ghost images, sharpening, or a nonlinear response"
     least_sd = 1e-4
 
+    def numbers(self, stacks: SetStacks) -> Numbers:
+        return {} if stacks.edge is None else edge_features(stacks.edge, stacks.dark.mean_dn)
 
-class PointProfile(Observable):
+
+@observable
+class PointProfile(Observable[SetStacks]):
     """Levels at distances from a point source."""
 
     name = "point"
@@ -57,26 +90,9 @@ class PointProfile(Observable):
     cause = "halo, lens, or saturation of the microchannel plate"
     least_sd = 0.01
 
-
-TARGETS = (EdgeMtf(), EdgeLevels(), PointProfile())
-
-
-def mtf_features(frames: NDArray, context: Context) -> Mapping[str, float]:
-    """Return the MTF of an edge in bands about `FREQUENCY_CY_PER_PX`, none where the method
-    refuses.
-    """
-    from charact.estimators import mtf
-
-    result = mtf.measure("edge", FrameStack(data=frames), method="edge-slanted", context=context)
-    line = next(iter(result.curves.values()), None)
-    if line is None:
-        return {}
-    frequency = FREQUENCY_CY_PER_PX[:, None] + WITHIN_CY_PER_PX
-    values = np.interp(frequency, line.frequency_cy_per_px, line.value).mean(axis=1)
-    return {
-        f"MTF at {at:.2f} cy/px": float(value)
-        for at, value in zip(FREQUENCY_CY_PER_PX, values, strict=True)
-    }
+    def numbers(self, stacks: SetStacks) -> Numbers:
+        full_scale_dn, dark_dn = stacks.context.full_scale_dn, stacks.dark.mean_dn
+        return {} if stacks.point is None else point_features(stacks.point, dark_dn, full_scale_dn)
 
 
 def edge_features(frames: NDArray, dark_dn: float) -> Mapping[str, float]:

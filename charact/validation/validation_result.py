@@ -335,11 +335,13 @@ def _figures(stored: dict[str, Any], arrays: dict[str, NDArray]) -> ValidationFi
 
 
 def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:
-    def fields(record: dict[str, Any]) -> dict[str, Any]:
-        return {
-            key: tuple(v) if isinstance(v, list) else v
-            for key, v in record.items()
-            if key != "passed"
-        }
-
-    return tuple(Statistic(**fields(record)) for record in stored)
+    return tuple(
+        Statistic(
+            **{
+                key: tuple(value) if isinstance(value, list) else value
+                for key, value in record.items()
+                if key != "passed"
+            }
+        )
+        for record in stored
+    )

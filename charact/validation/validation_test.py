@@ -170,16 +170,6 @@ class ValidationTest:
                 "high95": tuple((centre + 1.96 * ensemble.sd).tolist()),
             }
 
-    def _vector(self, numbers: Groups) -> Array:
-        """Return the numbers of all groups in one row, shape (number,)."""
-        return np.array(
-            [
-                numbers.get(name, {}).get(label, np.nan)
-                for name, (labels, _) in self._ensembles.items()
-                for label in labels
-            ]
-        )
-
     def _scores_of(self, changes: Sequence[ParameterChange]) -> ParameterScores | None:
         """Return the estimates of parameters, or None where no change moves a number."""
         shifts = [
@@ -210,7 +200,13 @@ class ValidationTest:
 
     def _score(self, scores: ParameterScores, numbers: Groups) -> dict:
         """Return the fields of the statistic of the estimated parameters."""
-        measured = self._vector(numbers)
+        measured = np.array(
+            [
+                numbers.get(name, {}).get(label, np.nan)
+                for name, (labels, _) in self._ensembles.items()
+                for label in labels
+            ]
+        )
         known = bool(np.isfinite(measured).all())
         estimates = scores.estimates(measured) if known else np.full(len(scores.titles), np.inf)
         pulls = np.abs(estimates) / scores.sd
