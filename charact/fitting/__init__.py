@@ -8,17 +8,10 @@ from charact.fitting import (  # noqa: F401  statistics that a fit loops over
     tube_time_observations,
 )
 from charact.fitting.fitted_session import proposed_description
+from charact.fitting.model import Model, inflate_errors, model_of, posterior_of
 from charact.fitting.observation import Observation, findings_of, misfit_finding, observations_of
 from charact.fitting.prior import prior_of, values_of_description
-from charact.fitting.sensor import (
-    Model,
-    description_from_posterior,
-    fit_sensor,
-    full_well_draws,
-    inflate_errors,
-    model_of,
-    posterior_of,
-)
+from charact.fitting.sensor import description_from_posterior, fit_sensor, full_well_draws
 from charact.fitting.slice_sampling import slice_sample
 from charact.fitting.stack_levels import SessionStacks, levels_of, stacks_of
 

@@ -314,11 +314,15 @@ def _per_mm_at_detector(v: Values, fx: Array, fy: Array) -> Array:
     return np.hypot(across, along)
 
 
-def _after_cathode(v: Values, cathode: Array, detector: Array, share: Array | float) -> Array:
+def _after_cathode(
+    v: Values, cathode: Array, detector: Array, tube_fraction: Array | float
+) -> Array:
     """Return the transfer of a share of the tube's blur, and of the fibres behind it."""
     fibre_mm, interface = v["taper.fibre_pitch_um"] * 1e-3, v["taper.interface_mtf_lp_per_mm"]
     cut_off, exponent = v["tube.mtf_frequency_lp_per_mm"], v["tube.mtf_exponent"]
-    return image_tube(cathode, cut_off, exponent, share) * fibres(detector, fibre_mm, interface)
+    return image_tube(cathode, cut_off, exponent, tube_fraction) * fibres(
+        detector, fibre_mm, interface
+    )
 
 
 def of_last_values(function: Callable[..., Array]) -> Callable[..., Array]:

@@ -53,15 +53,17 @@ class NoiseBetweenPulses(Observable[Darks]):
         if levels is None:
             return
         count = block_sums(darks.quiet.sum(axis=0))
-        below = np.stack(
+        counts_below = np.stack(
             [block_sums(((darks.data < at) & darks.quiet).sum(axis=0)) for at in levels], axis=1
         )
-        occupied, total = count > 0, below.sum(axis=0)
+        occupied, total = count > 0, counts_below.sum(axis=0)
         level_dn, sd_dn = level_and_sd(total / count.sum(), levels)
         parts = np.array(
             [
                 level_and_sd((total - block_below) / (count.sum() - block_count), levels)
-                for block_below, block_count in zip(below[occupied], count[occupied], strict=True)
+                for block_below, block_count in zip(
+                    counts_below[occupied], count[occupied], strict=True
+                )
             ]
         )
         if np.isfinite(parts).all():
@@ -204,15 +206,19 @@ class PulsesOfDarks(OfDarks):
         if not darks.ions.are_sparse:
             return None
         value, sd = _neighbour_covariance(darks, neighbours_of(darks))
-        kept, kept_sd = with_error(partial(covariance_after_rounding, darks), darks)
+        rounding_factor, kept_sd = with_error(partial(covariance_after_rounding, darks), darks)
         covariance_sd = (
             DARK_ERRORS.coarse_covariance_sd if darks.is_coarse else DARK_ERRORS.covariance_sd
         )
         model = np.hypot.reduce(
-            [covariance_sd, DARK_ERRORS.rounding_sd * (kept - 1.0) / kept, kept_sd / kept]
+            [
+                covariance_sd,
+                DARK_ERRORS.rounding_sd * (rounding_factor - 1.0) / rounding_factor,
+                kept_sd / rounding_factor,
+            ]
         )
-        value = value / kept
-        return value, float(np.hypot(sd / kept, model * value))
+        value = value / rounding_factor
+        return value, float(np.hypot(sd / rounding_factor, model * value))
 
     def number(self, values: Values, darks: Darks) -> Array:
         event = darks.gain(values) * predicted.excess_noise_factor(values)

@@ -119,7 +119,9 @@ class VarianceOfFlats(Observable[FlatNoise]):
             ERRORS.rounding_dn2 * quantised / signal,
             (0.0 if stacks.ions is None else stacks.ions.variance_dn2) / signal,
         ]
-        errors = np.diag((sd / signal) ** 2) + sum(np.outer(each, each) for each in common)
+        errors = np.diag((sd / signal) ** 2) + sum(
+            np.outer(sd_of_flats, sd_of_flats) for sd_of_flats in common
+        )
         yield Case(
             estimates=Estimates(
                 value=np.concatenate([np.median(pooled, axis=1), slope]) if draws else slope,
@@ -368,9 +370,9 @@ class TubeLevels(Observable[SessionStacks]):
         than either.
         """
         darkest = min(shown.levels, key=lambda level: level.mean_dn)
-        place = shown.levels.index(darkest)
+        index = shown.levels.index(darkest)
         return Ridge(
             carrier=BLACK_LEVEL,
-            number=lambda values: self.predict(values, shown)[:, place],
+            number=lambda values: self.predict(values, shown)[:, index],
             slope=1.0,
         )

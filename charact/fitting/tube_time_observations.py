@@ -301,10 +301,10 @@ def white_pattern(data: NDArray[np.float32], signal_dn: float, step: int) -> tup
     middle, rows = slice(2, early.shape[0] - 2), early.shape[0] - 4
 
     def covariance(row_offset: int) -> Array:
-        above, below = (
+        upper, lower = (
             late[2 + offset : 2 + offset + rows] for offset in (-row_offset, row_offset)
         )
-        return early[middle] * (above + below) / 2.0
+        return early[middle] * (upper + lower) / 2.0
 
     white = covariance(0) - (4.0 * covariance(1) - covariance(2)) / 3.0
     block_variance = block_means(white) / signal_dn**2

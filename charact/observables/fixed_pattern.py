@@ -57,7 +57,7 @@ class Prnu(Observable[Any]):
             and np.isfinite(flat.spatial_sd_dn2)
             and flat.mean_dn > stacks.dark.mean_dn
         ]
-        return min(shown, key=lambda one: self.measure(one).covariance[0, 0], default=None)
+        return min(shown, key=lambda lit: self.measure(lit).covariance[0, 0], default=None)
 
     def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
         """Return the variance of the flat's pattern above the first dark's over its squared

@@ -3,7 +3,7 @@ and simulated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -15,9 +15,8 @@ from charact.observables.thresholds import FRAMES
 from charact.validation.frame_features import GROUPS, FrameFeatures
 from charact.validation.frames import MatchedFrames, MatchedStacks
 from charact.validation.target_features import FREQUENCY_CY_PER_PX, RADII_PX, point_features
-from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import FramePair, ResidualMap, ValidationFigures
-from labdata import Array, Conditions, Session
+from labdata import Array
 
 Frames = Mapping[str, NDArray]
 
@@ -30,8 +29,6 @@ NEIGHBOURS = 4
 # Edges of the bins of temporal noise, standard deviations; the first and the last bin hold all
 # beyond.
 BINS_SD = np.arange(-8.0, 12.01, 0.5)
-# Levels of the point source whose profile is drawn.
-POINT_LEVELS = 4
 # Half of a two-sided 95 % interval of a Gaussian, standard deviations.
 TWO_SIDED_95 = 1.96
 # Share of the pixels that are shown as black, and as white.
@@ -61,58 +58,6 @@ class FigureCurves:
     vertical: Mapping[str, Array]
     counts: Mapping[str, Array]
     rings: Mapping[str, Array]
-
-
-def point_levels(
-    session: Session, chosen: MatchedStacks
-) -> tuple[tuple[MatchedFrames, ...], dict[str, NDArray]]:
-    """Return stacks of the point source at other levels than the compared one, at most
-    `POINT_LEVELS` - 1.
-
-    They are cut like the compared one and drawn only. Their frames come by label, shape (frame,
-    row, col), DN.
-    """
-    if chosen.point is None:
-        return (), {}
-    compared, candidates = chosen.point, []
-    for entry in session.of_kind("point"):
-        light = _light(entry.conditions, like=compared.conditions)
-        if entry.label == compared.label or light is None:
-            continue
-        stack = entry.read()
-        fits = all(
-            size <= length - first
-            for size, length, first in zip(
-                compared.shape, stack.shape[1:], compared.corner, strict=True
-            )
-        )
-        if fits and len(stack) >= VALIDATION.fewest_frames:
-            shot = replace(
-                compared,
-                label=entry.label,
-                conditions=entry.conditions,
-                target=entry.target,
-                frames=VALIDATION.fewest_frames,
-            )
-            candidates.append(
-                (light, shot, stack.region(*shot.corner, *shot.shape).data[: shot.frames])
-            )
-    candidates.sort(key=lambda candidate: candidate[0])
-    count = POINT_LEVELS - 1
-    indices = sorted(
-        {round(index) for index in np.linspace(0, len(candidates) - 1, min(count, len(candidates)))}
-    )
-    picked = [candidates[index] for index in indices]
-    return tuple(shot for _, shot, _ in picked), {
-        shot.label: np.array(data) for _, shot, data in picked
-    }
-
-
-def _light(conditions: Conditions, *, like: Conditions) -> float | None:
-    """Return the light of a stack in the unit of another one; None where it is unknown."""
-    if like.illuminance_lux is not None:
-        return conditions.illuminance_lux
-    return None if conditions.wavelength_nm is None else conditions.photons_per_px
 
 
 def curves_of(

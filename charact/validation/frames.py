@@ -20,6 +20,8 @@ SHAPE = (240, 320)
 # Size of an edge crop: pixels far from the edge add noise and little signal, a long one may be bent
 # by the lens.
 ALONG_EDGE, ACROSS_EDGE = 384, 96
+# Levels of the point source whose profile is drawn.
+POINT_LEVELS = 4
 # Samples of a plane of a mosaic lie two pixels apart: a crop of as many pixels of the camera along
 # the edge, and of a dark or flat 1.7 times as many as of another camera, for the statistics of
 # fewer samples.
@@ -301,3 +303,55 @@ def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], li
         {round(index) for index in np.linspace(0, len(usable) - 1, min(3, len(usable)))}
     )
     return [usable[index][1] for index in picked], notes
+
+
+def point_levels(
+    session: Session, chosen: MatchedStacks
+) -> tuple[tuple[MatchedFrames, ...], dict[str, NDArray]]:
+    """Return stacks of the point source at other levels than the compared one, at most
+    `POINT_LEVELS` - 1.
+
+    They are cut like the compared one and drawn only. Their frames come by label, shape (frame,
+    row, col), DN.
+    """
+    if chosen.point is None:
+        return (), {}
+    compared, candidates = chosen.point, []
+    for entry in session.of_kind("point"):
+        light = _light(entry.conditions, like=compared.conditions)
+        if entry.label == compared.label or light is None:
+            continue
+        stack = entry.read()
+        fits = all(
+            size <= length - first
+            for size, length, first in zip(
+                compared.shape, stack.shape[1:], compared.corner, strict=True
+            )
+        )
+        if fits and len(stack) >= VALIDATION.fewest_frames:
+            shot = replace(
+                compared,
+                label=entry.label,
+                conditions=entry.conditions,
+                target=entry.target,
+                frames=VALIDATION.fewest_frames,
+            )
+            candidates.append(
+                (light, shot, stack.region(*shot.corner, *shot.shape).data[: shot.frames])
+            )
+    candidates.sort(key=lambda candidate: candidate[0])
+    count = POINT_LEVELS - 1
+    indices = sorted(
+        {round(index) for index in np.linspace(0, len(candidates) - 1, min(count, len(candidates)))}
+    )
+    picked = [candidates[index] for index in indices]
+    return tuple(shot for _, shot, _ in picked), {
+        shot.label: np.array(data) for _, shot, data in picked
+    }
+
+
+def _light(conditions: Conditions, *, like: Conditions) -> float | None:
+    """Return the light of a stack in the unit of another one; None where it is unknown."""
+    if like.illuminance_lux is not None:
+        return conditions.illuminance_lux
+    return None if conditions.wavelength_nm is None else conditions.photons_per_px

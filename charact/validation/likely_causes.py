@@ -101,7 +101,7 @@ SIGNATURES = (
         statistic="histogram",
         numbers="share of ones of bit",
         # A bit of a digitiser is always 0 or always 1.
-        only=lambda share: (share <= 0.0) | (share >= 1.0),
+        only=lambda ones: (ones <= 0.0) | (ones >= 1.0),
         cause=COARSE,
     ),
     Signature(

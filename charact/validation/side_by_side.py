@@ -18,12 +18,13 @@ from charact.validation.controls import (
     change_parameter,
     put_fault,
 )
-from charact.validation.figure_data import FigureCurves, curves_of, figures_of, point_levels
+from charact.validation.figure_data import FigureCurves, curves_of, figures_of
 from charact.validation.frame_features import FrameFeatures, features_of, features_of_parts
 from charact.validation.frames import (
     MatchedFrames,
     MatchedStacks,
     choose,
+    point_levels,
     simulate_frames,
 )
 from charact.validation.thresholds import VALIDATION
@@ -96,7 +97,7 @@ def validate(
     )
     measured = bench.features(chosen.measured)
     nulls = _null_controls(bench, test, sets, seed)
-    wrong = {
+    altered_groups = {
         f"{change.title} {100.0 * change.change:+.0f} %": change.changed for change in parameters
     } | {
         name: bench.features(put_fault(sets.first, chosen, name, bench.rng)).groups
@@ -104,7 +105,7 @@ def validate(
     }
     negatives = (
         ValidationControl(name="negative", title=title, statistics=test.statistics(groups))
-        for title, groups in wrong.items()
+        for title, groups in altered_groups.items()
     )
     controls = (*nulls, *negatives)
     progress("validated", 1.0)

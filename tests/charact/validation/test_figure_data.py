@@ -9,6 +9,7 @@ import pytest
 
 from charact.method import Context
 from charact.validation import MatchedFrames, MatchedStacks, features_of, figure_data
+from charact.validation import frames as frames_of_stacks
 from labdata import Conditions, FrameStack, Kind, Target
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
@@ -172,10 +173,10 @@ def test_levels_of_the_point_source_span_the_dim_to_the_bright(chosen: MatchedSt
         for lux in light
     )
     session = session_in_memory(stacks, bit_depth=8)
-    levels, frames = figure_data.point_levels(session, chosen)
+    levels, frames = frames_of_stacks.point_levels(session, chosen)
     assert [shot.label for shot in levels] == ["at 0.5", "at 2.0", "at 8.0"]
     assert {data.shape[1:] for data in frames.values()} == {SHAPE}
-    assert figure_data.point_levels(session, replace(chosen, point=None)) == ((), {})
+    assert frames_of_stacks.point_levels(session, replace(chosen, point=None)) == ((), {})
 
 
 def _figures(chosen: MatchedStacks, measured: dict, simulated: list[dict], seed: int):
