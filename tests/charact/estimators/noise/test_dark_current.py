@@ -145,3 +145,25 @@ def test_an_interval_of_95_percent_holds_the_truth_as_often(seed):
         low, high = found.interval95
         held += low <= GAIN_DN * CURRENT_E_PER_S <= high
     assert held >= 0.95 * repeats - 4.5 * np.sqrt(0.95 * 0.05 * repeats)
+
+
+def test_rounding_of_quiet_darks_is_in_the_interval(seed):
+    """Noise of 0.2 DN about levels that rise by 0.4 DN; rounding moves each by half a step."""
+    rng = np.random.default_rng(seed)
+    stacks = [
+        (
+            f"dark-{t}",
+            "dark",
+            FrameStack(
+                data=np.rint(100.3 + 0.2 * t + 0.2 * rng.standard_normal((8, 48, 64))).astype(
+                    np.uint16
+                )
+            ),
+            Conditions(exposure_s=t),
+        )
+        for t in (0.1, 1.0, 2.0)
+    ]
+    result = noise.measure(session_of(stacks), method="variance", context=QUICK)
+    (current,) = result.find("dark_current", unit="DN/s")
+    assert any(note.startswith("quantised: ") for note in current.notes)
+    assert current.interval95[0] < 0.2 < current.interval95[1]
