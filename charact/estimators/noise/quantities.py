@@ -71,7 +71,9 @@ def printed_quantities(
             else max(stacks.darks, key=lambda level: level.frames)
         )
         shown = stacks.only(darks=[dark], flats=stacks.flats[-1:] if printed.of_flat else [])
-        remarks = [*findings, *CHECKS_OF[printed.kind](shown)]
+        is_pattern = printed.kind == "pattern"
+        of_stacks = _pattern_remarks(shown) if is_pattern else _dark_remarks(dark, printed.kind)
+        remarks = [*findings, *of_stacks]
         if printed.of_flat and shown.flat.frames <= CORRELATION.few_frames:
             remarks += of_pairs
         gain_of_it = gain if printed.per_electron else None
@@ -119,23 +121,16 @@ def _print(
     return judged(m, remarks)
 
 
-def _noise_remarks(shown: Stacks[StackStatistics]) -> Remarks:
-    """Return what was seen of the noise of a dark; see `clipping_effects`."""
-    dark = shown.dark
-    _, lowered = clipping_effects(dark.low_fraction, dark.variance_dn2**0.5, dark.mean_dn)
-    return [*dark_clipping(dark, lowered, -1), *rounding_findings(dark.variance_dn2)]
+def _dark_remarks(dark: StackStatistics, kind: str) -> Remarks:
+    """Return what was seen of a dark, with the bounds that are known of its level and noise.
 
-
-def _level_remarks(shown: Stacks[StackStatistics]) -> Remarks:
-    """Return what was seen of the level of a dark; see `clipping_effects`."""
-    dark = shown.dark
-    raised, _ = clipping_effects(dark.low_fraction, dark.variance_dn2**0.5, dark.mean_dn)
-    return [*dark_clipping(dark, raised, 1)]
-
-
-def _number_remarks(shown: Stacks[StackStatistics]) -> Remarks:
-    """Return what was seen of a dark whose effect on a number is not known."""
-    return [*dark_clipping(shown.dark), *bounded(rounding_findings(shown.dark.variance_dn2))]
+    See `clipping_effects` and `rounding_findings`; the level contains its rounding.
+    """
+    noise_dn = max(dark.variance_dn2, 0.0) ** 0.5
+    raised, lowered = clipping_effects(dark.low_fraction, noise_dn, dark.mean_dn)
+    bound, sign = {"level": (raised, 1), "noise": (lowered, -1)}.get(kind, (None, 0))
+    rounded = [] if kind == "level" else rounding_findings(dark.variance_dn2)
+    return [*dark_clipping(dark, bound, sign), *(rounded if kind == "noise" else bounded(rounded))]
 
 
 def _pattern_remarks(shown: Stacks[StackStatistics]) -> Remarks:
@@ -157,14 +152,6 @@ def _pattern_remarks(shown: Stacks[StackStatistics]) -> Remarks:
         for level in levels
         if not level.settled
     ]
-
-
-CHECKS_OF = {
-    "level": _level_remarks,
-    "noise": _noise_remarks,
-    "number": _number_remarks,
-    "pattern": _pattern_remarks,
-}
 
 
 def printed_stacks(series: FlatSeries) -> Stacks[StackStatistics]:

@@ -64,9 +64,7 @@ class PulseOptimum:
 
     pulses: PulsePopulation  # them
     point: Array  # parameter vector, with logarithms of positive parameters, shape (parameter,)
-    # predicted, derivative: model and its derivative by the parameters, shapes (value,) and (value,
-    # parameter)
-    predicted: Array
+    # derivative of the model by the parameters, shape (value, parameter)
     derivative: Array
     covariance: Array  # covariance of the parameters, shape (parameter, parameter)
     # chi2, freedom: squared residuals over their variance, and degrees of freedom
@@ -239,7 +237,6 @@ def optimise_pulses(
     return PulseOptimum(
         pulses=problem.pulses(point),
         point=point,
-        predicted=predicted,
         derivative=derivative,
         covariance=np.asarray(np.linalg.pinv(slope.T @ slope), np.float64),
         chi2=float(data @ data),
