@@ -5,14 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from charact.estimators.noise.findings import Remarks, finding, posterior_findings
-from charact.estimators.noise.sweep.gain_law import (
-    Axis,
-    GainLaw,
+from charact.estimators.noise.sweep.gain_law import Axis, GainLaw, law_of, line_departure, line_fit
+from charact.estimators.noise.sweep.responsivity import (
     SweepResponsivity,
     correct_saturation,
-    law_of,
-    line_departure,
-    line_fit,
     response_of,
 )
 from charact.estimators.noise.sweep.settings import Sweep, SweepSetting

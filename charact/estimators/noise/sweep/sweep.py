@@ -15,14 +15,14 @@ from charact.estimators.noise.findings import (
     rounding_findings,
 )
 from charact.estimators.noise.gain import emva1288
-from charact.estimators.noise.sweep.gain_law import (
-    GainLaw,
+from charact.estimators.noise.sweep.gain_law import GainLaw
+from charact.estimators.noise.sweep.joint import SweepJointFit, fit_sweep
+from charact.estimators.noise.sweep.responsivity import (
     bending_remarks,
     reaches_saturation,
     relative_excess,
     saturation_limit,
 )
-from charact.estimators.noise.sweep.joint import SweepJointFit, fit_sweep
 from charact.estimators.noise.sweep.settings import GainControl, Sweep, SweepSetting, sweep_of
 from charact.estimators.noise.thresholds import SWEEP
 from charact.frames.stack_statistics import StackStatistics
