@@ -62,7 +62,7 @@ def variance_errors(stacks: Stacks[MeasuredStack]) -> tuple[Array, float]:
     return np.hypot(sd, of_dark), 0.0
 
 
-def variance_over_signal(flat: FrameView, dark: FrameView) -> float:
+def variance_over_signal(flat: FrameView | MeasuredStack, dark: FrameView | MeasuredStack) -> float:
     """Return the variance of a flat above the dark's over its signal, DN."""
     return (flat.variance_dn2 - dark.variance_dn2) / (flat.mean_dn - dark.mean_dn)
 

@@ -56,7 +56,7 @@ def _stacks(
     dark: MatchedFrames,
     flats: tuple[MatchedFrames, ...],
     context: Context,
-    **targets: NDArray,
+    **targets: Any,
 ) -> SetStacks:
     views = {
         shot.label: FrameView(shot.label, frames[shot.label], interlaced=context.interlaced)

@@ -335,13 +335,12 @@ def _figures(stored: dict[str, Any], arrays: dict[str, NDArray]) -> ValidationFi
 
 
 def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:
-    return tuple(
-        Statistic(
-            **{
-                key: tuple(value) if isinstance(value, list) else value
-                for key, value in record.items()
-                if key != "passed"
-            }
-        )
+    records: list[dict[str, Any]] = [
+        {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in record.items()
+            if key != "passed"
+        }
         for record in stored
-    )
+    ]
+    return tuple(Statistic(**record) for record in records)

@@ -268,8 +268,8 @@ class BsdfSet:
         """
         brdf_values = self.diffuse_brdf(points)
         for rows, brdf in points.glossy:
-            directions = _to_light_and_viewer(points, rows, incoming)
-            brdf_values[rows] = brdf.value(*directions, self.wavelength_nm).T
+            to_light, to_viewer = _to_light_and_viewer(points, rows, incoming)
+            brdf_values[rows] = brdf.value(to_light, to_viewer, self.wavelength_nm).T
         return brdf_values
 
     def sample(
