@@ -186,7 +186,7 @@ def _pulse_height_error(
 
 def _is_too_steep(peak: SpectrumOptimum) -> bool:
     """Whether the exponent of the form is beyond those of blurs."""
-    if "exponent" not in peak.problem.shape.parameters or peak.problem.shape.name == "free":
+    if "exponent" not in peak.problem.shape.names or peak.problem.shape.name == "free":
         return False
     exponent_index = peak.problem.names.index("exponent")
     sd = float(np.sqrt(peak.covariance[exponent_index, exponent_index]))
