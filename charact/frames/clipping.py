@@ -1,10 +1,14 @@
 """Ends of the scale that frames reach: one definition for every method.
 
-The ceiling F is full scale where it is stated. Else it is the highest code of the frames, where
-that is 2^n - 1 of a digitiser and touching pixels of one frame hold it: noise has single highest
-pixels, a clipped source has a plateau, in one frame as in many.
+The ceiling F is the lowest of full scale, where it is stated, and of the highest code, where a
+plateau of touching pixels of one frame holds it. Noise has single highest pixels; m pixels beside
+each other that have one code by chance have the probability p = (2 sqrt(pi) s)^(1 - m), s the
+noise in codes (the density at 0 of the difference of two normal values). A plateau is shown where p
+is small and few pixels are close below it, at any code: full scale of a digitiser, white of video
+(235), a sensor's own ceiling.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,16 +19,41 @@ from labdata.importers.full_scale import ends_at
 from labdata.importers.thresholds import LEAST_PIXELS
 
 
-def shown_ceiling(data: NDArray) -> float | None:
-    """Return the ceiling that whole codes (frame, row, col) show by a plateau, DN; None if they
-    show none.
+def ceiling_of(data: NDArray, full_scale_dn: float | None) -> float | None:
+    """Return the lower one of full scale and of a ceiling that a plateau shows, DN; None: unknown.
+
+    Parameters
+    ----------
+    data
+        Pixel values, shape (frame, row, col), DN.
+    full_scale_dn
+        Stated full scale, DN; None: unknown, and a plateau at the highest code of a digitiser
+        needs no noise beside it.
     """
+    shown = _shown_ceiling(data, needs_noise=full_scale_dn is not None)
+    return min((end for end in (full_scale_dn, shown) if end is not None), default=None)
+
+
+def _shown_ceiling(data: NDArray, *, needs_noise: bool) -> float | None:
+    """Return the ceiling that whole codes show by a plateau, DN; None if they show none."""
     highest = data.max()
-    if data.dtype.kind not in "ui" or not ends_at(int(highest), LEAST_PIXELS):
-        return None
     full = data == highest
-    touching = np.any(full[:, 1:] & full[:, :-1]) or np.any(full[..., 1:] & full[..., :-1])
-    return float(highest) if touching else None
+    touching = int(np.count_nonzero(full[:, 1:] & full[:, :-1]))
+    touching += int(np.count_nonzero(full[..., 1:] & full[..., :-1]))
+    if not touching or not np.all(data[0] == np.rint(data[0])):
+        return None
+    if not needs_noise and ends_at(int(highest), LEAST_PIXELS):
+        return float(highest)
+    # Touching pairs of a frame, or the pixels of a plateau less one.
+    pairs = touching / np.count_nonzero(full.any(axis=(1, 2)))
+    noise = _noise_below(data[0], 0.5 * (float(highest) + float(data.min())))
+    if noise < CLIPPING.least_noise_codes:
+        return None
+    chance = (2.0 * np.sqrt(np.pi) * noise) ** -pairs
+    # Noise of an even plateau has more values just below its highest one.
+    close = np.count_nonzero(data >= highest - 2.0 * noise) - np.count_nonzero(full)
+    is_plateau = chance < CLIPPING.max_plateau_chance and np.count_nonzero(full) > close
+    return float(highest) if is_plateau else None
 
 
 def is_cut(
@@ -80,13 +109,19 @@ def is_clipped(data: NDArray, full_scale_dn: float | None) -> bool:
         fraction[-1] > 2 * CLIPPING.pile_up_fraction
         and counts[-1] > CLIPPING.pile_up_ratio * counts[-2]
     )
+    # Normal noise in the middle of a step leaves this fraction at one value.
+    at_one_value = math.erf(step / (2.0 * math.sqrt(2.0) * noise)) if noise > 0.0 else 1.0
+    plateau_fraction = max(CLIPPING.plateau_fraction, 0.5 * (1.0 + at_one_value))
     bottom = (
         fraction[0] > 2 * CLIPPING.pile_up_fraction
         and counts[0] > CLIPPING.pile_up_ratio * counts[1]
     )
     brighter = np.count_nonzero(data > middle)
     clipped |= bool(
-        top and noisy and noise >= step and counts[-1] > CLIPPING.plateau_fraction * brighter
+        top
+        and noisy
+        and noise >= CLIPPING.least_noise_codes * step
+        and counts[-1] > plateau_fraction * brighter
     )
     # Black clips at zero or at the floor of the video range; a quiet plateau above either is not
     # clipped.
@@ -98,12 +133,16 @@ def is_clipped(data: NDArray, full_scale_dn: float | None) -> bool:
 
 def _noise_below(frame: NDArray, level: float) -> float:
     """Return the noise of the pixels below a level, DN, from differences of neighbours along
-    rows.
+    rows: from their median, and where most are 0 from their mean square without the largest ones.
     """
     frame = np.asarray(frame, np.float64)
     dark = (frame[..., 1:] <= level) & (frame[..., :-1] <= level)
     differences = np.abs(np.diff(frame, axis=-1))[dark]
-    return 1.05 * float(np.median(differences)) if differences.size else 0.0
+    if not differences.size:
+        return 0.0
+    middle, largest = np.quantile(differences, (0.5, CLIPPING.ordinary_differences))
+    square = np.mean(np.minimum(differences, largest) ** 2) if middle == 0.0 else 0.0
+    return float(max(1.05 * middle, np.sqrt(0.5 * square)))
 
 
 def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) -> bool:

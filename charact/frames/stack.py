@@ -75,10 +75,12 @@ class Stack:
 
     @cached_property
     def ceiling_dn(self) -> float | None:
-        """Highest value that a pixel can have, DN: stated, or shown by a plateau; None: unknown."""
+        """Highest value that a pixel can have, DN: the lower one of what is stated and what a
+        plateau shows; None: unknown.
+        """
         stated = (self.stated_full_scale_dn, self.frames.full_scale_dn)
         known = next((value for value in stated if value is not None), None)
-        return clipping.shown_ceiling(self.data) if known is None else known
+        return clipping.ceiling_of(self.data, known)
 
     @cached_property
     def top_dn(self) -> float:

@@ -16,6 +16,9 @@ class ClippingLimits:
     min_pile_pixels: int = 10  # Number of either
     # Fraction of the brighter pixels at one value; normal noise of one step has 38 %
     plateau_fraction: float = 0.6
+    least_noise_codes: float = 0.4  # Steps; with less an even plateau has one value: 79 % at 0.4
+    max_plateau_chance: float = 0.05  # That the pixels of a plateau have one value by chance
+    ordinary_differences: float = 0.95  # Quantile of the differences of neighbours without edges
     min_relative_noise: float = 1e-5  # Noise over the range; less is rounding of floats
     min_rounding_shift_dn: float = 1e-3  # Shift that matters, DN
     # Fraction of full scale at which frames clip or the wells of a sensor fill: their spread from
