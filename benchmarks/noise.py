@@ -25,13 +25,15 @@ def rows() -> Iterator[Row]:
     from charact.estimators import noise
     from charact.estimators.noise.gain.series import read_levels
     from charact.session_measurement import method_context
-    from labdata import open_session
+    from labdata import open_lazy_stack, open_session
 
     with tempfile.TemporaryDirectory() as folder:
         _series(Path(folder))
         session = open_session(folder)
         context = method_context(session, quick=True, seed=0)
-        reading = _cpu_seconds(lambda: [entry.read() for entry in session.stacks])
+        reading = _cpu_seconds(
+            lambda: [open_lazy_stack(entry).in_memory() for entry in session.stacks]
+        )
         pair = session.stacks[1].read().data
         plain = _cpu_seconds(lambda: [_variance(pair) for _ in range(PAIRS)])
         promised = 1e-3 * MS_PER_PAIR * PAIRS
