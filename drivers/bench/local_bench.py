@@ -88,6 +88,7 @@ class LocalBench(TubeBench):
     def _leave(self, error: BaseException | None) -> None:
         report = self.make_safe("the bench is left")
         unwritten = self.close()
+        self._crew.dismiss()
         self._log.close()
         tell_failures((None if report.whole else report.not_whole(), unwritten), error)
 

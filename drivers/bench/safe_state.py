@@ -120,9 +120,21 @@ class Crew:
         for _ in range(size):
             threading.Thread(target=self._work, name="safe", daemon=True).start()
 
-    def run(self, tasks: Sequence[Callable[[], object]]) -> None:
-        """Run tasks at once and wait for all of them."""
-        for event in [self.start(task) for task in tasks]:
+    def run(
+        self, tasks: Sequence[Callable[[], object]], again: Sequence[Callable[[], object]]
+    ) -> None:
+        """Run tasks at once until all have ended; one that has ended is followed meanwhile by its
+        task of `again` at each interval.
+        """
+        ended = [self.start(task) for task in tasks]
+        latest = list(ended)
+        while pending := [event for event in ended if not event.is_set()]:
+            if pending[0].wait(FOLLOW_S):
+                continue
+            for number, event in enumerate(latest):
+                if event.is_set():
+                    latest[number] = self.start(again[number])
+        for event in latest:
             event.wait()
 
     def start(self, task: Callable[[], object]) -> threading.Event:
@@ -158,7 +170,8 @@ def make_safe(
     """Shut the gate, switch high voltage and lamps off in parallel, then follow the decay of the
     output.
 
-    A silent line does not delay the others. A lost port is reopened for up to 15 s, and its
+    A silent line does not delay the others, which are ordered and read back again meanwhile: a
+    person at a panel may undo what was verified. A lost port is reopened for up to 15 s, and its
     instrument made safe when it is back. This raises nothing, since the next step must be tried
     too.
 
@@ -172,7 +185,8 @@ def make_safe(
         Called once, in a thread of the crew, with the report so far as soon as the first attempts
         show an instrument that does not obey.
     is_patient
-        Whether to repeat the attempts on an instrument that is lost or silent.
+        Whether to repeat the attempts on an instrument that is lost or silent; otherwise a lost
+        port is reopened once.
     """
     shut = _Task(
         gate,
@@ -209,26 +223,45 @@ def make_safe(
         )
 
     attempts = _FirstAttempts(len(tasks), lambda: workers.start(partial(warn, report())))
-    workers.run([partial(task.run, attempts, is_patient) for task in tasks])
+    workers.run(
+        [partial(task.run, attempts, is_patient) for task in tasks],
+        [partial(task.follow, attempts) for task in tasks],
+    )
     if crew is None:
         workers.dismiss()
     return report()
+
+
+class StepRecord:
+    """Records steps; where terse, those alone that end otherwise than the last time, so that no log
+    fills a disk.
+    """
+
+    def __init__(self, record: Record, *, is_terse: bool = False) -> None:
+        self._record, self._outcomes, self.is_terse = record, dict[str, bool](), is_terse
+
+    def __call__(self, step: str, *, ok: bool = True, **details: Any) -> None:
+        if not self.is_terse or self._outcomes.get(step) is not ok:
+            self._record(step, ok=ok, **details)
+        self._outcomes[step] = ok
 
 
 class _FirstAttempts:
     """Calls `alarm` once, when all tasks have made their first attempt and one shows trouble."""
 
     def __init__(self, size: int, alarm: Callable[[], object]) -> None:
-        self._pending, self._alarm = size, alarm
+        self._size, self._alarm = size, alarm
+        self._attempted = set[_Task]()
         self._is_troubled = self._has_alarmed = False
         self._turn = threading.Lock()
 
-    def take(self, *, is_first: bool, is_troubled: bool) -> None:
+    def take(self, task: "_Task") -> None:
         """Take the outcome of an attempt of one task."""
         with self._turn:
-            self._pending -= is_first
-            self._is_troubled = self._is_troubled or is_troubled
-            if self._pending or not self._is_troubled or self._has_alarmed:
+            self._attempted.add(task)
+            self._is_troubled = self._is_troubled or task.is_troubled
+            is_early = len(self._attempted) < self._size
+            if is_early or not self._is_troubled or self._has_alarmed:
                 return
             self._has_alarmed = True
         self._alarm()
@@ -251,7 +284,8 @@ class _Task:
         orders: str,
         verify: tuple[str, str] = ("", ""),
     ) -> None:
-        self._instrument, self._name, self._record, self._label = instrument, name, record, label
+        self._instrument, self._name, self._label = instrument, name, label
+        self._record = StepRecord(record)
         self._orders, self._verify, self._disconnected = orders, verify, False
         self.ordered = self.verified = False
         self.failures: list[str] = []
@@ -264,14 +298,13 @@ class _Task:
         """Repeat the steps until they are verified or the time is over; a lost port is reopened."""
         if self._instrument is None:
             self.failures.append(f"the {self._name} could not be reached")
-            attempts.take(is_first=True, is_troubled=True)
+            attempts.take(self)
             return
-        began_s, is_first = time.monotonic(), True
+        began_s = time.monotonic()
         with self._instrument.line.safing():
             while True:
                 verified = self.secure()
-                attempts.take(is_first=is_first, is_troubled=self.is_troubled)
-                is_first = False
+                attempts.take(self)
                 if verified or time.monotonic() >= began_s + self.patience_s(is_patient):
                     break
                 time.sleep(FOLLOW_S)
@@ -279,6 +312,11 @@ class _Task:
                     self._reopen()
         if self.verified:
             self.failures.clear()
+
+    def follow(self, attempts: _FirstAttempts) -> None:
+        """Do the steps once more, whatever came of them."""
+        self._record.is_terse = True
+        self.run(attempts, is_patient=False)
 
     @property
     def is_troubled(self) -> bool:
@@ -288,7 +326,7 @@ class _Task:
     def patience_s(self, is_patient: bool) -> float:
         """Return the longest time of attempts, s."""
         if not is_patient:
-            return 0.0
+            return FOLLOW_S
         return REOPEN_S if self._disconnected else DEAF_S
 
     def secure(self) -> bool:

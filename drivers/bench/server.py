@@ -34,7 +34,7 @@ from drivers.bench.connection import (
     SchedulingDelay,
 )
 from drivers.bench.light_control import Station
-from drivers.bench.safe_state import DANGEROUS, FOLLOW_S, Record
+from drivers.bench.safe_state import DANGEROUS, FOLLOW_S, Record, StepRecord
 from drivers.bench.setup import BenchSetup, with_present_ports
 from drivers.bench.state import Failed
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
@@ -96,12 +96,7 @@ class BenchServer:
     def serve(self) -> None:
         """Serve the client until it leaves or is lost; then make the bench safe."""
         self._log("start", pid=os.getpid())
-        # Interval between readings of the light meter, s
-        for work in (
-            self._obey,
-            self._obey_safe_orders,
-            partial(self._look, 1.0, TubeBench.look_at_light),
-        ):
+        for work in (self._obey, self._obey_safe_orders):
             threading.Thread(target=work, daemon=True).start()
         reason, leaving = "the server itself failed", 0
         try:
@@ -213,7 +208,7 @@ class BenchServer:
         self._log("end", reason=reason, longest_silence_s=round(self._longest_silence_s, 3))
 
     def _stand_guard(self) -> None:
-        """Repeat the safe action until gate, voltage and lamp are seen safe, whoever else has left.
+        """Stay until gate, voltage and lamp are seen safe, whoever else has left.
 
         A signal ends it, and so does the end of a virtual bench: ports that are no devices go with
         its outputs, while a device may come back.
@@ -222,12 +217,8 @@ class BenchServer:
         self._stop_signal = None
         ports = [Path(each.port) for each in self._setup.wires.instruments if each.port]
         self._log("standing guard", pid=os.getpid())
-        record = _OnChange(self._log)
-        while self._stop_signal is None:
+        while self._stop_signal is None and not (self._bench.report and self._bench.report.whole):
             if not any(port.exists() or port.is_relative_to("/dev") for port in ports):
-                return
-            if (report := self._bench.secure(record)).whole:
-                self._log("made safe", whole=True, sentence=report.sentence())
                 return
             time.sleep(FOLLOW_S)
 
@@ -272,15 +263,17 @@ class BenchServer:
         return stations
 
     def open_bench(self, stations: Mapping[Role, Station]) -> None:
-        """Open the bench on its instruments; each is then checked by its own thread."""
+        """Open the bench on its instruments; each is checked by its own thread, from its own
+        opening on.
+        """
         self._bench = bench = self._bench_on(stations)
         bench.record_heartbeat()
-        bench.open()
-        self._is_open = True
         for role in bench.stations:
             if role not in DISPENSABLE:
-                look = partial(TubeBench.look, role=role)
-                threading.Thread(target=self._look, args=(LOOK_EVERY_S, look), daemon=True).start()
+                self._begin_looks(LOOK_EVERY_S, partial(TubeBench.look, role=role))
+        bench.open()
+        self._is_open = True
+        self._begin_looks(1.0, TubeBench.look_at_light)  # Interval between readings of the meter, s
 
     def _bench_on(self, stations: Mapping[Role, Station]) -> TubeBench:
         return TubeBench(
@@ -315,8 +308,14 @@ class BenchServer:
         self.to_make_safe.put(SafeOrder(reason=str(error)))
 
     def _obey_safe_orders(self) -> None:
+        record = StepRecord(self._log, is_terse=True)
         while True:
-            self.make_safe(self.to_make_safe.get())
+            try:
+                order = self.to_make_safe.get(timeout=FOLLOW_S)
+            except queue.Empty:
+                self.keep_safe(record)
+            else:
+                self.make_safe(order)
 
     def make_safe(self, order: "SafeOrder") -> None:
         """Run a safe action and report it."""
@@ -326,6 +325,20 @@ class BenchServer:
         if order.number:
             self._client.send(Reply(number=order.number, value=report))
         order.done.set()
+
+    def keep_safe(self, record: Record) -> None:
+        """Keep a bench safe that failed or was left, since its instruments may come back, or be set
+        at their panels.
+        """
+        bench = self._bench
+        if bench is None or bench.report is None or not (bench.fault or self._over.is_set()):
+            return
+        if (report := bench.keep_safe(record)) is not None:
+            self._log("made safe", whole=report.whole, sentence=report.sentence())
+            self._client.send(MadeSafe(report=report))
+
+    def _begin_looks(self, every_s: float, look: Callable[[TubeBench], object]) -> None:
+        threading.Thread(target=self._look, args=(every_s, look), daemon=True).start()
 
     def _look(self, every_s: float, look: Callable[[TubeBench], object]) -> None:
         """Check an instrument periodically; a time-out blocks only this thread."""
@@ -337,7 +350,7 @@ class BenchServer:
         safe.
         """
         bench = self._bench
-        if bench is None or not self._is_open or bench.fault is not None:
+        if bench is None or bench.fault is not None:
             return
         try:
             look(bench)
@@ -355,18 +368,6 @@ class SafeOrder:
     reason: str
     number: int = 0
     done: threading.Event = field(default_factory=threading.Event)
-
-
-class _OnChange:
-    """Records a step when it ends otherwise than the last time, so that no log fills a disk."""
-
-    def __init__(self, record: Record) -> None:
-        self._record, self._outcomes = record, dict[str, bool]()
-
-    def __call__(self, step: str, *, ok: bool = True, **details: Any) -> None:
-        if self._outcomes.get(step) is not ok:
-            self._record(step, ok=ok, **details)
-        self._outcomes[step] = ok
 
 
 def inhibit_suspend(log: Record) -> subprocess.Popen | None:

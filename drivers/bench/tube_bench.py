@@ -120,16 +120,29 @@ class TubeBench(LightControl):
     def open(self) -> None:
         """Shut the gate and switch the high voltage off, identify every instrument, and read what
         is left.
+
+        No instrument waits for another: both are ordered before one is asked, and each is watched
+        as soon as it was read back.
         """
         gate, supply = self._gate.driver, self._supply.driver
-        with self._using("gate", "supply", "light-source", "filter-wheel"):
+        orders: dict[Role, tuple[str, ...]] = {
+            "gate": gate.shut_commands,
+            "supply": supply.off_commands,
+        }
+        for role, commands in orders.items():
+            with self._using(role):
+                for command in commands:
+                    self.stations[role].line.order(command)
+        with self._using("gate"):
             gate.identify()
-            gate.shut()
+            self.shut_gate()
+            self._gate.watched = True
+        with self._using("supply"):
             supply.identify()
             supply.prepare(limit_v=self.interlock.limits.mcp_v)
-            self._gate.watched = self._supply.watched = True
-            self.shut_gate()
+            self._supply.watched = True
             self._read_gain(supply.read_voltage_v())
+        with self._using("light-source", "filter-wheel"):
             self._prepare_lamp()
         drivers: dict[Role, Any] = {role: station.driver for role, station in self.stations.items()}
         self._meters = AuxiliaryMeters(drivers, self._setup.meters)
@@ -394,6 +407,15 @@ class TubeBench(LightControl):
                     station.procedure.release()
             return report
 
+    def keep_safe(self, record: Record) -> SafeStateReport | None:
+        """Order and read back once more what was made safe; return the report where it turned out
+        otherwise than the last.
+        """
+        with self._making_safe:
+            before, self.report = self.report, self.secure(record, self._crew, is_patient=False)
+            is_news = before is None or before.whole != self.report.whole
+            return self.report if is_news else None
+
     def secure(
         self,
         record: Record,
@@ -420,7 +442,6 @@ class TubeBench(LightControl):
 
     def close(self) -> str | None:
         """Write the last dose; return the reason of a failure, or None."""
-        self._crew.dismiss()
         if self._dose is None:
             return None
         self.interlock.tell(SafeOrdered())

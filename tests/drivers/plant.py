@@ -53,7 +53,9 @@ TROUBLES = ("silent", "mute", "wrong", "gone", "disobedient", "half")
 class InOneThread:
     """A crew whose tasks run one after the other, each from the same simulated time."""
 
-    def run(self, tasks: Sequence[Callable[[], object]]) -> None:
+    def run(
+        self, tasks: Sequence[Callable[[], object]], again: Sequence[Callable[[], object]]
+    ) -> None:
         began_s, ended_s = CLOCK.now_s, [CLOCK.now_s]
         for task in tasks:
             CLOCK.now_s = began_s
@@ -152,7 +154,8 @@ class Plant:
         }
         for station in stations.values():
             station.procedure = Procedure(self)
-        self.next_look_s, self.next_meter_s = CLOCK.now_s, CLOCK.now_s + 1.0
+        self.next_look_s = self.next_keep_s = CLOCK.now_s
+        self.next_meter_s = CLOCK.now_s + 1.0
         self.server = server.BenchServer(
             self, self.setup, lambda *_, **__: None, clock=CLOCK.monotonic
         )
@@ -294,6 +297,9 @@ class Plant:
                 self.next_meter_s = CLOCK.now_s + 1.0
                 self._look(tube_bench.TubeBench.look_at_light)
             self.make_safe()
+            if CLOCK.now_s >= self.next_keep_s and not self.over and self.safe_thread is None:
+                self.next_keep_s = CLOCK.now_s + safe_state.FOLLOW_S
+                self.server.keep_safe(lambda *_, **__: None)
             self.lab.watch()
 
     def _main_loop(self) -> None:
@@ -548,11 +554,9 @@ def _happens(plant: Plant, which: int) -> None:
 
 
 def _by_hand(plant: Plant, which: int) -> None:
-    """Somebody turns a knob at the front panel; a server that failed or ended does not look any
-    more.
-    """
+    """Somebody turns a knob at the front panel; a server that ended does not look any more."""
     lab, now_s = plant.lab, CLOCK.now_s
-    if plant.over or lab.fault_s <= now_s:
+    if plant.over:
         return
     if which % 4 == 0:
         lab.open, lab.gate.line.changed_s = (1e6, 50.0), now_s

@@ -192,6 +192,39 @@ def test_what_was_changed_by_hand_is_found_when_it_is_compared(hot, change):
     assert not hot.is_hot
 
 
+def test_a_gate_opened_by_hand_after_a_failure_is_shut_again(hot):
+    hot.lab.supply.line.break_down("mute")
+    hot.passes(1.0)
+    for _ in range(3):
+        hot.lab.open = (1e6, 50.0)
+        hot.passes(1.2)
+        assert not hot.lab.open[0]
+    assert not hot.all_said(MadeSafe)[-1].report.whole
+    hot.lab.supply.line.mend()
+    hot.passes(1.0)
+    assert hot.all_said(MadeSafe)[-1].report.whole
+
+
+def test_a_slow_supply_delays_no_look_at_the_gate_in_the_opening(bench):
+    def slow_prepare(*, limit_v: float) -> None:
+        bench.lab.open = (1e6, 50.0)
+        bench.passes(0.7)
+        open_after.append(bench.lab.open[0])
+
+    open_after = []
+    bench.lab.supply.prepare = slow_prepare
+    bench.open()
+    assert open_after == [0.0]
+
+
+def test_both_instruments_are_ordered_before_one_of_them_is_asked_in_the_opening(bench):
+    bench.lab.volts, bench.lab.open = 650.0, (1e6, 50.0)
+    bench.lab.gate.identify = lambda: seen.append((bench.lab.volts, bench.lab.open[0]))
+    seen = []
+    bench.open()
+    assert seen == [(0.0, 0.0)]
+
+
 def test_a_target_is_placed_before_its_lamp_burns():
     with plant.simulated_time():
         bench = Bench(kind=2)

@@ -63,6 +63,26 @@ def test_a_supply_that_hears_again_is_switched_off_after_all(virtual, drivers, r
     assert virtual.outputs().mcp_v < 11
 
 
+def test_a_gate_opened_at_its_panel_is_shut_again_while_the_supply_is_still_silent(
+    virtual, drivers, record
+):
+    virtual.supply_port.faults, gate = Faults(silent=True), drivers["gate"]
+
+    def shut_then_open() -> None:
+        shut()
+        if len(opened) < 3:
+            gate.line.order("LOFF 1,2")
+            opened.append(virtual.outputs().gate_open)
+
+    shut, opened = gate.shut, []
+    gate.shut = shut_then_open
+    safety = make_safe(**drivers, record=record)
+    assert (opened, safety.gate_shut, safety.whole) == ([True] * 3, True, False)
+    assert not virtual.outputs().gate_open
+    steps = [step for step, _ in record.events]
+    assert steps.count("gate: shut and read back") == 1  # a log holds what is news
+
+
 def test_an_order_that_was_lost_is_given_again(virtual, drivers, record):
     line = drivers["supply"].line
     order, lost = line.order, []

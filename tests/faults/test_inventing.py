@@ -29,6 +29,14 @@ def test_a_tube_is_safe_in_time_after_faults_and_a_judge_without_patience_sees_i
 
 
 @pytest.mark.wires
+def test_a_supply_that_answers_nonsense_keeps_nobody_from_the_gate():
+    garbled = Fault(kind="garbled answers", who="supply", at_s=0.1, for_s=3.5, value=1)
+    by_hand = Fault(kind="panel", who="gate", at_s=0.8, for_s=0.1, value="LOFF 1,2")
+    verdict = attempt((garbled, by_hand), 0)
+    assert verdict.broken == () and 0.0 < verdict.hot_s["gate"] < 1.0
+
+
+@pytest.mark.wires
 def test_a_disk_whose_every_sync_takes_half_a_second_ends_no_run(monkeypatch):
     sync, steps = os.fsync, tuple(replace(step, frames=9) for step in trial.PLAN.steps)
     monkeypatch.setattr(trial, "PLAN", replace(trial.PLAN, steps=steps))
