@@ -2,24 +2,21 @@
 a frame.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.importers import module_of, read_frames
+from labdata.importers import module_of, read_conditions, read_frames
+from labdata.importers.fits import header_of
 from labdata.target import Kind
 
-# Cards of the kind, the exposure in seconds and the temperature of the sensor in degrees Celsius,
-# the usual one first; SBFITSEXT 1.0 and its followers.
+# Cards of the kind, the usual one first; SBFITSEXT 1.0 and its followers.
 KIND_CARDS = ("IMAGETYP", "IMAGETYPE", "OBSTYPE", "FRAMETYP")
-EXPOSURE_CARDS = ("EXPTIME", "EXPOSURE")
-TEMPERATURE_CARDS = ("CCD-TEMP", "CCDTEMP", "DET-TEMP")
 # Settings that change gain and level by amounts that no condition states: all frames of a session
 # must share them.
 CAMERA_CARDS = ("INSTRUME", "READOUTM", "GAIN", "OFFSET", "XBINNING", "YBINNING")
@@ -45,7 +42,7 @@ SAME_LEVEL = 0.02
 class StatedFrame:
     """What the header of a file with a single frame states.
 
-    `kind`: None unless stated; `conditions`: exposure and temperature; `settings`: the cards of
+    `kind`: None unless stated; `conditions`: those of its header; `settings`: the cards of
     `SETTING_CARDS` as text; `mean_dn`: mean level.
     """
 
@@ -56,62 +53,41 @@ class StatedFrame:
     mean_dn: float
 
 
-def read_stated_frame(path: Path, plane: str | None = None) -> StatedFrame | None:
+def read_stated_frame(
+    path: Path, plane: str | None = None, extension: str | None = None
+) -> StatedFrame | None:
     """Return what a FITS file of one frame states; None for other files, and where it states
     neither kind nor exposure.
 
-    A file that cannot be read is BadInput; `plane`: colour plane to read.
+    A file that cannot be read is BadInput; `plane`, `extension`: what to read of it.
     """
     if module_of(path) != "fits.read":
         return None
-    frames = read_frames(path, plane, axis="frame", find_full_scale=False)
-    header = _header_of(path)
+    frames = read_frames(path, plane, axis="frame", extension=extension, find_full_scale=False)
+    header = header_of(path, extension)
     word = str(next((header[card] for card in KIND_CARDS if card in header), "")).lower()
     kind: Kind | None = next((of for name, of in KIND_WORDS.items() if name in word), None)
-    exposure_s, temperature_c = (
-        _number(header, cards) for cards in (EXPOSURE_CARDS, TEMPERATURE_CARDS)
-    )
-    if len(frames.data) > 1 or (kind is None and exposure_s is None):
+    conditions, _ = read_conditions(path, extension)
+    if len(frames.data) > 1 or (kind is None and conditions.exposure_s is None):
         return None
-    # Observatories state kelvins, or a number such as -999 for none.
-    plausible = (
-        temperature_c if temperature_c is not None and -150.0 < temperature_c < 100.0 else None
-    )
     return StatedFrame(
         path=path,
         kind=kind,
-        conditions=Conditions(exposure_s=exposure_s, temperature_c=plausible),
+        conditions=conditions,
         settings={card: str(header[card]).strip() for card in SETTING_CARDS if card in header},
         mean_dn=float(frames.data.mean(dtype=np.float64)),
     )
 
 
-def _header_of(path: Path) -> Mapping[str, Any]:
-    """Return the header of the first image."""
-    from astropy.io import fits
-
-    with fits.open(path, memmap=False) as file:
-        for unit in file:
-            header = getattr(unit, "header", {})
-            if getattr(unit, "is_image", False) and header.get("NAXIS", 0) > 1:
-                return dict(header)
-    raise BadInput(f"a FITS file must hold an image, got none in {path}")
-
-
-def _number(header: Mapping[str, Any], cards: Sequence[str]) -> float | None:
-    """Return the number of the first card that has one, not negative unless it is a temperature."""
-    for card in cards:
-        value = header.get(card)
-        if isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value):
-            return float(value) if value >= 0 or cards is TEMPERATURE_CARDS else None
-    return None
-
-
-def require_one_camera(paths: Sequence[Path]) -> None:
-    """Require every FITS file of a session to have the same settings of `CAMERA_CARDS`; another is
-    BadInput.
+def require_one_camera(files: Sequence[tuple[Path, str | None]]) -> None:
+    """Require every FITS file of a session, given with its extension, to have the same settings of
+    `CAMERA_CARDS`; another is BadInput.
     """
-    headers = {path: _header_of(path) for path in paths if module_of(path) == "fits.read"}
+    headers = {
+        path: header_of(path, extension)
+        for path, extension in files
+        if module_of(path) == "fits.read"
+    }
     for card in CAMERA_CARDS:
         first: dict[str, str] = {}
         for path, header in headers.items():
@@ -142,14 +118,13 @@ def group_stated(
     stacks: dict[tuple, list[StatedFrame]] = {}
     for frame in frames:
         stack_kind = kind or frame.kind or "scene"
-        stacks.setdefault(
-            (stack_kind, frame.conditions.exposure_s, tuple(frame.settings.items())), []
-        ).append(frame)
+        settings = replace(frame.conditions, temperature_c=None)
+        stacks.setdefault((stack_kind, settings, tuple(frame.settings.items())), []).append(frame)
     differing = [
         card for card in SETTING_CARDS if len({frame.settings.get(card) for frame in frames}) > 1
     ]
     stated_stacks = []
-    for (stack_kind, exposure_s, _), members in stacks.items():
+    for (stack_kind, settings, _), members in stacks.items():
         for warm in _split(
             members,
             lambda frame: frame.conditions.temperature_c or 0.0,
@@ -169,7 +144,7 @@ def group_stated(
                     if frame.conditions.temperature_c is not None
                 ]
                 temperature_c = round(float(np.mean(known)), 2) if known else None
-                conditions = Conditions(exposure_s=exposure_s, temperature_c=temperature_c)
+                conditions = replace(settings, temperature_c=temperature_c)
                 parts = [
                     f"{name}={value:g}"
                     for name, value in vars(conditions).items()

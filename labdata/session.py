@@ -40,6 +40,8 @@ class StackRecord(Conditions):
     #: Plane to read of colour images, mosaics and files with more axes. Regions, lengths and
     #: frequencies of targets count its own samples
     plane: str | None = None
+    extension: str | None = None  #: Picture to read of files that hold several, name or number
+    partial: bool | None = None  #: Whether files that end early give their whole frames
     asked: Conditions | None = None  #: Requested conditions, where they differ from those in force
     target: Target = field(default_factory=Target)  #: Target in front of the camera
     #: Its sensor description, where a session has stacks of several; as the session's
@@ -129,6 +131,8 @@ class StackEntry:
     axis: str | None = None
     #: Frame axis of the files and plane to read; see `labdata.importers.read_frames`
     plane: str | None = None
+    extension: str | None = None  #: Picture to read of files that hold several
+    partial: bool = False  #: Whether files that end early give their whole frames
     folder: Path  #: The session's folder
     #: How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
     view: View | None = None
@@ -143,13 +147,8 @@ class StackEntry:
         """Read the frames, or one colour plane; damaged files, and frames that break a rule, are
         BadInput.
         """
-        from labdata.importers import read_frames
-
         unknown = self.bit_depth is None
-        parts = [
-            read_frames(path, plane or self.plane, axis=self.axis, find_full_scale=unknown)
-            for path in self.paths
-        ]
+        parts = [self._read_file(path, plane or self.plane, unknown) for path in self.paths]
         stack = _concatenate(parts, self.label)
         if stack.origin != (0, 0) and self.target.region is not None:
             raise BadInput(
@@ -174,10 +173,20 @@ class StackEntry:
         """
         if self.plane is None:
             return "mono", 1
+        first = self._read_file(self.paths[0], self.plane, find_full_scale=False)
+        return first.plane, first.sample_pitch_px
+
+    def _read_file(self, path: Path, plane: str | None, find_full_scale: bool) -> FrameStack:
         from labdata.importers import read_frames
 
-        first = read_frames(self.paths[0], self.plane, axis=self.axis, find_full_scale=False)
-        return first.plane, first.sample_pitch_px
+        return read_frames(
+            path,
+            plane,
+            axis=self.axis,
+            extension=self.extension,
+            partial=self.partial,
+            find_full_scale=find_full_scale,
+        )
 
     def _full_scale_dn(self, stack: FrameStack) -> float | None:
         if self.bit_depth is None:
@@ -409,6 +418,8 @@ def _entry(stack: StackRecord, form: SessionFile, folder: Path) -> StackEntry:
         # The stacks of a manifest are frames by definition.
         axis=stack.axis or "frame",
         plane=stack.plane,
+        extension=stack.extension,
+        partial=bool(stack.partial),
         folder=folder,
     )
 

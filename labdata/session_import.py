@@ -115,6 +115,8 @@ def import_frames(
     label: str | None = None,
     axis: str | None = None,
     plane: str | None = None,
+    extension: str | None = None,
+    partial: bool = False,
     add: bool = False,
 ) -> Session:
     """Make a session that refers to files of frames where they are.
@@ -129,8 +131,8 @@ def import_frames(
         * anything. Files of equal conditions become one stack.
     label
         Label of one stack that has all files in the order of their names.
-    axis, plane
-        Frame axis of the files and plane to read, kept in the session.
+    axis, plane, extension, partial
+        Settings of `labdata.importers.read_frames`, kept in the session.
     add
         Whether to add the stacks to the session that is there.
 
@@ -156,10 +158,17 @@ def import_frames(
     elif name_pattern is not None:
         groups = _group_files(paths, kind or "scene", name_pattern)
     else:
-        groups = _group_headers(paths, kind, plane)
+        groups = _group_headers(paths, kind, plane, extension)
     stacks = tuple(
         stack_record(
-            conditions, label=name, kind=of, frames=_frames_of(files, out), axis=axis, plane=plane
+            conditions,
+            label=name,
+            kind=of,
+            frames=_frames_of(files, out),
+            axis=axis,
+            plane=plane,
+            extension=extension,
+            partial=partial or None,
         )
         for name, of, conditions, files in groups
     )
@@ -167,7 +176,11 @@ def import_frames(
     notes = (*form.notes, *_findings(stacks, out))
     form = replace(form, stack=(*form.stack, *stacks), notes=notes)
     require_one_camera(
-        [(out / name).resolve() for stack in form.stack for name in _names_of(stack)]
+        [
+            ((out / name).resolve(), stack.extension)
+            for stack in form.stack
+            for name in _names_of(stack)
+        ]
     )
     return _write_session(form, out, add=add)
 
@@ -184,13 +197,15 @@ def _session_to_add_to(out: Path) -> SessionFile:
     return read_manifest(out)
 
 
-def _group_headers(paths: list[Path], kind: Kind | None, plane: str | None) -> list[Group]:
+def _group_headers(
+    paths: list[Path], kind: Kind | None, plane: str | None, extension: str | None
+) -> list[Group]:
     """Return the stacks of files by their FITS headers; a file of another form is one of its
     own.
     """
     from labdata.fits_conditions import group_stated, read_stated_frame
 
-    stated = [read_stated_frame(path, plane) for path in paths]
+    stated = [read_stated_frame(path, plane, extension) for path in paths]
     alone = [path for path, one in zip(paths, stated, strict=True) if one is None]
     stems = [path.stem for path in alone]
     single_stacks = [
@@ -266,7 +281,12 @@ def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
         sizes: dict[tuple[int, int], str] = {}
         for name in _names_of(stack):
             frames = read_frames(
-                (out / name).resolve(), stack.plane, axis=stack.axis, find_full_scale=False
+                (out / name).resolve(),
+                stack.plane,
+                axis=stack.axis,
+                extension=stack.extension,
+                partial=bool(stack.partial),
+                find_full_scale=False,
             )
             sizes[frames.shape[1:]] = name
             for note in frames.notes:

@@ -132,6 +132,17 @@ FrameAxis = Annotated[
     str | None,
     Setting("Frame axis, index from 0 or name, if the file does not state it."),
 ]
+Extension = Annotated[
+    str | None,
+    Setting(
+        "Picture to read of a file that holds several, name or number: image of FITS (0 is the "
+        "primary one), series of TIFF, array of HDF5, section of SIF. Default: the first, of TIFF "
+        "and HDF5 the largest."
+    ),
+]
+Partial = Annotated[
+    bool, Setting("Read the whole frames of a SIF, SPE or SER file that ends early.")
+]
 SceneCamera = Annotated[
     "str | Path | Camera",
     Setting(

@@ -10,7 +10,9 @@ from labdata.errors import BadInput
 from labdata.settings import (
     Argument,
     CameraDescription,
+    Extension,
     FrameAxis,
+    Partial,
     Plane,
     documented,
 )
@@ -25,6 +27,8 @@ def frames_of(
     *,
     plane: Plane = None,
     axis: FrameAxis = None,
+    extension: Extension = None,
+    partial: Partial = False,
     black_dn: BlackDn = None,
 ) -> "FrameStack":
     """Return the frames of an array, a file or a stack.
@@ -42,10 +46,12 @@ def frames_of(
     """
     from labdata import FrameStack, read_array, read_frames
 
+    if extension is not None and not isinstance(source, str | Path | FrameStack):
+        raise BadInput(f"`extension` chooses a picture of a file, got {extension!r} for an array")
     if isinstance(source, FrameStack):
         frames = source
     elif isinstance(source, str | Path):
-        frames = read_frames(source, plane=plane, axis=axis)
+        frames = read_frames(source, plane=plane, axis=axis, extension=extension, partial=partial)
     else:
         frames = read_array(source, plane=plane, axis=axis)
     if black_dn is None:
@@ -204,6 +210,8 @@ def flats_of(
     sensor: CameraDescription = None,
     plane: Plane = None,
     axis: FrameAxis = None,
+    extension: Extension = None,
+    partial: Partial = False,
 ) -> "Session":
     """Return a session, or the session of one stack of flats."""
     from labdata import MANIFEST, Conditions, Session, StackEntry
@@ -211,7 +219,7 @@ def flats_of(
     if is_session(source):
         return session_of(source, sensor)
     if not isinstance(source, str | Path):
-        flats = frames_of(source, plane=plane, axis=axis)
+        flats = frames_of(source, plane=plane, axis=axis, extension=extension)
         return session([stack(flats, "flat")], sensor=sensor)
     file = Path(source)
     if not file.exists() or (file.is_dir() and not (file / "zarr.json").is_file()):
@@ -226,5 +234,7 @@ def flats_of(
         folder=file.parent,
         axis=axis,
         plane=plane,
+        extension=extension,
+        partial=partial,
     )
     return Session(folder=file.parent, name=file.name, stacks=(entry,), camera=camera_of(sensor))

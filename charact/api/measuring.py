@@ -33,7 +33,9 @@ from labdata.errors import BadInput
 from labdata.settings import (
     Argument,
     CameraDescription,
+    Extension,
     FrameAxis,
+    Partial,
     Plane,
     Progress,
     ProgressSink,
@@ -80,6 +82,8 @@ def mtf(
     sensor: CameraDescription = None,
     plane: Plane = None,
     axis: FrameAxis = None,
+    extension: Extension = None,
+    partial: Partial = False,
     black_dn: BlackDn = None,
     max_targets: MaxTargets = 24,
     bars: Bars = None,
@@ -122,11 +126,12 @@ def mtf(
     target = {name: value for name, value in described.items() if value is not None}
     if foreign := [name for name in target if name not in OF_TARGET.get(kind, ())]:
         raise BadInput(f"`{foreign[0]}` describes another target than kind {kind!r}")
+    reading = {"plane": plane, "axis": axis, "extension": extension, "partial": partial}
     if kind == "flats":
-        flats = flats_of(frames, sensor=sensor, plane=plane, axis=axis)
+        flats = flats_of(frames, sensor=sensor, **reading)
         return _analyse(measure_flats, flats, frames, method, within_percent, quick, seed, progress)
     region = region_of(roi)
-    image = frames_of(frames, plane=plane, axis=axis, black_dn=black_dn)
+    image = frames_of(frames, black_dn=black_dn, **reading)
     camera = sensor_of(sensor)
     interlaced = camera is not None and camera.video.interlaced
     context = Context(
@@ -215,6 +220,8 @@ def bloom(
     sensor: CameraDescription = None,
     plane: Plane = None,
     axis: FrameAxis = None,
+    extension: Extension = None,
+    partial: Partial = False,
     progress: ProgressSink = ignore_progress,
 ) -> "Analysis":
     """Measure halo and blooming of overexposed point sources."""
@@ -228,7 +235,7 @@ def bloom(
         return _analyse(
             measure_bloom, measured, source, method, within_percent, quick, seed, progress
         )
-    frames = frames_of(source, plane=plane, axis=axis)
+    frames = frames_of(source, plane=plane, axis=axis, extension=extension, partial=partial)
     label = Path(source).stem if isinstance(source, str | Path) else "point"
     image = session([stack(frames, "point", label=label)], sensor=sensor)
     context = method_context(image, quick=quick, seed=seed, progress=progress)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,7 +19,7 @@ from charact.cli.outputs import (
     why_other_kind,
 )
 from labdata import BadInput, Kind
-from labdata.settings import FrameAxis, Plane
+from labdata.settings import Extension, FrameAxis, Partial, Plane
 
 if TYPE_CHECKING:
     from labdata import FrameStack, Session
@@ -86,6 +86,8 @@ def frames(
     ] = None,
     axis: FrameAxis = None,
     plane: Plane = None,
+    extension: Extension = None,
+    partial: Partial = False,
     add: Annotated[
         bool, typer.Option("--add", help="Add the stacks to a session that exists.")
     ] = False,
@@ -123,6 +125,8 @@ def frames(
                 label=label,
                 axis=axis,
                 plane=plane,
+                extension=extension,
+                partial=partial,
                 add=add,
             )
         measurable = any(entry.kind != "scene" for entry in session.stacks)
@@ -167,6 +171,10 @@ def view(
         Path | None,
         typer.Option(help="Output PNG file (default: LABEL-view.png in the working folder)."),
     ] = None,
+    plane: Plane = None,
+    axis: FrameAxis = None,
+    extension: Extension = None,
+    partial: Partial = False,
 ) -> None:
     """Write the mean frame of a stack as a PNG picture and print its path and levels.
 
@@ -177,7 +185,8 @@ def view(
     with exit_on_bad_input(source):
         from labdata.frame_export import write_frames
 
-        for label, read, _ in _stacks(source):
+        reading = {"plane": plane, "axis": axis, "extension": extension, "partial": partial}
+        for label, read, _ in _stacks(source, **reading):
             path = out or Path(f"{label}-view.png")
             if path.suffix.lower() != ".png":
                 raise BadInput(f"a picture must be a .png file, got {path.name!r}")
@@ -201,6 +210,10 @@ def convert(
         Path, typer.Argument(help="Output folder; for csv, json and emva the output file.")
     ],
     to: Annotated[str, typer.Option("--to", help=f"Format: {', '.join(FORMATS)}.")] = "tif",
+    plane: Plane = None,
+    axis: FrameAxis = None,
+    extension: Extension = None,
+    partial: Partial = False,
     force: Force = False,
 ) -> None:
     """Write the frames of a session as files (tif, npy, fits, h5, png), or its results as CSV, JSON
@@ -219,7 +232,8 @@ def convert(
             return
         from labdata.frame_export import write_frames
 
-        stacks = _stacks(source)
+        reading = {"plane": plane, "axis": axis, "extension": extension, "partial": partial}
+        stacks = _stacks(source, **reading)
         paths = [out / f"{label}.{to}" for label, _, _ in stacks]
         existing = {path.resolve() for path in paths if path.exists()}
         replaced = existing & {path.resolve() for _, _, sources in stacks for path in sources}
@@ -253,13 +267,22 @@ def _write_results(folder: Path, out: Path, to: str) -> None:
     print(out)
 
 
-def _stacks(source: str) -> "list[tuple[str, Callable[[], FrameStack], tuple[Path, ...]]]":
-    """Return label, reader and files of a file, of one stack of a session, or of all its stacks."""
+def _stacks(
+    source: str, **reading: Any
+) -> "list[tuple[str, Callable[[], FrameStack], tuple[Path, ...]]]":
+    """Return label, reader and files of a file, of one stack of a session, or of all its stacks.
+
+    `reading`: settings of `labdata.read_frames`, which a session has of its own.
+    """
     from labdata import MANIFEST, open_session, read_frames
 
     path, _, label = source.partition("#")
     if not (Path(path) / MANIFEST).is_file():
-        return [(Path(source).stem, lambda: read_frames(source), (Path(path),))]
+        return [(Path(source).stem, lambda: read_frames(source, **reading), (Path(path),))]
+    if set_ones := [f"`{name}`" for name, value in reading.items() if value]:
+        raise BadInput(
+            f"{set_ones[0]} is of a file of frames; the stacks of {path}/{MANIFEST} state their own"
+        )
     session = open_session(path)
     entries = session.stacks if not label else (session.stack(label),)
     return [(entry.label, entry.read, entry.paths) for entry in entries]

@@ -105,6 +105,7 @@ def _measure_file(
 ) -> "tuple[Analysis, FrameStack, FrequencyUnit]":
     """Measure a region of a stack or, without one, all detected targets of a kind."""
     from charact.api.inputs import frames_of, sensor_of
+    from labdata.importers import read_frames
     from labdata.session import MANIFEST
 
     if (file / MANIFEST).is_file():
@@ -112,7 +113,7 @@ def _measure_file(
             f"mtf {kind} takes images or stacks, got the session {file}: charact measure {file}"
         )
     settings["sensor"] = sensor_of(settings["sensor"])
-    stack = frames_of(file, plane=settings["plane"], axis=settings["axis"])
+    stack = frames_of(file, **of(read_frames, settings))
     frequency = frequency_unit(
         settings["sensor"],
         rows=stack.shape[1],

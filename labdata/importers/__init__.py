@@ -4,21 +4,24 @@ content.
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial as bound
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from labdata.errors import BadInput
 from labdata.file_io import cpu_limit, require_regular
 from labdata.frames import FrameStack
-from labdata.importers.axes import Recorded, frames_of, names_of_shape
+from labdata.importers.axes import FRAME, Recorded, frames_of, names_of_shape
 from labdata.importers.colour_planes import planes_of, require_monochrome
 from labdata.importers.full_scale import byte_order_note, with_full_scale
+from labdata.importers.headers import NOTHING, Stated
 
-__all__ = ["KINDS", "list_kinds", "module_of", "read_array", "read_frames"]
+__all__ = ["KINDS", "list_kinds", "module_of", "read_array", "read_conditions", "read_frames"]
 
 # Endings of files by module and function of this package that reads them
 KINDS: dict[str, tuple[str, ...]] = {
@@ -38,11 +41,26 @@ KINDS: dict[str, tuple[str, ...]] = {
         ".pef",
     ),
     "array_files.read_hdf5": (".h5", ".hdf5", ".hdf", ".nxs"),
-    "cameras.read": (".spe", ".sif", ".ser"),
+    "cameras.read_spe": (".spe",),
+    "sif.read": (".sif",),
+    "cameras.read_ser": (".ser",),
+    "hamamatsu.read": (".img",),
     "image_files.read_video": (".avi",),
     "array_files.read_zarr": (".zarr",),
 }
 
+
+# Readers that can choose among several pictures, and that can read what remains of a file
+CHOOSING = ("tiff.read", "fits.read", "array_files.read_hdf5", "sif.read")
+ENDING_EARLY = ("cameras.read_spe", "sif.read", "cameras.read_ser")
+# Functions that return the conditions of a file, by its reader
+CONDITIONS = {
+    "fits.read": "fits.conditions",
+    "cameras.read_spe": "cameras.spe_conditions",
+    "sif.read": "sif.conditions",
+    "hamamatsu.read": "hamamatsu.conditions",
+    "image_files.read_image": "image_files.conditions",
+}
 
 _LONG_NAMES = {
     "tif": "TIFF",
@@ -67,6 +85,8 @@ def read_frames(
     plane: str | None = None,
     *,
     axis: str | None = None,
+    extension: str | None = None,
+    partial: bool = False,
     find_full_scale: bool = True,
 ) -> FrameStack:
     """Read the frames of a file, by its ending, or of a Zarr array.
@@ -82,6 +102,12 @@ def read_frames(
     axis
         Number or name of the frame axis, where the file does not state it or states another;
         "frame": the first axis, if the file does not name it.
+    extension
+        Name or number of one picture of a file that holds several: an image of FITS (0 is the
+        primary one), a series of TIFF, an array of HDF5, a section of SIF. None: the first, of TIFF
+        and HDF5 the largest; a note lists the others.
+    partial
+        Whether to read the whole frames of a SIF, SPE or SER file that ends early.
     find_full_scale
         Whether to find full scale from the data where the file does not state it.
 
@@ -94,7 +120,7 @@ def read_frames(
     """
     path = Path(path)
     try:
-        stack = _stack(_read_recorded(path), plane, axis, path.name)
+        stack = _stack(_read_recorded(path, extension, partial), plane, axis, path.name)
         return with_full_scale(stack) if find_full_scale else stack
     except BadInput as error:
         if path.name in str(error):
@@ -132,12 +158,44 @@ def read_array(array: object, plane: str | None = None, *, axis: str | None = No
     return with_full_scale(_stack(recorded, plane, axis, "the array"))
 
 
-def _read_recorded(path: Path) -> Recorded | FrameStack:
+def read_conditions(path: str | Path, extension: str | None = None) -> Stated:
+    """Return the conditions that the header of a file states, and notes; none of most kinds.
+
+    Pixels are not read. A damaged file is BadInput.
+
+    Parameters
+    ----------
+    extension
+        As of `read_frames`.
+    """
+    path = Path(path)
+    function = CONDITIONS.get(module_of(path) or "")
+    if function is None or path.is_dir():
+        return NOTHING
+    require_regular(path, "a file of frames")
+    return _protected(path, bound(_function(function), path, extension))
+
+
+def _read_recorded(path: Path, extension: str | None, is_partial: bool) -> Recorded | FrameStack:
+    """Read a file with what its reader knows of the choices."""
+    reader, module = reader_of(path), module_of(path)
+    if extension is not None and module in CHOOSING:
+        reader = bound(reader, extension=extension)
+    elif extension is not None:
+        raise BadInput(
+            f"`extension` chooses a picture of a FITS, TIFF, HDF5 or SIF file, got {extension!r} "
+            f"for {path.name}, which holds one"
+        )
+    if is_partial and module in ENDING_EARLY:
+        reader = bound(reader, partial=True)
+    return _protected(path, bound(reader, path))
+
+
+def _protected(path: Path, read: Callable[[], Any]) -> Any:
     """Read a file; whatever the library of its kind raises on a damaged one is BadInput."""
-    reader = reader_of(path)
     try:
         with warnings.catch_warnings(action="ignore"), cpu_limit(path):
-            return reader(path)
+            return read()
     except (BadInput, MemoryError):
         raise
     except Exception as error:
@@ -162,9 +220,8 @@ def _stack(
             notes=(*recorded.notes, *selected.notes),
         )
     data = recorded.data.astype(recorded.data.dtype.newbyteorder("="), copy=False)
-    stack = frames_of(
-        data, recorded.names, plane=plane, axis=axis, name=name, pattern=recorded.pattern
-    )
+    names, assumed = _names_in_stack(recorded, plane, axis)
+    stack = frames_of(data, names, plane=plane, axis=axis, name=name, pattern=recorded.pattern)
     black_dn = _black_dn(recorded, stack.plane)
     swapped = byte_order_note(stack.data)
     return replace(
@@ -173,7 +230,33 @@ def _stack(
         full_scale_dn=recorded.full_scale_dn
         if stack.full_scale_dn is None
         else stack.full_scale_dn,
-        notes=(*recorded.notes, *(() if axis else recorded.doubts), *stack.notes, *swapped),
+        notes=(*recorded.notes, *assumed, *stack.notes, *swapped),
+    )
+
+
+def _names_in_stack(
+    recorded: Recorded, plane: str | None, axis: str | None
+) -> tuple[Sequence[str], tuple[str, ...]]:
+    """Return the axes of a file, and notes on planes that its writer marked as colours.
+
+    In a stack of frames four such planes of an array are frames if the last one is an image, which
+    alpha is not. Of three the file does not show what they are.
+    """
+    names, doubts = recorded.names, recorded.doubts
+    if axis is None or not doubts:
+        return names, doubts
+    if axis != FRAME or plane is not None or not recorded.may_be_frames:
+        return names, doubts if axis == FRAME else ()
+    last = recorded.data[-1]
+    if len(recorded.data) > 3 and last.min() != last.max():
+        return (FRAME, *names[1:]), (
+            "the planes of the file, marked as colours and alpha, are the frames of the stack: its "
+            "last plane is an image; `plane` luminance takes them for colours",
+        )
+    raise BadInput(
+        f"a stack must know its frames, got {len(recorded.data)} planes that their file marks as "
+        'colours: `axis` 0 if they are frames (tifffile: photometric="minisblack" writes them so), '
+        "`plane` luminance, r, g or b if they are colours"
     )
 
 
@@ -191,7 +274,7 @@ def module_of(path: Path) -> str | None:
     return next((module for module, endings in KINDS.items() if name.endswith(endings)), None)
 
 
-def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
+def reader_of(path: Path) -> Callable[..., Recorded | FrameStack]:
     """Return the function that reads a file or folder; an unknown kind is a BadInput."""
     if not os.path.isdir(path):  # Path.is_dir raises on names that no file system accepts
         require_regular(path, "a file of frames")
@@ -205,5 +288,10 @@ def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
             "or FITS with the camera's own software or ImageJ (File > Save As > Tiff), video "
             f"with ffmpeg -i {path.name} -c:v ffv1 x.avi"
         )
-    name, function = module.split(".")
-    return getattr(import_module(f"labdata.importers.{name}"), function)
+    return _function(module)
+
+
+def _function(name: str) -> Callable[..., Any]:
+    """Return a function of this package by the name of its module and its own."""
+    module, function = name.split(".")
+    return getattr(import_module(f"labdata.importers.{module}"), function)

@@ -9,6 +9,7 @@ from labdata.errors import BadInput
 from labdata.file_io import require_regular, require_regular_parts, require_room
 from labdata.frames import FrameStack
 from labdata.importers.axes import Recorded, axes_of_labels, names_of_shape, optional_module
+from labdata.importers.parts import Part, choose
 
 
 def read_npy(path: Path) -> Recorded:
@@ -41,7 +42,7 @@ def read_zarr(path: Path) -> Recorded | FrameStack:
     return Recorded(data=np.asarray(array[...]), names=axes_of_labels(labels, array.shape))
 
 
-def read_hdf5(path: Path) -> Recorded:
+def read_hdf5(path: Path, extension: str | None = None) -> Recorded:
     """Read an array of two axes or more; see `labdata.importers.read_frames`."""
     h5py = optional_module("h5py", "hdf5", path)
     with h5py.File(path, "r") as file:
@@ -49,16 +50,15 @@ def read_hdf5(path: Path) -> Recorded:
         file.visititems(lambda _, item: _collect(item, arrays, h5py.Dataset))
         if not arrays:
             raise BadInput(f"an HDF5 file must hold an array of pictures, got none in {path}")
-        largest = max(arrays, key=lambda array: array.size)
-        for other in _other_files(largest):
+        parts = [Part(number, array.name, array.shape) for number, array in enumerate(arrays)]
+        largest = max(range(len(arrays)), key=lambda number: arrays[number].size)
+        at, notes = choose(parts, extension, largest, "the largest")
+        chosen = arrays[at]
+        for other in _other_files(chosen):
             require_regular(path.parent / other, f"a file to which {path.name} refers")
-        require_room(path, pixels=largest.size, pixel_bytes=largest.dtype.itemsize)
-        names = axes_of_labels([dimension.label for dimension in largest.dims], largest.shape)
-        several = len(arrays) > 1
-        notes = (
-            (f"the largest of {len(arrays)} arrays was read, {largest.name}",) if several else ()
-        )
-        return Recorded(data=np.asarray(largest[()]), names=names, notes=notes)
+        require_room(path, pixels=chosen.size, pixel_bytes=chosen.dtype.itemsize)
+        names = axes_of_labels([dimension.label for dimension in chosen.dims], chosen.shape)
+        return Recorded(data=np.asarray(chosen[()]), names=names, notes=notes)
 
 
 def _other_files(array) -> Iterator[str]:

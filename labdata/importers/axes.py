@@ -318,6 +318,8 @@ class Recorded:
     full_scale_dn: float | None = None  #: Full scale, DN; None: not stated
     notes: tuple[str, ...] = ()  #: Notes on the storage of the pixels
     doubts: tuple[str, ...] = ()  #: Notes on the axes, omitted if the frame axis is selected
+    #: Whether the first axis, marked as colours, may count frames for all that the file states
+    may_be_frames: bool = False
 
 
 def lossy_note(how: str) -> str:

@@ -1,22 +1,32 @@
-"""Readers of camera software files: Princeton Instruments SPE, Andor SIF, SER."""
+"""Readers of camera software files: Princeton Instruments SPE, and SER."""
 
-import io
 import struct
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded, optional_module
+from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded
+from labdata.importers.headers import Stated, stated
+from labdata.importers.parts import whole_frames
 
 SPE_HEADER_BYTES = 4100
 # Header fields: byte offset and format (Princeton Instruments, SPE 3.0 File Format Specification,
 # appendix A)
 SPE_FIELDS = {
+    "accumulations": (2, "<h"),
+    "exposure_s": (10, "<f"),
+    "temperature_c": (36, "<f"),
     "cols": (42, "<H"),
+    "pulser": (94, "<h"),
     "type": (108, "<h"),
+    "gate_us": (118, "<f"),
+    "intensified": (144, "<h"),
+    "intensifier_gain": (148, "<h"),
     "rows": (656, "<H"),
+    "many_accumulations": (668, "<I"),
     "footer": (678, "<Q"),
     "frames": (1446, "<i"),
     "version": (1992, "<f"),
@@ -30,25 +40,18 @@ SER_MOSAICS = {8: "rggb", 9: "grbg", 10: "gbrg", 11: "bggr"}
 SER_COLOURS = {0: 1, 100: 3, 101: 3}
 
 
-def read(path: Path) -> Recorded:
-    """Read a file of camera software; see `labdata.importers.read_frames`."""
-    return {".spe": _spe, ".sif": _sif, ".ser": _ser}[path.suffix.lower()](path)
-
-
-def _spe(path: Path) -> Recorded:
-    """SPE 2.x (WinView, WinSpec) by its header, 3.0 (LightField) by the XML at its end."""
-    content = np.memmap(path, np.uint8, "r")
-    header = content[:SPE_HEADER_BYTES].tobytes()
-    field = {
-        name: struct.unpack_from(form, header, at)[0] for name, (at, form) in SPE_FIELDS.items()
-    }
+def read_spe(path: Path, *, partial: bool = False) -> Recorded:
+    """Read an SPE file, 2.x (WinView, WinSpec) by its header, 3.0 (LightField) by the XML at its
+    end; see `labdata.importers.read_frames`.
+    """
+    content, field = _spe_header(path)
     kind = np.dtype(SPE_TYPES[field["type"]])
     frames, rows, cols = field["frames"], field["rows"], field["cols"]
     stride = rows * cols * kind.itemsize
     if field["version"] >= 3.0:
         blocks = [
             block.attrib
-            for block in ElementTree.fromstring(content[field["footer"] :].tobytes()).iter()
+            for block in _spe_footer(content, field).iter()
             if block.tag.endswith("}DataBlock")
         ]
         frame, regions = blocks[0], blocks[1:]
@@ -59,33 +62,87 @@ def _spe(path: Path) -> Recorded:
         # Recorded time stamps lie between the frames.
         frames, stride = int(frame["count"]), int(frame["stride"])
         rows, cols = int(regions[0]["height"]), int(regions[0]["width"])
-    if SPE_HEADER_BYTES + (frames - 1) * stride + rows * cols * kind.itemsize > content.size:
-        raise BadInput(
-            f"an SPE file must be whole, got {path} of fewer bytes than its {frames} frames"
-        )
+    frames, notes = whole_frames(
+        path.name,
+        frames=frames,
+        start=SPE_HEADER_BYTES,
+        stride=stride,
+        frame_bytes=rows * cols * kind.itemsize,
+        size=content.size,
+        partial=partial,
+    )
     strides = (stride, cols * kind.itemsize, kind.itemsize)
     data = np.ndarray((frames, rows, cols), kind, content, SPE_HEADER_BYTES, strides)
-    return Recorded(data=data, names=(FRAME, ROW, COL))
+    return Recorded(data=data, names=(FRAME, ROW, COL), notes=notes)
 
 
-def _sif(path: Path) -> Recorded:
-    sif_parser = optional_module("sif_parser", "sif", path)
-    with _EndingFile(io.FileIO(path)) as file:
-        data = np.asarray(sif_parser.np_open(file)[0])
-    return Recorded(data=data, names=(FRAME, ROW, COL))
+def _spe_header(path: Path) -> tuple[np.memmap, dict[str, Any]]:
+    """Return the bytes of an SPE file and the fields of its header."""
+    content = np.memmap(path, np.uint8, "r")
+    header = content[:SPE_HEADER_BYTES].tobytes()
+    return content, {
+        name: struct.unpack_from(form, header, at)[0] for name, (at, form) in SPE_FIELDS.items()
+    }
 
 
-class _EndingFile(io.BufferedReader):
-    """A file whose end is an error, since the library looks there for a next word for ever."""
-
-    def read(self, size: int | None = -1) -> bytes:
-        if not (data := super().read(size)) and size:
-            raise EOFError("it is cut off")
-        return data
+def _spe_footer(content: np.memmap, field: dict[str, Any]) -> ElementTree.Element:
+    return ElementTree.fromstring(content[field["footer"] :].tobytes())
 
 
-def _ser(path: Path) -> Recorded:
-    """SER version 3: a header of 178 bytes, then the frames."""
+def spe_conditions(path: Path, extension: str | None = None) -> Stated:
+    """Return exposure, temperature, gate and gains of an SPE file, summed exposures counted.
+
+    Notes
+    -----
+    LightField writes the settings as elements of their own names: exposures in ms, gates in ns.
+    WinView leaves the exposure 0 where it has written no settings.
+    """
+    content, field = _spe_header(path)
+    if field["version"] < 3.0:
+        if not field["exposure_s"]:
+            return stated()
+        many = field["accumulations"] < 0
+        gated = field["pulser"] or field["intensified"]
+        return stated(
+            field["many_accumulations" if many else "accumulations"],
+            exposure_s=field["exposure_s"],
+            temperature_c=field["temperature_c"],
+            gate_ns=1e3 * field["gate_us"] if gated else None,
+            gain_control=field["intensifier_gain"] if field["intensified"] else None,
+        )
+    settings: dict[tuple[str, str], ElementTree.Element] = {}
+    for element in _spe_footer(content, field).iter():
+        for child in element:
+            settings[element.tag.rpartition("}")[2], child.tag.rpartition("}")[2]] = child
+
+    def number(parent: str, name: str, attribute: str | None = None) -> float | None:
+        element = settings.get((parent, name))
+        try:
+            return float((element.get(attribute) if attribute else element.text) or "")
+        except (AttributeError, ValueError):
+            return None
+
+    exposure_ms = number("ShutterTiming", "ExposureTime")
+    method = settings.get(("FrameCombination", "Method"))
+    combined = number("FrameCombination", "FramesCombined") or 1.0
+    summed = combined if method is not None and method.text == "Sum" else 1.0
+    conditions, notes = stated(
+        int(min(1e9, summed * (number("ReadoutControl", "Accumulations") or 1.0))),
+        exposure_s=None if exposure_ms is None else 1e-3 * exposure_ms,
+        temperature_c=number("Temperature", "Reading"),
+        gate_ns=number("RepetitiveGate", "Pulse", "width"),
+        em_gain=number("ADC", "EMGain") or number("Adc", "EMGain"),
+        gain_control=number("Intensifier", "Gain"),
+    )
+    if combined > summed:
+        notes += (f"each frame is the mean of {combined:g} exposures by its header",)
+    return conditions, notes
+
+
+def read_ser(path: Path, *, partial: bool = False) -> Recorded:
+    """Read a SER recording: a header of 178 bytes, then the frames; see
+    `labdata.importers.read_frames`.
+    """
     with path.open("rb") as file:
         header = file.read(SER_HEADER_BYTES)
     if not header.startswith(SER_MAGIC):
@@ -99,15 +156,24 @@ def _ser(path: Path) -> Recorded:
         )
     # Most writers invert the byte-order flag: 0 is little-endian (Siril, FireCapture, PIPP).
     kind = np.dtype("u1" if bits <= 8 else ">u2" if is_little_endian else "<u2")
-    shape = (frames, rows, columns, samples)
-    if SER_HEADER_BYTES + int(np.prod(shape, dtype=object)) * kind.itemsize > path.stat().st_size:
-        raise BadInput(
-            f"a SER file must be whole, got {path} of fewer bytes than its {frames} frames"
-        )
-    data = np.memmap(path, kind, "r", SER_HEADER_BYTES, shape)
+    frame_bytes = rows * columns * samples * kind.itemsize
+    frames, notes = whole_frames(
+        path.name,
+        frames=frames,
+        start=SER_HEADER_BYTES,
+        stride=frame_bytes,
+        frame_bytes=frame_bytes,
+        size=path.stat().st_size,
+        partial=partial,
+    )
+    data = np.memmap(path, kind, "r", SER_HEADER_BYTES, (frames, rows, columns, samples))
     data = data[..., ::-1] if colour == 101 else data
     names = (FRAME, ROW, COL, COLOUR)
     full_scale_dn = float(2**bits - 1) if data.max(initial=0) <= 2**bits - 1 else None
     return Recorded(
-        data=data, names=names, pattern=SER_MOSAICS.get(colour), full_scale_dn=full_scale_dn
+        data=data,
+        names=names,
+        pattern=SER_MOSAICS.get(colour),
+        full_scale_dn=full_scale_dn,
+        notes=notes,
     )

@@ -3,14 +3,28 @@
 import gzip
 import math
 import warnings
+from collections.abc import Iterator, Sequence
+from importlib import import_module
 from io import BufferedIOBase
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from labdata.errors import BadInput
 from labdata.file_io import require_picture, require_room
-from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, Recorded, lossy_note, meaning
+from labdata.importers.axes import (
+    COL,
+    FRAME,
+    ROW,
+    UNNAMED,
+    Recorded,
+    lossy_note,
+    meaning,
+    optional_module,
+)
+from labdata.importers.headers import Stated, stated
+from labdata.importers.parts import Part, choose
 
 GZIP_MAGIC = b"\x1f\x8b"
 BLOCK_BYTES = 2880
@@ -19,42 +33,79 @@ MOST_HEADER_BYTES = 1000 * BLOCK_BYTES
 
 # Cards with the number of frames, as written by camera software
 FRAME_COUNTS = ("NFRAMES", "NUMFRAME", "NUMFRMS", "FRAMES", "NIMAGES", "NUMKIN")
+# Cards of the exposure in seconds, the temperature of the sensor in degrees Celsius, the gain of an
+# electron-multiplying register and the number of exposures in one frame, the usual one first
+# (SBFITSEXT 1.0 and its followers; Andor Solis)
+EXPOSURE_CARDS = ("EXPTIME", "EXPOSURE")
+TEMPERATURE_CARDS = ("CCD-TEMP", "CCDTEMP", "DET-TEMP", "TEMP")
+EM_GAIN_CARDS = ("EMGAIN", "EM_GAIN", "EM-GAIN")
+COMBINED_CARDS = ("NUMACC", "NCOADDS", "COADDS", "NCOMBINE", "STACKCNT", "SNAPSHOT")
 
 
-def read(path: Path) -> Recorded:
-    """Read the first image; see `labdata.importers.read_frames`."""
-    try:
-        from astropy.io import fits
-    except ImportError:
-        raise BadInput(
-            f"FITS files need astropy, got {path.name}: pip install 'charact[fits]'"
-        ) from None
+def read(path: Path, extension: str | None = None) -> Recorded:
+    """Read the first image, or that of an extension; see `labdata.importers.read_frames`."""
+    fits = _library(path)
     # Headers out of order are common and harmless; a truncated file is not.
     with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
         warnings.simplefilter("always")
-        _check_headers(path)
+        number, notes = _choose(path, extension)
         with fits.open(content, memmap=False) as file:
-            image = _image_of(file, path)
+            image = _image_of(file[number], notes)
     if any("truncated" in str(warning.message) for warning in warned):
         raise BadInput(f"a FITS file must be whole, got {path} without its end")
     return image
 
 
-def _image_of(file, path: Path) -> Recorded:
-    for unit in file:
-        axes = unit.header.get("NAXIS", 0)
-        if not getattr(unit, "is_image", False) or axes < 2:
-            continue
-        packed = getattr(unit, "compression_type", None)
-        # Integers are packed without loss; reals are rounded to a fraction of their noise first.
-        lossy = (lossy_note(packed),) if packed is not None and unit.header["BITPIX"] < 0 else ()
-        return Recorded(
-            data=np.asarray(unit.data),
-            names=_names(unit.header, axes),
-            pattern=_mosaic(unit.header),
-            notes=lossy,
-        )
-    raise BadInput(f"a FITS file must hold an image, got none in {path}")
+def _library(path: Path) -> Any:
+    return optional_module("astropy.io", "fits", path) and import_module("astropy.io.fits")
+
+
+def _image_of(unit, notes: tuple[str, ...]) -> Recorded:
+    packed = getattr(unit, "compression_type", None)
+    # Integers are packed without loss; reals are rounded to a fraction of their noise first.
+    lossy = (lossy_note(packed),) if packed is not None and unit.header["BITPIX"] < 0 else ()
+    return Recorded(
+        data=np.asarray(unit.data),
+        names=_names(unit.header, unit.header["NAXIS"]),
+        pattern=_mosaic(unit.header),
+        notes=(*notes, *lossy),
+    )
+
+
+def header_of(path: Path, extension: str | None = None) -> dict[str, Any]:
+    """Return the cards of an image, and those of the primary header that it lacks."""
+    fits = _library(path)
+    with warnings.catch_warnings(action="ignore"), open(path, "rb") as content:
+        number, _ = _choose(path, extension)
+        with fits.open(content, memmap=False) as file:
+            return {**file[0].header, **file[number].header}
+
+
+def conditions(path: Path, extension: str | None = None) -> Stated:
+    """Return exposure, temperature and gain of the electron-multiplying register of an image.
+
+    Notes
+    -----
+    `GAIN` is a setting in units of the camera, but in files of Andor whose `EMREALGN` is 1; `EGAIN`
+    is a conversion gain, e-/ADU, and no setting.
+    """
+    header = header_of(path, extension)
+    multiplies = header.get("EMREALGN") == 1 and "mult" in str(header.get("OUTPTAMP")).lower()
+    stated_conditions, _ = stated(
+        exposure_s=_first_number(header, EXPOSURE_CARDS),
+        temperature_c=_first_number(header, TEMPERATURE_CARDS),
+        em_gain=_first_number(header, ("GAIN",) if multiplies else EM_GAIN_CARDS),
+    )
+    combined = _first_number(header, COMBINED_CARDS) or 1
+    note = f"each frame combines {combined:g} exposures by its header: its read noise is theirs"
+    return stated_conditions, (note,) if combined > 1 else ()
+
+
+def _first_number(header: dict[str, Any], cards: Sequence[str]) -> float | None:
+    """Return the number of the first card that has one."""
+    values = (header.get(card) for card in cards)
+    numbers = (v for v in values if isinstance(v, int | float) and not isinstance(v, bool))
+    return next((float(number) for number in numbers), None)
 
 
 def _mosaic(header) -> str | None:
@@ -72,8 +123,28 @@ def _mosaic(header) -> str | None:
     )
 
 
-def _check_headers(path: Path) -> None:
-    """Require a header with an end and an image that fits into memory, before astropy unpacks it.
+def _choose(path: Path, extension: str | None) -> tuple[int, tuple[str, ...]]:
+    """Return the number of the image to read, and a note where there are several.
+
+    It must fit into memory, before astropy unpacks it.
+    """
+    images: list[tuple[Part, int]] = []
+    try:
+        images.extend(_images(path))
+    except BadInput:
+        if not images:  # what follows a first image may be no part of the file
+            raise
+    if not images:
+        raise BadInput(f"a FITS file must hold an image, got none in {path}")
+    at, notes = choose([part for part, _ in images], extension, 0, "the first")
+    part, value_bytes = images[at]
+    require_picture(part.shape[-2], part.shape[-1], path.name)
+    require_room(path, pixels=math.prod(part.shape), pixel_bytes=value_bytes)
+    return part.number, notes
+
+
+def _images(path: Path) -> Iterator[tuple[Part, int]]:
+    """Yield the images of a file, each with the bytes of a value, by their headers.
 
     Notes
     -----
@@ -81,26 +152,28 @@ def _check_headers(path: Path) -> None:
     follow, padded to blocks (FITS Standard 4.0, section 3). An image packed into table rows has its
     sizes under separate names (section 10.1).
     """
-    from astropy.io import fits
-
+    fits = _library(path)
     with open(path, "rb") as plain:
         packed = plain.read(2) == GZIP_MAGIC
     with gzip.open(path) if packed else open(path, "rb") as file:
-        at = 0
+        at, number = 0, 0
         while text := _header_text(file, path):
             header = fits.Header.fromstring(text)
             packed_image = header.get("ZIMAGE", False)
             axes, value_bytes = _axes(header, "Z" if packed_image else "")
-            if len(axes) > 1 and (packed_image or header.get("XTENSION") != "BINTABLE"):
-                require_picture(axes[1], axes[0], path.name)
-                require_room(path, pixels=math.prod(axes), pixel_bytes=value_bytes)
-                return
+            kind = str(header.get("XTENSION", "IMAGE")).strip()
+            if len(axes) > 1 and (packed_image or kind == "IMAGE") and not header.get("GROUPS"):
+                name = str(header.get("EXTNAME", "")).strip()
+                yield Part(number, name, axes[::-1]), value_bytes
+            if packed_image:  # its room in the file is that of the table
+                axes, value_bytes = _axes(header, "")
             values = (
                 _number(header, "GCOUNT", 1) * (_number(header, "PCOUNT", 0) + math.prod(axes))
                 if axes
                 else 0
             )
             at += len(text) + -(-values * value_bytes // BLOCK_BYTES) * BLOCK_BYTES
+            number += 1
             file.seek(at)
 
 

@@ -16,3 +16,6 @@ MOST_BITS = 16  # Most bits of an image digitiser
 MOSAIC_LEVEL = 0.01
 # Smallest checkerboard amplitude of a mosaic in standard errors; chance 1e-15
 MOSAIC_SIGNIFICANCE = 8.0
+MOST_NAMED = 8  # Pictures of one file that a message lists; larger ones have their own index
+# Temperatures of a sensor, degrees Celsius; drivers write -999 for none, observatories kelvins
+COLDEST_C, WARMEST_C = -150.0, 100.0

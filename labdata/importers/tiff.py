@@ -19,12 +19,14 @@ from labdata.importers.axes import (
     meaning,
     names_of_shape,
 )
+from labdata.importers.parts import Part, choose
 from labdata.importers.thresholds import THUMBNAIL
 
+NUMERALS = {2: "two", 3: "three", 4: "four"}
 LOSSY = ("JPEG", "WEBP", "JETRAW")
 
 
-def read(path: Path) -> Recorded:
+def read(path: Path, extension: str | None = None) -> Recorded:
     """Read the images of a TIFF file; see `labdata.importers.read_frames`."""
     import tifffile
 
@@ -32,15 +34,15 @@ def read(path: Path) -> Recorded:
     silent, logger.disabled = logger.disabled, True  # its warnings become messages here
     try:
         with tifffile.TiffFile(path) as file:
-            return _read_series(file, path)
+            return _read_series(file, path, extension)
     finally:
         logger.disabled = silent
 
 
-def _read_series(file, path: Path) -> Recorded:
+def _read_series(file, path: Path, extension: str | None) -> Recorded:
     _check_whole(file, path)
     _check_possible(file, path)
-    series, notes = _largest(file, path)
+    series, notes = _choose(file, path, extension)
     page = series.keyframe
     notes += _check_meaning(page, path)
     packing = getattr(page.compression, "name", str(page.compression))
@@ -48,6 +50,7 @@ def _read_series(file, path: Path) -> Recorded:
         notes += (lossy_note(packing),)
     names = _names(file, series)
     planar = COLOUR in names and names[-1] != COLOUR and FRAME not in names
+    planes = series.shape[names.index(COLOUR)] if planar else 0
     bits = int(page.bitspersample)
     data = series.asarray()
     return Recorded(
@@ -59,30 +62,38 @@ def _read_series(file, path: Path) -> Recorded:
         else None,
         notes=notes,
         doubts=(
-            (
-                "its writer marked the three planes of the file as colours; if they are frames: "
-                "`axis` 0"
-            ),
+            f"its writer marked the {NUMERALS.get(planes, planes)} planes of the file as colours"
+            f"{' and alpha' if planes > 3 else ''}; if they are frames: `axis` 0",
         )
         * planar,
+        may_be_frames=planar and _is_array(file, series.shape),
     )
 
 
-def _largest(file, path: Path) -> tuple:
-    """Return the series of the largest images, and a note on reduced copies."""
-    sizes = [math.prod(image_series.keyframe.shape[:2]) for image_series in file.series]
-    series = file.series[int(np.argmax(sizes))]
-    other_sizes = [
-        size
-        for image_series, size in zip(file.series, sizes, strict=True)
-        if image_series is not series
-    ]
-    if any(size > THUMBNAIL * max(sizes) for size in other_sizes):
-        shapes = sorted({image_series.shape for image_series in file.series})
-        raise BadInput(f"the pages of a TIFF file must have one shape, got {shapes} in {path}")
-    return series, (
-        f"the largest of {len(sizes)} pictures in the file was read",
-    ) if other_sizes else ()
+def _is_array(file, shape: tuple[int, ...]) -> bool:
+    """Whether a file is an array of this shape, written by a library that guesses what planes are.
+
+    Tifffile marks three and four planes as red, green, blue and alpha unless the caller states
+    `photometric`; it keeps the shape of the array beside them.
+    """
+    return any(
+        tuple(described.get("shape", ())) == shape for described in file.shaped_metadata or ()
+    )
+
+
+def _choose(file, path: Path, extension: str | None) -> tuple:
+    """Return the chosen series, by default that of the largest images, and a note on others."""
+    sizes = [math.prod(series.keyframe.shape[:2]) for series in file.series]
+    largest = int(np.argmax(sizes))
+    parts = [Part(at, series.name, series.shape) for at, series in enumerate(file.series)]
+    others = sizes[:largest] + sizes[largest + 1 :]
+    if extension is None and any(size > THUMBNAIL * max(sizes) for size in others):
+        raise BadInput(
+            f"the pages of a TIFF file must have one shape, got {', '.join(map(str, parts))} in "
+            f"{path}: `extension` 0 takes the first"
+        )
+    at, notes = choose(parts, extension, largest, "the largest")
+    return file.series[at], notes
 
 
 def _names(file, series) -> tuple[str, ...]:

@@ -383,7 +383,6 @@ def test_frames_of_winview_are_those_that_imageio_reads(tmp_path):
 def test_a_missing_library_is_named_with_its_command(tmp_path, monkeypatch):
     missing = (
         ("h5py", "a.h5", "hdf5"),
-        ("sif_parser", "a.sif", "sif"),
         ("astropy.io", "a.fits", "fits"),
     )
     for module, name, extra in missing:

@@ -21,14 +21,17 @@ import numpy as np
 import tifffile
 
 from labdata import BadInput, read_frames
+from labdata.importers import read_conditions
 from labdata.store import array_writer, journal
 from simulate.radiance import load_scene
 from simulate.radiance.outdoor import Object, OutdoorScene, build, build_surfaces
 from tests.fuzz.documents import mangled
 from tests.labdata import dng
+from tests.truth import camera_files
 
 ROWS, COLUMNS = 12, 16
 PLANES = (None, "r", "g1", "luminance", "mono", "")
+EXTENSIONS = (None, None, None, "0", "2", "AMP1", "x")
 
 
 def _frames(kind: type = np.uint16, *shape: int) -> np.ndarray:
@@ -78,25 +81,38 @@ def _ser(path: Path) -> None:
 
 
 def _spe(path: Path) -> None:
-    header = bytearray(4100)
-    for offset, form, value in (
-        (42, "<H", COLUMNS),
-        (656, "<H", ROWS),
-        (108, "<h", 3),
-        (1446, "<i", 3),
-        (1992, "<f", 2.5),
-    ):
-        struct.pack_into(form, header, offset, value)
-    path.write_bytes(bytes(header) + _frames().tobytes())
+    camera_files.write_spe(path, _frames(), exp_sec=0.1, DetTemperature=-20.0)
+
+
+def _lightfield(path: Path) -> None:
+    settings = "<ShutterTiming><ExposureTime>20</ExposureTime></ShutterTiming>"
+    camera_files.write_spe(path, _frames(), settings)
+
+
+def _img(path: Path) -> None:
+    comment = '[Acquisition],NrExposure=4,ExposureTime=5 s,AcqMode=4[Streak camera],MCP Gain="20"'
+    camera_files.write_img(path, _frames()[0], comment)
+
+
+def _png_with_text(path: Path) -> None:
+    from PIL import Image, PngImagePlugin
+
+    texts = PngImagePlugin.PngInfo()
+    texts.add_text("Exposure", "10 ms")
+    texts.add_text("Gain", "6 dB", zip=True)
+    texts.add_itxt("Gate", "200 ns")
+    Image.fromarray(_frames()[0]).save(path, pnginfo=texts)
+
+
+def _mef(path: Path) -> None:
+    from astropy.io import fits
+
+    images = [fits.ImageHDU(frame, name=f"AMP{at}") for at, frame in enumerate(_frames())]
+    fits.HDUList([fits.PrimaryHDU(), *images]).writeto(path)
 
 
 def _sif(path: Path) -> None:
-    header = "Andor Technology Multi-Channel File\n65538 1\n65550 0 0 1 1540956289 -60 " + 10 * " "
-    header += "0 0.1 0.2 0.1 1 \0 0 1e-6 0 1 1 0 0 1 " + 16 * "0 " + "1 0\nCamera\n"
-    header += f"{COLUMNS} {ROWS} 1\na \n65538 1\nt\n65538 {8 * ' '}0.1 0.2\n0\n0\n65539 "
-    header += 7 * "0\n" + "1\nx1\ny1\nz65541 1 1 1 1 3 1 1 1\n"
-    header += f"65538 1 {ROWS} {COLUMNS} 1 1 1\n" + 3 * "0\n"
-    path.write_bytes(header.encode() + _frames(np.float32).tobytes())
+    camera_files.write_sif(path, _frames(np.float32), version=65550)
 
 
 def _hdf5(path: Path) -> None:
@@ -138,7 +154,11 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
     "pgm": ("a.pgm", _picture(np.uint16, ROWS, COLUMNS)),
     "ser": ("a.ser", _ser),
     "spe": ("a.spe", _spe),
+    "spe of LightField": ("a.spe", _lightfield),
     "sif": ("a.sif", _sif),
+    "img": ("a.img", _img),
+    "png with text": ("a.png", _png_with_text),
+    "fits of extensions": ("a.fits", _mef),
     "hdf5": ("a.h5", _hdf5),
     "avi": ("a.avi", _avi),
     "npy": ("a.npy", lambda path: np.save(path, _frames())),
@@ -187,18 +207,22 @@ def read(name: str, rng: random.Random, folder: Path, *, wrong: bool = True) -> 
     if wrong and rng.random() < 0.1:
         plane = rng.choice(PLANES)
     try:
-        _read(name, path, plane)
+        extension = rng.choice(EXTENSIONS) if wrong and "extensions" in name else None
+        _read(name, path, plane, extension, partial=wrong and rng.random() < 0.5)
     except BadInput as error:
         assert str(error).strip() and "\n" not in str(error), "a refusal is one sentence"
         return False
     return True
 
 
-def _read(name: str, path: Path, plane: str | None) -> None:
+def _read(
+    name: str, path: Path, plane: str | None, extension: str | None, *, partial: bool
+) -> None:
     if name.startswith("mesh"):
         build_surfaces(scene_of(path))
         return
-    stack = read_frames(path, plane, axis="frame")
+    read_conditions(path, extension)
+    stack = read_frames(path, plane, axis="frame", extension=extension, partial=partial)
     assert stack.data.ndim == 3 and stack.data.size, "frames are pictures of rows and columns"
 
 
