@@ -73,6 +73,7 @@ class StackStatistics:
     bins: Bins  # bins of the spectra
     cube: Cube | None = None  # 3-D noise; None if not requested or the stack is too short
     entry: StackEntry | None = None  # the stack
+    averaged: int = 1  # number of frames of the camera of which each frame is the mean
 
     @property
     def data(self) -> NDArray:

@@ -155,3 +155,53 @@ def split_fields(data: NDArray, row_step: int) -> list[NDArray]:
     """
     rows = row_step * (data.shape[1] // row_step)
     return [data[:, parity:rows:row_step] for parity in range(row_step)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelChange:
+    """Change of the level within a stack: a step, or a slow drift."""
+
+    frames: int  # frames of the stack
+    after: int | None  # frames before the step; None of a drift
+    size_dn: float  # height of the step, or change from first to last frame, DN
+    departure_dn: float  # largest distance of the level of a frame from the mean of all, DN
+
+    def __str__(self) -> str:
+        way = "up" if self.size_dn > 0 else "down"
+        if self.after is None:
+            return f"drifts {way} by {abs(self.size_dn):.3g} DN from first to last frame"
+        return (
+            f"steps {way} by {abs(self.size_dn):.3g} DN after frame {self.after} of {self.frames}"
+        )
+
+
+def level_change(means: Array, noise_dn: float) -> LevelChange | None:
+    """Return the step or drift of the means of frames, shape (frame,), DN; None if there is none.
+
+    Of the best step and the line the one with the smaller residual is tested against no change by
+    the F distribution, over all positions of a step. `noise_dn`: standard deviation of a mean by
+    the noise of pixels, DN, at least which is expected of the residual.
+    """
+    from scipy.special import fdtrc
+
+    n = len(means)
+    if n < STACK.min_change_frames:
+        return None
+    means = means - means.mean()
+    at = np.arange(1, n)
+    before = np.cumsum(means)[:-1]
+    of_steps = before**2 * n / (at * (n - at))
+    time = np.linspace(-0.5, 0.5, n)
+    slope = float(time @ means / (time @ time))
+    of_line, best = slope**2 * float(time @ time), int(np.argmax(of_steps))
+    is_step = of_steps[best] > of_line
+    explained = max(float(of_steps[best]), of_line)
+    variance = max((float(means @ means) - explained) / (n - 2 - is_step), noise_dn**2, 1e-24)
+    if fdtrc(1, n - 2 - is_step, explained / variance) * n > STACK.false_alarm:
+        return None
+    if not is_step:
+        return LevelChange(frames=n, after=None, size_dn=slope, departure_dn=0.5 * abs(slope))
+    low, high = float(before[best] / at[best]), float(-before[best] / (n - at[best]))
+    return LevelChange(
+        frames=n, after=int(at[best]), size_dn=high - low, departure_dn=max(abs(low), abs(high))
+    )

@@ -101,6 +101,7 @@ class StackLimits:
     accumulated_sd: float = 5.0  # standard deviations above the next largest value
     block_frames: int = 32  # frames of a block: bounds memory and excludes slow drift
     false_alarm: float = 1e-4  # false-alarm probability of a flicker line or drift
+    min_change_frames: int = 5  # fewest frames of which a step or drift leaves a residual
     slow_noise_sd: float = 3.0  # standard errors of slow noise in near pairs of exposures
     slow_noise_fraction: float = 0.02  # slow noise over the pattern variance
     # largest slow noise beyond the last pairs, fraction of the variance

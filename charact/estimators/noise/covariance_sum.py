@@ -46,6 +46,7 @@ from charact.estimators.noise.gain.single_setting import (
     fit_single_setting,
     misfit_findings,
 )
+from charact.estimators.noise.gain.stack_agreement import as_single_frames, with_drift_of_darks
 from charact.estimators.noise.gain.undetected_correlation import allowance_of
 from charact.estimators.noise.gain.white_floor import floor_of
 from charact.estimators.noise.gain_separation import separate_gains
@@ -180,6 +181,7 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     temporal lags. See `charact.estimators.noise.gain.model`.
     """
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
+    darks, flats = as_single_frames(darks, flats)
     fields = fields_of(METHOD, context)
     result = _measure_levels(session, darks, flats, single, context, fields)
     result += three_dimensional([*darks, *flats], context=context)
@@ -266,7 +268,10 @@ def _measure_series(
     plain, noisy = findings_in(common), findings_in(remarks)
     out = [
         judged(
-            measurement_from_draws(name, unit, posterior[name], posterior=posterior, **fields),
+            with_drift_of_darks(
+                measurement_from_draws(name, unit, posterior[name], posterior=posterior, **fields),
+                series,
+            ),
             remarks,
         )
         for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))

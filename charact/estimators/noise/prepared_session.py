@@ -205,7 +205,11 @@ def prepare(session: Session, *, context: Context) -> Prepared:
 
 def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
     """Return the unit of the values, DN, and whether they are integers of it."""
-    step = common_step([survey.step_dn for survey in surveys])
+    steps = [survey.step_dn for survey in surveys]
+    step = common_step(steps)
+    if step is not None and step < 1.0 and 1.0 in steps:
+        # Averaged frames, whose steps are finer, keep the unit of single ones.
+        return 1.0, False
     if step is None:
         return 1.0, False
     if step > 0:

@@ -21,6 +21,11 @@ from charact.estimators.noise.findings import (
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import dark_findings, gain_curvature, light_findings
 from charact.estimators.noise.gain.series import FlatSeries, gain_obstacle, without_noise
+from charact.estimators.noise.gain.stack_agreement import (
+    averaging_notes,
+    dark_level_findings,
+    with_drift_of_darks,
+)
 from charact.estimators.noise.illumination import light_of_photons
 from charact.estimators.noise.thresholds import CHECKS, CORRELATION
 from charact.frames.rounding import (
@@ -130,7 +135,12 @@ def _dark_remarks(dark: StackStatistics, kind: str) -> Remarks:
     raised, lowered = clipping_effects(dark.low_fraction, noise_dn, dark.mean_dn)
     bound, sign = {"level": (raised, 1), "noise": (lowered, -1)}.get(kind, (None, 0))
     rounded = [] if kind == "level" else rounding_findings(dark.variance_dn2)
-    return [*dark_clipping(dark, bound, sign), *(rounded if kind == "noise" else bounded(rounded))]
+    of_kind = {"level": dark_level_findings(dark), "noise": averaging_notes([dark])}
+    return [
+        *dark_clipping(dark, bound, sign),
+        *(rounded if kind == "noise" else bounded(rounded)),
+        *of_kind.get(kind, []),
+    ]
 
 
 def _pattern_remarks(shown: Stacks[StackStatistics]) -> Remarks:
@@ -259,7 +269,7 @@ def electron_quantities(
         return [*out, make_refusal("read_noise", "e-", reason, **fields)]
     dark_e2 = np.maximum(square, 0.0) / slope**2
     read = measurement_from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **fields)
-    out.append(judge(read, why))
+    out.append(judge(with_drift_of_darks(read, series), why))
     # Capacity, largest signal-to-noise ratio and dynamic range, at the level of peak variance.
     names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
     if series.peak is None:

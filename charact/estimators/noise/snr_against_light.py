@@ -32,6 +32,7 @@ from charact.estimators.noise.gain.series import (
     series_of,
     without_noise,
 )
+from charact.estimators.noise.gain.stack_agreement import with_drift_of_darks
 from charact.estimators.noise.gain.undetected_correlation import temporally_correlated_fraction
 from charact.estimators.noise.illumination import (
     StatedIllumination,
@@ -396,5 +397,6 @@ def _ratios(
                 notes=(scope.sentence,),
                 **stack_fields,
             )
+            ratio = with_drift_of_darks(ratio, series, index)
             out.append(judged(ratio, [*remarks, *coarse]))
     return out

@@ -18,6 +18,7 @@ from charact.estimators.noise.thresholds import CHECKS
 from charact.frames.components import OWN, TIME, Component
 from charact.frames.cube import Cube, FrameMeans
 from charact.frames.stack_statistics import StackStatistics
+from charact.frames.temporal import level_change
 from charact.frames.thresholds import CUBE
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
@@ -161,7 +162,10 @@ def _frame_mean_findings(means: FrameMeans) -> list[Finding]:
     """Return findings of drift and flicker in the frame means."""
     out = []
     if means.drift_seen:
-        effect = f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame"
+        change = level_change(means.mean_dn, 0.0)
+        effect = (
+            f"the mean {change or f'drifts by {means.drift_dn:.3g} DN from first to last frame'}"
+        )
         out.append(finding("drift", effect))
     if means.line is not None:
         period = f"{means.frequency_cy_per_exposure[means.line]:.3g} cycles per exposure"

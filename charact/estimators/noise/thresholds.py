@@ -63,6 +63,18 @@ class CorrelationLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
+class AgreementLimits:
+    """Agreement of stacks with each other (`gain.stack_agreement`)."""
+
+    max_averaged: float = 1000.5  # frames of one mean; a finer step is that of other values
+    significant_sd: float = 4.0  # standard errors of unequal noise: 6e-5 of a normal distribution
+    # variance of flats at no light over that of the darks, less one: two frames averaged have 1,
+    # and a read noise that is wrong by less than a fifth is left to its interval
+    dark_variance_fraction: float = 0.5
+    min_change: float = 0.1  # change of a dark's level over the noise of a pixel that matters
+
+
+@dataclass(frozen=True, kw_only=True)
 class DarkCurrentLimits:
     """Dark current (`dark_current`)."""
 
@@ -325,6 +337,7 @@ class SweepLimits:
 
 CHECKS = CheckLimits()
 CORRELATION = CorrelationLimits()
+AGREEMENT = AgreementLimits()
 DARK_CURRENT = DarkCurrentLimits()
 SURVEY = SurveyLimits()
 PREDICTIVE = PredictiveLimits()

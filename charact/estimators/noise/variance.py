@@ -24,6 +24,7 @@ from charact.estimators.noise.gain.series import (
     read_levels,
     series_of,
 )
+from charact.estimators.noise.gain.stack_agreement import as_single_frames
 from charact.estimators.noise.gain.undetected_correlation import (
     allowance_of,
     spatially_correlated_fraction,
@@ -56,6 +57,7 @@ def variance(session: Session, *, context: Context) -> Result:
         Seed and settings.
     """
     darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
+    darks, flats = as_single_frames(darks, flats)
     cubes = three_dimensional([*darks, *flats], context=context)
     fields = fields_of(METHOD, context)
     series = series_of(flats, darks, single) if flats else None

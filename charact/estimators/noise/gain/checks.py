@@ -10,6 +10,12 @@ from charact.estimators.noise.findings import (
     findings_in,
 )
 from charact.estimators.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
+from charact.estimators.noise.gain.stack_agreement import (
+    averaging_notes,
+    dark_noise_findings,
+    drift_of_darks,
+    level_change_of,
+)
 from charact.estimators.noise.gain.stated_light import (
     light_statement_findings,
     proportionality_findings,
@@ -75,8 +81,11 @@ def slope_findings(series: FlatSeries) -> Remarks:
         _condition_findings,
         processing_findings,
         dark_findings,
+        dark_noise_findings,
+        drift_of_darks,
     ):
         remarks += part(series)
+    remarks += averaging_notes((*series.all_darks, *series.flats))
     linear_levels = int(series.fitted.sum())
     if linear_levels < CHECKS.min_levels:
         word = "level" if linear_levels == 1 else "levels"
@@ -308,14 +317,20 @@ def _stationarity_findings(series: FlatSeries) -> list[Finding]:
         series.flats, np.abs(series.signal_dn), series.variance_dn2, strict=True
     ):
         drift, flicker = drift_and_flicker(flat)
+        change = level_change_of(flat) or f"drifts by {drift:.3g} DN from first to last frame"
         pattern_dn2 = (
             np.inf
             if flat.cube is None
             else max(flat.spatial_variance_dn2, 0.0) + flat.cube.shading_dn**2
         )
         for flag, size, q, effect in (
-            ("drift", abs(drift), drift**2 / 12.0, f"drifts by {drift:.3g} DN from first to last"),
-            ("flicker", flicker, flicker**2, f"flickers by {flicker:.3g} DN rms from frame to"),
+            ("drift", abs(drift), drift**2 / 12.0, f"{flat.label} {change}"),
+            (
+                "flicker",
+                flicker,
+                flicker**2,
+                f"{flat.label} flickers by {flicker:.3g} DN rms from frame to frame",
+            ),
         ):
             if size > getattr(CHECKS, f"{flag}_fraction") * signal:
                 bound = (
@@ -326,7 +341,7 @@ def _stationarity_findings(series: FlatSeries) -> list[Finding]:
                 findings.append(
                     finding(
                         flag,
-                        f"{flat.label} {effect} frame",
+                        effect,
                         bound=float(bound) if np.isfinite(bound) else None,
                         sign=1,
                     )
