@@ -34,6 +34,10 @@ from charact.verdict import Finding
 from labdata import Array
 
 ALLOWED = "the interval includes what cannot be excluded"
+UNTESTED = (
+    "too few frames to test temporal correlation: frames averaged with earlier ones, or image lag, "
+    "would lower the variance"
+)
 CORRELATED = (
     "noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {:.2g} % low"
 )
@@ -288,7 +292,7 @@ def exposure_findings(exposures: UndetectedEffect) -> Remarks:
             )
         ]
     if exposures.is_untestable:
-        return [f"too few frames to test temporal correlation; {ALLOWED}"]
+        return [UNTESTED]
     return []
 
 

@@ -10,7 +10,7 @@ from charact.estimators.noise.gain.checks import exposure_findings
 from charact.estimators.noise.gain.fit import Fit, GainSpectrumOptimum, fit_spectrum
 from charact.estimators.noise.gain.model import blur_models
 from charact.estimators.noise.gain.pooled_noise import PooledNoise, pool_noise, pooling
-from charact.estimators.noise.gain.series import FlatSeries
+from charact.estimators.noise.gain.series import FlatSeries, has_intensifier
 from charact.estimators.noise.gain.undetected_correlation import (
     UndetectedEffect,
     spatially_correlated_fraction,
@@ -183,8 +183,9 @@ def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> 
         neighbours=neighbours,
         exposures=exposures,
     )
-    # Image lag that too few frames cannot exclude.
-    hidden = 0.0 if summary.lag.tested else exposures.allowance
+    # Image lag of a tube that too few frames cannot exclude.
+    tube = has_intensifier([level.conditions for level in (*series.flats, *series.darks)], context)
+    hidden = exposures.allowance if tube and not summary.lag.tested else 0.0
     return pooled.allowing(hidden, np.random.default_rng([context.seed, 6])) if hidden else pooled
 
 

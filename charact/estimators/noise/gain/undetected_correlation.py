@@ -70,12 +70,13 @@ class UndetectedEffect:
 def allowance_of(neighbours: UndetectedEffect, exposures: UndetectedEffect, *, tube: bool) -> float:
     """Return the relative standard deviation that undetected correlations add to the gain.
 
-    Behind a tube, correlations are expected, so everything a test cannot exclude counts.
+    Behind a tube, correlations are expected, so everything a test cannot exclude counts. Without
+    one the gain is the slope of the variance between frames (EMVA 1288 Release 4, 6.6), whatever
+    they have in common; crosstalk of neighbours that is detected has its own finding.
     """
-    parts = [
-        effect.allowance if tube else effect.posterior_rms for effect in (neighbours, exposures)
-    ]
-    return float(np.hypot(parts[0], parts[1]))
+    if tube:
+        return float(np.hypot(neighbours.allowance, exposures.allowance))
+    return 0.0 if neighbours.is_detected else neighbours.posterior_rms
 
 
 def spatially_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
