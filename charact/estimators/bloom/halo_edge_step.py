@@ -1,105 +1,236 @@
-"""Radial profile of one stack, and the halo edge as its steepest step."""
+"""Rim of a halo: a step in the light of the rings, under any smooth curve.
+
+    L(r) = sum_k c_k T_k(z) + a kink(r; R) + sum_j [p_j disc(r; R) + q_j rim(r; R)] * G(s_j)
+
+within some px of the radius R of the edge, z the distance from its middle over the half width of
+that window: the T_k, Chebyshev polynomials, are core, wing, glare and background; disc is 1 inside
+R, rim 1/sqrt(1 - r^2/R^2) (electrons scattered back without loss), kink 1 - r^2/R^2; G(s) is a
+Gaussian with the pixel's aperture. Blurs are mixtures of Gaussians, so that p_j, q_j >= 0 allow
+every blur that is narrow beside the window (non-negative least squares, Lawson and Hanson 1974).
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from charact.estimators.bloom.lit_edge_profile import smooth_variance
-from charact.estimators.bloom.point_stack import PointStack
-from charact.estimators.bloom.series.rings import SECTORS, geometry_of
-from charact.frames.clipping import is_cut
-from charact.method import Context
-from labdata import Array, Mask
+from charact.estimators.bloom.series.halo_models import FREQUENCIES, onto_nodes, pixel_of
+from charact.estimators.bloom.series.likelihood import RingSeries
+from charact.estimators.bloom.thresholds import RIM
+from charact.transfer import spreads
+from charact.transfer.tables import disc
+from labdata import Array
+
+# Standard deviations of the blurs, px.
+BLURS_PX = np.geomspace(0.5, 5.0, 14)
+# Blur of the kink, whose own hardly shows, px.
+KINK_BLUR_PX = np.array([1.2])
+# Half width of the window, px and fraction of the radius; rings next to the edge do not count as
+# inside or outside.
+HALF_WINDOW_PX, HALF_WINDOW, ON_EDGE_PX = 10.0, 0.5, 1.5
+# Degrees of the smooth curve, and that of the curve without a step, which has as many terms.
+DEGREES, DEGREE_ALONE = (2, 3, 4, 5), 6
+# Degrees with discs alone, and with discs and rims.
+MODELS = [(degree, parts) for degree in DEGREES for parts in (1, 2)]
+# Distance from the most significant radius within which the edge is sought, px.
+SEARCH_PX = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Profile:
-    """Ring means of one stack.
+class Rim:
+    """Edge of a halo in a series of rings.
 
-    `radius_px`: mean radius of each ring, column pitches; `mean_dn`, `sd_dn`: ring means and their
-    standard errors, DN; `usable`: rings neither saturated nor next to a saturated one; shape
-    (ring,) each.
+    `significance`: by how much a step is more likely than a smooth curve alone, standard errors;
+    `radius_px`, `probability`: radii of the edge and their probabilities, shape (radius,);
+    `blur_px`: standard deviation of the blur of the edge, px; `stack_diameters`: diameter, its
+    standard error and significance of each stack, shape (3, level), NaN without a window.
     """
 
+    significance: float
     radius_px: Array
-    mean_dn: Array
-    sd_dn: Array
-    usable: Mask
+    probability: Array
+    blur_px: float
+    stack_diameters: Array
+
+    @property
+    def diameter_px(self) -> float:
+        """Mean diameter, px."""
+        return 2.0 * float(self.probability @ self.radius_px)
+
+    def why_no_edge(self, core_px: float) -> str | None:
+        """Why there is no halo with an edge, beside the blur of the core, px; None where there is
+        one.
+        """
+        if self.significance < RIM.least_sd:
+            return (
+                f"no halo with an edge: the clearest step of the rings, {self.diameter_px:.0f} px "
+                f"wide, stands {self.significance:.1f} standard errors above a smooth curve, fewer "
+                f"than {RIM.least_sd:g}"
+            )
+        if self.blur_px > max(RIM.soft_px, RIM.soft_cores * core_px):
+            return (
+                f"no halo with an edge: the light falls to half of its step at a diameter of "
+                f"{self.diameter_px:.1f} px, over a width (standard deviation) of "
+                f"{self.blur_px:.1f} px"
+            )
+        return None
+
+    def draws(self, count: int, seed: int) -> Array:
+        """Return diameters spread as their probability, px, shape (draw,)."""
+        at = (np.arange(count) + 0.5) / count
+        radii = np.interp(at, np.cumsum(self.probability), self.radius_px)
+        return 2.0 * np.random.default_rng([seed, 5]).permutation(radii)
 
 
-def profile_of(spot: PointStack, *, context: Context) -> Profile:
-    """Average a stack's mean frame over rings one column pitch wide, without the source's columns
-    beyond 6 px.
+Parts = tuple[Array, Array]
 
-    Standard errors come from the scatter of sectors of each ring, which includes correlated noise
-    of pixels and successive frames, and are smoothed over rings.
+
+def parts_of(radius_px: Array, series: RingSeries, pitch_ratio: float) -> Parts:
+    """Light at the nodes of edges at some radii: discs, then rims, of each blur, shape (radius, 2
+    blur, node), and the kink, shape (radius, node).
     """
-    rows, cols = spot.image.shape
-    reach_px = int(max(8, min(60, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
-    dx, dy = np.arange(cols) - spot.col, (np.arange(rows)[:, None] - spot.row) * context.pitch_ratio
-    column = (np.abs(dx) <= 2.5) & (np.hypot(dx, dy) >= 6.0)
-    geometry = geometry_of(
-        (rows, cols),
-        spot.row,
-        spot.col,
-        pitch_ratio=context.pitch_ratio,
-        spoiled=column,
-        reach_px=reach_px,
-    )
-    pixels = geometry.pixels(spot.image[None])[0]
-    mean, brightest = geometry.means(pixels), geometry.largest(pixels)
-    raw = np.nansum((geometry.sector_means(pixels) - mean) ** 2, axis=0) / (SECTORS * (SECTORS - 1))
-    # Rings outside the saturated core, and inside any saturated outer ring.
-    usable = np.ones(len(mean), bool)
-    over = np.flatnonzero(is_cut(mean, brightest, spot.dark_dn, spot.full_scale_dn))
-    inner, outer = over[over < reach_px // 2], over[over >= reach_px // 2]
-    usable[: int(inner[-1]) + 3 if len(inner) else 0] = False
-    usable[int(outer[0]) if len(outer) else len(usable) :] = False
-    return Profile(
-        radius_px=geometry.radius_px,
-        mean_dn=mean,
-        usable=usable,
-        sd_dn=np.maximum(
-            np.sqrt(smooth_variance(raw * geometry.count, 0.06) / geometry.count), 1e-3
-        ),
-    )
+    u = 2.0 * np.pi * radius_px[:, None] * FREQUENCIES
+    (flat, slope), area = disc(u), np.pi * radius_px[:, None] ** 2
+    bare = np.stack([area * flat, area * np.sinc(u / np.pi)], axis=1)[:, :, None]
+    blurs = spreads.gaussian(FREQUENCIES, BLURS_PX**2) * pixel_of(pitch_ratio)
+    steps = (bare * blurs).reshape(len(u), -1, FREQUENCIES.size)
+    # Sonine: the transform of 1 - x^2 is 8 J2(u)/u^2, and the slope of the disc's is -2 J2(u)/u.
+    kink = -2.0 * area * slope / u * spreads.gaussian(FREQUENCIES, KINK_BLUR_PX**2)
+    nodes = onto_nodes(series.node_px)
+    return steps @ nodes, kink * pixel_of(pitch_ratio) @ nodes
 
 
-FIRST_RING = 8
-STEP_SEEN = 6.0
+@dataclass(frozen=True, kw_only=True)
+class RimWindow:
+    """Rings of one stack about an edge.
 
-
-def step_significance(profile: Profile) -> Array:
-    """Return the excess of each ring's step over its neighbours' in standard errors, shape (ring,);
-    0 where unusable.
-
-    A smooth wing falls ever more slowly, so that the step at r is about the mean of the steps
-    inside and outside. At the edge of a disc it exceeds them.
+    `position`: distance from the middle over the half width, shape (ring,); `whitener`; `data`,
+    `averages`: ring means, and the matrix from nodes to them, whitened.
     """
-    mean, variance, half = profile.mean_dn, profile.sd_dn**2, 2
-    out = np.zeros(len(mean))
-    for ring in range(FIRST_RING, len(mean) - 3 * half):
-        rings = ring + half * np.array([-3, -1, 1, 3])
-        if not profile.usable[rings[0] : rings[3] + 1].all():
-            continue
-        weight = np.array([-0.5, 1.5, -1.5, 0.5])
-        out[ring] = weight @ mean[rings] / np.sqrt(weight**2 @ variance[rings])
-    return out
+
+    position: Array
+    whitener: Array
+    data: Array
+    averages: Array
+
+    def smooth(self, degree: int) -> Array:
+        """Whitened terms of the smooth curve, shape (ring, term)."""
+        return self.whitener @ np.polynomial.chebyshev.chebvander(self.position, degree)
+
+    def chi2_alone(self) -> float:
+        """Chi squared of a smooth curve without a step."""
+        free, _ = np.linalg.qr(self.smooth(DEGREE_ALONE))
+        return float(np.sum((self.data - free @ (free.T @ self.data)) ** 2))
+
+    def chi2(self, parts: Parts, degree: int, blurs: int) -> tuple[Array, float]:
+        """Chi squared with one of the first steps at each radius, and the blur of the best,
+        px.
+        """
+        from scipy.optimize import nnls
+
+        smooth, chi2, blur_px = self.smooth(degree), [], []
+        for steps, kink in zip(*parts, strict=True):
+            free, _ = np.linalg.qr(np.column_stack([smooth, self.averages @ kink]))
+            design = np.column_stack([self.averages @ steps[:blurs].T, self.data])
+            design -= free @ (free.T @ design)
+            weight, residual = nnls(design[:, :-1], design[:, -1])
+            chi2.append(residual**2)
+            by_blur = weight.reshape(-1, len(BLURS_PX)).sum(axis=0)
+            # That of the steepest slope: slopes of steps are in proportion to their 1/s.
+            blur_px.append(by_blur.sum() / max(by_blur @ BLURS_PX**-1.0, 1e-300))
+        return np.array(chi2), blur_px[int(np.argmin(chi2))]
+
+    def freedom(self, degree: int) -> float:
+        """Degrees of freedom beside curve, kink, and height, blur and radius of the step."""
+        return max(len(self.data) - degree - 5.0, 1.0)
 
 
-def edge_radius(profile: Profile) -> tuple[float, float]:
-    """Return the radius of the steepest fall at the most significant step, and the significance."""
-    score = step_significance(profile)
-    top = int(np.argmax(score))
-    if score[top] <= 0:
-        return float("nan"), 0.0
-    rings = np.arange(max(FIRST_RING, top - 4), min(len(score) - 2, top + 5))
-    rings = rings[profile.usable[rings - 1] & profile.usable[rings + 1]]
-    fall = profile.mean_dn[rings - 1] - profile.mean_dn[rings + 1]
-    best = int(np.argmax(fall))
-    if not 0 < best < len(rings) - 1:
-        return float(profile.radius_px[rings[best]]), float(score[top])
-    inner_fall, middle_fall, outer_fall = fall[best - 1 : best + 2]
-    bend = inner_fall - 2 * middle_fall + outer_fall
-    shift = 0.5 * (inner_fall - outer_fall) / bend if bend < 0 else 0.0
-    return float(profile.radius_px[rings[best]] + np.clip(shift, -0.5, 0.5)), float(score[top])
+def window_of(series: RingSeries, level: int, middle_px: float) -> RimWindow | None:
+    """Return the rings of a stack about a radius; None where too few are left on either side."""
+    half_px, away = min(HALF_WINDOW_PX, HALF_WINDOW * middle_px), series.radius_px - middle_px
+    usable = series.usable[level] & (np.abs(away) <= half_px)
+    if min(np.sum(usable & (way * away > ON_EDGE_PX)) for way in (-1, 1)) < RIM.rings_beside:
+        return None
+    data, covariance = series.data[level, usable], series.own_covariance[level][usable][:, usable]
+    floor = (RIM.model_error * np.ptp(data)) ** 2
+    whitener = np.linalg.inv(np.linalg.cholesky(covariance + floor * np.eye(len(data))))
+    return RimWindow(
+        position=away[usable] / half_px,
+        whitener=whitener,
+        data=whitener @ data,
+        averages=whitener @ series.averages[level, usable],
+    )
+
+
+def rim_of(series: RingSeries, *, pitch_ratio: float, has_tube: bool) -> Rim | None:
+    """Find the edge of a halo; None where no rings are left to look for it.
+
+    `series`: ring means of all stacks; `pitch_ratio`: row pitch over column pitch; `has_tube`:
+    whether the electrons of a tube may give the halo a rim; elsewhere the rim costs as much as its
+    improbability.
+
+    Notes
+    -----
+    Degrees of the curve, with and without a rim, are averaged with weights exp(-chi^2 / 2 - terms);
+    chi^2 of a stack is divided by that of its best model per degree of freedom, and where the
+    stacks disagree the radii spread by the root of their chi^2 (Birge 1932).
+    """
+    levels, rim_cost = range(len(series.labels)), 0.0 if has_tube else RIM.cost
+    scan_px = np.arange(SEARCH_PX + KINK_BLUR_PX[0], series.radius_px[-1] - SEARCH_PX)
+    steps, kinks = parts_of(scan_px, series, pitch_ratio)
+    gains = np.full((len(scan_px), len(levels)), np.nan)
+    for at, middle_px in enumerate(scan_px):
+        for level in levels:
+            window = window_of(series, level, middle_px)
+            if window is not None:
+                parts = steps[at, None], kinks[at, None]
+                chi2 = float(window.chi2(parts, DEGREES[1], steps.shape[1])[0][0])
+                scale = max(chi2 / window.freedom(DEGREES[1]), 1.0)
+                gains[at, level] = max(window.chi2_alone() - chi2, 0.0) / scale
+    if np.isnan(gains).all():
+        return None
+    middle = int(np.argmax(np.nansum(gains, axis=1)))
+    windows = {
+        level: window
+        for level in levels
+        if (window := window_of(series, level, scan_px[middle])) is not None
+    }
+    centre_px, reach_px = scan_px[middle], SEARCH_PX
+    for _ in range(2):
+        radii = np.linspace(centre_px - reach_px, centre_px + reach_px, 31)
+        fine = np.linspace(radii[0], radii[-1], 601)
+        parts = parts_of(radii, series, pitch_ratio)
+        fits = [
+            [window.chi2(parts, degree, rims * len(BLURS_PX)) for window in windows.values()]
+            for degree, rims in MODELS
+        ]
+        chi2 = np.array([[CubicSpline(radii, chi2)(fine) for chi2, _ in fit] for fit in fits])
+        freedom = [[window.freedom(degree) for window in windows.values()] for degree, _ in MODELS]
+        chi2 /= np.maximum((chi2.min(axis=2) / freedom).min(axis=0), 1.0)[:, None]
+        cost = [2.0 * degree * len(windows) + (rims - 1.0) * rim_cost for degree, rims in MODELS]
+        ln = -0.5 * (chi2.sum(axis=1) + np.array(cost)[:, None])
+        probability = np.exp(ln - ln.max()).sum(axis=0)
+        centre_px, sd_px = moments(fine, probability)
+        reach_px = min(6.0 * float(sd_px) + 0.1, SEARCH_PX)
+    best = int(np.argmax(ln.max(axis=1)))
+    alone = np.exp(-0.5 * (chi2[best] - chi2[best].min(axis=1, keepdims=True)))
+    mean, sd = moments(fine, alone)
+    sd = np.hypot(sd, RIM.error_px)
+    apart = float(np.sum(((mean - np.average(mean, weights=sd**-2.0)) / sd) ** 2))
+    wider = np.sqrt(max(apart / max(len(mean) - 1, 1), 1.0))
+    stacks = np.full((3, len(levels)), np.nan)
+    stacks[:, list(windows)] = 2.0 * mean, 2.0 * sd, np.sqrt(gains[middle, list(windows)])
+    return Rim(
+        significance=float(np.sqrt(np.nansum(gains[middle]))),
+        radius_px=centre_px + wider * (fine - centre_px),
+        probability=probability / probability.sum(),
+        blur_px=float(fits[best][int(np.nanargmax(gains[middle, list(windows)]))][1]),
+        stack_diameters=stacks,
+    )
+
+
+def moments(radius_px: Array, probability: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation of radii by their probabilities, shape (.., radius)."""
+    weight = probability / probability.sum(axis=-1, keepdims=True)
+    mean = weight @ radius_px
+    return mean, np.sqrt(np.maximum(weight @ radius_px**2 - mean**2, 0.0))

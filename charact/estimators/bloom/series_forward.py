@@ -14,7 +14,7 @@ from charact.estimators.bloom.extent_measurements import (
     series_evidence,
 )
 from charact.estimators.bloom.findings import DIAMETERS, finding
-from charact.estimators.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
+from charact.estimators.bloom.halo_edge_step import Rim, rim_of
 from charact.estimators.bloom.point_stack import DETECTED, PointStack, read_point_stacks
 from charact.estimators.bloom.series.extent_comparison import compare_extents
 from charact.estimators.bloom.series.likelihood import select_levels
@@ -24,7 +24,6 @@ from charact.estimators.bloom.series.model_selection import (
     candidates,
     halo_refusal_reason,
     is_uneven,
-    own_diameters,
 )
 from charact.estimators.bloom.series.optimum import optimise
 from charact.estimators.bloom.series.ring_series import build_ring_series
@@ -34,28 +33,24 @@ from charact.estimators.bloom.series.series_measurements import (
     energy_radius_measurements,
     glare_measurements,
     halo_measurements,
-    levels_apart,
     mcp_saturation_measurements,
     nearest_px,
+    refuse_halo,
 )
 from charact.estimators.bloom.series_consistency import check_consistency
 from charact.estimators.bloom.smear import smear_measurement
-from charact.estimators.bloom.thresholds import CUT_SD, Unmeasurable
+from charact.estimators.bloom.thresholds import CUT_SD, RIM, Unmeasurable
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
 from charact.verdict import Finding, judge
-from labdata import Array, Measurement, Posterior, Result, Session, has_tube, make_refusal
+from labdata import Posterior, Result, Session, has_tube
 
 
 def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
     """Ring means of all stacks with the selected model, normalised residuals, and each stack's own
     halo.
     """
-    problem, point, stack_diameters = (
-        fit.best.problem,
-        fit.best.peak.point[None],
-        fit.stack_diameters,
-    )
+    problem, point, rim = fit.best.problem, fit.best.peak.point[None], fit.rim
     series = problem.series
     model, solved = problem.rings(point)[..., 0], problem.solve_amplitudes(point)
     sd = np.sqrt(np.diagonal(series.covariance(problem.misfit), axis1=1, axis2=2))
@@ -78,20 +73,17 @@ def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
         "freedom": int(series.data.size - 2 * len(series.data) - point.size),
         "halo_diameter_px": None,
     }
-    if stack_diameters is None:
+    if rim is None or fit.no_edge is not None:
         return {"point-profile": data}
-    names = ("halo_diameter", "elastic_share", "halo_fraction")
-    joint, elastic, fraction = (float(np.median(fit.posterior[name])) for name in names)
-    data |= {
-        "halo_diameter_px": joint,
-        "elastic_share": elastic,
-        "halo_share": [fraction] * len(series.labels),
-    }
-    is_measured = np.isfinite(stack_diameters[0])
-    diameter, sd = (
-        stack_diameters[0][is_measured],
-        np.maximum(stack_diameters[1][is_measured], 1e-6),
-    )
+    joint, is_measured = rim.diameter_px, np.isfinite(rim.stack_diameters[0])
+    data["halo_diameter_px"] = joint
+    elastic = None
+    if fit.no_disc is None:
+        elastic, fraction = (
+            float(np.median(fit.posterior[name])) for name in ("elastic_share", "halo_fraction")
+        )
+        data |= {"elastic_share": elastic, "halo_share": [fraction] * len(series.labels)}
+    diameter, sd, significance = rim.stack_diameters[:, is_measured]
     uniformity = {
         "figure": "halo-constancy",
         "label": [
@@ -99,7 +91,7 @@ def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
         ],
         "halo_diameter_px": diameter.tolist(),
         "interval95_px": np.stack([diameter - 1.96 * sd, diameter + 1.96 * sd], axis=1).tolist(),
-        "significance": stack_diameters[2][is_measured].tolist(),
+        "significance": significance.tolist(),
         "joint_px": joint,
         "joint_elastic_share": elastic,
         "chi2_of_constancy": float((((diameter - joint) / sd) ** 2).sum()),
@@ -174,8 +166,9 @@ def series_forward(session: Session, *, context: Context) -> Result:
     Cores (Gaussian, image tube, Gaussian with a Moffat wing) and halos (none, a disc of
     backscattered electrons, Gaussian) are fitted to the ring means of all stacks together and
     selected by the Bayesian information criterion. Each stack has its own source signal and
-    background. A halo is reported only if the disc is clearly the best model with a well-determined
-    edge.
+    background. The halo's diameter is that of the step that the rings show under any smooth curve,
+    whatever the models of core and wings; its light is reported if a disc is clearly the best
+    model.
     """
     spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
@@ -185,9 +178,7 @@ def series_forward(session: Session, *, context: Context) -> Result:
     )
     try:
         fit = _fit_series(session, spots, context, fields)
-        measured = (
-            halo_measurements(fit) if fit.reason is None else _refuse_halo(fit.reason, fields)
-        )
+        measured = halo_measurements(fit)
         measured += energy_radius_measurements(fit) + glare_measurements(fit)
         measured += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
         evidence = profile_evidence(fit) | forms_evidence(fit.forms, quick=context.quick)
@@ -203,7 +194,7 @@ def series_forward(session: Session, *, context: Context) -> Result:
         else:
             extents = compare_extents(fit.best, fit.group, extents)
     except Unmeasurable as refusal:
-        measured = _refuse_halo(str(refusal), fields)
+        measured = refuse_halo(str(refusal), OF_THE_HALO, fields)
     smear, of_smear = smear_measurement(spots, context, **fields)
     steady = check_consistency(session, spots, context, **fields)
     halo = evidence.get("halo-constancy", {"label": (), "halo_diameter_px": ()})
@@ -221,10 +212,6 @@ def _has_tube(group: tuple[PointStack, ...], context: Context) -> bool:
     return has_tube(context.camera) or any(spot.conditions.mcp_v is not None for spot in group)
 
 
-def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
-    return [make_refusal(quantity, unit, reason, **fields) for quantity, unit in OF_THE_HALO]
-
-
 def _fit_series(
     session: Session, spots: tuple[PointStack, ...], context: Context, fields: dict[str, Any]
 ) -> FittedSeries:
@@ -234,28 +221,28 @@ def _fit_series(
         raise Unmeasurable("no point source is detected")
     series, group = build_ring_series(session, clear, context=context)
     context.progress("blur models of the source", 0.9)
-    # The stack that shows the halo's edge most significantly.
-    edges = [edge_radius(profile_of(spot, context=context)) for spot in group]
-    radius, significance = max(edges, key=lambda edge: edge[1])
+    tube = _has_tube(group, context)
+    rim = rim_of(series, pitch_ratio=context.pitch_ratio, has_tube=tube)
+    is_step = rim is not None and rim.significance > RIM.least_sd
     forms = candidates(
         series,
         pitch_ratio=context.pitch_ratio,
         sensor=context.camera,
-        has_tube=_has_tube(group, context),
-        first_diameter_px=2 * radius if significance > STEP_SEEN else float("nan"),
+        has_tube=tube,
+        first_diameter_px=rim.diameter_px if is_step else float("nan"),
     )
     context.progress("posterior of the series", 0.95)
     posterior = _posterior(forms[0], context)
-    reason = halo_refusal_reason(forms)
-    stack_diameters = own_diameters(forms[0]) if reason is None else None
-    findings = _findings(forms[0], posterior, stack_diameters)
+    core_px = forms[0].peak.point[forms[0].form.names.index("core_sd")]
+    findings = _findings(forms[0], posterior, rim)
     if is_quantised(min(group, key=lambda spot: spot.full_scale_dn - spot.dark_dn)):
         findings.append(finding("quantised"))
     return FittedSeries(
         forms=forms,
-        reason=reason,
+        rim=rim,
+        no_edge=None if rim is None else rim.why_no_edge(core_px),
+        no_disc=halo_refusal_reason(forms),
         posterior=posterior,
-        stack_diameters=stack_diameters,
         group=group,
         findings=findings,
         notes=_notes(context, group, spots),
@@ -303,23 +290,12 @@ def misfit_findings(best: FittedHaloModel) -> list[Finding]:
     return [finding("model-misfit", deviation)]
 
 
-def _findings(
-    best: FittedHaloModel, posterior: Posterior, stack_diameters: tuple[Array, Array, Array] | None
-) -> list[Finding]:
+def _findings(best: FittedHaloModel, posterior: Posterior, rim: Rim | None) -> list[Finding]:
     """Findings of the series; bounds of nuisance parameters are ignored."""
-    from scipy.special import chdtrc
-
     findings = [finding(flag) for flag in posterior.flags if flag != "prior-bound"]
     findings += misfit_findings(best)
-    if stack_diameters is None:
-        return findings
-    diameter = float(np.median(posterior["halo_diameter"]))
-    if diameter / 2.0 > 0.92 * best.problem.series.radius_px[-1]:
+    if rim is not None and rim.diameter_px / 2.0 > 0.92 * best.problem.series.radius_px[-1]:
         findings.append(finding("window-too-small"))
-    chi2, freedom = levels_apart(stack_diameters)
-    if freedom and chdtrc(freedom, chi2) < 1e-4:
-        effect = "the stacks have halos of different diameters"
-        findings.append(finding("model-misfit", effect))
     return findings
 
 

@@ -15,7 +15,7 @@ from charact.estimators.bloom.extent_measurements import (
     series_evidence,
 )
 from charact.estimators.bloom.findings import finding
-from charact.estimators.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of
+from charact.estimators.bloom.halo_edge_step import rim_of
 from charact.estimators.bloom.point_stack import (
     DETECTED,
     PointStack,
@@ -23,6 +23,8 @@ from charact.estimators.bloom.point_stack import (
     read_point_stacks,
     spot_of,
 )
+from charact.estimators.bloom.series.ring_series import build_ring_series
+from charact.estimators.bloom.series.series_measurements import NO_RINGS
 from charact.estimators.bloom.source_view import SECTORS, Background, SourceView, view_of
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.stack import Stack
@@ -40,7 +42,6 @@ from labdata import (
     has_tube,
     make_refusal,
     measurement_from_draws,
-    measurement_from_sd,
 )
 
 SHARES = (0.5, 0.9)
@@ -194,7 +195,7 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     out = [
         *extents((spot,)),
         *_energy_radii(spot, stack, context, of_spot),
-        _halo(spot, context, of_spot),
+        _halo(session, spot, context, of_spot),
     ]
     out += [
         make_refusal(quantity, unit, reason, refusal="missing", **of_spot)
@@ -247,27 +248,23 @@ def _energy_radii(
     ]
 
 
-def _halo(spot: PointStack, context: Context, common: dict[str, Any]) -> Measurement:
-    """Diameter of the halo where the ring profile has a clear step."""
-    if spot.significance < DETECTED:
-        return make_refusal("halo_diameter", "px", "no point source is detected", **common)
-    radius, significance = edge_radius(profile_of(spot, context=context))
-    if significance >= STEP_SEEN:
-        notes = (
-            (
-                "the steepest step of the rings; only a series of stacks distinguishes it from "
-                "other steps"
-            ),
-        )
-        return measurement_from_sd(
-            "halo_diameter", "px", 2 * radius, 2 * 0.7, notes=notes, **common
-        )
-    reason = (
-        "the rings show no step: a brighter stack, with its halo above the noise, would show one"
-    )
-    if spot.clip is not None and spot.clip.diameter_px > 16.0:
-        reason = (
-            "the frame is clipped beyond any step of the rings: a fainter stack would show "
-            "the halo's edge"
-        )
-    return make_refusal("halo_diameter", "px", reason, **common)
+def _halo(
+    session: Session, spot: PointStack, context: Context, common: dict[str, Any]
+) -> Measurement:
+    """Diameter of the halo where the rings have a clear step."""
+    try:
+        if spot.significance < DETECTED:
+            raise Unmeasurable("no point source is detected")
+        series, _ = build_ring_series(session, (spot,), context=context)
+        tube = has_tube(context.camera)
+        rim = rim_of(series, pitch_ratio=context.pitch_ratio, has_tube=tube)
+        no_edge = NO_RINGS if rim is None else rim.why_no_edge(0.0)
+        if rim is not None and no_edge is None:
+            draws = rim.draws(DRAWS, context.seed)
+            notes = ("the clearest step of the rings; only a series distinguishes it from others",)
+            return measurement_from_draws("halo_diameter", "px", draws, notes=notes, **common)
+        cut = spot.clip is not None and spot.clip.diameter_px > 16.0
+        fainter = "the frame is clipped beyond any step of the rings: a fainter stack would show it"
+        raise Unmeasurable(fainter if cut else f"{no_edge}; a brighter stack may show one")
+    except Unmeasurable as refusal:
+        return make_refusal("halo_diameter", "px", str(refusal), **common)

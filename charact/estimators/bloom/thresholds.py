@@ -2,6 +2,8 @@
 stays beyond one.
 """
 
+from dataclasses import dataclass
+
 
 class Unmeasurable(Exception):
     """What is sought cannot be measured; the message becomes the refusal's reason."""
@@ -23,3 +25,26 @@ MOST_DEFECTS = 0.01
 # Distance of a Gaussian's optimum from the median of its draws, over their standard deviation,
 # above which bounds truncate it: half of the 1.1 of a bound through the optimum.
 CUT_SD = 0.5
+
+
+@dataclass(frozen=True)
+class RimThresholds:
+    """Decide about the edge of a halo; set on discs and smooth halos drawn by tests/cases."""
+
+    # Step over a smooth curve alone, standard errors: the largest of the some 60 radii of a smooth
+    # halo has 4, that of a disc of 2 % of the light 8 and more.
+    least_sd: float = 6.0
+    # Rings on either side of the edge that a step needs.
+    rings_beside: int = 3
+    # Error of a ring over the height of the window: pixels and centre that are not as modelled.
+    model_error: float = 3e-3
+    # -2 ln of the prior probability of a rim where no tube makes one.
+    cost: float = 20.0
+    # Blur of a step that is no edge, px, and standard deviations of the core.
+    soft_px: float = 3.0
+    soft_cores: float = 2.0
+    # Error of a radius by the centre and the shape of pixels, px.
+    error_px: float = 0.02
+
+
+RIM = RimThresholds()

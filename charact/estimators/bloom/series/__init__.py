@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     )
     from charact.estimators.bloom.series.ring_series import build_ring_series
     from charact.estimators.bloom.series.rings import geometry_of, level_of, noise_of
-    from charact.estimators.bloom.series.series_measurements import levels_apart
 
 __all__ = [
     "HaloModel",
@@ -29,7 +28,6 @@ __all__ = [
     "candidates",
     "geometry_of",
     "level_of",
-    "levels_apart",
     "lost_at_top",
     "noise_of",
     "residuals_and_slopes",
@@ -49,6 +47,5 @@ __getattr__ = import_on_first_use(
         ),
         "charact.estimators.bloom.series.ring_series": "build_ring_series",
         "charact.estimators.bloom.series.rings": "geometry_of level_of noise_of",
-        "charact.estimators.bloom.series.series_measurements": "levels_apart",
     },
 )

@@ -69,6 +69,8 @@ def modes_of(covariance: Array) -> Modes:
     return Modes(variance=np.maximum(variance, 0.0), modes=modes)
 
 
+# Standard error of a ring whose pixels are excluded, DN.
+LOST_DN = 1e5
 # Minimum signal of a ring for its relative error, DN.
 LEAST_LIGHT_DN = 1e-6
 
@@ -96,6 +98,14 @@ class RingSeries:
     node_px: Array
     radius_px: Array
     full_dn: float
+
+    @cached_property
+    def usable(self) -> Mask:
+        """Rings outside a clipped core and its neighbour that are not lost, shape (level, ring)."""
+        inside = np.cumsum(self.cut[:, ::-1], axis=1)[:, ::-1] > 0
+        inside[:, 1:] |= inside[:, :-1]
+        variance = np.diagonal(self.own_covariance, axis1=1, axis2=2)
+        return ~inside & (variance < LOST_DN**2)
 
     @cached_property
     def light(self) -> Array:
@@ -163,7 +173,8 @@ def series_of(
     first = geometries[0]
     data = np.array([level.mean_dn[:rings] for level in levels])
     covariances = [
-        noise.covariance(means, of.count, level.frames) + np.diag(np.where(of.lost, 1e5**2, 0.0))
+        noise.covariance(means, of.count, level.frames)
+        + np.diag(np.where(of.lost, LOST_DN**2, 0.0))
         for means, level, of in zip(data, levels, geometries, strict=True)
     ]
     nodes = np.array([np.interp(first.node_px, first.radius_px, means) for means in data])

@@ -13,7 +13,7 @@ from charact.estimators.bloom.series.halo_models import (
     Halo,
     HaloModel,
 )
-from charact.estimators.bloom.series.likelihood import RingSeries, SeriesLikelihood, select_levels
+from charact.estimators.bloom.series.likelihood import RingSeries, SeriesLikelihood
 from charact.estimators.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
 from charact.estimators.bloom.series.optimum import BoundedOptimum, optimise
 from charact.estimators.bloom.series.rings import SECTORS
@@ -236,56 +236,7 @@ def halo_refusal_reason(models: list[FittedHaloModel]) -> str | None:
             f"the data fit a {rival.name} nearly as well as a halo with an edge: no halo is "
             f"reported"
         )
-    return (
-        None
-        if edge_is_tied(best)
-        else "no halo edge: discs of clearly different diameters fit equally well"
-    )
-
-
-def edge_is_tied(best: FittedHaloModel) -> bool:
-    """Whether other diameters are clearly less probable with all other parameters free."""
-    problem, at = best.problem, best.form.names.index("halo_diameter")
-    low, high = best.form.bounds[at]
-    for factor in (0.8, 1.25):
-        start = best.peak.point.copy()
-        start[at] = np.clip(factor * start[at], low, high)
-        other = optimise(problem, start, fixed=(at,), iterations=8)
-        if best.peak.log_probability - other.log_probability < 12.5:
-            return False
-    return True
-
-
-def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
-    """Diameter and standard error from each stack alone, with common core and profile, and their
-    significance.
-
-    Returns shape (level,) each; NaN for a stack without visible halo.
-    """
-    names = best.form.names
-    fixed = tuple(
-        i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction")
-    )
-    at, fraction_index = names.index("halo_diameter"), names.index("halo_fraction")
-    number = np.arange(len(best.problem.series.data))
-    out = np.full((3, len(number)), np.nan)
-    for level in number:
-        alone = replace(best.problem, series=select_levels(best.problem.series, number == level))
-        # Square root of twice the loss in log-probability without halo.
-        bare = best.peak.point.copy()
-        bare[fraction_index] = best.form.bounds[fraction_index, 0]
-        with_halo, without = alone.log_probability(np.array([best.peak.point, bare]))
-        significance = float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
-        out[2, level] = significance
-        if significance > 8.0:
-            peak = optimise(alone, best.peak.point, fixed=fixed, iterations=6)
-            free = [i for i in range(len(names)) if i not in fixed]
-            covariance = np.linalg.pinv(peak.normal[np.ix_(free, free)])
-            out[0, level], out[1, level] = (
-                peak.point[at],
-                np.sqrt(max(covariance[free.index(at), free.index(at)], 0.0)),
-            )
-    return out[0], out[1], out[2]
+    return None
 
 
 def is_uneven(series: RingSeries) -> bool:

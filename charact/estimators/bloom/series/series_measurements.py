@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from charact.estimators.bloom.findings import finding
+from charact.estimators.bloom.halo_edge_step import Rim
 from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.halo_models import HaloModel, onto_nodes, pixel_of, profile_of
 from charact.estimators.bloom.series.mcp_saturation import SaturatingSeriesLikelihood
 from charact.estimators.bloom.series.model_selection import FittedHaloModel
 from charact.frames.robust import robust_sd
 from charact.inference.diagnostics import crowds_at_bound
-from charact.transfer import spreads
 from charact.verdict import Finding, judge
 from labdata import Array, Measurement, Posterior, make_refusal, measurement_from_draws
 
@@ -166,6 +166,7 @@ LEFT_OUT = {
     "veiling_glare": (0.05, 3.0, 0.7),
     "mcp_saturation_density": (0.03, 6.0, 0.7),
 }
+NO_RINGS = "too few rings are unclipped to look for the edge of a halo"
 LEAKS = "light that leaks through the target around its pinhole counts as glare"
 # Draws of derived quantities.
 DERIVED = 400
@@ -183,33 +184,20 @@ def nearest_px(group: tuple[PointStack, ...]) -> float:
     return min(distances, default=np.inf)
 
 
-def levels_apart(stack_diameters: tuple[Array, Array, Array]) -> tuple[float, int]:
-    """Chi squared of the stacks' own diameters about their mean, and its degrees of freedom.
-
-    All stacks have the core and profile of the optimum, so that the median of a skewed posterior is
-    not their mean.
-    """
-    is_measured = np.isfinite(stack_diameters[0])
-    sd = np.maximum(stack_diameters[1][is_measured], 0.1)
-    mean = np.sum(stack_diameters[0][is_measured] / sd**2) / max(float(np.sum(sd**-2.0)), 1e-300)
-    return float(np.sum(((stack_diameters[0][is_measured] - mean) / sd) ** 2)), max(
-        int(is_measured.sum()) - 1, 0
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
 class FittedSeries:
     """Series with its models in order of likelihood, and what all its measurements have in common.
 
-    `reason`: why no halo is reported, or None; `posterior`: draws of the best model's parameters;
-    `stack_diameters`: each stack's own diameter, its error and significance, None without a halo;
-    `group`: the stacks; `findings`, `notes`, `fields`: of its measurements.
+    `rim`: edge of its halo; `no_edge`: why it has none, or None; `no_disc`: why the halo's light is
+    not reported, or None; `posterior`: draws of the best model's parameters; `group`: the stacks;
+    `findings`, `notes`, `fields`: of its measurements.
     """
 
     forms: list[FittedHaloModel]
-    reason: str | None
+    rim: Rim | None
+    no_edge: str | None
+    no_disc: str | None
     posterior: Posterior
-    stack_diameters: tuple[Array, Array, Array] | None
     group: tuple[PointStack, ...]
     findings: list[Finding]
     notes: tuple[str, ...]
@@ -234,60 +222,45 @@ class FittedSeries:
 
 
 def halo_measurements(fit: FittedSeries) -> list[Measurement]:
-    """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the
-    diameter's interval.
+    """Return the halo's diameter by its edge, and fraction, plateau and rim by its model.
 
     Light of another source contaminates the rings, but not the position of the edge.
     """
-    best, posterior, stack_diameters, group = (
-        fit.best,
-        fit.posterior,
-        fit.stack_diameters,
-        fit.group,
-    )
-    assert stack_diameters is not None
-    middle = float(np.median(posterior["halo_diameter"]))
-    chi2, freedom = levels_apart(stack_diameters)
-    wider = np.sqrt(max(1.0, chi2 / freedom)) if freedom else 1.0
+    best, posterior, group, rim = fit.best, fit.posterior, fit.group, fit.rim
+    if rim is None or fit.no_edge is not None:
+        return refuse_halo(fit.no_edge or NO_RINGS, OF_THE_HALO, fit.fields)
+    count = len(posterior.draws)
     # The noise is estimated from few frames: Student's t.
     few = max(min(spot.frames for spot in group) - 1, 3)
-    spread = np.random.default_rng(posterior.seed).chisquare(few, len(posterior.draws))
-    wider = wider * np.sqrt(few / spread)
-    draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
+    spread = np.random.default_rng(posterior.seed).chisquare(few, count)
+    middle = rim.diameter_px
+    diameter = middle + np.sqrt(few / spread) * (rim.draws(count, posterior.seed or 0) - middle)
     if nearest_px(group) < middle:
         rng = np.random.default_rng([posterior.seed or 0, 1])
-        draws["halo_diameter"] += 0.005 * middle * rng.standard_normal(len(posterior.draws))
-    draws["halo_diameter"] += _form_unknown(posterior, middle)
-    plateau, rim = halo_of(best.form, posterior.draws[:DERIVED])
-    of_light = {
-        "halo_fraction": posterior["halo_fraction"],
-        "halo_plateau": plateau,
-        "halo_rim": rim,
-    }
-    draws |= {
-        name: values * _model_error_factors(best, name, len(values), posterior)
-        for name, values in of_light.items()
-    }
-    findings = {
-        "halo_diameter": fit.findings,
-        "halo_fraction": fit.core_findings,
-        "halo_plateau": fit.core_findings,
-        "halo_rim": fit.light_findings,
-    }
+        diameter += 0.005 * middle * rng.standard_normal(count)
     common = {"notes": fit.notes, "posterior": posterior, **fit.fields}
-    return [
-        judge(measurement_from_draws(name, unit, draws[name], **common), findings[name])
-        for name, unit in OF_THE_HALO
-    ]
+    number = measurement_from_draws("halo_diameter", "px", diameter, **common)
+    out = [judge(number, fit.findings)]
+    if fit.no_disc is not None:
+        return out + refuse_halo(fit.no_disc, OF_THE_HALO[1:], fit.fields)
+    plateau, edge = halo_of(best.form, posterior.draws[:DERIVED])
+    of_light = {
+        "halo_fraction": (posterior["halo_fraction"], fit.core_findings),
+        "halo_plateau": (plateau, fit.core_findings),
+        "halo_rim": (edge, fit.light_findings),
+    }
+    for name, unit in OF_THE_HALO[1:]:
+        draws, findings = of_light[name]
+        draws = draws * _model_error_factors(best, name, len(draws), posterior)
+        out.append(judge(measurement_from_draws(name, unit, draws, **common), findings))
+    return out
 
 
-def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
-    """Errors of a diameter due to the unknown rim width and disc model, px, shape (draw,)."""
-    profile = np.stack([posterior[name] for name in spreads.PROFILE], axis=1)
-    elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
-    rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
-    sd = np.hypot(0.004 * rimmed * diameter_px, 0.05)
-    return sd * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
+def refuse_halo(
+    reason: str, quantities: tuple[tuple[str, str], ...], fields: dict[str, Any]
+) -> list[Measurement]:
+    """Return refusals of quantities of the halo."""
+    return [make_refusal(quantity, unit, reason, **fields) for quantity, unit in quantities]
 
 
 def _model_error_factors(

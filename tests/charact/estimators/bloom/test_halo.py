@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from charact.estimators import bloom
-from charact.estimators.bloom.series import levels_apart
 from charact.method import Context
 from labdata import BadInput, FrameStack
 from tests.truth.counted_pulses import errors
@@ -77,16 +76,3 @@ def test_a_session_without_point_sources_is_bad_input():
     bare = type(session)(folder=session.folder, name="bare", stacks=session.of_kind("dark"))
     with pytest.raises(BadInput, match="point"):
         bloom.measure(bare, context=QUICK)
-
-
-def test_levels_that_agree_among_themselves_are_not_apart():
-    """Four levels within their errors; the same with one level six errors off: closed form, 36
-    times 3/4.
-    """
-    own = np.array([[38.25, 38.25, 38.25, 38.25], [0.2] * 4, [20.0] * 4])
-    assert levels_apart((own[0], own[1], own[2])) == (
-        pytest.approx(0.0, abs=1e-9),
-        3,
-    )
-    own[0, 0] += 6.0 * 0.2
-    assert levels_apart((own[0], own[1], own[2])) == (pytest.approx(27.0), 3)
