@@ -6,7 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from charact.estimators.mtf.curve import FINE, CurveFinding, Undo
-from charact.estimators.mtf.edge.pixels.line import field_displacement, is_significant
+from charact.estimators.mtf.edge.pixels.line import (
+    bow_of,
+    field_displacement,
+    is_significant,
+    rms_of,
+)
 from charact.estimators.mtf.edge.pixels.plateau_noise import noise_flags
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.pixels.profile import DEFECT_SD, EdgeProfile
@@ -15,7 +20,6 @@ from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS
 from charact.frames.noise_law import masked_covariance
-from charact.frames.robust import median
 from charact.method import Context
 from charact.verdict import Finding
 from labdata import FLAGS, Array, Measurement
@@ -78,13 +82,15 @@ def edge_findings(
             f"sampled"
         )
         yield EdgeFinding(flag="tilt-too-small", effect=effect)
-    rough, bow_px = edge.roughness, bow_of(edge.rows.offset)
+    rough, bow_px = edge.roughness, rms_of(bow_of(edge.rows.offset))
     if rough.moves or bow_px > 0.0:
+        shape = "its line" if edge.rows.line.bend is not None else "a straight line"
         rms_px = max(rough.rms_px if rough.moves else 0.0, bow_px)
-        effect = f"the edge deviates from a straight line by {rms_px:.2g} px rms beyond the noise"
-        yield EdgeFinding(
-            flag="curved-edge", effect=effect, undo=TargetMotion(rms_px=rms_px).undo, sign=-1
-        )
+        yield curved_finding(f"the edge deviates from {shape} by", rms_px, "beyond the noise")
+    elif edge.rows.line.bend is not None:
+        bend_px = float(np.std(edge.rows.line.bend))
+        effect = f"the edge bends by {bend_px:.2g} px rms and its line follows, to"
+        yield curved_finding(effect, THRESHOLDS.followed_bend * bend_px, "")
     if is_significant(displacement_of_fields(edge)):
         yield plain("interlace-motion")
     if profile.defects:
@@ -118,6 +124,16 @@ def edge_findings(
             "reduction sparing edges may have sharpened or blurred this one"
         )
         yield EdgeFinding(flag="processed", effect=effect)
+
+
+def curved_finding(effect: str, rms_px: float, beyond: str) -> EdgeFinding:
+    """Return the finding of an edge whose rows depart from the line by a root mean square, px."""
+    return EdgeFinding(
+        flag="curved-edge",
+        effect=f"{effect} {rms_px:.2g} px rms {beyond}".rstrip(),
+        undo=TargetMotion(rms_px=rms_px).undo,
+        sign=-1,
+    )
 
 
 def plain(flag: str) -> EdgeFinding:
@@ -170,48 +186,6 @@ def displacement_of_fields(edge: PreparedEdge) -> tuple[float, float]:
     means = profile.distance, profile.value
     max_sd = max(profile.side_variances) ** 0.5
     return field_displacement(edge.picture, edge.rows, valid, gathered.distance, means, max_sd)
-
-
-def bow_of(offset: Array) -> float:
-    """Return the bow or wave that the rows' displacements follow, px rms; 0: none.
-
-    The scatter of block means is estimated from rows, with the correlation of neighbouring rows
-    (Geyer's initial positive sequence, Stat. Sci. 7, 473, 1992), and from differences of
-    neighbouring blocks; the largest counts.
-    """
-    finite = np.isfinite(offset)
-    if np.count_nonzero(finite) < 24:
-        return 0.0
-    rows, value = np.flatnonzero(finite), offset[finite]
-    # The polynomials span exactly the valid rows: beyond them they would grow.
-    design = np.polynomial.legendre.legvander(
-        2.0 * (rows - rows[0]) / (rows[-1] - rows[0]) - 1.0, 3
-    )
-    begin = np.arange(ACCURACY.bow_blocks) * value.size // ACCURACY.bow_blocks
-    size = np.diff(begin, append=value.size)
-    means = np.add.reduceat(value, begin) / size
-    row_variance = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
-    differences = 0.5 * median(np.diff(means) ** 2) / 0.455
-    coefficients = np.linalg.lstsq(design, value, rcond=None)[0]
-    residual = value - design @ coefficients
-    shared = np.array(
-        [
-            float(np.mean(residual[:-lag] * residual[lag:]))
-            for lag in range(1, ACCURACY.bow_lags + 1)
-        ]
-    )
-    correlated = float(np.mean(residual**2)) + 2.0 * float(
-        np.sum(shared[np.cumprod(shared > 0.0).astype(bool)])
-    )
-    error = np.sqrt(
-        max(row_variance, differences, correlated / value.size * ACCURACY.bow_blocks)
-        * ACCURACY.bow_blocks
-    )
-    # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
-    shape, orders = np.abs(coefficients[2:]), np.array([5.0, 7.0])
-    sd = error / ACCURACY.bow_blocks * np.sqrt(orders)
-    is_bow = np.any((shape > THRESHOLDS.bow_sd * sd) & (shape > THRESHOLDS.bow_px / 1.5))
-    return float(np.sqrt(np.sum(shape**2 / orders))) if is_bow else 0.0
 
 
 def fit_findings(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import charact
 from charact.estimators.mtf.curve import FINE, LEVELS, PINNED, REPORTED, crossing_frequency
 from charact.estimators.mtf.edge.checks import (
+    curved_finding,
     edge_findings,
     gradient_finding,
     low_signal_finding,
@@ -120,6 +121,9 @@ def measure_conventionally(
     low, high = numbers[0].interval68 or (-np.inf, np.inf)
     relative_sd = (high - low) / (2.0 * 0.994458 * half)
     findings = list(edge_findings(edge, half, context, relative_sd, THRESHOLDS.conventional_motion))
+    if edge.rows.line.bend is not None:
+        bend_px = float(np.std(edge.rows.line.bend))
+        findings.append(curved_finding("the edge departs from a straight line by", bend_px, ""))
     if step < THRESHOLDS.conventional_min_snr * noise:
         findings.append(low_signal_finding(profile))
     if step < THRESHOLDS.coarse_step_dn and noise_below_quantisation(edge.picture, profile):

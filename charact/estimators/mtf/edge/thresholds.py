@@ -13,6 +13,8 @@ class EdgeThresholds:
     misfit_sd: float = 4.0
     bow_sd: float = 3.5  # Bow or wave of the edge's rows, standard errors: chance 5e-4
     bow_px: float = 0.12  # Bow or wave that matters to MTF50, px (simulated edges)
+    # Fraction of a bend that a line which follows it misses (simulated edges of 1 to 3 px sagitta)
+    followed_bend: float = 0.05
     # Pixels that the edge crosses along its length: fewer leave gaps between samples
     min_travel_px: float = 1.0
     # Reduced chi squared that a sufficient blur model reaches (simulated edges)

@@ -66,7 +66,7 @@ def bin_pixels(
     """
     angle = line.angle_rad(picture.pitch_ratio)
     shape = picture.value.shape
-    distance = line.across(shape) * np.cos(angle)
+    distance = line.distance(shape, picture.pitch_ratio)
     row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
     along = row * picture.pitch_ratio / np.cos(angle) + distance * np.tan(angle)
     # On both sides as far as most rows reach.

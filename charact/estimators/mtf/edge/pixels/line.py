@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.edge.thresholds import THRESHOLDS
+from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.frames.robust import NORMAL, median, robust_sd
 from charact.frames.stack import Stack
@@ -22,6 +22,8 @@ ROW_REACH_PX, CELLS_PER_PX = 14.0, 4
 # Cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell).
 CELLS_PX = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
 SMOOTHING = np.exp(-0.5 * ((CELLS_PX[:, None] - CELLS_PX) / 0.5) ** 2)
+# Times a line is bent after its edge; 2 k + 1 of the polynomials that bend it.
+MAX_BENDS, LEGENDRE_ORDERS = 3, np.array([5.0, 7.0])
 # Displacement of the odd lines against the even ones, px, and its standard uncertainty.
 Displacement = tuple[float, float]
 
@@ -71,6 +73,9 @@ class EdgeLine:
     fields_apart_px, fields
         How far further along the columns the edge lies in the odd field, px, and the field of every
         pixel, 0 or 1, shape (row, col); None: the fields do not lie apart.
+    bend
+        How far the edge lies beyond the line in each row, by curvature or distortion, shape (row,),
+        px; None: it is straight.
     """
 
     position: float
@@ -78,6 +83,7 @@ class EdgeLine:
     strength: float = 0.0
     fields_apart_px: float = 0.0
     fields: NDArray[np.int64] | None = None
+    bend: Array | None = None
 
     def across(self, shape: tuple[int, int]) -> Array:
         """Return the distance along the columns of every pixel from the line, shape (row, col),
@@ -85,11 +91,18 @@ class EdgeLine:
         """
         row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
         distance = np.arange(shape[1])[None, :] - self.position - self.slope * row
+        if self.bend is not None:
+            distance = distance - self.bend[:, None]
         return (
             distance
             if self.fields is None
             else distance - self.fields_apart_px * (self.fields - 0.5)
         )
+
+    def distance(self, shape: tuple[int, int], pitch_ratio: float) -> Array:
+        """Return the distance of every pixel along the normal, shape (row, col), px."""
+        slope = self.slope if self.bend is None else self.slope + np.gradient(self.bend)[:, None]
+        return self.across(shape) / np.hypot(1.0, slope / pitch_ratio)
 
     def angle_rad(self, pitch_ratio: float) -> float:
         """Angle of the edge to the columns' direction, rad; rows are `pitch_ratio` column pitches
@@ -227,10 +240,12 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
     Notes
     -----
     With the mean profile m of all rows as template a row's displacement is least squares on -m'(d).
+    Where the displacements follow a parabola or cubic the line is bent by it, and they are measured
+    anew: a bent edge smears the first template.
     """
     rows = picture.value.shape[0]
     row = np.arange(rows) - (rows - 1) / 2
-    corrected = False
+    corrected, bends = False, 0
     while True:
         across = line.across(picture.value.shape)
         col, near = _near_columns(line, across)
@@ -250,7 +265,16 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
         design = np.stack([np.ones_like(row), row], axis=1)[usable]
         shift, turn = np.linalg.lstsq(design, offset[usable], rcond=None)[0].tolist()
         if corrected or abs(shift) + abs(turn) * rows <= 0.02:
-            break
+            displacement = np.where(usable, offset - shift - turn * row, np.nan)
+            coefficients = bow_of(displacement) if bends < MAX_BENDS else np.zeros(2)
+            if not coefficients.any():
+                break
+            known = np.flatnonzero(usable)
+            at = np.clip(2.0 * (row - row[known[0]]) / (known[-1] - known[0]) - 1.0, -1.0, 1.0)
+            bend = np.polynomial.legendre.legval(at, [0.0, 0.0, *coefficients])
+            line = replace(line, bend=bend if line.bend is None else line.bend + bend)
+            bends += 1
+            continue
         shift, turn = min(max(shift, -3.0), 3.0), min(max(turn * rows, -6.0), 6.0) / rows
         line, corrected = (
             replace(line, position=line.position + shift, slope=line.slope + turn),
@@ -262,6 +286,54 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
     return RowFit(line=line, offset=offset, offset_sd=robust_sd(offset[usable]))
 
 
+def rms_of(coefficients: Array) -> float:
+    """Return the root mean square of Legendre polynomials of the second and third order."""
+    return float(np.sqrt(np.sum(coefficients**2 / LEGENDRE_ORDERS)))
+
+
+def bow_of(offset: Array) -> Array:
+    """Return the bow and wave that the rows' displacements follow: amplitudes of the second and
+    third Legendre polynomial over the rows that have one, px; 0: none.
+
+    The scatter of block means is estimated from rows, with the correlation of neighbouring rows
+    (Geyer's initial positive sequence, Stat. Sci. 7, 473, 1992), and from differences of
+    neighbouring blocks; the largest counts.
+    """
+    finite = np.isfinite(offset)
+    if np.count_nonzero(finite) < 24:
+        return np.zeros(2)
+    rows, value = np.flatnonzero(finite), offset[finite]
+    # The polynomials span exactly the valid rows: beyond them they would grow.
+    design = np.polynomial.legendre.legvander(
+        2.0 * (rows - rows[0]) / (rows[-1] - rows[0]) - 1.0, 3
+    )
+    begin = np.arange(ACCURACY.bow_blocks) * value.size // ACCURACY.bow_blocks
+    size = np.diff(begin, append=value.size)
+    means = np.add.reduceat(value, begin) / size
+    row_variance = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
+    coefficients = np.linalg.lstsq(design, value, rcond=None)[0]
+    residual = value - design @ coefficients
+    differences = 0.5 * median(np.diff(means) ** 2) / 0.455
+    shared = np.array(
+        [
+            float(np.mean(residual[:-lag] * residual[lag:]))
+            for lag in range(1, ACCURACY.bow_lags + 1)
+        ]
+    )
+    correlated = float(np.mean(residual**2)) + 2.0 * float(
+        np.sum(shared[np.cumprod(shared > 0.0).astype(bool)])
+    )
+    error = np.sqrt(
+        max(row_variance, differences, correlated / value.size * ACCURACY.bow_blocks)
+        * ACCURACY.bow_blocks
+    )
+    # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
+    sd = error / ACCURACY.bow_blocks * np.sqrt(LEGENDRE_ORDERS)
+    shape = np.abs(coefficients[2:])
+    is_bow = np.any((shape > THRESHOLDS.bow_sd * sd) & (shape > THRESHOLDS.bow_px / 1.5))
+    return coefficients[2:] if is_bow else np.zeros(2)
+
+
 def _near_columns(line: EdgeLine, across: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return the columns of each row around a line, shape (row, near column), and which of their
     pixels locate the edge.
@@ -269,6 +341,8 @@ def _near_columns(line: EdgeLine, across: Array) -> tuple[NDArray[np.int64], NDA
     rows, cols = across.shape
     reach_px = ROW_REACH_PX + 0.5 * abs(line.fields_apart_px)
     middle = line.position + line.slope * (np.arange(rows)[:, None] - (rows - 1) / 2)
+    if line.bend is not None:
+        middle = middle + line.bend[:, None]
     col = np.floor(middle - reach_px).astype(np.int64) + np.arange(2 * int(reach_px) + 4)
     inside = (col >= 0) & (col < cols)
     col = np.clip(col, 0, cols - 1)
