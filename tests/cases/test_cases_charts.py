@@ -81,7 +81,7 @@ def test_a_diffraction_limited_edge_at_135_degrees():
     found = mtf50_of(frames_of(CASES / "g1-edge-at-135" / "e.tif"))
     assert found.status == "ok"
     assert holds(found, 0.2012)
-    assert found.interval95[1] - found.interval95[0] < 0.005
+    assert found.interval95[1] - found.interval95[0] < 0.006
 
 
 @pytest.mark.parametrize("angle_deg", [5.0, 45.0, 225.0])
@@ -192,8 +192,8 @@ def test_burns_edge_explains_gamma_and_its_number_is_his(plane, theirs):
     assert found.value == pytest.approx(theirs, rel=0.01)
     assert found.status == "ok"
     said = [note for note in found.notes if note.startswith("gamma: ")]
-    assert all("at most" in note and "`black_dn`" in note for note in said)
-    assert said or plane == "b"
+    assert said
+    assert all("at most" in note and "linear frames" in note for note in said)
 
 
 def test_stating_less_never_earns_a_better_verdict():

@@ -20,9 +20,10 @@ from labdata import BadInput, FrameStack, Measurement, Result, Session, has_tube
 # erred by 1.6 standard uncertainties (rms) with parametric models alone and by 0.7 with model
 # departures and a free video bandwidth.
 FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
-# Fallback of `auto` where the data reject every blur model of the first method.
-WITHOUT_MODEL = {"edge-parametric": "edge-free"}
-NO_MODEL = "No blur model fits this edge; it was measured without one, with a wider interval."
+# What `auto` measures first in place of a method that fits blur models: on edges of 18 kinds the
+# answer without a form held in 99 % and was as close; a form only narrows it.
+FORM_FREE = {"edge-parametric": "edge-free"}
+NARROWED = "Measured without a form of the blur first; a form that the edge accepts narrows it."
 # Suffix of a curve's name that states its region.
 REGION_NAME = ":{},{},{},{}"
 NAMES = {"edge": "edges", "bars": "groups of bars", "point": "points"}
@@ -108,17 +109,15 @@ def measure(
     )
     chosen = choose(kind, described or method, within_percent=within_percent)
     counted = drop_duplicate_frames(stack) if stack.shape[0] > 1 else stack
+    notes = counted.notes[len(stack.notes) :]
+    of_form = chosen if method == "auto" and chosen.name in FORM_FREE else None
+    if of_form is not None:
+        chosen = choose(kind, FORM_FREE[of_form.name])
     result = chosen.function(counted, region=region, context=context, **target)
-    leading, notes = result.find(chosen.quantities[0]), counted.notes[len(stack.notes) :]
-    if (
-        method == "auto"
-        and chosen.name in WITHOUT_MODEL
-        and any("model-misfit" in measurement.flags for measurement in leading)
-    ):
-        chosen = choose(kind, WITHOUT_MODEL[chosen.name])
-        without = chosen.function(counted, region=region, context=context, **target)
-        if without.find(chosen.quantities[0]):
-            result, notes = without, (NO_MODEL, *notes)
+    if of_form is not None and beyond_note(result.measurements[0], within_percent):
+        narrow = of_form.function(counted, region=region, context=context, **target)
+        if _narrows(result.measurements[0], narrow.measurements[0]):
+            chosen, result, notes = of_form, narrow, (NARROWED, *notes)
 
     finished = []
     for measurement in result.measurements:
@@ -133,6 +132,18 @@ def measure(
             changes["provenance"] = replace(provenance, settings=settings)
         finished.append(measurement.with_(**changes) if changes else measurement)
     return replace(result, measurements=tuple(finished))
+
+
+def _narrows(free: Measurement, of_form: Measurement) -> bool:
+    """Return whether the answer of a form replaces the one without: ok, narrower, and in the middle
+    half of the other's 68 % interval, so that the data contradict neither.
+    """
+    if not free.status == of_form.status == "ok" or of_form.value is None or free.value is None:
+        return False
+    assert free.interval68 is not None and of_form.interval68 is not None, "an ok number has both"
+    (low, high), (form_low, form_high) = free.interval68, of_form.interval68
+    apart = abs(of_form.value - free.value)
+    return form_high - form_low < high - low and apart < 0.25 * (high - low)
 
 
 def measure_flats(

@@ -377,8 +377,8 @@ PLAIN_EFFECTS: dict[str, str] = {
 }
 REMEDIES: dict[str, str] = {
     "clipped": "light, exposure and black level at which no pixel reaches an end of the scale",
-    "gamma": "`black_dn`, linear frames (raw, without a gamma), or `sensor` with a description",
-    "model-misfit": "`method` auto or edge-free, which need no blur model",
+    "gamma": "linear frames (raw, without a gamma); noise of light in them shows that they are",
+    "model-misfit": "`method` auto, which needs no blur model, or a `roi` without other structure",
     "defects": "`roi` on a part without them, or defect correction switched on",
     "gradient": "uniform illumination, `black_dn`, or a `roi` nearer to the edge",
     "low-signal": "more frames, more light or a longer edge",

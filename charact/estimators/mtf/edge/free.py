@@ -14,12 +14,6 @@ import numpy as np
 
 from charact.estimators.mtf.edge.checks import FittedProfile
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter
-from charact.estimators.mtf.edge.nonlinearity import (
-    NO_CURVATURE_ESTIMATE,
-    ln_bayes_factor_of,
-    nonlinearity_bias,
-    remove_nonlinearity,
-)
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, fit_refusal
 from charact.estimators.mtf.edge.pixels.profile import (
     EVEN_PER_PX,
@@ -97,10 +91,6 @@ def _fit(edge: PreparedEdge, context: Context) -> Result:
     refused = fit_refusal(edge, chi2, spreads.power, spreads.free, float(half))
     if refused:
         return refuse_edge(METHOD, refused, context.seed)
-    odds = ln_bayes_factor_of(edge, context)
-    bias = nonlinearity_bias(
-        NO_CURVATURE_ESTIMATE, profile.contrast, odds, context.seed, len(posterior.draws)
-    )
     return edge_result_of_fit(
         METHOD,
         edge,
@@ -109,7 +99,7 @@ def _fit(edge: PreparedEdge, context: Context) -> Result:
         ),
         spreads.response_curvature(posterior.draws),
         posterior,
-        remove_nonlinearity(mtf, bias),
+        mtf,
         context,
         settings={
             "width_px": round(best.width_px, 3),

@@ -1,10 +1,7 @@
 """Nonlinear camera response: what of it an edge shows, and what it leaves uncertain."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from charact.estimators.mtf.curve import FINE
 from charact.estimators.mtf.edge.pixels.plateau_noise import NoiseGrowth
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.thresholds import THRESHOLDS
@@ -15,45 +12,65 @@ from labdata.camera.description import has_tube
 
 # Curvature of the response with its standard uncertainty.
 CurvatureEstimate = tuple[float, float]
-NO_CURVATURE_ESTIMATE: CurvatureEstimate = (0.0, 1.0)
 
 # Rise of ln MTF50 per curvature and contrast under responses that steepen and that flatten, and its
 # scatter: power laws, knees, saturation, logarithms and parabolas on simulated edges of every blur
 # model.
 STEEPENING, FLATTENING, EITHER_WAY = 0.18, 0.09, 0.1
+# Largest code of pictures that are encoded for displays as a rule, DN.
+ENCODED_DN = 255
 # Prior probability that noise is read-out noise.
 READ_OUT = 0.5
 
 
-def response_bias(
-    edge: PreparedEdge, response: CurvatureEstimate, relative_sd: float, context: Context
-) -> tuple[str, float, int] | None:
-    """Return what a nonlinear camera response may do to MTF50: what shows it, the largest relative
-    bias, and its sign; None: nothing.
+def noise_growth_sign(edge: PreparedEdge) -> int:
+    """Return what the noise of both sides says of the response: 1 where it grows as under a linear
+    one, -1 where it falls towards the light as under a compressive one, 0 where it says nothing.
 
-    The profile of an edge shows a curvature c where it is asymmetric, of standard uncertainty s. It
-    biases ln MTF50 by at most contrast x rise x (|c| + 2 s). A Gaussian edge through a power law
-    above 1 stays nearly symmetric, which lifts MTF50 by up to 2 s x rise unseen; at contrast one by
-    no more than any power law does. The response of a described camera, one measured to be linear,
-    or one under which noise grows as photons' does, is taken to be linear.
+    Notes
+    -----
+    Photons under a power law y = L^(1/g) have var y ~ y^(2 - g): y for a linear response, nearly
+    none for a gamma of 2.2. Read-out noise lowers the power under any response.
     """
-    (curvature, error), contrast = response, edge.profile.contrast
-    if context.linear:
+    growth, profile, stack = edge.noise_growth, edge.profile, edge.picture.stack
+    least = min(profile.side_variances) * len(stack.data)
+    if (stack.holds_codes and least < THRESHOLDS.quantisation_noise_dn**2) or not growth.ratio > 0:
+        return 0
+    contrast = min(profile.contrast, THRESHOLDS.max_noise_contrast)
+    ln_light, ln_ratio = np.log((1.0 + contrast) / (1.0 - contrast)), np.log(growth.ratio)
+    if ln_ratio - 2.0 * growth.scatter > THRESHOLDS.linear_noise_power * ln_light:
+        return 1
+    return -1 if ln_ratio < -THRESHOLDS.falling_noise_sd * growth.scatter else 0
+
+
+def response_bias(
+    edge: PreparedEdge, response: CurvatureEstimate, context: Context
+) -> tuple[str, float] | None:
+    """Return what a nonlinear camera response may do to MTF50: what shows it and the largest
+    relative bias; None: nothing.
+
+    Asymmetry alone is no response: coma, motion and defocus have it too. A response is possible
+    where the noise falls towards the light, or says nothing and the profile is asymmetric as by a
+    compressive one or its few codes are those of encoded pictures. An exponent of up to 2.2 then
+    biases MTF50 by up to `max_nonlinearity_bias` times the squared contrast. An asymmetric spread
+    moves by up to that times the contrast itself, or contrast x rise x (c + 2 s) where a curvature
+    c of standard uncertainty s is seen.
+    """
+    grows, profile = noise_growth_sign(edge), edge.profile
+    if context.linear or has_tube(context.camera) or grows > 0:
         return None
-    if abs(curvature) > max(THRESHOLDS.curvature, THRESHOLDS.curvature_sd * error):
-        rise = (STEEPENING if curvature < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
-        shown = "the profile is asymmetric as by a nonlinear camera response"
-        return shown, contrast * rise * (abs(curvature) + 2.0 * error), 0
-    linear = ln_bayes_factor_nonlinear(edge.noise_growth) < THRESHOLDS.linear_ln_bayes_factor
-    bias = contrast * min(2.0 * STEEPENING * error, THRESHOLDS.max_nonlinearity_bias * contrast)
-    # What is smaller is part of the interval: the response is marginalised.
-    if (
-        has_tube(context.camera)
-        or linear
-        or not bias >= THRESHOLDS.undetected_bias_sd * relative_sd
-    ):
-        return None
-    return "a nonlinear camera response (a gamma) would not show on this edge", bias, 1
+    (curvature, error), stack = response, edge.picture.stack
+    first_order = THRESHOLDS.max_nonlinearity_bias * profile.contrast
+    largest, significant = first_order * profile.contrast, THRESHOLDS.curvature_sd * error
+    if (abs(curvature) if grows < 0 else curvature) > max(THRESHOLDS.curvature, significant):
+        rise = profile.contrast * (FLATTENING + 2.0 * EITHER_WAY) * (abs(curvature) + 2.0 * error)
+        shown = "the profile is asymmetric as by a nonlinear response, and no noise grows with it"
+        return shown, float(np.clip(rise, largest, first_order))
+    if grows < 0:
+        return "noise falls towards the light as under a nonlinear response", largest
+    if stack.holds_codes and stack.data.max() <= ENCODED_DN:
+        return "codes of 8 bits without noise of light may be encoded (a gamma)", largest
+    return None
 
 
 def nonlinearity_bias(
@@ -72,27 +89,11 @@ def nonlinearity_bias(
     return -contrast * rise * curvature
 
 
-def remove_nonlinearity(mtf: Callable[[Array], Array], bias: Array) -> Callable[[Array], Array]:
-    """Return drawn MTFs, shape (f,) -> (draw, f), less a bias of ln of their frequencies, shape
-    (draw,).
-    """
-    biased = np.flatnonzero(bias)
-    finely = mtf(FINE)[biased]
-
-    def corrected(frequency: Array) -> Array:
-        draws = mtf(frequency)
-        for index, curve in zip(biased, finely, strict=True):
-            draws[index] = np.interp(frequency * np.exp(bias[index]), FINE, curve)
-        return draws
-
-    return corrected
-
-
 def ln_bayes_factor_of(edge: PreparedEdge, context: Context) -> float:
     """Return the ln Bayes factor of the noise for a nonlinear response; -inf if it is linear by
-    description or test.
+    description, test or noise.
     """
-    unknown = not has_tube(context.camera) and not context.linear
+    unknown = not has_tube(context.camera) and not context.linear and noise_growth_sign(edge) < 1
     return ln_bayes_factor_nonlinear(edge.noise_growth) if unknown else -np.inf
 
 

@@ -132,8 +132,8 @@ def edge_result_of_fit(
     half = float(np.median(known)) if known.size else np.nan
     relative_sd = float(np.std(np.log(known))) if known.size else np.inf
     response_findings = [
-        EdgeFinding(flag="gamma", effect=shown, undo=stretched(-bias), sign=sign)
-        for shown, bias, sign in filter(None, [response_bias(edge, response, relative_sd, context)])
+        EdgeFinding(flag="gamma", effect=shown, undo=stretched(-bias))
+        for shown, bias in filter(None, [response_bias(edge, response, context)])
     ]
     # Modes count where a quantity has them; a described camera's priors are meant to bound.
     harmless = {"several-modes", *(("prior-bound",) if has_tube(context.camera) else ())}

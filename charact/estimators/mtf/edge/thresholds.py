@@ -75,7 +75,6 @@ class EdgeThresholds:
     # Relative bias of MTF50 by exponents up to 2.2 at contrast one; scales as contrast squared
     # (simulated edges).
     max_nonlinearity_bias: float = 0.23
-    undetected_bias_sd: float = 2.0  # Undetected bias of MTF50 that is noted, standard deviations
     # Signal over noise of a pixel beyond which PRNU may dominate the noise
     photon_noise_snr: float = 80.0
     # Weight of glare wider than the window from which on the window is too small
@@ -113,8 +112,13 @@ class EdgeThresholds:
     gradient_asymmetry: float = 0.2
     # Relative uncertainty beyond which the tails depend on the prior, at four standard errors.
     max_relative_sd: float = 0.14
-    # Ln Bayes factor of a nonlinear response from noise below which no note is given.
-    linear_ln_bayes_factor: float = -0.5
+    # Power of the light with which noise must grow under a linear response: photons under a gamma
+    # of 1.8 reach 0.2
+    linear_noise_power: float = 0.25
+    max_noise_contrast: float = (
+        0.82  # Contrast beyond which the dark side's noise is read-out noise
+    )
+    falling_noise_sd: float = 3.0  # Fall of the noise towards the light, standard errors
 
 
 @dataclass(frozen=True)

@@ -101,14 +101,28 @@ def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(
 
 
 @pytest.mark.parametrize(
-    ("curvature", "error", "told"), [(0.04, 0.001, False), (0.06, 0.01, True), (-0.06, 0.03, False)]
+    ("curvature", "error", "noise_ratio", "told"),
+    [
+        (0.04, 0.001, 1.0, False),
+        (0.06, 0.01, 1.0, True),
+        (-0.06, 0.03, 1.0, False),
+        (-0.6, 0.03, 1.0, False),
+        (0.6, 0.03, 3.0, False),
+        (0.0, 0.03, 0.7, True),
+    ],
+    ids=["small", "compressive", "unsure", "steepening", "noise of light", "noise that falls"],
 )
-def test_a_curvature_is_told_where_it_is_sure(curvature, error, told):
+def test_asymmetry_is_a_response_only_where_the_noise_does_not_grow(
+    curvature, error, noise_ratio, told
+):
     edge = SimpleNamespace(
-        profile=SimpleNamespace(contrast=0.8),
-        noise_growth=plateau_noise.NoiseGrowth(ratio=1.0, scatter=0.1, photon_ratio=None),
+        profile=SimpleNamespace(contrast=0.8, side_variances=(25.0, 25.0 * noise_ratio)),
+        picture=SimpleNamespace(
+            stack=SimpleNamespace(holds_codes=True, data=np.full((1, 2, 2), 3000.0))
+        ),
+        noise_growth=plateau_noise.NoiseGrowth(ratio=noise_ratio, scatter=0.1, photon_ratio=None),
     )
-    found = edge_response.response_bias(edge, (curvature, error), np.inf, Context())
+    found = edge_response.response_bias(edge, (curvature, error), Context())
     assert (found is not None) == told
 
 
