@@ -121,7 +121,9 @@ class StackEntry:
     lost_frames: int = 0  #: Number of frames that the camera numbered and that were not recorded
     losses: tuple[LostFrames, ...] = ()  #: Their numbers and causes, where known
     notes: tuple[str, ...] = ()  #: Remarks of the manifest
-    record_notes: tuple[str, ...] = ()  #: Damage and gaps in the record of the frames
+    #: Damage and gaps in the record of the frames, and what the headers of the files contradict
+    record_notes: tuple[str, ...] = ()
+    from_headers: tuple[str, ...] = ()  #: Names of the conditions that the headers state
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
     sensor: str | None = (
         #: Name of its sensor description, or a path relative to the folder; None: the session's
@@ -366,8 +368,22 @@ def session_of(folder: Path, form: SessionFile) -> Session:
         notes=(
             *form.notes,
             *_superfluous_targets(stacks),
-            *(note for entry in stacks for note in entry.record_notes),
+            *_conditions_from_headers(stacks),
+            *dict.fromkeys(note for entry in stacks for note in entry.record_notes),
         ),
+    )
+
+
+def _conditions_from_headers(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
+    """Return a note for each set of conditions that are those of headers."""
+    labels: dict[tuple[str, ...], list[str]] = {}
+    for entry in stacks:
+        labels.setdefault(entry.from_headers, []).append(entry.label)
+    return tuple(
+        f"{', '.join(names)} of {f'stack {of[0]!r}' if len(of) == 1 else f'{len(of)} stacks'}: by "
+        "the headers of the files"
+        for names, of in labels.items()
+        if names
     )
 
 
@@ -400,19 +416,29 @@ def _check(form: SessionFile, folder: Path) -> None:
 
 
 def _entry(stack: StackRecord, form: SessionFile, folder: Path) -> StackEntry:
+    from labdata.header_conditions import with_headers
+
     lost_frames, record_notes = _record(stack, folder)
+    names = (stack.frames,) if isinstance(stack.frames, str) else stack.frames
+    conditions, from_headers, header_notes = with_headers(
+        conditions_of(stack),
+        [folder / name for name in names],
+        label=stack.label,
+        extension=stack.extension,
+    )
     return StackEntry(
         label=stack.label,
         kind=stack.kind,
         frames=stack.frames,
-        conditions=conditions_of(stack),
+        conditions=conditions,
+        from_headers=from_headers,
         asked=stack.asked,
         target=stack.target,
         finished=stack.finished is not False,
         lost_frames=(stack.lost_frames or 0) + lost_frames,
         losses=stack.lost,
         notes=stack.notes if stack.doubt is None else (*stack.notes, stack.doubt),
-        record_notes=record_notes,
+        record_notes=(*record_notes, *header_notes),
         bit_depth=form.bit_depth if stack.bit_depth is None else stack.bit_depth,
         sensor=stack.sensor,
         # The stacks of a manifest are frames by definition.

@@ -139,9 +139,9 @@ def import_frames(
     Notes
     -----
     Without pattern and label each file is a stack, but FITS files of one frame whose headers state
-    kind or exposure: those alike become one stack (`labdata.fits_conditions`).
+    kind or exposure: those alike become one stack (`labdata.header_conditions`).
     """
-    from labdata.fits_conditions import require_one_camera
+    from labdata.header_conditions import require_one_camera
     from labdata.importers import reader_of
 
     paths, out = sorted({Path(file) for file in files}), Path(out)
@@ -203,7 +203,7 @@ def _group_headers(
     """Return the stacks of files by their FITS headers; a file of another form is one of its
     own.
     """
-    from labdata.fits_conditions import group_stated, read_stated_frame
+    from labdata.header_conditions import group_stated, read_stated_frame
 
     stated = [read_stated_frame(path, plane, extension) for path in paths]
     alone = [path for path, one in zip(paths, stated, strict=True) if one is None]

@@ -77,7 +77,8 @@ def stack(
     **conditions: Annotated[
         Any,
         Argument(
-            "Fields of `labdata.conditions.Conditions`, such as `exposure_s` and `photons_per_px`."
+            "Fields of `labdata.conditions.Conditions`, such as `exposure_s` and `photons_per_px` "
+            "(default: by the header of a file)."
         ),
     ],
 ) -> "StackEntry":
@@ -90,17 +91,21 @@ def stack(
     0.01
     """
     from labdata import Conditions, LoadedStackEntry, Target
+    from labdata.header_conditions import with_headers
 
     known = set(Conditions.__dataclass_fields__)
     if unknown := sorted(set(conditions) - known):
         raise BadInput(f"a condition must be one of {', '.join(sorted(known))}, got {unknown[0]!r}")
+    files = [Path(frames)] if isinstance(frames, str | Path) else []
+    in_force, from_headers, _ = with_headers(Conditions(**conditions), files, label=label or kind)
     return LoadedStackEntry(
         label=label or kind,
         kind=kind,
         frames=(),
         folder=Path(),
         kept=frames_of(frames),
-        conditions=Conditions(**conditions),
+        conditions=in_force,
+        from_headers=from_headers,
         target=target or Target(),
     )
 

@@ -44,7 +44,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "cameras.read_spe": (".spe",),
     "sif.read": (".sif",),
     "cameras.read_ser": (".ser",),
-    "hamamatsu.read": (".img",),
+    "cameras.read_img": (".img",),
     "image_files.read_video": (".avi",),
     "array_files.read_zarr": (".zarr",),
 }
@@ -58,7 +58,7 @@ CONDITIONS = {
     "fits.read": "fits.conditions",
     "cameras.read_spe": "cameras.spe_conditions",
     "sif.read": "sif.conditions",
-    "hamamatsu.read": "hamamatsu.conditions",
+    "cameras.read_img": "cameras.img_conditions",
     "image_files.read_image": "image_files.conditions",
 }
 

@@ -1,5 +1,6 @@
-"""Readers of camera software files: Princeton Instruments SPE, and SER."""
+"""Readers of camera software files: Princeton Instruments SPE, SER, Hamamatsu .img."""
 
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -8,8 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from labdata.errors import BadInput
+from labdata.file_io import require_picture
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded
-from labdata.importers.headers import Stated, stated
+from labdata.importers.headers import Stated, number_of, stated, stated_in_text
 from labdata.importers.parts import whole_frames
 
 SPE_HEADER_BYTES = 4100
@@ -32,6 +34,19 @@ SPE_FIELDS = {
     "version": (1992, "<f"),
 }
 SPE_TYPES = {0: "<f4", 1: "<i4", 2: "<i2", 3: "<u2", 5: "<f8", 6: "u1", 8: "<u4"}
+
+IMG_HEADER_BYTES = 64
+IMG_TYPES = {0: "u1", 2: "<u2", 3: "<u4"}
+PHOTON_COUNTING, ANALOG_INTEGRATION = "3", "4"  # Modes whose image is a sum of exposures
+IMG_SECTION = re.compile(r"\[([^\[\]]+)\],?([^\[]*)")
+IMG_ENTRY = re.compile(r'([^,="\r\n]+)=("[^"]*"|[^,\r\n]*)')
+# Corrections of the software, which change noise and level
+IMG_CORRECTIONS = {
+    "BacksubCorr": "a background was subtracted",
+    "ShadingCorr": "shading was corrected",
+    "CurveCorr": "curvature was corrected",
+    "DefectCorrection": "defects were replaced",
+}
 
 SER_MAGIC = b"LUCAM-RECORDER"
 SER_HEADER_BYTES = 178
@@ -110,31 +125,24 @@ def spe_conditions(path: Path, extension: str | None = None) -> Stated:
             gate_ns=1e3 * field["gate_us"] if gated else None,
             gain_control=field["intensifier_gain"] if field["intensified"] else None,
         )
-    settings: dict[tuple[str, str], ElementTree.Element] = {}
-    for element in _spe_footer(content, field).iter():
-        for child in element:
-            settings[element.tag.rpartition("}")[2], child.tag.rpartition("}")[2]] = child
+    footer = _spe_footer(content, field)
 
-    def number(parent: str, name: str, attribute: str | None = None) -> float | None:
-        element = settings.get((parent, name))
-        try:
-            return float((element.get(attribute) if attribute else element.text) or "")
-        except (AttributeError, ValueError):
-            return None
+    def number(place: str) -> float | None:
+        return number_of(footer.findtext(f".//{{*}}{place.replace('/', '/{*}')}"))
 
-    exposure_ms = number("ShutterTiming", "ExposureTime")
-    method = settings.get(("FrameCombination", "Method"))
-    combined = number("FrameCombination", "FramesCombined") or 1.0
-    summed = combined if method is not None and method.text == "Sum" else 1.0
+    exposure_ms = number("ShutterTiming/ExposureTime")
+    combined = number("FrameCombination/FramesCombined") or 1.0
+    is_sum = footer.findtext(".//{*}FrameCombination/{*}Method") == "Sum"
+    pulse = footer.find(".//{*}RepetitiveGate/{*}Pulse")
     conditions, notes = stated(
-        int(min(1e9, summed * (number("ReadoutControl", "Accumulations") or 1.0))),
+        (combined if is_sum else 1.0) * (number("ReadoutControl/Accumulations") or 1.0),
         exposure_s=None if exposure_ms is None else 1e-3 * exposure_ms,
-        temperature_c=number("Temperature", "Reading"),
-        gate_ns=number("RepetitiveGate", "Pulse", "width"),
-        em_gain=number("ADC", "EMGain") or number("Adc", "EMGain"),
-        gain_control=number("Intensifier", "Gain"),
+        temperature_c=number("Temperature/Reading"),
+        gate_ns=None if pulse is None else number_of(pulse.get("width")),
+        em_gain=number("EMGain"),
+        gain_control=number("Intensifier/Gain"),
     )
-    if combined > summed:
+    if combined > 1.0 and not is_sum:
         notes += (f"each frame is the mean of {combined:g} exposures by its header",)
     return conditions, notes
 
@@ -176,4 +184,71 @@ def read_ser(path: Path, *, partial: bool = False) -> Recorded:
         pattern=SER_MOSAICS.get(colour),
         full_scale_dn=full_scale_dn,
         notes=notes,
+    )
+
+
+def read_img(path: Path) -> Recorded:
+    """Read an image of HiPic or HPD-TA (ITEX); see `labdata.importers.read_frames`.
+
+    Notes
+    -----
+    A header of 64 bytes, little-endian: "IM", length of the comment, columns, rows, two offsets,
+    type of the pixels, number of further images. The comment follows, in sections
+    `[Name],key=value,...`, then the pixels (HPD-TA User Manual, "ITEX file format").
+    """
+    start, rows, cols, kind, comment = _img_header(path)
+    pixels = np.dtype(kind).itemsize * rows * cols
+    whole_frames(
+        path.name,
+        frames=1,
+        start=start,
+        stride=pixels,
+        frame_bytes=pixels,
+        size=path.stat().st_size,
+        partial=False,
+    )
+    data = np.memmap(path, kind, "r", start, (1, rows, cols))
+    acquisition = comment.get("Acquisition", {})
+    changes = [text for key, text in IMG_CORRECTIONS.items() if acquisition.get(key) == "-1"]
+    notes = (
+        [f"the camera's software changed the pixels: {' and '.join(changes)}"] if changes else []
+    )
+    if acquisition.get("AcqMode") == PHOTON_COUNTING:
+        notes.append("the pixels are counts of photons, not grey values of a camera")
+    return Recorded(data=data, names=(FRAME, ROW, COL), notes=tuple(notes))
+
+
+def _img_header(path: Path) -> tuple[int, int, int, str, dict[str, dict[str, str]]]:
+    """Return the position of the pixels, rows, columns, their type, and the comment."""
+    with path.open("rb") as file:
+        header = file.read(IMG_HEADER_BYTES)
+        if len(header) < IMG_HEADER_BYTES or header[:2] != b"IM":
+            raise BadInput(f"a .img file must begin as one of HiPic or HPD-TA, got {path}")
+        length, cols, rows, _, _, kind, images = struct.unpack_from("<HHHHHHI", header, 2)
+        text = file.read(length).decode("utf-8", "replace")
+    if kind not in IMG_TYPES or images > 1:
+        raise BadInput(
+            f"a .img file must hold one image of 8, 16 or 32 bits, got type {kind} and {images} "
+            f"images in {path}"
+        )
+    require_picture(rows, cols, path.name)
+    comment = {
+        name: {key.strip(): value.strip('" ') for key, value in IMG_ENTRY.findall(entries)}
+        for name, entries in IMG_SECTION.findall(text)
+    }
+    return IMG_HEADER_BYTES + length, rows, cols, IMG_TYPES[kind], comment
+
+
+def img_conditions(path: Path, extension: str | None = None) -> Stated:
+    """Return exposure, gain of the microchannel plate and gate, summed exposures counted."""
+    *_, comment = _img_header(path)
+    acquisition, streak = comment.get("Acquisition", {}), comment.get("Streak camera", {})
+    texts = {"exposure": acquisition.get("ExposureTime", ""), "gate": streak.get("Gate Time", "")}
+    times, _ = stated_in_text(texts)
+    summed = acquisition.get("AcqMode") in (PHOTON_COUNTING, ANALOG_INTEGRATION)
+    return stated(
+        number_of(acquisition.get("NrExposure")) or 1.0 if summed else 1.0,
+        exposure_s=times.exposure_s,
+        gain_control=number_of(streak.get("MCP Gain")),
+        gate_ns=times.gate_ns,
     )

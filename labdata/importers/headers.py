@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 
 from labdata.conditions import Conditions
-from labdata.importers.thresholds import COLDEST_C, WARMEST_C
+from labdata.importers.thresholds import COLDEST_C, MOST_EXPOSURES, WARMEST_C
 
 #: Conditions and notes
 Stated = tuple[Conditions, tuple[str, ...]]
@@ -44,7 +44,7 @@ KEY = re.compile(r"(.+?)(?:[ _]*[_ (\[]([^\W\d_]{1,4}|°C)[)\]]?)?")
 QUANTITY = re.compile(r"\s*([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*([^\W\d_]{0,4}|°C)\s*")
 
 
-def stated(exposures: int = 1, **values: float | None) -> Stated:
+def stated(exposures: float = 1.0, **values: float | None) -> Stated:
     """Return the conditions of a header, without values that none of them can have.
 
     Parameters
@@ -56,14 +56,22 @@ def stated(exposures: int = 1, **values: float | None) -> Stated:
         Conditions by name.
     """
     kept = {name: number for name, number in values.items() if _possible(name, number)}
-    if exposures <= 1:
+    if not 1 < exposures < MOST_EXPOSURES:
         return Conditions(**kept), ()
     for name in {"exposure_s", "gate_ns"} & set(kept):
         kept[name] *= exposures
     return Conditions(**kept), (
-        f"each frame is the sum of {exposures} exposures by its header: exposure_s, gate_ns and "
+        f"each frame is the sum of {exposures:g} exposures by its header: exposure_s, gate_ns and "
         "read noise are those of the sum",
     )
+
+
+def number_of(text: object) -> float | None:
+    """Return the number of a text, or None; anything that is no text has none."""
+    try:
+        return float(text) if isinstance(text, str | bytes) else None
+    except ValueError:
+        return None
 
 
 def _possible(name: str, number: float | None) -> bool:

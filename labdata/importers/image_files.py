@@ -4,7 +4,6 @@ import io
 import struct
 import warnings
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.file_io import require_memory, require_picture, require_room
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded, lossy_note
-from labdata.importers.headers import NOTHING, Stated, stated_in_text
+from labdata.importers.headers import Stated, stated_in_text
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # First bytes by Pillow's name of the kind; bilevel images (P1, P4) are refused
@@ -24,7 +23,6 @@ SIGNATURES = {
     "PPM": (b"P2", b"P3", b"P5", b"P6"),
 }
 
-MOST_TEXT_BYTES = 4096  # of a packed text; a condition takes a line
 IMAGE_KINDS = {".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".png": "PNG"}
 
 
@@ -38,8 +36,7 @@ def read_image(path: Path) -> Recorded:
             f"a {path.suffix} file must be a {kind} picture, got something else in {path}"
         )
     if kind == "PNG":
-        for _ in _png_chunks(content, path):
-            pass
+        _check_png(content, path)
     data = _decode(content, kind, path)
     if data is None or data.ndim not in (2, 3):
         raise BadInput(f"a {kind} file must be whole and readable, got {path}")
@@ -82,27 +79,16 @@ def _decode(content: bytes, kind: str, path: Path) -> NDArray | None:
 
 
 def conditions(path: Path, extension: str | None = None) -> Stated:
-    """Return the conditions that the texts of a PNG file state."""
-    require_memory(path.stat().st_size, 1, path.name)
-    content = path.read_bytes()
-    if not content.startswith(PNG_SIGNATURE):
-        return NOTHING
-    texts = {}
-    for kind, body in _png_chunks(content, path):
-        key, _, text = body.partition(b"\0")
-        if kind == b"tEXt":
-            texts[key.decode("latin-1")] = text.decode("latin-1")
-        elif kind == b"zTXt":
-            unpacked = zlib.decompressobj().decompress(text[1:], MOST_TEXT_BYTES)
-            texts[key.decode("latin-1")] = unpacked.decode("latin-1")
-        elif kind == b"iTXt" and text[:1] == b"\0":  # not packed; language and translated key
-            texts[key.decode("latin-1")] = text[2:].split(b"\0", 2)[-1].decode("utf-8", "replace")
+    """Return the conditions that the texts before the pixels of a PNG file state."""
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        texts = {key: text for key, text in picture.info.items() if isinstance(text, str)}
     return stated_in_text(texts)
 
 
-def _png_chunks(content: bytes, path: Path) -> Iterator[tuple[bytes, bytes]]:
-    """Yield type and data of each PNG chunk; all must be intact, since the decoder fills missing
-    data silently.
+def _check_png(content: bytes, path: Path) -> None:
+    """Require intact PNG chunks, since the decoder fills missing data silently.
 
     Notes
     -----
@@ -119,7 +105,6 @@ def _png_chunks(content: bytes, path: Path) -> Iterator[tuple[bytes, bytes]]:
             raise BadInput(
                 f"a PNG file must be whole, got {path} whose part at byte {at} is damaged"
             )
-        yield kind, checked[4:]
         at += 12 + length
 
 

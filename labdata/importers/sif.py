@@ -8,7 +8,7 @@ needs to be known. Time stamps of the frames follow, one a line, then 32-bit rea
 (M. Leutenegger, sifread.m, 2006).
 """
 
-import mmap
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 
 from labdata.errors import BadInput
 from labdata.importers.axes import COL, FRAME, ROW, Recorded
-from labdata.importers.headers import Stated, stated
+from labdata.importers.headers import NOTHING, Stated, number_of, stated
 from labdata.importers.parts import Part, choose, whole_frames
 
 MAGIC = b"Andor Technology Multi-Channel File"
@@ -28,9 +28,12 @@ LAYOUT = re.compile(
 # First version whose header states the gate's step and whether the gain is that of the register
 WITH_GATE_STEP, WITH_REAL_GAIN = 65542, 65553
 ACCUMULATE, KINETICS = 2, 3  # Acquisition modes whose frames may be sums
-INTENSIFIED = "DH"  # First letters of the heads with an intensifier, iStar
-# Line of the intensifier in versions from 65566 on: gain, and width of the gate, ps
-INTENSIFIER = re.compile(rb"\n65539 \d+ \d+ (\d+) \S+ \S+ \S+ (\d+) ")
+INTENSIFIED = b"DH"  # First letters of the heads with an intensifier, iStar
+# First line of a section: version, temperature, five bytes with blanks, the fields from the twelfth
+# on; and the line of the camera's head
+FIRST = re.compile(rb"(6\d{4}) \d+ \d+ \d+ \d+ (-?[\d.]+) (.{10})([^\n]*)\n([^\n]*)", re.DOTALL)
+# Line of the intensifier in versions from 65566 on: the eighth field is the gate's width, ps
+INTENSIFIER = re.compile(rb"\n65539 \d+ \d+ \d+ \S+ \S+ \S+ (\d+) ")
 
 
 @dataclass(frozen=True)
@@ -38,72 +41,66 @@ class _Section:
     """Frames of one kind of a file: signal, then reference and background."""
 
     header: bytes
-    frames: int
-    rows: int
-    cols: int
+    shape: tuple[int, int, int]
     start: int  # of the pixels
 
 
 def read(path: Path, extension: str | None = None, *, partial: bool = False) -> Recorded:
     """Read the frames of a section; see `labdata.importers.read_frames`."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        section, notes = _section(content, path, extension)
-        size = len(content)
-    frame_bytes = 4 * section.rows * section.cols
+    section, notes, size = _section(path, extension)
+    frames, rows, cols = section.shape
     frames, missing = whole_frames(
         path.name,
-        frames=section.frames,
+        frames=frames,
         start=section.start,
-        stride=frame_bytes,
-        frame_bytes=frame_bytes,
+        stride=4 * rows * cols,
+        frame_bytes=4 * rows * cols,
         size=size,
         partial=partial,
     )
-    shape = (frames, section.rows, section.cols)
-    data = np.memmap(path, "<f4", "r", section.start, shape)
+    data = np.memmap(path, "<f4", "r", section.start, (frames, rows, cols))
     return Recorded(data=data, names=(FRAME, ROW, COL), notes=(*notes, *missing))
 
 
-def _section(content: mmap.mmap, path: Path, extension: str | None) -> tuple[_Section, tuple]:
-    """Return the chosen section of a file, and a note where there are several."""
-    if content[: len(MAGIC)] != MAGIC:
+def _section(path: Path, extension: str | None) -> tuple[_Section, tuple[str, ...], int]:
+    """Return the chosen section of a file, a note where there are several, and the file's bytes."""
+    content = np.memmap(path, np.uint8, "r")
+    if content[: len(MAGIC)].tobytes() != MAGIC:
         raise BadInput(f"a .sif file must be a file of Andor Solis, got something else in {path}")
     sections: list[_Section] = []
     end = len(MAGIC)
     while (match := LAYOUT.search(content, end)) is not None:
-        section = _section_of(match, content[end : match.start()], content)
+        section = _section_of(match, content[end : match.start()].tobytes(), content)
         end = match.end()
         if section is not None:
             sections.append(section)
-            end = section.start + 4 * section.frames * section.rows * section.cols
+            end = section.start + 4 * math.prod(section.shape)
     if not sections:
         raise BadInput(f"a SIF file must describe its frames, got no such line in {path}")
-    parts = [
-        Part(number, "", (section.frames, section.rows, section.cols))
-        for number, section in enumerate(sections)
-    ]
+    parts = [Part(number, "", section.shape) for number, section in enumerate(sections)]
     at, notes = choose(parts, extension, 0, "the first")
-    return sections[at], notes
+    return sections[at], notes, content.size
 
 
-def _section_of(match: re.Match, header: bytes, content: mmap.mmap) -> _Section | None:
+def _section_of(match: re.Match, header: bytes, content: np.ndarray) -> _Section | None:
     """Return the section of a description; None if its numbers contradict each other."""
     frames, areas, pixels, frame_pixels = (int(text) for text in match.groups()[:4])
-    lines = [[int(text) for text in line.split()] for line in match[5].splitlines()][:areas]
-    if len(lines) < areas or not frames or frames * frame_pixels != pixels:
+    lines = match[5].splitlines(keepends=True)[:areas]
+    if len(lines) != areas or not areas or not frames or frames * frame_pixels != pixels:
         return None
-    heights, widths = [], set()
-    for _, left, top, right, bottom, row_bin, col_bin, *_ in lines:
-        heights.append((1 + abs(top - bottom)) // max(1, row_bin))
-        widths.add((1 + abs(right - left)) // max(1, col_bin))
-    if len(widths) != 1 or sum(heights) * max(widths) != frame_pixels:
+    boxes = np.array([line.split()[1:7] for line in lines], int)
+    left, top, right, bottom, row_bin, col_bin = boxes.T
+    heights = (1 + abs(top - bottom)) // np.maximum(1, row_bin)
+    widths = (1 + abs(right - left)) // np.maximum(1, col_bin)
+    rows, cols = int(heights.sum()), int(widths[0])
+    if (widths != cols).any() or rows * cols != frame_pixels:
         return None
-    at = match.start(5) + sum(len(line) for line in match[5].splitlines(keepends=True)[:areas])
-    stamps = re.compile(rb"(?: *\d+\r?\n){%d}" % frames).match(content, at)
-    at = at if stamps is None else stamps.end()
-    # Newer versions end the stamps with a line 0, or with 1 and one more line for each frame.
-    more = re.compile(rb"0\n|1\n(?: *\d+\n){%d}" % frames).match(content, at)
-    return _Section(header, frames, sum(heights), max(widths), at if more is None else more.end())
+    start = match.start(5) + sum(len(line) for line in lines)
+    # Time stamps; newer versions end them with a line 0, or 1 and one more line for each frame.
+    for lines_before in (rb"(?: *\d+\r?\n){%d}" % frames, rb"0\n|1\n(?: *\d+\n){%d}" % frames):
+        before = re.compile(lines_before).match(content, start)
+        start = start if before is None else before.end()
+    return _Section(header, (frames, rows, cols), start)
 
 
 def conditions(path: Path, extension: str | None = None) -> Stated:
@@ -114,31 +111,24 @@ def conditions(path: Path, extension: str | None = None) -> Stated:
     Fields of the first line of a section, by position: 5 temperature, 9 acquisition mode, 12
     exposure (s), 15 accumulations, 21 gain, 23 gate width (ps), 42 output amplifier, 47
     temperature before it was stable, 50 whether the gain is that of the register. Fields 6 to 10
-    are single bytes.
+    are single bytes, of which any may be a blank or an end of line.
     """
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        section, _ = _section(content, path, extension)
-    first = re.search(rb"6\d{4} \d+ \d+ \d+ \d+ -?[\d.]+ ", section.header)
+    section, *_ = _section(path, extension)
+    first = FIRST.search(section.header)
     if first is None:
-        return stated()
-    # The bytes of the mode may be blanks and ends of lines.
-    mode = section.header[first.end() + 6]
-    rest = section.header[first.end() + 10 :]
-    line, *further = rest.split(b"\n")
-    words = first[0].split() + [b""] * 5 + line.split(b" ")
-    version, temperature_c = int(words[0]), float(words[5])
-    numbers = [float(word) if re.fullmatch(rb"[-+.\deE]+", word) else 0.0 for word in words]
-    numbers += [0.0] * (60 - len(numbers))
+        return NOTHING
+    version, temperature_c, mode = int(first[1]), number_of(first[2]), first[3][6]
+    fields = [number_of(word) or 0.0 for word in first[4].split(b" ")]
+    fields = [0.0] * 11 + fields + [0.0] * 60
     if version < WITH_GATE_STEP:  # the fields behind the gate stand one place earlier
-        numbers.insert(24, 0.0)
-    temperature_c = temperature_c if temperature_c != -999 else numbers[47]
-    head = further[0].decode("latin-1") if further else ""
-    found: dict[str, float | None] = {}
-    if head.startswith(INTENSIFIED):
+        fields.insert(24, 0.0)
+    gain, gate_ps, register = fields[21], fields[23], fields[50] == 1 and fields[42] == 0
+    values: dict[str, float | None] = {"exposure_s": fields[12]}
+    values["temperature_c"] = fields[47] if temperature_c == -999 else temperature_c
+    if first[5].startswith(INTENSIFIED):
         newer = INTENSIFIER.search(section.header)
-        gate_ps = float(newer[2]) if newer else numbers[23]
-        found = {"gain_control": numbers[21], "gate_ns": 1e-3 * gate_ps}
-    elif version >= WITH_REAL_GAIN and numbers[50] == 1 and numbers[42] == 0:
-        found = {"em_gain": numbers[21]}
-    summed = int(numbers[15]) if mode in (ACCUMULATE, KINETICS) else 1
-    return stated(summed, exposure_s=numbers[12], temperature_c=temperature_c, **found)
+        gate_ps = float(newer[1]) if newer else gate_ps
+        values |= {"gain_control": gain, "gate_ns": 1e-3 * gate_ps}
+    elif version >= WITH_REAL_GAIN and register:
+        values["em_gain"] = gain
+    return stated(fields[15] if mode in (ACCUMULATE, KINETICS) else 1.0, **values)

@@ -19,3 +19,4 @@ MOSAIC_SIGNIFICANCE = 8.0
 MOST_NAMED = 8  # Pictures of one file that a message lists; larger ones have their own index
 # Temperatures of a sensor, degrees Celsius; drivers write -999 for none, observatories kelvins
 COLDEST_C, WARMEST_C = -150.0, 100.0
+MOST_EXPOSURES = 1e9  # Exposures in one frame, more than a year of the fastest cameras

@@ -12,7 +12,7 @@ from scipy.special import erf
 import charact
 from labdata import BadInput, open_session, read_frames
 from tests.charact.cli.runner import charact as run
-from tests.truth.camera_files import write_img, write_sif
+from tests.truth.camera_files import write_img, write_sif, write_spe
 
 CASES = Path(__file__).resolve().parents[2].parent / "shared" / "cases"
 
@@ -293,3 +293,194 @@ def test_the_pixels_of_a_hamamatsu_file_are_those_that_were_written(tmp_path, ki
     assert not found.notes
     write_img(tmp_path / "a.img", image, comment(background=-1))
     assert "a background was subtracted" in read_frames(tmp_path / "a.img").notes[0]
+
+
+# What headers state
+
+
+def stated_by(path: Path, **manifest: object) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return the conditions of a session's one stack, with its notes."""
+    keys = "".join(f"{key} = {value}\n" for key, value in manifest.items())
+    (path.parent / "session.toml").write_text(
+        f'name = "s"\n[[stack]]\nlabel = "a"\nkind = "flat"\nframes = "{path.name}"\n{keys}'
+    )
+    session = open_session(path.parent)
+    conditions = vars(session.stacks[0].conditions)
+    return {name: value for name, value in conditions.items() if value is not None}, session.notes
+
+
+FRAMES = np.full((2, 16, 20), 100, np.uint16)
+LIGHTFIELD = """<Experiment><Devices><Cameras><Camera>
+    <ShutterTiming><ExposureTime type="Double">20</ExposureTime></ShutterTiming>
+    <Sensor><Temperature><Reading>-25</Reading><SetPoint>-25</SetPoint></Temperature></Sensor>
+    <Intensifier><Gain type="Int32">50</Gain></Intensifier><ADC><EMGain>1</EMGain></ADC>
+    <Gating><RepetitiveGate><Pulse width="100" delay="25"/></RepetitiveGate></Gating>
+    <FrameCombination><Method>Sum</Method><FramesCombined>5</FramesCombined></FrameCombination>
+    </Camera></Cameras></Devices></Experiment>"""
+
+
+def png(path: Path, **texts: str) -> None:
+    from PIL import Image, PngImagePlugin
+
+    info = PngImagePlugin.PngInfo()
+    for at, (key, text) in enumerate(texts.items()):
+        if at % 3 == 2:
+            info.add_itxt(key, text)
+        else:
+            info.add_text(key, text, zip=at % 3 == 1)
+    Image.fromarray(FRAMES[0]).save(path, pnginfo=info)
+
+
+def cards(path: Path, primary: dict | None = None, **header: object) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    if primary is None:
+        fits.writeto(path, FRAMES, fits.Header({**header, "NUMKIN": len(FRAMES)}))
+        return
+    units = (
+        fits.PrimaryHDU(header=fits.Header(primary)),
+        fits.ImageHDU(FRAMES[0], fits.Header(header)),
+    )
+    fits.HDUList(list(units)).writeto(path)
+
+
+HEADERS = {
+    "emccd.sif": (
+        lambda path: write_sif(path, FRAMES, gain=300, real_gain=True, exposure_s=0.02),
+        {"exposure_s": 0.02, "temperature_c": -70.0, "em_gain": 300.0},
+    ),
+    "old.sif": (
+        lambda path: write_sif(path, FRAMES, version=65540, temperature_c=-20.0),
+        {"exposure_s": 0.02, "temperature_c": -20.0},
+    ),
+    "istar.sif": (
+        lambda path: write_sif(path, FRAMES, head="DH734_18mm", gain=180, gate_ps=750000.0),
+        {"exposure_s": 0.02, "temperature_c": -70.0, "gain_control": 180.0, "gate_ns": 750.0},
+    ),
+    "oldest-istar.sif": (
+        lambda path: write_sif(path, FRAMES, version=65541, head="DH501", gain=4, gate_ps=5e3),
+        {"exposure_s": 0.02, "temperature_c": -70.0, "gain_control": 4.0, "gate_ns": 5.0},
+    ),
+    "accumulated.sif": (
+        lambda path: write_sif(path, FRAMES, mode=2, accumulations=5),
+        {"exposure_s": 0.1, "temperature_c": -70.0},
+    ),
+    "single.sif": (
+        lambda path: write_sif(path, FRAMES, mode=1, accumulations=5),
+        {"exposure_s": 0.02, "temperature_c": -70.0},
+    ),
+    "winview.spe": (
+        lambda path: write_spe(path, FRAMES, exp_sec=0.05, DetTemperature=-40.0, avgexp=1),
+        {"exposure_s": 0.05, "temperature_c": -40.0},
+    ),
+    "pimax.spe": (
+        lambda path: write_spe(
+            path,
+            FRAMES,
+            exp_sec=0.05,
+            DetTemperature=-20.0,
+            avgexp=-1,
+            lavgexp=40000,
+            PImaxUsed=1,
+            PImaxGain=128,
+            PulseRepWidth=0.25,
+        ),
+        {"exposure_s": 2000.0, "temperature_c": -20.0, "gain_control": 128.0, "gate_ns": 1e7},
+    ),
+    "unset.spe": (lambda path: write_spe(path, FRAMES), {}),
+    "lightfield.spe": (
+        lambda path: write_spe(path, FRAMES, LIGHTFIELD),
+        {
+            "exposure_s": 0.1,
+            "temperature_c": -25.0,
+            "gain_control": 50.0,
+            "em_gain": 1.0,
+            "gate_ns": 500.0,
+        },
+    ),
+    "integrated.img": (
+        lambda path: write_img(path, FRAMES[0], comment(number=4, mode=4)),
+        {"exposure_s": 20.0, "gain_control": 20.0},
+    ),
+    "acquired.img": (
+        lambda path: write_img(path, FRAMES[0], comment(number=4, time="100 ms", mode=2)),
+        {"exposure_s": 0.1, "gain_control": 20.0},
+    ),
+    "text.png": (
+        lambda path: png(path, Exposure="10 ms", Gain="6 dB", Gate="200 ns", Author="5 s"),
+        {"exposure_s": 0.01, "camera_gain_db": 6.0, "gate_ns": 200.0},
+    ),
+    "keys.png": (
+        lambda path: png(path, exposure_us="500", temperature_c="-20.5", Comment="night"),
+        {"exposure_s": 5e-4, "temperature_c": -20.5},
+    ),
+    "cube.fits": (
+        lambda path: cards(path, EXPTIME=0.5, GAIN=120, EGAIN=1.4, **{"CCD-TEMP": -10.0}),
+        {"exposure_s": 0.5, "temperature_c": -10.0},
+    ),
+    "andor.fits": (
+        lambda path: cards(
+            path, EXPOSURE=0.5, TEMP=-70.0, GAIN=250, EMREALGN=1, OUTPTAMP="Electron Multiplying"
+        ),
+        {"exposure_s": 0.5, "temperature_c": -70.0, "em_gain": 250.0},
+    ),
+    "extension.fits": (
+        lambda path: cards(path, {"EXPTIME": 3.0, "CCD-TEMP": -999.0}, GAIN=2.0),
+        {"exposure_s": 3.0},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_what_a_header_states_are_the_conditions_of_the_stack(tmp_path, name):
+    write, truth = HEADERS[name]
+    write(tmp_path / name)
+    found, notes = stated_by(tmp_path / name)
+    assert found == pytest.approx(truth)
+    assert any("by the headers of the files" in note for note in notes) == bool(truth)
+    sums = name in ("accumulated.sif", "pimax.spe", "lightfield.spe", "integrated.img")
+    assert any("is the sum of" in note for note in notes) == sums
+
+
+def test_a_session_precedes_the_header_and_a_contradiction_is_told(tmp_path):
+    write_sif(tmp_path / "a.sif", FRAMES, exposure_s=0.02)
+    found, notes = stated_by(tmp_path / "a.sif", exposure_s=0.05, temperature_c=-69.5)
+    assert found == {"exposure_s": 0.05, "temperature_c": -69.5}
+    (note,) = notes
+    assert "exposure_s 0.05 by the session and 0.02 by the headers" in note
+    assert not stated_by(tmp_path / "a.sif", exposure_s=0.02, temperature_c=-70)[1]
+
+
+def test_files_of_a_stack_that_contradict_each_other_give_no_condition(tmp_path):
+    for at, exposure_s in enumerate((0.02, 0.04)):
+        write_sif(tmp_path / f"{at}.sif", FRAMES, exposure_s=exposure_s, temperature_c=-70 - at / 2)
+    (tmp_path / "session.toml").write_text(
+        'name = "s"\n[[stack]]\nlabel = "a"\nkind = "dark"\nframes = ["0.sif", "1.sif"]\n'
+    )
+    session = open_session(tmp_path)
+    assert session.stacks[0].conditions.exposure_s is None
+    assert session.stacks[0].conditions.temperature_c == -70.25
+    assert session.stacks[0].from_headers == ("temperature_c",)
+    assert any("exposure_s of 0.02 to 0.04: not used" in note for note in session.notes)
+
+
+def test_a_number_without_a_unit_is_not_a_condition(tmp_path):
+    png(tmp_path / "a.png", Exposure="10", Gain="3")
+    found, notes = stated_by(tmp_path / "a.png")
+    assert not found
+    assert sum("has no unit" in note for note in notes) == 2
+
+
+def test_a_damaged_header_leaves_the_session_open(tmp_path):
+    write_sif(tmp_path / "a.sif", FRAMES)
+    (tmp_path / "a.sif").write_bytes((tmp_path / "a.sif").read_bytes()[:300])
+    assert stated_by(tmp_path / "a.sif") == ({}, ())
+    with pytest.raises(BadInput, match="must describe its frames"):
+        open_session(tmp_path).stacks[0].read()
+
+
+def test_the_header_of_a_file_is_used_in_python_and_on_import(tmp_path):
+    write_sif(tmp_path / "a.sif", FRAMES, exposure_s=0.02)
+    assert charact.stack(tmp_path / "a.sif", "dark").conditions.exposure_s == 0.02
+    assert charact.stack(tmp_path / "a.sif", "dark", exposure_s=0.3).conditions.exposure_s == 0.3
+    done = run("import", "frames", tmp_path / "a.sif", tmp_path / "S")
+    assert "exposure_s, temperature_c of stack 'a': by the headers" in done.stdout

@@ -296,7 +296,7 @@ def test_a_reader_that_finds_no_end_is_stopped_in_a_sentence(tmp_path, monkeypat
             pass
 
     monkeypatch.setattr(file_io, "READ_CPU_S", 0.2)
-    monkeypatch.setattr(cameras, "read", look_for_ever)
+    monkeypatch.setattr(cameras, "read_spe", look_for_ever)
     (path := tmp_path / "a.spe").write_bytes(b"0")
     with pytest.raises(BadInput, match=r"within 0\.2 s of processor time, got no end in .*a\.spe"):
         read_frames(path)

@@ -1,6 +1,4 @@
-"""Kind and conditions of frames by the headers of FITS files, which camera software writes one file
-a frame.
-"""
+"""Kind and conditions of frames by the headers of their files."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -34,6 +32,8 @@ KIND_WORDS: dict[str, Kind] = {
 # Temperatures further apart are those of different stacks, K: regulation and readings differ by
 # some tenths.
 SAME_TEMPERATURE_K = 1.0
+# Settings of a header and of a session that differ by a smaller fraction are one setting, rounded.
+SAME_SETTING = 0.01
 # Flats whose mean levels differ by more are those of different light; a lamp drifts less.
 SAME_LEVEL = 0.02
 
@@ -98,6 +98,54 @@ def require_one_camera(files: Sequence[tuple[Path, str | None]]) -> None:
                 f"all frames of a session must have one {card}, got {shown}: import each into its "
                 "own session"
             )
+
+
+def with_headers(
+    conditions: Conditions, paths: Sequence[Path], *, label: str, extension: str | None = None
+) -> tuple[Conditions, tuple[str, ...], tuple[str, ...]]:
+    """Return the conditions of a stack, what it leaves open filled from the headers of its files.
+
+    Parameters
+    ----------
+    conditions
+        Conditions that the session states. They precede those of the headers.
+    paths, label, extension
+        Files of the stack, its name for notes, and the picture to read of each file.
+
+    Returns
+    -------
+    conditions, names, notes
+        The conditions, the names of those that are the headers', and notes on files that contradict
+        each other or the session.
+    """
+    try:
+        stated = [read_conditions(path, extension) for path in paths]
+    except BadInput:  # the reader of the frames reports it
+        return conditions, (), ()
+    notes = dict.fromkeys(note for _, header_notes in stated for note in header_notes)
+    values: dict[str, float] = {}
+    for name, of_session in vars(conditions).items():
+        numbers = [getattr(header, name) for header, _ in stated]
+        numbers = [number for number in numbers if number is not None]
+        if not numbers:
+            continue
+        low, mean, high = min(numbers), float(np.mean(numbers)), max(numbers)
+        if not _is_same(name, low, high):
+            text = f"the headers of stack {label!r} state {name} of {low:g} to {high:g}"
+            notes[text if of_session is not None else f"{text}: not used"] = None
+        elif of_session is None:
+            values[name] = mean
+        elif not _is_same(name, of_session, mean):
+            text = f"stack {label!r} has {name} {of_session:g} by the session and {mean:g} by the"
+            notes[f"{text} headers of its files: the session's is used"] = None
+    return replace(conditions, **values), tuple(values), tuple(notes)
+
+
+def _is_same(name: str, a: float, b: float) -> bool:
+    """Whether two values of a condition are of one setting."""
+    if name == "temperature_c":
+        return abs(a - b) <= SAME_TEMPERATURE_K
+    return abs(a - b) <= SAME_SETTING * max(abs(a), abs(b))
 
 
 def group_stated(
