@@ -3,13 +3,14 @@ files, and pictures.
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from charact.cli.options import in_options
 from charact.cli.output import exit_on_bad_input
 from charact.cli.outputs import (
     Force,
@@ -152,9 +153,13 @@ def _summarise(session: "Session", out: Path, next_verb: str) -> None:
     ]
     if unknown:
         print(f"unknown for some stacks: {'; '.join(unknown)}")
-    for note in session.notes:
-        print(f"note: {note}")
+    _print_notes(session.notes)
     print(f"Next: {next_verb}")
+
+
+def _print_notes(notes: Sequence[str]) -> None:
+    for note in notes:
+        print(f"note: {in_options(note)}")
 
 
 # Beginnings of the files of results.
@@ -200,6 +205,7 @@ def view(
                 f"{path}: mean of {frames} frames of {rows} x {cols} px, {low:g} to {high:g} "
                 f"{stack.unit}"
             )
+            _print_notes(stack.notes)
             if out is not None:
                 return
 
@@ -243,7 +249,9 @@ def convert(
         require_free(out, force=force, taken=bool(existing) or out.is_file(), kept=lambda: obstacle)
         out.mkdir(parents=True, exist_ok=True)
         for path, (_, read, _) in zip(paths, stacks, strict=True):
-            print(write_frames(read(), path))
+            stack = read()
+            print(write_frames(stack, path))
+            _print_notes(stack.notes)
 
 
 def _write_results(folder: Path, out: Path, to: str) -> None:
