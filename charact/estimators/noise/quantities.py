@@ -253,6 +253,14 @@ def electron_quantities(
         stated = light_of_photons(series.flats, photons)
         true = efficiency / stated.scale(context.seed, len(efficiency))
         words = (*notes, stated.note)
+        if plain is not gain:
+            low, middle, high = np.quantile(
+                100.0 * response.slope / rng.permutation(plain.slope), [0.025, 0.5, 0.975]
+            )
+            words += (
+                f"with the slope of the variance as gain, as EMVA 1288 has it: {middle:.4g} % "
+                f"[{low:.4g}, {high:.4g}]",
+            )
         quantum = measurement_from_draws(
             "quantum_efficiency", "%", 100 * true, notes=words, **fields
         )
