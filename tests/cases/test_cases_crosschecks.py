@@ -187,3 +187,49 @@ def test_levels_that_change_are_named_with_frame_and_size(seed, change, words, k
         holds(dark, BLACK_DN)
         assert any(words in note for note in dark.notes)
         never_silent(one(result, "system_gain"), GAIN)
+
+
+def with_tracks(rng, *, level_dn, horizontal=False, number=4, length=12):
+    """Return a function that adds tracks of a level to frames, each in one frame."""
+
+    def add(data):
+        data = data.copy()
+        frames, rows, cols = data.shape
+        for _ in range(number):
+            angle = 0.0 if horizontal else rng.uniform(0.0, np.pi)
+            along = np.arange(length)
+            row = (rng.uniform(30, rows - 30) + along * np.sin(angle)).astype(int)
+            col = (rng.uniform(30, cols - 30) + along * np.cos(angle)).astype(int)
+            data[rng.integers(frames), row, col] += np.rint(rng.exponential(level_dn, length))
+        return data
+
+    return add
+
+
+def test_tracks_of_cosmic_rays_leave_both_gains(case):
+    result = case("jj1-cosmic-tracks")
+    for quantity in ("covariance_gain", "system_gain"):
+        holds(one(result, quantity), 0.569)
+    assert one(result, "system_gain").value == pytest.approx(0.569, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("stacks", "frames", "more"),
+    [
+        (("dark", "flat"), 2, {"level_dn": 900.0}),
+        (("dark",), 2, {"level_dn": 60.0, "number": 12}),
+        (("dark", "flat"), 8, {"level_dn": 600.0, "horizontal": True, "length": 25}),
+    ],
+    ids=["all", "darks", "horizontal"],
+)
+def test_tracks_are_hits_as_single_pixels_are(seed, stacks, frames, more):
+    rng = np.random.default_rng(seed)
+    result = measured(
+        rng,
+        dark_frames=frames,
+        flat_frames=frames,
+        **dict.fromkeys(stacks, with_tracks(rng, **more)),
+    )
+    for quantity, truth in (("system_gain", GAIN), ("covariance_gain", GAIN), ("blur_factor", 1.0)):
+        holds(one(result, quantity), truth)
+    assert one(result, "read_noise", "DN").value == pytest.approx(NOISE_DN, rel=0.02)

@@ -97,6 +97,11 @@ def _outlying_values(
     survey: PixelSurvey, defective: NDArray[np.bool_], min_departure_dn: float
 ) -> tuple[Places, Places]:
     """Return the values far beyond the tail of their stack."""
+    is_track = np.zeros(len(defective), bool)
+    if not min_departure_dn:
+        # Pulses of a tube are tracks too, and valid.
+        is_track[survey.track] = ~defective[survey.track]
+    defective = defective | is_track
     is_sound = ~defective[survey.sudden]
     uses_tail = (
         survey.kind == "flat"
@@ -106,8 +111,11 @@ def _outlying_values(
     is_outlier = is_sound & (
         survey.departure_dn > max(min_departure_dn, survey.tail_dn(defective) if uses_tail else 0.0)
     )
-    return survey.sudden[is_outlier], np.where(
-        survey.times[is_outlier] > 1, -1, survey.frame[is_outlier]
+    frames = np.where(survey.times[is_outlier] > 1, -1, survey.frame[is_outlier])
+    chosen = is_track[survey.track]
+    return (
+        np.concatenate([survey.sudden[is_outlier], survey.track[chosen]]),
+        np.concatenate([frames, survey.track_frame[chosen]]),
     )
 
 

@@ -1,5 +1,6 @@
 """Survey of one stack: robust level and noise, quantisation step, outlying pixels."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,6 +65,9 @@ class PixelSurvey:
     departure_dn: Array
     times: Places = field(default_factory=_no_places)
     frame: Places = field(default_factory=_no_places)
+    # track, track_frame: pixels of tracks, several adjacent ones of one frame, and their frames
+    track: Places = field(default_factory=_no_places)
+    track_frame: Places = field(default_factory=_no_places)
     # sample, sample_place: deviations of a sample of values, DN, and their positions
     sample: NDArray[np.float32]
     sample_place: Places
@@ -130,14 +134,14 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
         for at in range(0, frames, STACK.block_frames)
     )
     if frames == 2:
-        outliers = _sudden_in_pair(first, SURVEY.sudden_sd * sd)
+        outliers = _sudden_in_pair(first, sd, (rows, cols))
         highest, lowest = np.float32(np.maximum(*first)), np.float32(np.minimum(*first))
         total = highest + lowest
     else:
         extremes = _Extremes(rows * cols)
         for at, block in blocks:
             _extend(block, at, *extremes.arrays)
-        outliers = extremes.sudden(frames, SURVEY.sudden_sd * sd)
+        outliers = extremes.sudden(frames, sd, (rows, cols))
         total, highest, lowest = extremes.total, extremes.high, extremes.low
     if means:
         # Means without their extreme value: one struck frame makes no bright pixel.
@@ -186,19 +190,57 @@ def _pair_departs(first, second, middle, limit, out):
     return count
 
 
-def _sudden_in_pair(pair: NDArray, limit: float) -> dict:
+def _sudden_in_pair(pair: NDArray, sd: float, size: tuple[int, int]) -> dict:
     """Return the pixels in which two frames differ."""
     middle = float(np.median(pair[1, ::7].astype(np.float64) - pair[0, ::7]))
     out = np.empty(int(SURVEY.max_fraction * pair.shape[1]) + 1, np.int64)
-    count = _pair_departs(pair[0], pair[1], middle, limit * np.sqrt(2.0), out)
+    limit = SURVEY.sudden_sd * sd * np.sqrt(2.0)
+    count = _pair_departs(pair[0], pair[1], middle, limit, out)
     pixels = out[: min(count, len(out))]
-    departure = np.abs(pair[1, pixels].astype(float) - pair[0, pixels] - middle) / np.sqrt(2.0)
+
+    def departure(pixels: Places) -> Array:
+        return np.abs(pair[1, pixels].astype(float) - pair[0, pixels] - middle) / np.sqrt(2.0)
+
+    def unknown(pixels: Places) -> Places:
+        return np.full(pixels.shape, -1)
+
     return {
         "sudden": pixels,
-        "departure_dn": departure,
+        "departure_dn": departure(pixels),
         "times": np.ones(len(pixels), np.int64),
-        "frame": np.full(len(pixels), -1),
+        "frame": unknown(pixels),
+        **_tracks(pixels, departure, unknown, size, sd),
     }
+
+
+def _tracks(
+    pixels: Places,
+    departure: Callable[[Places], Array],
+    frame: Callable[[Places], Places],
+    size: tuple[int, int],
+    sd: float,
+) -> dict:
+    """Return the pixels of tracks with their frames: outliers and their neighbours in that frame
+    that depart by `SURVEY.track_sd`, and so on along the track.
+    """
+    rows, cols = size
+    is_hit, is_track = (np.zeros((rows + 2, cols + 2), bool) for _ in range(2))
+    known = pixels if len(pixels) <= SURVEY.max_fraction * rows * cols else _no_places()
+    row, col = np.divmod(known, cols)
+    step = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
+    is_hit[row + 1, col + 1] = True
+    while len(row):
+        around = row[:, None] + step[:, 0], col[:, None] + step[:, 1]
+        clipped = np.clip(around[0], 0, rows - 1) * cols + np.clip(around[1], 0, cols - 1)
+        is_inside = (np.clip(around, 0, [[[rows - 1]], [[cols - 1]]]) == around).all(axis=0)
+        is_near = is_inside & (departure(clipped) > SURVEY.track_sd * sd)
+        is_near &= frame(clipped) == frame(row * cols + col)[:, None]
+        is_track[row + 1, col + 1] |= is_near.any(axis=1)
+        is_new = is_near & ~is_hit[around[0] + 1, around[1] + 1]
+        row, col = np.divmod(np.unique(clipped[is_new]), cols)
+        is_hit[row + 1, col + 1] = True
+    track = np.flatnonzero(is_track[1:-1, 1:-1])
+    return {"track": track, "track_frame": frame(track)}
 
 
 class _Extremes:
@@ -223,10 +265,11 @@ class _Extremes:
             self.low_at,
         )
 
-    def sudden(self, frames: int, limit: float) -> dict:
+    def sudden(self, frames: int, sd: float, size: tuple[int, int]) -> dict:
         """Return the pixels that deviate in some frames from the mean of the others."""
         middle = (self.total - self.high - self.low) / np.float32(frames - 2)
-        limit *= float(np.sqrt(1.0 + 1.0 / (frames - 2)))
+        sd *= float(np.sqrt(1.0 + 1.0 / (frames - 2)))
+        limit = SURVEY.sudden_sd * sd
         up, down = self.high - middle, middle - self.low
         pixels = np.flatnonzero((up > limit) | (down > limit))[
             : int(SURVEY.max_fraction * len(middle)) + 1
@@ -235,12 +278,20 @@ class _Extremes:
             (np.abs(extreme[pixels] - middle[pixels]) > limit).astype(np.int64)
             for extreme in (self.high, self.next_high, self.low, self.next_low)
         )
-        where = np.where(up[pixels] > down[pixels], self.high_at[pixels], self.low_at[pixels])
+
+        def departure(pixels: Places) -> Array:
+            return np.maximum(up[pixels], down[pixels]).astype(float)
+
+        def frame(pixels: Places) -> Places:
+            is_up = up[pixels] > down[pixels]
+            return np.where(is_up, self.high_at[pixels], self.low_at[pixels]).astype(np.int64)
+
         return {
             "sudden": pixels,
-            "departure_dn": np.maximum(up[pixels], down[pixels]).astype(float),
+            "departure_dn": departure(pixels),
             "times": np.asarray(times),
-            "frame": where.astype(np.int64),
+            "frame": frame(pixels),
+            **_tracks(pixels, departure, frame, size, sd),
         }
 
 
