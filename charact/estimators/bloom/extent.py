@@ -33,8 +33,8 @@ class Contour:
     """Closed contour around a source.
 
     `radius`: radius in each of `DIRECTIONS`, column pitches, shape (direction,); `area`, `area_sd`:
-    area inside and its standard error, square column pitches; `slope`: fall of the logarithm of the
-    signal at the contour, per column pitch; `oval`, `oval_sd`: second harmonic of the squared
+    area inside and its standard error, square column pitches; `slope`: fall of the signal at the
+    contour, DN per column pitch; `oval`, `oval_sd`: second harmonic of the squared
     radius over its mean, cosine and sine, and its standard error; dimensionless.
     """
 
@@ -128,7 +128,7 @@ def fit_contour(
     # Up to a radius of 2 px the contour is so short that its noise is that of an area.
     analytic = noise.correlation_factor * normal if radius <= 2.0 else noisy
     covariance = 0.5 * (normal @ _scatter(scores, noise.correlation_factor) @ normal + analytic)
-    return _solve_contour(beta, covariance, radius, terms)
+    return _solve_contour(beta, covariance, radius, terms, threshold_height)
 
 
 def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> float:
@@ -191,10 +191,10 @@ def _scatter(scores: Array, correlation_factor: float) -> Array:
 
 
 def _solve_contour(
-    beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]
+    beta: Array, covariance: Array, radius: float, terms: tuple[str, ...], height_dn: float
 ) -> Contour | None:
     """Solve for the contour radius in every direction, and propagate the covariance of the
-    coefficients.
+    coefficients; the threshold lies `height_dn` above the surroundings.
     """
     t = np.zeros(len(DIRECTIONS))
     bend = float(beta[terms.index("tt")]) if "tt" in terms else 0.0
@@ -219,7 +219,7 @@ def _solve_contour(
         radius=np.sqrt(squared),
         area=np.pi * mean,
         area_sd=float(np.hypot(sds[0], 0.05 * np.hypot(*oval) * np.pi * mean)),
-        slope=float(-2.0 * np.mean(fall) / radius),
+        slope=float(-2.0 * np.mean(fall) / radius) * height_dn,
         oval=oval,
         oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
     )
@@ -420,15 +420,8 @@ def _extent_from_contour(
     # Model error of a contour, px; larger where clipping hides the inner side.
     off = 0.0225 if level_dn - view.dark_dn > CUT_SHARE * view.top else 0.004
     sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * off)
-    level_radius_sd = (
-        2.0
-        * np.pi
-        * radius
-        * level_sd
-        / max(level_dn - view.dark_dn, 1e-6)
-        / max(contour.slope, 1e-3)
-    )
-    areas = area + float(np.hypot(sd, level_radius_sd)) * NORMAL
+    level_sd_px2 = 2.0 * np.pi * radius * level_sd / max(contour.slope, 1e-6)
+    areas = area + float(np.hypot(sd, level_sd_px2)) * NORMAL
     return Extent(
         level_dn=level_dn,
         area=float(area),
