@@ -14,9 +14,9 @@ from charact.estimators.bloom.extent_measurements import (
     series_evidence,
 )
 from charact.estimators.bloom.findings import DIAMETERS, finding
-from charact.estimators.bloom.halo_edge_step import Rim, rim_of
 from charact.estimators.bloom.point_stack import DETECTED, PointStack, read_point_stacks
 from charact.estimators.bloom.series.extent_comparison import compare_extents
+from charact.estimators.bloom.series.halo_edge_step import Rim, rim_of
 from charact.estimators.bloom.series.likelihood import select_levels
 from charact.estimators.bloom.series.model_selection import (
     MISFIT_SHARE,

@@ -15,7 +15,6 @@ from charact.estimators.bloom.extent_measurements import (
     series_evidence,
 )
 from charact.estimators.bloom.findings import finding
-from charact.estimators.bloom.halo_edge_step import rim_of
 from charact.estimators.bloom.point_stack import (
     DETECTED,
     PointStack,
@@ -23,6 +22,7 @@ from charact.estimators.bloom.point_stack import (
     read_point_stacks,
     spot_of,
 )
+from charact.estimators.bloom.series.halo_edge_step import rim_of
 from charact.estimators.bloom.series.ring_series import build_ring_series
 from charact.estimators.bloom.series.series_measurements import NO_RINGS
 from charact.estimators.bloom.source_view import SECTORS, Background, SourceView, view_of
@@ -256,8 +256,8 @@ def _halo(
         if spot.significance < DETECTED:
             raise Unmeasurable("no point source is detected")
         series, _ = build_ring_series(session, (spot,), context=context)
-        tube = has_tube(context.camera)
-        rim = rim_of(series, pitch_ratio=context.pitch_ratio, has_tube=tube)
+        # One frame does not show whether its camera has a tube.
+        rim = rim_of(series, pitch_ratio=context.pitch_ratio, has_tube=True)
         no_edge = NO_RINGS if rim is None else rim.why_no_edge(0.0)
         if rim is not None and no_edge is None:
             draws = rim.draws(DRAWS, context.seed)

@@ -38,8 +38,8 @@ class RimThresholds:
     rings_beside: int = 3
     # Error of a ring over the height of the window: pixels and centre that are not as modelled.
     model_error: float = 3e-3
-    # -2 ln of the prior probability of a rim where no tube makes one.
-    cost: float = 20.0
+    # Cost of a rim where no tube is known that makes one: ln of a hundred rings and one to three.
+    cost: float = 6.0
     # Blur of a step that is no edge, px, and standard deviations of the core.
     soft_px: float = 3.0
     soft_cores: float = 2.0

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from charact.estimators.bloom.findings import finding
-from charact.estimators.bloom.halo_edge_step import Rim
 from charact.estimators.bloom.point_stack import PointStack
+from charact.estimators.bloom.series.halo_edge_step import Rim
 from charact.estimators.bloom.series.halo_models import HaloModel, onto_nodes, pixel_of, profile_of
 from charact.estimators.bloom.series.mcp_saturation import SaturatingSeriesLikelihood
 from charact.estimators.bloom.series.model_selection import FittedHaloModel
