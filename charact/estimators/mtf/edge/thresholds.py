@@ -105,6 +105,8 @@ class EdgeThresholds:
     no_edge_fraction: float = 0.2
     noisy_step_sd: float = 8.0  # Step over the noise of a pixel below which wider bins lose nothing
     min_defect: float = 0.02  # Deviation of a defective pixel that matters, fraction of the step
+    # Fraction of a bin's pixels from which on they are no defects: those are single pixels
+    defects_of_bin: float = 0.25
     # Fraction of the pixels beyond 5 standard deviations that must be defects, else the noise is
     # heavy-tailed.
     defect_fraction: float = 0.5

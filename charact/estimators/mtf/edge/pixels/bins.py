@@ -49,6 +49,14 @@ class BinnedPixels:
         count = np.bincount(index, minlength=size).astype(float)
         return np.bincount(index, value[self.valid], size) / np.maximum(count, 1.0), count
 
+    def medians(self, value: Array) -> tuple[Array, Array]:
+        """Return median of a quantity and count of pixels in every bin, shape (bin,)."""
+        index, of_bin = self.bin_index[self.valid], value[self.valid]
+        count = np.bincount(index, minlength=self.borders.size - 1)
+        ordered = of_bin[np.lexsort((of_bin, index))]
+        middle = np.cumsum(count) - count + np.maximum(count - 1, 0) // 2
+        return ordered[np.minimum(middle, ordered.size - 1)], count.astype(float)
+
     @cached_property
     def mean_distance(self) -> Array:
         """Mean distance of the pixels of every bin, shape (bin,), px."""

@@ -38,15 +38,17 @@ def levels_of(mean: Array, count: Array, gathered: BinnedPixels) -> tuple[float,
     return dark, bright
 
 
-def _residual_of(value: Array, gathered: BinnedPixels) -> tuple[Array, Array, Array, float]:
+def _residual_of(
+    value: Array, gathered: BinnedPixels, *, by_median: bool = False
+) -> tuple[Array, Array, Array, float]:
     """Return the frame less its profile, the profile from 0 to 1 at every pixel, a factor of
     residuals, and the step.
 
-    The profile is its bin's mean, with its slope for the position within the bin. The factor
-    restores the part of the noise that a bin's mean takes with it, and is 0 for pixels that are not
-    used.
+    The profile is its bin's mean, with its slope for the position within the bin; by median one
+    bright pixel does not make defects of all others in its bin. The factor restores the part of the
+    noise that a bin's mean takes with it, and is 0 for pixels that are not used.
     """
-    mean, count = gathered.means(value)
+    mean, count = gathered.medians(value) if by_median else gathered.means(value)
     dark, bright = levels_of(mean, count, gathered)
     index, filled, rise = gathered.bin_index, count > 0, np.zeros_like(mean)
     level = ((mean - dark) / (bright - dark if bright != dark else 1.0))[index]
@@ -240,14 +242,20 @@ def profile_of(
     # Defects: pixels that the noise of their level cannot explain; none in heavy-tailed noise,
     # where many nearly are.
     size, valid = np.abs(residual), gathered.valid
-    quantisation_sd = 0.3 / np.sqrt(len(picture.stack.data)) if picture.stack.holds_codes else 0.0
+    # Half of few codes may be one code: its noise is at least half a step.
+    quantisation_sd = 0.5 / np.sqrt(len(picture.stack.data)) if picture.stack.holds_codes else 0.0
     least_sd = max(quantisation_sd, THRESHOLDS.min_defect * step / DEFECT_SD)
     sides = (
         side if side.any() else valid for side in (valid & (level < 0.25), valid & (level > 0.75))
     )
     dark_sd, bright_sd = (max(robust_sd(size[side], 0.0), least_sd) for side in sides)
+    size = np.abs(_residual_of(value, gathered, by_median=True)[0])
     sd = np.sqrt(dark_sd**2 + np.clip(level, 0.0, 1.0) * (bright_sd**2 - dark_sd**2))
-    masked, heavy_tailed = (size > DEFECT_SD * sd) & (sd > 0), np.count_nonzero(size > 5.0 * sd)
+    masked = valid & (size > DEFECT_SD * sd) & (sd > 0)
+    # Many of one bin are its edge, as where two fields are displaced.
+    fraction, _ = gathered.means(masked.astype(float))
+    masked &= fraction[gathered.bin_index] < THRESHOLDS.defects_of_bin
+    heavy_tailed = np.count_nonzero(valid & (size > 5.0 * sd))
     defects = int(np.count_nonzero(masked))
     if defects <= THRESHOLDS.defect_fraction * heavy_tailed:
         defects = 0
