@@ -58,6 +58,11 @@ def stretched(fraction: float) -> Undo:
     return lambda frequency, modulus: np.interp(frequency / (1.0 + fraction), frequency, modulus)
 
 
+def scaled(factor: float) -> Undo:
+    """Return what makes an MTF one normalised to more or less light by a factor."""
+    return lambda frequency, modulus: np.where(frequency > 1e-3, modulus * factor, modulus)
+
+
 def edge_findings(
     edge: PreparedEdge, half: float, context: Context, relative_sd: float, least_loss: float
 ) -> Iterator[EdgeFinding]:
@@ -198,7 +203,7 @@ def fit_findings(
     ):
         yield misfit_finding(profile, fitted)
     if np.abs(slopes).max() * 2.0 * profile.gathered.half_width_px > THRESHOLDS.max_gradient * step:
-        yield gradient_finding(profile)
+        yield gradient_finding(profile, fitted=True)
     if step < THRESHOLDS.min_step_sd * profile.noise_variance(0.5) ** 0.5:
         yield low_signal_finding(profile)
     if noise_below_quantisation(picture, profile):
@@ -227,8 +232,13 @@ def misfit_finding(profile: EdgeProfile, fitted: FittedProfile) -> EdgeFinding:
     return EdgeFinding(flag="model-misfit", effect=effect)
 
 
-def gradient_finding(profile: EdgeProfile) -> EdgeFinding:
-    """Return the finding of uneven illumination."""
+def gradient_finding(profile: EdgeProfile, *, fitted: bool = False) -> EdgeFinding:
+    """Return the finding of uneven illumination.
+
+    A fit that allows each side a slope mistakes a fraction of what changes over a side for light of
+    the edge, `gradient_leak` at most, by which it normalises the MTF wrongly; what changes by more
+    than `max_fitted_gradient` of the step is no illumination that a fit can tell from the edge.
+    """
     step = _step_of(profile)
     sides = [profile.value[side] for side in (profile.distance < 0, profile.distance > 0)]
     changes = max(
@@ -240,7 +250,9 @@ def gradient_finding(profile: EdgeProfile) -> EdgeFinding:
         f"the illumination changes by {100.0 * changes / step:.0f} % of the step over a side, as "
         f"with glare"
     )
-    return EdgeFinding(flag="gradient", effect=effect)
+    bounded = fitted and changes < THRESHOLDS.max_fitted_gradient * step
+    leak = 1.0 + THRESHOLDS.gradient_leak * changes / step
+    return EdgeFinding(flag="gradient", effect=effect, undo=scaled(leak) if bounded else None)
 
 
 def low_signal_finding(profile: EdgeProfile) -> EdgeFinding:
@@ -378,7 +390,7 @@ PLAIN_EFFECTS: dict[str, str] = {
 REMEDIES: dict[str, str] = {
     "clipped": "light, exposure and black level at which no pixel reaches an end of the scale",
     "gamma": "linear frames (raw, without a gamma); noise of light in them shows that they are",
-    "model-misfit": "`method` auto, which needs no blur model, or a `roi` without other structure",
+    "model-misfit": "a `roi` without other structure, or `method` auto instead of a blur model",
     "defects": "`roi` on a part without them, or defect correction switched on",
     "gradient": "uniform illumination, `black_dn`, or a `roi` nearer to the edge",
     "low-signal": "more frames, more light or a longer edge",

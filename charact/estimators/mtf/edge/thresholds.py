@@ -21,6 +21,10 @@ class EdgeThresholds:
     max_reduced_chi2: float = 1.6
     # Change of illumination over the band, fraction of the step (simulated edges)
     max_gradient: float = 0.2
+    # Fraction of it that a fit takes for light of the edge, and the change, fraction of the step,
+    # up to which that holds (edges of five blurs under linear and quadratic falls of light)
+    gradient_leak: float = 0.1
+    max_fitted_gradient: float = 0.8
     # Step over the noise of a pixel: below it the interval's limits are unreliable
     min_step_sd: float = 0.8
     # Noise of one frame below which a plateau may lie anywhere in a step, DN (simulated edges).
