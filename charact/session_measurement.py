@@ -95,6 +95,7 @@ def measure(
     quick: bool = False,
     seed: int = 0,
     within_percent: float = 2.0,
+    amplifier: int | None = None,
     progress: Progress = ignore_progress,
     spread: Spread = map,
 ) -> Result:
@@ -111,6 +112,8 @@ def measure(
         Seed of every random step.
     within_percent
         Error tolerance of the automatic choice of methods, percent.
+    amplifier
+        Number of the amplifier whose noise is measured, from 1 by rows; None: all.
     progress
         Called with a sentence and the fraction done (0..1).
     spread
@@ -141,7 +144,8 @@ def measure(
         )
     from charact.estimators.infrared import is_linear
 
-    context, result = method_context(session, quick=quick, seed=seed, spread=spread), Result()
+    context = method_context(session, quick=quick, seed=seed, amplifier=amplifier, spread=spread)
+    result = Result()
     complaints: list[BadInput] = []
     for done, task in enumerate(tasks):
         progress(task.sentence, done / len(tasks))
@@ -362,6 +366,7 @@ def method_context(
     *,
     quick: bool,
     seed: int,
+    amplifier: int | None = None,
     progress: Progress = ignore_progress,
     spread: Spread = map,
 ) -> Context:
@@ -373,6 +378,7 @@ def method_context(
         camera=session.camera,
         interlaced=session.is_interlaced,
         full_scale_dn=full_scale_dn,
+        amplifier=amplifier,
         progress=progress,
         spread=spread,
     )

@@ -21,6 +21,7 @@ FLAGS: dict[str, str] = {
     "gamma": "The camera response is curved like a gamma correction.",
     "processed": "The camera processes its images (sharpening or noise reduction).",
     "quantised": "The noise is smaller than the quantisation step.",
+    "amplifiers": "Amplifiers of the chip differ; the number is of all of them.",
     "defects": "Hot, dead or stuck pixels are inside the region.",
     "no-darks": "No dark frames were available; the offset was assumed.",
     "dark-mismatch": "The dark frames do not match these frames: the black level differs.",

@@ -104,6 +104,7 @@ class Measurement:
     region: tuple[int, int, int, int] | None = None
     frequency_cy_per_px: float | None = None
     orientation_deg: float | None = None
+    amplifier: int | None = None  #: Number of the amplifier, from 1 by rows; None: the chip
     posterior: Posterior | None = None  #: Posterior from which the intervals were computed, if any
     provenance: Provenance | None = None
 
@@ -216,10 +217,14 @@ class Result:
         )
 
     def find(self, quantity: str, **where: Any) -> tuple[Measurement, ...]:
-        """Return the measurements of a quantity whose fields equal those given."""
-        return tuple(
+        """Return the measurements of a quantity whose fields equal those given; without an
+        `amplifier` those of the chip, if there are any.
+        """
+        found = tuple(
             m
             for m in self.measurements
             if m.quantity == quantity
             and all(getattr(m, key) == value for key, value in where.items())
         )
+        of_chip = tuple(m for m in found if m.amplifier is None)
+        return found if "amplifier" in where else of_chip or found

@@ -20,7 +20,15 @@ DRAWS = "results-{}.npz"
 FORMAT = 1
 
 # Fields of a measurement written to the JSON only if set.
-WHERE_THEY_APPLY = ("stack", "region", "frequency_cy_per_px", "orientation_deg", "notes", "reason")
+WHERE_THEY_APPLY = (
+    "stack",
+    "region",
+    "frequency_cy_per_px",
+    "orientation_deg",
+    "amplifier",
+    "notes",
+    "reason",
+)
 ALWAYS = (
     "quantity",
     "unit",

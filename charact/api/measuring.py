@@ -15,6 +15,7 @@ from charact.api.inputs import (
     stack,
 )
 from charact.api.settings import (
+    Amplifier,
     BarFrequency,
     Bars,
     BitDepth,
@@ -28,6 +29,7 @@ from charact.api.settings import (
     Scheduler,
     SourceSession,
     WithinPercent,
+    amplifier_of,
 )
 from labdata.errors import BadInput
 from labdata.settings import (
@@ -168,6 +170,7 @@ def noise(
     seed: Seed = 0,
     sensor: CameraDescription = None,
     bit_depth: BitDepth = None,
+    amplifier: Amplifier = "all",
     scheduler: Scheduler = None,
     progress: ProgressSink = ignore_progress,
     **conditions: FlatConditions,
@@ -199,7 +202,16 @@ def noise(
     else:
         measured = session_of(source, sensor)
     return _analyse(
-        measure_noise, measured, source, method, within_percent, quick, seed, progress, scheduler
+        measure_noise,
+        measured,
+        source,
+        method,
+        within_percent,
+        quick,
+        seed,
+        progress,
+        scheduler,
+        amplifier_of(amplifier),
     )
 
 
@@ -253,6 +265,7 @@ def measure(
     within_percent: WithinPercent = 2.0,
     quick: Quick = False,
     seed: Seed = 0,
+    amplifier: Amplifier = "all",
     scheduler: Scheduler = None,
     progress: ProgressSink = ignore_progress,
 ) -> "Analysis":
@@ -274,6 +287,7 @@ def measure(
             quick=quick,
             seed=seed,
             within_percent=within_percent,
+            amplifier=amplifier_of(amplifier),
             progress=progress,
             spread=spread,
         )
@@ -290,6 +304,7 @@ def _analyse(
     seed: int,
     progress: Progress,
     scheduler: str | None = None,
+    amplifier: int | None = None,
 ) -> "Analysis":
     """Return the result of one analysis of a session."""
     from charact.api.analysis import Analysis
@@ -297,7 +312,14 @@ def _analyse(
     from charact.session_measurement import method_context
 
     with parallel_map(scheduler) as spread:
-        context = method_context(measured, quick=quick, seed=seed, progress=progress, spread=spread)
+        context = method_context(
+            measured,
+            quick=quick,
+            seed=seed,
+            amplifier=amplifier,
+            progress=progress,
+            spread=spread,
+        )
         result = analysis(measured, method=method, within_percent=within_percent, context=context)
     return Analysis.of(result, _name(source), measured)
 

@@ -62,6 +62,14 @@ BarFrequency = Annotated[
 PinholePx = Annotated[
     float | None, Setting("Diameter of the pinhole's image, px (default: ideal point).")
 ]
+Amplifier = Annotated[
+    str,
+    Setting(
+        "Amplifier whose noise is measured: its number, from 1 by rows, or all (the chip, and each "
+        "amplifier that darks and flats show).",
+        metavar="N|all",
+    ),
+]
 Scheduler = Annotated[
     str | None,
     Setting("Address of a Dask scheduler; its workers must see the same file paths."),
@@ -81,6 +89,20 @@ FittedSensor = Annotated[
     "str | Path | Camera | None",
     Setting("The fitted camera or its TOML file (default: fitted.toml in the session's folder)."),
 ]
+
+
+def amplifier_of(amplifier: str | int) -> int | None:
+    """Return the number of an amplifier; None for "all".
+
+    Examples
+    --------
+    >>> amplifier_of("2"), amplifier_of("all")
+    (2, None)
+    """
+    text = str(amplifier)
+    if text != "all" and not (text.isascii() and text.isdigit()):
+        raise BadInput(f"`amplifier` must be all or a number from 1, got {text!r}")
+    return None if text == "all" else int(text)
 
 
 def spans_of(spans: Mapping[str, Span] | Sequence[str]) -> dict[str, Span]:

@@ -123,8 +123,35 @@ class StackLimits:
     binning_sd: float = 0.01  # relative error of band integrals by binning
 
 
+@dataclass(frozen=True, kw_only=True)
+class LayoutLimits:
+    """Parts of a chip (`layout`)."""
+
+    bands: int = 8  # bands of a mean frame along a side; an even number
+    # Signal over that of the picture up to which a column sees no light: deferred charge of a
+    # serial overscan (Janesick, Scientific CCDs, ch. 5) and drift of the offset stay below
+    unlit_fraction: float = 0.05
+    lit_fraction: float = 0.1  # signal of a band over the brightest, below which it is all strip
+    lit_sd: float = 10.0  # standard deviations of a column's signal that a picture must have
+    min_strip_px: int = 2  # px; a single column may be a bad one
+    # Signal of the second column after a strip over the next ones: crosstalk of pixels is less
+    sharp_fraction: float = 0.5
+    flat_fraction: float = 0.01  # scatter of its bands over that signal, without darks
+    adjacent_px: int = 8  # px; these next columns
+    windows: int = 12  # windows of a step along an axis; the outer ones cannot hold a border
+    max_window_px: int = 16  # px
+    # Standard errors of a step that every band but one must show: false alarm 1e-9 a column of
+    # independent bands, 2e-9 where all bands have the same columns
+    step_sd: float = 6.0
+    max_borders: int = 7  # across an axis: eight taps
+    same_border_px: int = 2  # px; borders of offset and response that are one
+    lost_sd: float = 8.0  # standard deviations of a row by which a lost one may differ
+    lost_chance: float = -30.0  # logarithm of the chance that noise makes a row of one value
+
+
 CLIPPING = ClippingLimits()
 NOISE = NoiseLimits()
 LAG = LagSettings()
 CUBE = CubeLimits()
 STACK = StackLimits()
+LAYOUT = LayoutLimits()

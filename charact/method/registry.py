@@ -189,6 +189,9 @@ class Context:
         camera.
     full_scale_dn
         Full scale, DN; None: determined from the data.
+    amplifier
+        Number (from 1, by rows) of the amplifier whose area alone is measured; None: the chip, and
+        also each amplifier that its frames show.
     progress
         Called with a message and the completed fraction (0..1) during long work.
     spread
@@ -202,6 +205,7 @@ class Context:
     interlaced: bool = False
     linear: bool = False
     full_scale_dn: float | None = None
+    amplifier: int | None = None
     progress: Progress = ignore_progress
     spread: Spread = map
 

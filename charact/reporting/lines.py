@@ -41,7 +41,7 @@ def lines_of(
     """Yield one line per measurement and, after those of one stack and method, one per flag and
     note.
     """
-    for _, group in groupby(measurements, key=lambda m: (m.stack, m.method)):
+    for _, group in groupby(measurements, key=lambda m: (m.stack, m.method, m.amplifier)):
         members = tuple(group)
         counts = Counter((m.quantity, m.frequency_cy_per_px) for m in members)
         placed = len({m.region for m in members}) > 1
@@ -76,6 +76,7 @@ def _line(m: Measurement, frequency: Frequency, *, directed: bool, placed: bool)
         f" along {m.orientation_deg:.3g} deg" if directed and m.orientation_deg is not None else ""
     )
     where += f" of {m.stack}" if m.stack else ""
+    where += f" of amplifier {m.amplifier}" if m.amplifier else ""
     where += f" in {_place(m.region)}" if placed and m.region is not None else ""
     spent = f", {time_text(m.seconds)}" if m.seconds is not None else ""
     if m.value is None:

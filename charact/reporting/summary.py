@@ -138,9 +138,9 @@ def _rows(
     leading = sections_of_leading()
     short = len(valued) <= SHORT
     order = list(leading)
-    groups: dict[tuple[str, str], list[Measurement]] = {}
+    groups: dict[tuple[str, str, bool], list[Measurement]] = {}
     for m in valued:
-        groups.setdefault((m.quantity, m.unit), []).append(m)
+        groups.setdefault((m.quantity, m.unit, m.amplifier is not None), []).append(m)
     keys = [key for key in groups if short or key[0] in leading]
     if not keys:
         keys = list(groups)
@@ -218,7 +218,9 @@ def verdict_of(m: Measurement) -> str:
 def _where(m: Measurement, among: list[Measurement]) -> str:
     """Return stack, region and direction of a measurement, those that differ among the others."""
     parts = [m.stack] if m.stack and len({other.stack for other in among}) > 1 else []
-    if m.region is not None and len({other.region for other in among}) > 1:
+    if m.amplifier:
+        parts.append(f"amplifier {m.amplifier}")
+    elif m.region is not None and len({other.region for other in among}) > 1:
         parts.append(",".join(map(str, m.region)))
     if m.orientation_deg is not None and len({other.orientation_deg for other in among}) > 1:
         parts.append(f"{m.orientation_deg:.3g} deg")

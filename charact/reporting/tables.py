@@ -46,6 +46,8 @@ def places(m: Measurement) -> dict[str, str]:
     texts = {"stack": m.stack} if m.stack else {}
     if m.orientation_deg is not None:
         texts["direction"] = f"{m.orientation_deg:.4g}° to the rows"
+    if m.amplifier:
+        texts["amplifier"] = f"amplifier {m.amplifier}"
     if m.region is not None:
         row, col, height, width = m.region
         texts["region"] = f"rows {row}–{row + height - 1}, cols {col}–{col + width - 1}"

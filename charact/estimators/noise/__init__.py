@@ -1,9 +1,15 @@
 """Noise and gain from dark and uniformly illuminated frames."""
 
-from charact.method import Context, choose
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from charact.method import Context, Method, choose
 from charact.method.stopwatch import with_timing
-from labdata import BadInput, Result, Session
+from labdata import BadInput, Result, Session, open_lazy_stack
 from labdata.lazy_names import import_on_first_use
+
+if TYPE_CHECKING:
+    from charact.estimators.noise.prepared_session import Prepared
 
 __all__ = ["measure"]
 
@@ -48,8 +54,8 @@ def measure(
     Raises
     ------
     BadInput
-        If the session has neither darks nor flats, or flats of a black body, or the method is
-        unknown.
+        If the session has neither darks nor flats, or flats of a black body, or the method or the
+        context's amplifier is unknown.
     """
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
@@ -65,13 +71,39 @@ def measure(
             "(blackbody_c): measure the session with charact.noise(SESSION) or "
             "charact.measure(SESSION)"
         )
-    from charact.estimators.noise.gain_separation import add_event_gains
-    from charact.estimators.noise.prepared_session import defect_pixels, prepare
+    from charact.estimators.noise.amplifiers import with_amplifiers
+    from charact.estimators.noise.prepared_session import prepare
 
+    by_name = method != "auto"
     ready = prepare(session, context=context)
+    result = _measured(ready, chosen, by_name=by_name)
+    if context.amplifier is not None:
+        return replace(
+            result,
+            measurements=tuple(
+                replace(m, amplifier=context.amplifier) for m in result.measurements
+            ),
+        )
+    if ready.layout is not None and ready.layout.amplifiers:
+        parts = [
+            _measured(part, chosen, by_name=by_name)
+            for part in (
+                ready.of_amplifier(number, replace(context, quick=True))
+                for number in range(1, len(ready.layout.amplifiers) + 1)
+            )
+        ]
+        result = with_amplifiers(result, parts, ready.layout)
+    return result
+
+
+def _measured(ready: "Prepared", chosen: Method, *, by_name: bool) -> Result:
+    """Return the measurements of a prepared session."""
+    from charact.estimators.noise.gain_separation import add_event_gains
+    from charact.estimators.noise.prepared_session import defect_pixels
+
     session, context = ready.session, ready.context
     if (
-        method == "auto"
+        not by_name
         and chosen.name == "covariance-sum"
         and _has_small_white_frames(session, context)
     ):
@@ -91,7 +123,9 @@ def _has_small_white_frames(session: Session, context: Context) -> bool:
     from charact.frames.frame_block import bins_of_run
 
     entries = session.of_kind("dark", "flat")
-    bins = [bins_of_run(entry.read().data.shape, context, spectra=True) for entry in entries[:1]]
+    bins = [
+        bins_of_run(open_lazy_stack(entry).shape, context, spectra=True) for entry in entries[:1]
+    ]
     return bool(image_size_obstacle(bins)) and not has_intensifier(
         [entry.conditions for entry in entries], context
     )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.noise.pixel_survey import PixelSurvey
 from charact.estimators.noise.thresholds import SURVEY
-from labdata.frames import LazyStack
+from labdata.frames import LazyStack, View
 
 Places = NDArray[np.int64]
 
@@ -139,9 +139,12 @@ class FrameView:
     struck: Places
     frame: Places
     struck_donors: Places
+    # view of the frames in which these pixels are counted; None: as they are
+    under: View | None = None
 
     def through(self, stack: LazyStack) -> LazyStack:
         """Return the transformed stack."""
+        stack = stack if self.under is None else self.under.through(stack)
         if self.unit_dn == 1.0 and not len(self.pixels) and not len(self.struck):
             return stack
         pixel, donor = (
@@ -233,6 +236,7 @@ def frame_view(
     unit_dn: float,
     integral: bool,
     seed: int,
+    under: View | None = None,
 ) -> FrameView:
     """Return the view of one stack."""
     none = np.empty(0, np.int64)
@@ -250,4 +254,5 @@ def frame_view(
         struck=struck,
         frame=frame,
         struck_donors=choose_donors(struck, unsound, size, rng),
+        under=under,
     )

@@ -24,6 +24,7 @@ from labdata.flags import FLAGS
 # What was seen in data: findings, which `judge` weighs, and plain notes.
 Remarks = list[Finding | str]
 REMEDIES = {
+    "amplifiers": "`amplifier`, or the numbers of each",
     "agc": "automatic gain and brightness control switched off",
     "clipped": "a black level and light at which no pixel reaches an end of the scale",
     "correlated-noise": "`method` covariance-sum",

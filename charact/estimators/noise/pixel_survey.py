@@ -8,6 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.noise.thresholds import SURVEY
+from charact.frames.layout import LostRows, lost_rows, profiles_of
 from charact.frames.robust import NORMAL, robust_sd
 from charact.frames.rounding import rounding_step
 from charact.frames.thresholds import STACK
@@ -71,6 +72,9 @@ class PixelSurvey:
     # sample, sample_place: deviations of a sample of values, DN, and their positions
     sample: NDArray[np.float32]
     sample_place: Places
+    # profiles, lost: of the mean frame, see `charact.frames.layout`; rows that were lost
+    profiles: tuple[Array, Array] | None = None
+    lost: tuple[LostRows, ...] = ()
 
     @property
     def pixels(self) -> int:
@@ -133,6 +137,7 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
         (at, _pixel_rows(stack.frames(at, min(at + STACK.block_frames, frames)), entry))
         for at in range(0, frames, STACK.block_frames)
     )
+    lost = lost_rows(first.reshape(-1, rows, cols)) if frames == 2 else ()
     if frames == 2:
         outliers = _sudden_in_pair(first, sd, (rows, cols))
         highest, lowest = np.float32(np.maximum(*first)), np.float32(np.minimum(*first))
@@ -141,8 +146,13 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
         extremes = _Extremes(rows * cols)
         for at, block in blocks:
             _extend(block, at, *extremes.arrays)
+            lost += lost_rows(block.reshape(-1, rows, cols), at)
         outliers = extremes.sudden(frames, sd, (rows, cols))
         total, highest, lowest = extremes.total, extremes.high, extremes.low
+    common |= {
+        "profiles": profiles_of(total.reshape(rows, cols) / np.float32(frames)),
+        "lost": lost,
+    }
     if means:
         # Means without their extreme value: one struck frame makes no bright pixel.
         trimmed_means = [(total - top) / np.float32(frames - 1) for top in (highest, lowest)]

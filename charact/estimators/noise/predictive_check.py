@@ -125,10 +125,12 @@ def pulse_noise(
     electrons = max(at["electron_share"], 0.0)
     spread = float(rng.uniform(*PREDICTIVE.height_variances))
     factor = max(at["lag_factor"], 1.0)
+    # A draw of noise that falls with the light has no pulses.
+    power_dn = max(level_factor * at["power"], 0.0)
     return LightNoise(
-        pulse_dn=level_factor * at["power"] * factor * (1.0 - electrons) / (1.0 + spread),
+        pulse_dn=power_dn * factor * max(1.0 - electrons, 0.0) / (1.0 + spread),
         height_variance=spread,
-        electron_gain_dn=level_factor * at["power"] * electrons,
+        electron_gain_dn=power_dn * electrons,
         blur=np.array([at[name] for name in model.NAMES]),
         reading=reading,
         retained=(factor - 1.0) / (factor + 1.0),
@@ -139,8 +141,9 @@ def electron_noise(gain_dn: float, excess_factor: float) -> LightNoise:
     """Return the noise of a camera without an intensifier; F^2 of a register is one plus the
     relative variance of heights.
 
-    `gain_dn` is the gain per electron, DN.
+    `gain_dn` is the gain per electron, DN; a draw below 0 has no noise.
     """
+    gain_dn = max(gain_dn, 0.0)
     if excess_factor > 1.0:
         return LightNoise(
             pulse_dn=gain_dn, height_variance=excess_factor - 1.0, electron_gain_dn=0.0

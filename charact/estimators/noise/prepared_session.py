@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.noise.chip_layout import find_layout, left_out, of_amplifier
 from charact.estimators.noise.defective_pixels import (
     DefectivePixels,
+    FrameView,
     find_defective_pixels,
     frame_view,
 )
@@ -19,6 +21,7 @@ from charact.estimators.noise.findings import fields_of
 from charact.estimators.noise.gain.series import has_multiplication
 from charact.estimators.noise.pixel_survey import PixelSurvey, common_step, survey_pixels
 from charact.estimators.noise.thresholds import SURVEY
+from charact.frames.layout import AreaView, Layout
 from charact.frames.stack_statistics import WHOLE_BYTES
 from charact.method import Context
 from labdata import (
@@ -55,6 +58,9 @@ def defect_pixels(
             "change from frame to frame"
         )
         return Result(measurements=(make_refusal("defect_pixels", "px", reason, **fields),))
+    view = session.stack(known[0].label).view
+    area = view.under if isinstance(view, FrameView) else None
+    origin = area.region[:2] if isinstance(area, AreaView) else (0, 0)
     exposure = {entry.label: entry.conditions.exposure_s or 0.0 for entry in session.stacks}
     darks = [survey for survey in known if survey.kind == "dark"]
     flats = [survey for survey in known if survey.kind == "flat"]
@@ -62,11 +68,16 @@ def defect_pixels(
         [max(darks, key=lambda survey: (exposure[survey.label], survey.frames))] if darks else []
     )
     chosen += [max(flats, key=lambda survey: survey.level_dn)] if flats else []
-    return Result(measurements=tuple(_defect_count(survey, defects, fields) for survey in chosen))
+    return Result(
+        measurements=tuple(_defect_count(survey, defects, origin, fields) for survey in chosen)
+    )
 
 
 def _defect_count(
-    survey: PixelSurvey, defects: DefectivePixels, fields: dict[str, Any]
+    survey: PixelSurvey,
+    defects: DefectivePixels,
+    origin: tuple[int, int],
+    fields: dict[str, Any],
 ) -> Measurement:
     """Return the number of defective pixels of a stack."""
     blinking = np.intersect1d(defects.blinking, survey.sudden)
@@ -84,7 +95,7 @@ def _defect_count(
     if count:
         rows, cols = np.divmod(pixels[: SURVEY.listed], survey.size[1])
         shown = ", ".join(
-            f"({row}, {col})"
+            f"({row + origin[0]}, {col + origin[1]})"
             for row, col in dict.fromkeys(zip(rows.tolist(), cols.tolist(), strict=True))
         )
         notes.append(f"row and column of the first: {shown}")
@@ -137,11 +148,21 @@ class Prepared:
     unit_dn: float  # unit of the values, DN
     surveys: tuple[PixelSurvey, ...]  # survey of each dark and flat of at least two frames
     defects: DefectivePixels | None  # defective pixels; None if the images are too small
+    layout: Layout | None  # parts of the chip; None if the images are too small
+    sound: Session  # darks and flats in DN, without what the layout leaves out
+
+    def of_amplifier(self, number: int, context: Context) -> "Prepared":
+        """Return the session of one amplifier (from 1, by rows), with settings as before
+        preparation.
+        """
+        session = of_amplifier(self.sound, self.layout, number)
+        return _prepared(session, _survey(session), self.layout, context)
 
     def in_dn(self, result: Result) -> Result:
         """Return a result in DN of the files, with a note on excluded pixels."""
         unit_dn, note = self.unit_dn, None if self.defects is None else self.defects.note
         notes = () if note is None else (note,)
+        notes += () if self.layout is None else left_out(self.layout)
         if unit_dn != 1.0:
             notes += (f"DN in other notes are units of {unit_dn:.4g} of the files' values",)
         noted = [
@@ -162,12 +183,26 @@ class Prepared:
 def prepare(session: Session, *, context: Context) -> Prepared:
     """Survey the darks and flats of a session and prepare it for measurement.
 
-    Pixel means are compared in at most eight stacks distributed over the levels, because a defect
-    shows in several.
+    Raises BadInput if the session has no amplifier of the context's number.
     """
     session = replace(
         session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks
     )
+    surveys = _survey(session)
+    layout, session = find_layout(session, surveys)
+    if context.amplifier is not None:
+        session = of_amplifier(session, layout, context.amplifier)
+    if any(entry.view is not None for entry in session.stacks):
+        surveys = _survey(session)
+    return _prepared(session, surveys, layout, context)
+
+
+def _survey(session: Session) -> list[PixelSurvey]:
+    """Return the survey of each dark and flat.
+
+    Pixel means are compared in at most eight stacks distributed over the levels, because a defect
+    shows in several.
+    """
     entries = session.of_kind("dark", "flat")
     spread = set(
         np.linspace(0, len(entries) - 1, min(SURVEY.mean_stacks, len(entries)))
@@ -175,7 +210,13 @@ def prepare(session: Session, *, context: Context) -> Prepared:
         .astype(int)
         .tolist()
     )
-    surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
+    return [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
+
+
+def _prepared(
+    session: Session, surveys: list[PixelSurvey], layout: Layout | None, context: Context
+) -> Prepared:
+    """Return a session prepared by its surveys."""
     multi_frame = [survey for survey in surveys if survey.frames > 1]
     is_large = (
         multi_frame and len({survey.size for survey in surveys}) == 1 and multi_frame[0].is_large
@@ -188,7 +229,13 @@ def prepare(session: Session, *, context: Context) -> Prepared:
     unit, integral = _unit(surveys)
     views = {
         survey.label: frame_view(
-            survey.label, defects, survey.size, unit_dn=unit, integral=integral, seed=context.seed
+            survey.label,
+            defects,
+            survey.size,
+            unit_dn=unit,
+            integral=integral,
+            seed=context.seed,
+            under=session.stack(survey.label).view,
         )
         for survey in surveys
     }
@@ -200,6 +247,8 @@ def prepare(session: Session, *, context: Context) -> Prepared:
         unit_dn=unit,
         surveys=tuple(multi_frame),
         defects=defects,
+        layout=layout,
+        sound=session,
     )
 
 

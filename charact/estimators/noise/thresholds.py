@@ -12,6 +12,8 @@ class CheckLimits:
     """Flags of a flat series (`checks`)."""
 
     significant_sd: float = 5.0  # standard errors of a significant drift, flicker or deviation
+    # standard errors of a difference between amplifiers that the chip's number must hold
+    unlike_sd: float = 3.0
     drift_fraction: float = 0.02  # drift over signal
     flicker_fraction: float = 0.01  # flicker rms over signal
     # smallest exponent of signal against light without automatic gain control

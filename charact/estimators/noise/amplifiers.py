@@ -1,0 +1,100 @@
+"""Numbers of a chip of several amplifiers: each amplifier's, and the chip's with their spread.
+
+Fixed patterns of the chip are the root mean square over its amplifiers, so that no step between
+them counts. Where other numbers x_i of the amplifiers differ by more than their errors, the
+chip's holds them all: max |x_i - x| is the bound of a finding.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from charact.estimators.noise.findings import finding
+from charact.estimators.noise.thresholds import CHECKS
+from charact.frames.layout import Layout
+from charact.verdict import judge
+from labdata import Measurement, Result
+
+SHOWN = (
+    "system_gain",
+    "covariance_gain",
+    "read_noise",
+    "dark_signal",
+    "dsnu",
+    "prnu",
+    "saturation_capacity",
+)
+PATTERNS = ("dsnu", "prnu", "noise_v", "noise_h", "noise_vh")
+GAINS = ("system_gain", "covariance_gain")
+
+
+def with_amplifiers(chip: Result, amplifiers: Sequence[Result], layout: Layout) -> Result:
+    """Return the result of a chip with those of its amplifiers, in the order of the layout."""
+    border = "; ".join(part.note for part in layout.borders)
+    step = 0.5 * max(abs(part.response[0]) for part in layout.borders if part.response)
+    out = [
+        _of_chip(
+            m,
+            [
+                like
+                for result in amplifiers
+                for like in result.find(m.quantity, unit=m.unit, stack=m.stack)[:1]
+            ],
+            len(amplifiers),
+            border,
+            step,
+        )
+        for m in chip.measurements
+    ]
+    out += [
+        replace(m, amplifier=number, region=layout.amplifiers[number - 1])
+        for number, result in enumerate(amplifiers, 1)
+        for m in result.measurements
+        if m.quantity in SHOWN
+    ]
+    return replace(chip, measurements=tuple(out))
+
+
+def _of_chip(
+    m: Measurement, parts: Sequence[Measurement], count: int, border: str, step: float
+) -> Measurement:
+    """Return a number of the chip by the same numbers of its amplifiers."""
+    values = np.array([part.value for part in parts if part.value is not None], float)
+    if m.quantity in PATTERNS and len(parts) == count:
+        return _pattern(m, parts, values)
+    if m.value is None:
+        return m
+    bound = 0.0
+    if len(values) == count:
+        sds = [0.5 * float(np.ptp(part.interval68 or (0.0, 0.0))) for part in parts]
+        unlike = any(
+            abs(values[i] - values[j]) > CHECKS.unlike_sd * np.hypot(sds[i], sds[j])
+            for i, j in combinations(range(count), 2)
+        )
+        bound = float(np.abs(values - m.value).max()) if unlike else 0.0
+    elif m.quantity in GAINS:
+        bound = step * abs(m.value)
+    if not bound:
+        return m
+    effect = f"{border}; the amplifiers have {', '.join(f'{x:.4g}' for x in values)} {m.unit}"
+    return judge(m, [finding("amplifiers", effect, bound=bound)])
+
+
+def _pattern(m: Measurement, parts: Sequence[Measurement], values: np.ndarray) -> Measurement:
+    """Return the root mean square of a fixed pattern over the amplifiers; refused where one is."""
+    refused = [part for part in parts if part.value is None]
+    if refused:
+        return replace(refused[0], posterior=None)
+    value = float(np.sqrt(np.mean(values**2)))
+    limits = []
+    for name in ("interval68", "interval95"):
+        ends = np.array([getattr(part, name) for part in parts], float)
+        # dx = sum(x_i dx_i) / (N x), independent between amplifiers.
+        arms = np.sqrt(np.sum((values[:, None] * (ends - values[:, None])) ** 2, axis=0))
+        low, high = arms / (len(values) * value) if value else (0.0, float(ends[:, 1].max()))
+        limits.append((value - float(low), value + float(high)))
+    flags = [flag for part in parts for flag in part.flags]
+    mean = replace(m, value=value, interval68=limits[0], interval95=limits[1])
+    return mean.with_(flags=flags, notes=(*m.notes, "root mean square over the amplifiers"))

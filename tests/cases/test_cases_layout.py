@@ -1,0 +1,228 @@
+"""Chips of several parts: cases of other tools' users, and siblings drawn here in plain NumPy."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charact.estimators import noise
+from charact.session_measurement import method_context
+from labdata import BadInput, open_session
+
+ROOT = Path(__file__).parents[2]
+CASES = ROOT.parent / "shared" / "cases"
+LEVELS = (300.0, 1000.0, 2500.0, 5000.0)
+
+
+def measured(folder, **settings):
+    session = open_session(folder)
+    return noise.measure(session, context=method_context(session, quick=True, seed=0, **settings))
+
+
+@pytest.fixture
+def case(tmp_path):
+    """Measure a shared case by its name."""
+
+    def of(name):
+        if not (CASES / name).is_dir():
+            pytest.skip(f"the shared case {name} is not on this machine")
+        folder = tmp_path / name
+        shutil.copytree(CASES / name, folder)
+        return measured(folder)
+
+    return of
+
+
+def drawn(folder, *, seed=1, gain=0.4, offset=100.0, light=1.0, size=(128, 160), frames=2, **wrong):
+    """A session of a plain camera: K (DN/e-), offset (DN) and light may be of shape `size`.
+
+    `wrong`: by label of a stack, with "_" for "-", a function that changes its frames in place.
+    """
+    rng = np.random.default_rng(seed)
+    lines = ['name = "sibling"']
+    stacks = {"dark-0": 0.0} | {f"flat-{i}": level for i, level in enumerate(LEVELS)}
+    response = 1.0 + 0.005 * rng.standard_normal(size)
+    folder.mkdir()
+    for label, level in stacks.items():
+        mean_e = np.broadcast_to(level * light * response, (frames, *size))
+        electrons = rng.poisson(mean_e) + rng.normal(0.0, 5.0, mean_e.shape)
+        data = np.rint(np.clip(gain * electrons + offset, 0, 65535)).astype(np.uint16)
+        wrong.get(label.replace("-", "_"), lambda frames: None)(data)
+        np.save(folder / f"{label}.npy", data)
+        lines += [
+            "[[stack]]",
+            f'label = "{label}"',
+            f'kind = "{label[:-2]}"',
+            f'frames = "{label}.npy"',
+        ]
+    (folder / "session.toml").write_text("\n".join(lines))
+    return folder
+
+
+def ramp(size, axis, low, high):
+    """Values that rise linearly along an axis."""
+    shape = [1, 1]
+    shape[axis] = size[axis]
+    return np.broadcast_to(np.linspace(low, high, size[axis]).reshape(shape), size)
+
+
+def one(result, quantity, unit=None, **where):
+    """The only measurement of a quantity, of the chip without an amplifier."""
+    (measurement,) = (m for m in result.find(quantity, **where) if unit in (None, m.unit))
+    return measurement
+
+
+def parts_of(result):
+    """Numbers of the amplifiers that carry a gain."""
+    gains = (m for m in result.measurements if m.quantity == "system_gain")
+    return sorted(m.amplifier for m in gains if m.amplifier)
+
+
+def said(result):
+    return " ".join(note for m in result.measurements for note in m.notes)
+
+
+def holds(measurement, truth, within):
+    """Whether a number is ok, near the truth, and its interval holds it."""
+    low, high = measurement.interval95
+    assert measurement.status == "ok", measurement.flags
+    assert low <= truth <= high
+    assert measurement.value == pytest.approx(truth, rel=within)
+
+
+def is_whole(result):
+    """Whether nothing was left out and one amplifier was found."""
+    assert not parts_of(result)
+    assert "left out" not in said(result) and "amplifier" not in said(result)
+
+
+def test_two_amplifiers_have_a_gain_each_and_the_chips_holds_both(case):
+    result = case("s1-two-amplifiers")
+    for number, truth in ((1, 0.40), (2, 0.44)):
+        holds(one(result, "system_gain", amplifier=number), truth, 0.02)
+        read_dn = np.hypot(5.0 * truth, 12.0**-0.5)
+        holds(one(result, "read_noise", "DN", amplifier=number), read_dn, 0.01)
+    low, high = one(result, "system_gain").interval95
+    assert low <= 0.40 and high >= 0.44
+    assert "between columns 63 and 64" in said(result)
+    # No pattern is in these frames but the step.
+    assert {one(result, name).status for name in ("dsnu", "prnu")} == {"refused"}
+
+
+def test_overscan_columns_are_left_out(case):
+    result = case("t1-overscan-columns")
+    assert "columns 128 to 143 are an unexposed strip" in said(result)
+    assert one(result, "prnu").status == "refused"
+    holds(one(result, "system_gain"), 0.40, 0.01)
+    for label, truth in (("flat-00", 15.02), ("flat-04", 77.3)):
+        (snr,) = result.find("snr", stack=label)
+        holds(snr, truth, 0.01)
+
+
+def test_a_frame_with_lost_rows_is_left_out(case):
+    result = case("dd1-black-bar-in-a-dark")
+    assert "rows 40 to 57 of frame 3 of dark-00 are 0 DN" in said(result)
+    holds(one(result, "system_gain"), 0.40, 0.01)
+    holds(one(result, "read_noise", "e-"), 5.0, 0.02)
+
+
+def test_four_amplifiers(tmp_path):
+    size = (144, 192)
+    right, lower = np.arange(size[1]) >= 96, (np.arange(size[0]) >= 72)[:, None]
+    number = 2 * lower + right
+    gains, offsets = np.array([0.40, 0.43, 0.37, 0.41]), np.array([100.0, 109.0, 104.0, 95.0])
+    chip = {"gain": gains[number], "offset": offsets[number], "size": size, "frames": 4}
+    result = measured(drawn(tmp_path / "s", **chip))
+    assert parts_of(result) == [1, 2, 3, 4]
+    for index, truth in enumerate(gains):
+        low, high = one(result, "system_gain", amplifier=index + 1).interval95
+        assert low <= truth <= high
+        holds(one(result, "dark_signal", amplifier=index + 1), offsets[index], 0.001)
+    # Response of the pixels, without the steps of 16 %.
+    holds(one(result, "prnu"), 0.5, 0.15)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.4])
+def test_gains_that_differ_by_three_percent_are_seen_in_even_and_tilted_light(tmp_path, slope):
+    size = (128, 160)
+    gain = np.where(np.arange(160) < 80, 0.400, 0.412)
+    light = ramp(size, 1, 1.0 - slope, 1.0 + slope)
+    result = measured(drawn(tmp_path / "s", gain=gain, light=light))
+    assert parts_of(result) == [1, 2]
+    assert "between columns 79 and 80" in said(result)
+    low, high = one(result, "system_gain").interval95
+    assert low <= 0.406 <= high
+
+
+def test_one_amplifier_of_several_is_measured_alone(tmp_path):
+    gain = np.where(np.arange(128) < 64, 0.3, 0.4)[:, None]
+    folder = drawn(tmp_path / "s", gain=gain)
+    result = measured(folder, amplifier=2)
+    assert {m.amplifier for m in result.measurements} == {2}
+    holds(one(result, "system_gain", amplifier=2), 0.4, 0.02)
+    with pytest.raises(BadInput, match="1 to 2, got 3"):
+        measured(folder, amplifier=3)
+
+
+def test_prescan_rows_on_top_are_left_out(tmp_path):
+    light = (np.arange(128) >= 10)[:, None] * np.ones(160)
+    result = measured(drawn(tmp_path / "s", light=light))
+    assert "rows 0 to 9 are an unexposed strip" in said(result)
+    holds(one(result, "prnu"), 0.5, 0.15)
+
+
+def test_strips_on_two_sides_under_uneven_light_are_left_out(tmp_path):
+    size = (150, 200)
+    light = ramp(size, 0, 0.6, 1.3).copy()
+    light[:, :6] = light[:, 180:] = light[140:] = 0.0
+    result = measured(drawn(tmp_path / "s", light=light, size=size))
+    for strip in ("columns 0 to 5", "columns 180 to 199", "rows 140 to 149"):
+        assert f"{strip} are an unexposed strip" in said(result)
+    holds(one(result, "system_gain"), 0.40, 0.02)
+    assert not parts_of(result)
+
+
+@pytest.mark.parametrize("frames", [2, 4])
+def test_rows_of_a_flat_that_were_lost_cost_its_frame_or_these_rows(tmp_path, frames):
+    def lose(data):
+        data[1, 90:97] = 0
+        data[1, 97, :40] = 0
+
+    result = measured(drawn(tmp_path / "s", flat_2=lose, frames=frames))
+    assert "rows 90 to 96 of frame 1 of flat-2 are 0 DN" in said(result)
+    holds(one(result, "system_gain"), 0.40, 0.02)
+    holds(one(result, "prnu"), 0.5, 0.2)
+
+
+def vignetted(size):
+    """Light of a lens that falls to nothing in the corners."""
+    row, col = np.mgrid[: size[0], : size[1]]
+    radius = np.hypot(row - 0.5 * size[0], col - 0.5 * size[1]) / (0.62 * size[1])
+    return np.clip(1.0 - radius**2, 0.0, None) ** 2
+
+
+def disc(size):
+    """Light of a tube, whose screen ends inside the frame on a sharp rim."""
+    row, col = np.mgrid[: size[0], : size[1]]
+    return 1.0 * (np.hypot(row - 0.5 * size[0], col - 0.5 * size[1]) < 0.47 * size[1])
+
+
+def stripes(size):
+    """Gains of columns that differ at random, some far."""
+    rng = np.random.default_rng(4)
+    return np.broadcast_to(1.0 + 0.02 * rng.standard_t(2.0, size[1]), size).clip(0.5, 1.5)
+
+
+@pytest.mark.parametrize("light", [vignetted, disc, stripes, lambda size: ramp(size, 1, 0.3, 1.7)])
+def test_light_that_is_uneven_is_one_whole_chip(tmp_path, light):
+    is_whole(measured(drawn(tmp_path / "s", light=light((128, 160)))))
+
+
+def test_bad_columns_and_rows_of_two_fields_are_one_whole_chip(tmp_path):
+    offset = np.full((128, 160), 100.0)
+    offset[1::2] += 3.0
+    offset[:, [30, 31, 100]] += 40.0
+    gain = np.full((128, 160), 0.4)
+    gain[1::2] *= 1.02
+    is_whole(measured(drawn(tmp_path / "s", gain=gain, offset=offset)))
