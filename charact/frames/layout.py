@@ -134,6 +134,28 @@ class Layout:
         )
         return areas if self.borders else ()
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was seen, each part as one line of text."""
+        return tuple(part.note for part in (*self.strips, *self.borders, *self.lost))
+
+    @property
+    def parts(self) -> tuple[tuple[Region, str, bool], ...]:
+        """Region and name of each part, and whether it is measured; none of a plain frame."""
+        rows, cols = self.size
+        parts = []
+        for strip in self.strips:
+            length = strip.last - strip.first + 1
+            of_rows, of_cols = (strip.first, 0, length, cols), (0, strip.first, rows, length)
+            parts.append((of_rows if strip.axis else of_cols, "unexposed strip", False))
+        for lost in self.lost:
+            region = lost.first, 0, lost.last - lost.first + 1, cols
+            name = f"lost rows of frame {lost.frame} {lost.stack and f'of {lost.stack}'}"
+            parts.append((region, name.strip(), False))
+        for number, region in enumerate(self.amplifiers, 1):
+            parts.append((region, f"amplifier {number}", True))
+        return tuple(parts)
+
     def touching(self, region: Region) -> tuple[str, ...]:
         """Return notes on the parts that a region (row, col, height, width) reaches into."""
         row, col, height, width = region
@@ -253,6 +275,8 @@ def _strips(signal: Array, axis: int, black_known: bool) -> list[Strip]:
         profile = signal[:, ::-1] if backwards else signal
         profile = profile if black_known else profile - np.median(profile[:, :2])
         lit = np.median(profile, axis=1)
+        if lit.max() <= 0.0:
+            continue
         bands, level = (part[lit > LAYOUT.lit_fraction * lit.max()] for part in (profile, lit))
         noise = NORMAL * np.median(np.abs(np.diff(bands, axis=1)), axis=1) / np.sqrt(2.0)
         is_dark = np.abs(bands) < LAYOUT.unlit_fraction * level[:, None]
@@ -264,7 +288,9 @@ def _strips(signal: Array, axis: int, black_known: bool) -> list[Strip]:
         behind = bands[:, width + 1 : width + 2 + LAYOUT.adjacent_px]
         exposed = behind[:, 1:].mean(axis=1)
         strip = bands[:, : int(widths.min())]
-        is_sharp = behind[:, 0] > LAYOUT.sharp_fraction * exposed
+        is_sharp = (behind[:, 0] > LAYOUT.sharp_fraction * exposed) & (
+            np.abs(strip).max(axis=1) < LAYOUT.unlit_fraction * exposed
+        )
         is_flat = black_known or np.ptp(strip.mean(axis=1)) < LAYOUT.flat_fraction * exposed.mean()
         if is_flat and np.all(is_sharp & (level > LAYOUT.lit_sd * noise)):
             first = bands.shape[1] - width if backwards else 0
@@ -336,12 +362,11 @@ def _places(bands: Array, width: int) -> tuple[list[int], Array]:
         columns = range(2 * width + first, 2 * width + min(peak + half + 1, steps.shape[1]))
         at = max(columns, key=lambda column: float(np.abs(_change(bands, column, width)).sum()))
         step = _steps(bands, width)[:, at - 2 * width]
-        is_significant = np.sort(steps[:, peak] / sd)[1] > LAYOUT.step_sd
-        # Shading that no parabola follows is not sharp.
-        is_sharp = is_significant and np.median(_change(bands, at, 2) / step) > (
-            LAYOUT.sharp_fraction
-        )
-        if len(places) == LAYOUT.max_borders or not is_sharp:
+        is_significant = np.sort(np.abs(step) / sd)[1] > LAYOUT.step_sd
+        # Shading that no parabola follows is not sharp: between four pairs of columns it is less.
+        jump = np.sign(step) * _steps(bands[:, at - 4 : at + 4], 2)[:, 0]
+        is_sharp = np.median(jump - LAYOUT.sharp_fraction * np.abs(step)) > 0.0
+        if len(places) == LAYOUT.max_borders or not (is_significant and is_sharp):
             return places, sd
         places.append(at)
         bands = np.concatenate([bands[:, :at], bands[:, at:] - step[:, None]], axis=1)

@@ -168,6 +168,14 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "factor. A nonlinearity of up to 2 % over the levels lowers it by up to 6 % without a "
             "flag, as in the standard.",
         ),
+        "uneven-scene": Description(
+            "charact.estimators.noise.uneven_scene",
+            ("system_gain", "read_noise", "saturation", "saturation_capacity"),
+            "Two or more frames of any still scene whose light spans a factor of 1.5 and more, and "
+            "darks for the noise; cameras with white noise. Pixels are binned by signal; full "
+            "wells in part of the picture are left out. Motion and flicker within the scene raise "
+            "the gain.",
+        ),
     },
     "bloom": {
         "series-forward": Description(

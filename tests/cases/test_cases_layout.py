@@ -1,5 +1,6 @@
 """Chips of several parts: cases of other tools' users, and siblings drawn here in plain NumPy."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -34,19 +35,32 @@ def case(tmp_path):
     return of
 
 
-def drawn(folder, *, seed=1, gain=0.4, offset=100.0, light=1.0, size=(128, 160), frames=2, **wrong):
+def drawn(
+    folder,
+    *,
+    seed=1,
+    gain=0.4,
+    offset=100.0,
+    light=1.0,
+    size=(128, 160),
+    frames=2,
+    full_e=1e9,
+    levels=4,
+    **wrong,
+):
     """A session of a plain camera: K (DN/e-), offset (DN) and light may be of shape `size`.
 
     `wrong`: by label of a stack, with "_" for "-", a function that changes its frames in place.
     """
     rng = np.random.default_rng(seed)
     lines = ['name = "sibling"']
-    stacks = {"dark-0": 0.0} | {f"flat-{i}": level for i, level in enumerate(LEVELS)}
+    stacks = {"dark-0": 0.0} | {f"flat-{i}": level for i, level in enumerate(LEVELS[-levels:])}
     response = 1.0 + 0.005 * rng.standard_normal(size)
     folder.mkdir()
     for label, level in stacks.items():
         mean_e = np.broadcast_to(level * light * response, (frames, *size))
-        electrons = rng.poisson(mean_e) + rng.normal(0.0, 5.0, mean_e.shape)
+        electrons = np.minimum(rng.poisson(mean_e), full_e)
+        electrons = electrons + rng.normal(0.0, 5.0, mean_e.shape)
         data = np.rint(np.clip(gain * electrons + offset, 0, 65535)).astype(np.uint16)
         wrong.get(label.replace("-", "_"), lambda frames: None)(data)
         np.save(folder / f"{label}.npy", data)
@@ -193,6 +207,55 @@ def test_rows_of_a_flat_that_were_lost_cost_its_frame_or_these_rows(tmp_path, fr
     assert "rows 90 to 96 of frame 1 of flat-2 are 0 DN" in said(result)
     holds(one(result, "system_gain"), 0.40, 0.02)
     holds(one(result, "prnu"), 0.5, 0.2)
+
+
+def test_an_uneven_flat_that_is_full_in_the_middle_gives_the_gain_of_the_others(case):
+    result = case("w1-uneven-flat-saturated")
+    holds(one(result, "system_gain"), 11.2, 0.03)
+    assert re.search("are full at about 34[01]. DN", said(result))
+    # 3400 DN above a black of 256 DN, of 11.2 DN/e-.
+    low, high = one(result, "saturation_capacity").interval95
+    assert low <= (3400.0 - 256.0) / 11.2 <= high
+    assert not result.find("snr") and not result.find("prnu")
+
+
+def scene(size):
+    """Light of a room: a ramp, a lamp and dark shapes, 40 to 1."""
+    light = ramp(size, 0, 0.2, 1.0).copy()
+    row, col = np.mgrid[: size[0], : size[1]]
+    light += 1.5 * np.exp(-((row - 40.0) ** 2 + (col - 90.0) ** 2) / 500.0)
+    light[60:100, 20:70] *= 0.3
+    return light
+
+
+@pytest.mark.parametrize(("full_e", "gain"), [(1e9, 0.4), (6000.0, 0.4), (6000.0, 7.5)])
+def test_frames_of_one_scene_have_a_gain_whatever_part_is_full(tmp_path, full_e, gain):
+    folder = drawn(
+        tmp_path / "s", light=scene((160, 200)), size=(160, 200), gain=gain, full_e=full_e, levels=1
+    )
+    result = measured(folder)
+    assert one(result, "system_gain").method == "uneven-scene"
+    holds(one(result, "system_gain"), gain, 0.05)
+    holds(one(result, "read_noise", "e-"), 5.0, 0.08)
+    if full_e < 1e9:
+        low, high = one(result, "saturation_capacity").interval95
+        assert low <= full_e <= high
+
+
+def test_full_pixels_of_the_brightest_of_uneven_flats_take_no_part(tmp_path):
+    light = scene((160, 200))
+    result = measured(drawn(tmp_path / "s", light=light, size=(160, 200), full_e=5000.0))
+    holds(one(result, "system_gain"), 0.4, 0.02)
+    low, high = one(result, "saturation_capacity").interval95
+    assert low <= 5000.0 <= high
+
+
+def test_an_even_flat_is_no_scene(tmp_path):
+    session = open_session(drawn(tmp_path / "s", levels=1))
+    context = method_context(session, quick=True, seed=0)
+    gain = one(noise.measure(session, method="uneven-scene", context=context), "system_gain")
+    assert gain.status == "refused" and "span a factor of 1.5" in gain.reason
+    assert one(noise.measure(session, context=context), "system_gain").method != "uneven-scene"
 
 
 def vignetted(size):

@@ -100,9 +100,12 @@ def _measured(ready: "Prepared", chosen: Method, *, by_name: bool) -> Result:
     """Return the measurements of a prepared session."""
     from charact.estimators.noise.gain_separation import add_event_gains
     from charact.estimators.noise.prepared_session import defect_pixels
+    from charact.estimators.noise.uneven_scene import suits
 
     session, context = ready.session, ready.context
-    if (
+    if not by_name and suits(session, ready.surveys, context):
+        chosen = choose("flats", "uneven-scene")
+    elif (
         not by_name
         and chosen.name == "covariance-sum"
         and _has_small_white_frames(session, context)

@@ -37,6 +37,19 @@ class CheckLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SceneLimits:
+    """Photon transfer from unevenly lit frames (`uneven_scene`)."""
+
+    least_span: float = 1.5  # brightest over dimmest level that show a slope of their own
+    smoothing_px: int = 3  # px; side of the mean that sorts pixels by signal
+    range: tuple[float, float] = 0.001, 0.999  # quantiles of the signal between which bins lie
+    steps: int = 48  # narrowest bins
+    # independent differences in a bin: its variance has an error of sqrt(2 / 3200) = 2.5 %, a
+    # quarter of the fall by which a peak is known
+    differences: int = 3200
+
+
+@dataclass(frozen=True, kw_only=True)
 class CorrelationLimits:
     """Correlated noise and camera processing (`undetected_correlation`)."""
 
@@ -338,6 +351,7 @@ class SweepLimits:
     max_quantisation: float = 0.02  # unreported quantisation noise, fraction of the variance
 
 
+SCENE = SceneLimits()
 CHECKS = CheckLimits()
 CORRELATION = CorrelationLimits()
 AGREEMENT = AgreementLimits()

@@ -1,5 +1,7 @@
 """System gain from the variance of pixels, for white noise (EMVA 1288 Release 4)."""
 
+from typing import Any
+
 import numpy as np
 
 from charact.estimators.noise.dark_current import dark_current
@@ -19,6 +21,7 @@ from charact.estimators.noise.gain.checks import (
     variance_ratio_changes,
 )
 from charact.estimators.noise.gain.series import (
+    FlatSeries,
     gain_obstacle,
     has_intensifier,
     read_levels,
@@ -39,6 +42,7 @@ from charact.estimators.noise.quantities import (
     without_flats,
 )
 from charact.estimators.noise.three_dimensional import three_dimensional
+from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context, register
 from labdata import Result, Session
 
@@ -58,15 +62,32 @@ def variance(session: Session, *, context: Context) -> Result:
     """
     darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
     darks, flats = as_single_frames(darks, flats)
-    cubes = three_dimensional([*darks, *flats], context=context)
-    fields = fields_of(METHOD, context)
     series = series_of(flats, darks, single) if flats else None
+    return white_noise(darks, flats, single, series, context, fields_of(METHOD, context))
+
+
+def white_noise(
+    darks: list[StackStatistics],
+    flats: list[StackStatistics],
+    single: list[str],
+    series: FlatSeries | None,
+    context: Context,
+    fields: dict[str, Any],
+) -> Result:
+    """Return all quantities of white noise.
+
+    `series`: the flats, or bins of their pixels, in which case patterns of the flats are no
+    non-uniformity of the chip.
+    """
+    cubes = three_dimensional([*darks, *flats], context=context)
     if series is None or gain_obstacle(series) is not None:
         result = Result(measurements=tuple(without_flats(darks, series, single, **fields))) + cubes
         return result + dark_current(darks, result, context=context)
+    complete = series_of(flats, darks)
+    of_pixels = complete if len(complete.flats) else series
     neighbours, exposures = (
-        spatially_correlated_fraction(series),
-        temporally_correlated_fraction(series),
+        spatially_correlated_fraction(of_pixels),
+        temporally_correlated_fraction(of_pixels),
     )
     common = slope_findings(series)
     remarks = common + variance_ratio_changes(series) + correlation_findings(neighbours, exposures)
@@ -89,6 +110,8 @@ def variance(session: Session, *, context: Context) -> Result:
         of_pairs=findings_in(bounded(exposure_findings(exposures))),
         **fields,
     )
+    if len(series.flats) != len(complete.flats):
+        out = [m for m in out if m.quantity != "prnu"]
     evidence = {"photon-transfer": transfer_figure_data(series, gain=float(np.median(gain.slope)))}
     result = Result(measurements=tuple(out), evidence=evidence) + cubes
     return result + dark_current(darks, result, context=context)
