@@ -23,6 +23,7 @@ from labdata import BadInput, Kind
 from labdata.settings import Extension, FrameAxis, Partial, Plane
 
 if TYPE_CHECKING:
+    from charact.frames.layout import Layout
     from labdata import FrameStack, Session
 
 import_app = typer.Typer(no_args_is_help=True, help="Create a session from existing frames.")
@@ -180,14 +181,21 @@ def view(
     axis: FrameAxis = None,
     extension: Extension = None,
     partial: Partial = False,
+    layout: Annotated[
+        bool,
+        typer.Option(
+            "--layout", help="Outline unexposed strips, amplifiers and lost rows, and print them."
+        ),
+    ] = False,
 ) -> None:
     """Write the mean frame of a stack as a PNG picture and print its path and levels.
 
     Example: charact view my-edge.tif
 
-    Example: charact view day1#flat-3 --out flat.png
+    Example: charact view day1#flat-3 --layout --out flat.png
     """
     with exit_on_bad_input(source):
+        from charact.reporting.annotated_image import write_layout_image
         from labdata.frame_export import write_frames
 
         reading = {"plane": plane, "axis": axis, "extension": extension, "partial": partial}
@@ -198,7 +206,12 @@ def view(
             if path.exists() and path.samefile(source.partition("#")[0]):
                 raise BadInput(f"a picture must not replace its own frames, got {path}")
             stack = read()
-            write_frames(stack, path)
+            if layout:
+                parts = _layout_of(source, label, stack)
+                write_layout_image(stack, parts.parts, path)
+                print("\n".join(parts.notes) or "one exposed area of one amplifier")
+            else:
+                write_frames(stack, path)
             frames, rows, cols = stack.shape
             low, high = stack.data.min(), stack.data.max()
             print(
@@ -208,6 +221,19 @@ def view(
             _print_notes(stack.notes)
             if out is not None:
                 return
+
+
+def _layout_of(source: str, label: str, stack: "FrameStack") -> "Layout":
+    """Return the layout that darks and flats of a session show, else that of the stack."""
+    from charact.estimators.noise.prepared_session import session_layout
+    from charact.frames import Stack
+    from labdata import MANIFEST, open_session
+
+    path = Path(source.partition("#")[0])
+    session = open_session(path) if (path / MANIFEST).is_file() else None
+    of_chip = session is not None and session.stack(label).kind in ("dark", "flat")
+    shown = session_layout(session) if session is not None and of_chip else None
+    return Stack(frames=stack).layout if shown is None else shown
 
 
 def convert(

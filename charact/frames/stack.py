@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from charact.frames import clipping
 from charact.frames.image_lag import ImageLagModel, image_lag_model
+from charact.frames.layout import Layout, Region, layout_of, lost_rows, profiles_of
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context
+from charact.verdict import Finding
 from labdata import Array, Camera, FrameStack, Mask
 
 
@@ -91,6 +93,38 @@ class Stack:
     def image_lag(self) -> ImageLagModel:
         """Image lag of the described phosphor between and within frames."""
         return image_lag_model(self.camera, len(self), interlaced=self.interlaced)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Unexposed strips and lost rows; an amplifier only at the middle of a frame, as a scene
+        may have straight edges elsewhere.
+        """
+        shown = layout_of((), [profiles_of(self.mean_frame_dn)], lost=lost_rows(self.data))
+        middles = [
+            border
+            for border in shown.borders
+            if abs(2 * border.at - sum(shown.span(border.axis))) <= 2
+        ]
+        return replace(shown, borders=tuple(middles))
+
+    def layout_findings(self, region: Region | None) -> tuple[list[Finding], list[str]]:
+        """Return the finding of rows of a region (row, col, height, width; None: all) that single
+        frames lost, and notes on strips without light and on rows of one value in every frame.
+        """
+        _, rows, cols = self.frames.shape
+        row, col, height, width = region or (0, 0, rows, cols)
+        data = self.data[:, row : row + height, col : col + width]
+        lost = [
+            replace(part, first=part.first + row, last=part.last + row) for part in lost_rows(data)
+        ]
+        in_every_frame = len({part.frame for part in lost}) == len(self)
+        notes = [part.note for part in lost] if in_every_frame else []
+        if not (row and col and row + height < rows and col + width < cols):
+            notes += replace(self.layout, lost=(), borders=()).touching((row, col, height, width))
+        if not lost or in_every_frame:
+            return [], notes
+        effect = "; ".join(part.note for part in lost)
+        return [Finding(flag="defects", effect=effect, remedy="sound frames only")], notes
 
     def region(self, row: int, col: int, height: int, width: int) -> "Stack":
         """Return the frames cut to a rectangle; one that leaves the image is a BadInput."""

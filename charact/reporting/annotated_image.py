@@ -161,6 +161,39 @@ def render_annotations(
     value and its 95 % interval, or why it has none; a leader connects it to the region's centre.
     `unusable` edges are grey. A legend is below the image.
     """
+    shown = _one_per_region(result)
+    placed = [_in_stack(m.region or (*stack.origin, *stack.shape[1:]), stack) for m in shown]
+    regions = [*placed, *(region for region, _ in unusable)]
+    statuses = [*(m.status for m in shown), *(NOT_MEASURED for _ in unusable)]
+    captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown] + [
+        [why] for _, why in unusable
+    ]
+    image = _outlined(stack, regions, statuses, captions)
+    return np.concatenate([image, _legend(shown, statuses, frequency, image.shape[1])])
+
+
+def write_layout_image(
+    stack: FrameStack, parts: Sequence[tuple[Box, str, bool]], path: Path
+) -> None:
+    """Write the mean frame with the parts of the chip as PNG, atomically.
+
+    `parts`: region, name, and whether it is measured; what is not is crossed out.
+    """
+    import cv2
+
+    regions, names, measured = zip(*parts, strict=True) if parts else ((), (), ())
+    statuses = ["ok" if is_measured else "refused" for is_measured in measured]
+    image = _outlined(stack, regions, statuses, [[name] for name in names])
+    write_atomically(path, cv2.imencode(".png", image)[1].tobytes())
+
+
+def _outlined(
+    stack: FrameStack,
+    regions: Sequence[Box],
+    statuses: Sequence[str],
+    captions: Sequence[list[str]],
+) -> Image:
+    """Return the enlarged mean frame with outlines of regions and their captions."""
     import cv2
 
     scale = max(1, int(np.ceil(1500 / stack.shape[2])))
@@ -169,22 +202,16 @@ def render_annotations(
     grey = (np.clip((mean - low) / max(high - low, 1e-12), 0, 1) * 255).astype(np.uint8)
     grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     image = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
-    shown = _one_per_region(result)
-    placed = [_in_stack(m.region or (*stack.origin, *stack.shape[1:]), stack) for m in shown]
-    boxes = [_box(region, scale) for region in (*placed, *(region for region, _ in unusable))]
-    statuses = [*(m.status for m in shown), *(NOT_MEASURED for _ in unusable)]
+    boxes = [_box(region, scale) for region in regions]
     for box, status in zip(boxes, statuses, strict=True):
         _outline(image, box, status)
-    captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown] + [
-        [why] for _, why in unusable
-    ]
     sizes = [(LINE_PX * len(lines) + 8, max(map(_width, lines)) + 12) for lines in captions]
     places = place_captions(boxes, sizes, image.shape[:2])
     for status, lines, place, size, box in zip(
         statuses, captions, places, sizes, boxes, strict=True
     ):
         _write(image, lines, place, size, box, status)
-    return np.concatenate([image, _legend(shown, statuses, frequency, image.shape[1])])
+    return image
 
 
 def _one_per_region(result: Result) -> list[Measurement]:

@@ -1,9 +1,10 @@
 """Report images: one frame of each stack kind with measured regions and grey scale."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,15 +91,31 @@ def image_of(
 
 
 def representative(
-    session: Session, measurements: Sequence[Measurement]
+    session: Session, measurements: Sequence[Measurement], layout: Mapping[str, Any] | None = None
 ) -> tuple[ReportImage, ...]:
-    """Return the central frame of the brightest stack of each kind."""
+    """Return the central frame of the brightest stack of each kind; `layout`: parts of the chip,
+    shown on darks and flats.
+    """
     kinds = dict.fromkeys(entry.kind for entry in session.stacks)
     chosen = [
         _brightest_stack([entry for entry in session.stacks if entry.kind == kind])
         for kind in kinds
     ]
-    return tuple(_picture(session, entry, measurements) for entry in chosen)
+    parts = _boxes_of_parts(layout) if layout is not None else ()
+    return tuple(
+        replace(picture, boxes=parts) if parts and entry.kind in ("dark", "flat") else picture
+        for entry in chosen
+        for picture in [_picture(session, entry, measurements)]
+    )
+
+
+def _boxes_of_parts(layout: Mapping[str, Any]) -> tuple[Box, ...]:
+    """Return one box for each part of the chip; what is not measured counts as refused."""
+    parts = zip(layout["region"], layout["name"], layout["measured"], strict=True)
+    return tuple(
+        Box(region=tuple(region), status="ok" if measured else "refused", words=name)
+        for region, name, measured in parts
+    )
 
 
 def _brightest_stack(entries: Sequence[StackEntry]) -> StackEntry:

@@ -81,6 +81,7 @@ def page(
         figures = [
             figure_registry.figure_of(name, data)
             for name, data in add_extent_data(session, result).items()
+            if name != "layout"  # drawn on the pictures
         ]
         mtf_figures = mtf_svgs(session, result, truth)
     return _template("report.html.j2").render(
@@ -97,7 +98,7 @@ def page(
             for part in ("mtf", "noise", "bloom", "other")
         },
         emva=emva_summary(result),
-        pictures=representative(session, result.measurements),
+        pictures=representative(session, result.measurements, result.evidence.get("layout")),
         validation=section,
         posteriors=posteriors(result),
         stacks=tables.stack_table(session),

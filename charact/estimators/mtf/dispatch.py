@@ -13,6 +13,7 @@ from charact.estimators.mtf.thresholds import ACCURACY
 from charact.frames.stack import Stack
 from charact.method import Context, choose
 from charact.method.registry import beyond_note
+from charact.verdict import judge
 from labdata import BadInput, FrameStack, Measurement, Result, Session, has_tube
 
 # Default methods for a camera with a sensor description. Its stages are known within ranges, which
@@ -118,9 +119,11 @@ def measure(
         narrow = of_form.function(counted, region=region, context=context, **target)
         if _narrows(result.measurements[0], narrow.measurements[0]):
             chosen, result, notes = of_form, narrow, (NARROWED, *notes)
-
+    findings, seen = Stack.of(counted, context).layout_findings(region)
+    notes = (*notes, *seen)
     finished = []
     for measurement in result.measurements:
+        measurement = judge(measurement, findings)
         added = [note for note in notes if note not in measurement.notes]
         # The tolerance holds for the charted quantity.
         charted = measurement.quantity == chosen.quantities[0] and measurement.status != "refused"

@@ -162,7 +162,11 @@ class Prepared:
         """Return a result in DN of the files, with a note on excluded pixels."""
         unit_dn, note = self.unit_dn, None if self.defects is None else self.defects.note
         notes = () if note is None else (note,)
-        notes += () if self.layout is None else left_out(self.layout)
+        if self.layout is not None and self.layout.parts:
+            notes += left_out(self.layout)
+            names = ("region", "name", "measured")
+            shown = dict(zip(names, map(list, zip(*self.layout.parts, strict=True)), strict=True))
+            result = replace(result, evidence={**result.evidence, "layout": shown})
         if unit_dn != 1.0:
             notes += (f"DN in other notes are units of {unit_dn:.4g} of the files' values",)
         noted = [
@@ -195,6 +199,13 @@ def prepare(session: Session, *, context: Context) -> Prepared:
     if any(entry.view is not None for entry in session.stacks):
         surveys = _survey(session)
     return _prepared(session, surveys, layout, context)
+
+
+def session_layout(session: Session) -> Layout | None:
+    """Return the layout that the darks and flats of a session show; None without them, or where
+    their images are too small.
+    """
+    return find_layout(session, _survey(session))[0]
 
 
 def _survey(session: Session) -> list[PixelSurvey]:
