@@ -351,7 +351,9 @@ def _places(bands: Array, width: int) -> tuple[list[int], Array]:
         steps, middles = np.abs(_steps(bands, width)), _medians(bands, width)
         residual = bands[:, half : half + middles.shape[1]] - middles
         scatter = NORMAL * np.median(np.abs(residual), axis=1)
-        sd = scatter * np.sqrt(2.5 * np.pi / width) + np.finfo(float).tiny
+        sd = scatter * np.sqrt(2.5 * np.pi / width)
+        # Rounding of the values: columns of one value have no scatter.
+        sd += max(np.finfo(float).eps * float(np.abs(bands).max()), np.finfo(float).tiny ** 0.5)
         # All bands but one must show the step.
         peak = int(np.argmax(np.sort(steps / sd[:, None], axis=0)[1]))
         is_apart = np.abs(np.arange(steps.shape[1]) - peak) >= 2 * width
