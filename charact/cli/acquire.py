@@ -132,7 +132,7 @@ def safe(
     """
     with exit_on_bad_input(str(plan or "the last bench"), events=events):
         from drivers.acquisition.plans import load_plan
-        from drivers.bench.safe_state import make_bench_safe
+        from drivers.bench.bare_ports import make_bench_safe
         from drivers.bench.setup import last_bench, with_present_ports
 
         wires = last_bench() if plan is None else with_present_ports(load_plan(plan).wires)

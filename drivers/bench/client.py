@@ -30,9 +30,12 @@ from drivers.bench.connection import (
 )
 from drivers.bench.light_control import GuardedLight
 from drivers.bench.safe_state import (
+    FOLLOW_S,
     REOPEN_S,
     Crew,
+    Record,
     SafeStateReport,
+    StepRecord,
     make_safe,
     say_on_stderr,
     tell_failures,
@@ -89,7 +92,7 @@ class BenchClient:
         self._ports: dict[Role, int] = {}
         self._drivers: dict[Role, Any] = {}
         self._stamp_s, self._leave_number = time.monotonic(), -1
-        self._left = self._over = False
+        self._left = self._over = self._leaves = False
         self._is_hot = True  # Whether the tube may be hot by the last heartbeat or a later request
         self._taking_over = threading.Lock()
 
@@ -259,6 +262,12 @@ class BenchClient:
                 if not self._left:
                     self._take_over("has ended" if self._server.gone else "was silent")
                 self._over = True
+        # A run that hangs does not leave, and its instruments may be set at their panels meanwhile.
+        record = StepRecord(self._log, is_terse=True)
+        while not self._leaves and self.report is not None:
+            time.sleep(FOLLOW_S)
+            with self._taking_over:
+                self.report = self._secure(record, is_patient=False)
 
     def _take(self, message: Any, descriptors: list[int]) -> None:
         if isinstance(message, Beat):
@@ -309,7 +318,7 @@ class BenchClient:
         """Make the bench safe and end the server; failures are raised, or become notes of the first
         error.
         """
-        unwritten = None
+        unwritten, self._leaves = None, True
         self._leave_number = next(self._numbers)
         try:
             if not self._over:
@@ -363,13 +372,16 @@ class BenchClient:
             for waiting in list(self._replies.values()):
                 waiting.put(Reply(number=0, error=lost))
             self._log(f"the bench server {how}; its client makes the bench safe")
-            self.report = make_safe(
-                gate=self._drivers.get("gate"),
-                supply=self._drivers.get("supply"),
-                lamps=[self._drivers.get("light-source")] if self._setup.wires.light else [],
-                record=self._log,
-                crew=self._crew,
-                warn=lambda report: self.say(report.warning()),
-            )
+            self.report = self._secure(self._log, warn=lambda report: self.say(report.warning()))
             self._log("made safe", whole=self.report.whole, sentence=self.report.sentence())
             return self.report
+
+    def _secure(self, record: Record, **manner: Any) -> SafeStateReport:
+        return make_safe(
+            gate=self._drivers.get("gate"),
+            supply=self._drivers.get("supply"),
+            lamps=[self._drivers.get("light-source")] if self._setup.wires.light else [],
+            record=record,
+            crew=self._crew,
+            **manner,
+        )

@@ -11,10 +11,11 @@ from drivers.bench.interlock import Interlock
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import Command, FilterRead, LightRead, SetLight, TurnFilter
 from drivers.errors import BenchError, BenchStopped
+from drivers.instruments.models import model_of
 from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
 from labdata import BadInput, Conditions, Kind, Target
-from labdata.instrument_config import Role
+from labdata.instrument_config import InstrumentConfig, Role
 
 # Fraction of the largest allowed light below which a reading with blocked light is the zero of the
 # meter
@@ -28,6 +29,19 @@ class Station:
         self.line, self.driver = line, driver
         self.procedure = threading.RLock()
         self.watched = False
+
+
+def stations_on(
+    lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig
+) -> dict[Role, Station]:
+    """Return the instruments of a bench that have a line, by role."""
+    return {
+        connection.role: Station(
+            lines[connection.role], model_of(connection).driver(lines[connection.role])
+        )
+        for connection in wires.instruments
+        if connection.role in lines
+    }
 
 
 class LightControl(ABC):

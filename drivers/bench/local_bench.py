@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Self
 
 from drivers.bench.client import BenchClient
-from drivers.bench.light_control import GuardedLight
+from drivers.bench.light_control import GuardedLight, stations_on
 from drivers.bench.safe_state import say_on_stderr, tell_failures
 from drivers.bench.setup import BenchSetup
-from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
+from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench
 from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
 from labdata import BadInput, EventLog

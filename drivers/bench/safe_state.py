@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -17,9 +17,8 @@ from drivers.errors import (
 )
 from drivers.instruments.gate_limits import Gate
 from drivers.instruments.light_source import LightSource
-from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
-from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
+from labdata.instrument_config import Role
 
 # Roles that the safe action covers
 DANGEROUS: tuple[Role, ...] = "gate", "supply", "light-source"
@@ -30,6 +29,9 @@ Warn = Callable[["SafeStateReport"], object]  # Called with a report of a tube t
 FOLLOW_S = 0.2  # Interval between attempts, s
 DEAF_S = 3.0  # Longest time of attempts on an instrument that does not obey, s
 REOPEN_S = 15.0  # Longest time of attempts to reopen a lost port, s
+# Reopened ports at which nobody known answers, before the limit of an answer grows on a busy machine:
+# ports may be swapped, and each then costs that limit
+HASTY_PORTS = 4
 STEADY_READINGS = 3  # Readings of an output ordered off that does not fall, before it is reported
 
 # Manual steps for a tube that could not be made safe
@@ -292,7 +294,7 @@ class _Task:
         self.path: str | None = None if instrument is None else instrument.line.path
         # Paths of the bench at which its instrument may answer when ports come back swapped
         self.other_paths: list[str] = []
-        self._reopenings = 0
+        self._reopenings = self._unknown_ports = 0
 
     def run(self, attempts: _FirstAttempts, is_patient: bool) -> None:
         """Repeat the steps until they are verified or the time is over; a lost port is reopened."""
@@ -369,16 +371,26 @@ class _Task:
                 self._disconnected = self.ordered = False
                 if self.other_paths:
                     self.order()
-                    self._instrument.identify()
+                    self._identify()
             except (InstrumentReplyError, InstrumentTimeout):
                 line.close()
-                self._disconnected = True
+                self._disconnected, self._unknown_ports = True, self._unknown_ports + 1
             except BenchError:
                 continue
             else:
                 self._record(f"{self._label}: port reopened", ok=True, path=path or self.path)
                 self.failures.clear()
                 return
+
+    def _identify(self) -> None:
+        line = self._instrument.line
+        slack_s = line.slack_s
+        if self._unknown_ports < HASTY_PORTS:
+            line.slack_s = float
+        try:
+            self._instrument.identify()
+        finally:
+            line.slack_s = slack_s
 
 
 class _Falling(_Task):
@@ -413,66 +425,3 @@ class _Falling(_Task):
             self._answers and self.residual_v is not None and self.residual_v <= DISCHARGED_V
         )
         return self.verified
-
-
-def make_bench_safe(
-    wires: InstrumentConfig, record: Record, warn: Warn = lambda report: None
-) -> SafeStateReport:
-    """Make the tube of a bench safe through its serial ports alone, even if another program has
-    opened them.
-
-    The report names instruments whose port could not be opened within 15 s; `warn` is called as by
-    `make_safe`, by the first attempts alone.
-    """
-    connections: dict[Role, InstrumentConnection] = {
-        connection.role: connection
-        for connection in wires.instruments
-        if connection.role in DANGEROUS and connection.port
-    }
-    drivers: dict[Role, Any] = {}
-    failures: dict[Role, str] = {}
-    give_up_s = time.monotonic() + REOPEN_S
-
-    report: SafeStateReport | None = None
-
-    def secure() -> SafeStateReport:
-        lamps = [drivers.get("light-source")] if wires.light else []
-        return make_safe(
-            gate=drivers.get("gate"),
-            supply=drivers.get("supply"),
-            lamps=lamps,
-            record=record,
-            warn=warn if report is None else lambda report: None,
-        )
-
-    while report is None or (len(drivers) < len(connections) and time.monotonic() < give_up_s):
-        has_new_driver = False
-        for role, connection in connections.items():
-            if role in drivers:
-                continue
-            try:
-                drivers[role] = _driver_on_port(connection, record)
-                has_new_driver = True
-            except BenchError as error:
-                failures[role] = str(error)
-        if has_new_driver or report is None:
-            report = secure()
-        else:
-            time.sleep(FOLLOW_S)
-    missing = tuple(failures[role] for role in connections if role not in drivers)
-    for driver in drivers.values():
-        driver.line.close()
-    return replace(report, failures=(*missing, *report.failures))
-
-
-def _driver_on_port(connection: InstrumentConnection, record: Record) -> Any:
-    """Return a driver on a serial port, shared with a program that has opened it."""
-    model = model_of(connection)
-    try:
-        line = model.open_line(str(connection.port), connection.address)
-    except BenchError as error:
-        line = model.open_line(str(connection.port), connection.address, exclusive=False)
-        record(
-            f"{model.title}: port shared with the program that holds it", ok=True, error=str(error)
-        )
-    return model.driver(line)

@@ -33,11 +33,11 @@ from drivers.bench.connection import (
     Request,
     SchedulingDelay,
 )
-from drivers.bench.light_control import Station
+from drivers.bench.light_control import Station, stations_on
 from drivers.bench.safe_state import DANGEROUS, FOLLOW_S, Record, StepRecord
 from drivers.bench.setup import BenchSetup, with_present_ports
 from drivers.bench.state import Failed
-from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
+from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.serial_lines.line import InstrumentLine

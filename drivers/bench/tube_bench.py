@@ -35,12 +35,10 @@ from drivers.bench.state import (
     SafeOrdered,
 )
 from drivers.errors import BenchError, BenchStopped
-from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V
 from drivers.interface import FrameLevels
-from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
-from labdata.instrument_config import InstrumentConfig, Role
+from labdata.instrument_config import Role
 
 # Interval between checks of an instrument's settings, s; with the check itself below 0.5 s
 LOOK_EVERY_S = 0.3
@@ -61,19 +59,6 @@ class NotDark(BenchError):
     """A frame with the light off is bright: find the source of the light before the gate is opened
     again.
     """
-
-
-def stations_on(
-    lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig
-) -> dict[Role, Station]:
-    """Return the instruments of a bench that have a line, by role."""
-    return {
-        connection.role: Station(
-            lines[connection.role], model_of(connection).driver(lines[connection.role])
-        )
-        for connection in wires.instruments
-        if connection.role in lines
-    }
 
 
 class TubeBench(LightControl):

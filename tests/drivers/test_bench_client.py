@@ -35,6 +35,7 @@ CLIENT = """
             bench.check()
             time.sleep(0.02)
 """
+HUNG = CLIENT.replace("bench.check()", "pass")
 STARVED = {
     "descriptors": (resource.RLIMIT_NOFILE, 3),
     "threads": (resource.RLIMIT_NPROC, 0),
@@ -49,10 +50,11 @@ def virtual(tmp_path_factory):
 
 
 @pytest.fixture
-def pair(virtual, tmp_path):
+def pair(virtual, tmp_path, request):
     """A client with a hot tube, and the process of its server; its ports are free at the end."""
     arguments = [virtual.gate_port, virtual.supply_port, str(tmp_path / "safety.jsonl")]
-    command = [sys.executable, "-c", textwrap.dedent(CLIENT), *arguments]
+    program = getattr(request, "param", CLIENT)
+    command = [sys.executable, "-c", textwrap.dedent(program), *arguments]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as client:
@@ -126,8 +128,29 @@ def test_the_server_stands_guard_until_silent_instruments_answer(virtual, pair, 
     assert "standing guard" in log
 
 
-@pytest.mark.parametrize("client_lives", [True, False])
-def test_ports_that_come_back_swapped_are_told_apart_by_who_answers(virtual, pair, client_lives):
+@pytest.mark.parametrize("pair", [HUNG], indirect=True)
+@pytest.mark.parametrize("is_server_killed", [True, False])
+def test_a_gate_opened_by_hand_is_shut_again_while_a_run_hangs(virtual, pair, is_server_killed):
+    if is_server_killed:
+        subprocess.run(["kill", f"-{signal.SIGKILL.value}", str(pair[1])], check=True)
+    ms_until_safe(virtual, time.monotonic())
+    time.sleep(0.5)
+    inject_faults(virtual.folder, "delay_generator", Faults(panel=("LOFF 1,2",)))
+    opened_s = time.monotonic()
+    while not read_outputs(virtual.folder).gate_open:
+        assert time.monotonic() - opened_s < 0.5
+    assert ms_until_safe(virtual, time.monotonic()) < 1e3 * WITHIN_S
+    inject_faults(virtual.folder, "delay_generator", Faults())
+
+
+@pytest.mark.parametrize(("client_lives", "is_busy"), [(True, False), (False, False), (True, True)])
+def test_ports_that_come_back_swapped_are_told_apart_by_who_answers(
+    virtual, pair, client_lives, is_busy
+):
+    if is_busy:  # limits grow
+        for number in (signal.SIGSTOP, signal.SIGCONT):
+            pair[0].send_signal(number)
+            time.sleep(0.4)
     silent, gone = Faults(silent=True), Faults(silent=True, unplugged=True)
     instruments = ("delay_generator", "high_voltage")
     swapped = [Faults(port_name=name) for name in instruments[::-1]]

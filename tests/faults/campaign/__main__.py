@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,11 +41,17 @@ def main() -> int:
     )
     parser.add_argument("--keep", type=Path, help="page for the result, Markdown")
     parser.add_argument("--trials", type=Path, help="file for every strike, one JSON object a line")
+    parser.add_argument(
+        "--rows",
+        type=Path,
+        help="file for every kind, one JSON object a line; those that stand in it are not struck "
+        "again, so that a campaign can be run in pieces",
+    )
     asked = parser.parse_args()
     kinds = [kind for kind in KINDS if re.search(asked.kinds, kind)]
     if not kinds:
         raise BadInput(f"kinds must be found in one of {', '.join(KINDS)}, got {asked.kinds!r}")
-    rng, loads = np.random.default_rng(asked.seed), [os.getloadavg()[0]]
+    loads: list[float] = []
 
     def tell(outcome: Outcome) -> None:
         loads.append(os.getloadavg()[0])
@@ -55,21 +61,34 @@ def main() -> int:
             with asked.trials.open("a") as file:
                 file.write(line + "\n")
 
+    struck = read_rows(asked.rows) if asked.rows is not None and asked.rows.exists() else {}
+    missing = [kind for kind in kinds if kind not in struck]
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as name, CampaignRig(Path(name), asked.seed) as rig:
-        warm_up(rig, Path(name) / "warm")
-        rows = []
-        for kind in kinds:
-            if time.monotonic() > began_s + 60.0 * asked.minutes:
-                print(f"not struck for want of time: {', '.join(kinds[len(rows) :])}", flush=True)
+        if missing:
+            warm_up(rig, Path(name) / "warm")
+        for number, kind in enumerate(missing):
+            kind_began_s = time.monotonic()
+            if kind_began_s > began_s + 60.0 * asked.minutes:
+                print(f"not struck for want of time: {', '.join(missing[number:])}", flush=True)
                 break
-            rows.append(strike(rig, Path(name), kind, asked.strikes, rng, tell=tell))
+            loads.clear()
+            # The draws of a kind do not depend on those struck before.
+            rng = np.random.default_rng([asked.seed, list(KINDS).index(kind)])
+            row = strike(rig, Path(name), kind, asked.strikes, rng, tell=tell)
+            minutes = (time.monotonic() - kind_began_s) / 60.0
+            struck[kind] = Struck(row=row, minutes=minutes, loads=tuple(loads))
+            if asked.rows is not None:
+                with asked.rows.open("a") as file:
+                    file.write(json.dumps(asdict(struck[kind])) + "\n")
+    rows = [struck[kind].row for kind in kinds if kind in struck]
+    all_loads = [load for each in struck.values() for load in each.loads]
     text = page(
         rows,
         f"Seed {asked.seed}, {asked.strikes} strikes of each kind, "
-        f"{(time.monotonic() - began_s) / 60.0:.0f} min. The machine: {os.cpu_count()} cores, "
-        f"{np.median(loads):.1f} processes at work or waiting for one in the median, "
-        f"{max(loads):.1f} at most.",
+        f"{sum(each.minutes for each in struck.values()):.0f} min. The machine: {os.cpu_count()} "
+        f"cores, {np.median(all_loads):.1f} processes at work or waiting for one in the median, "
+        f"{max(all_loads):.1f} at most.",
     )
     print(text)
     for row in rows:
@@ -78,6 +97,32 @@ def main() -> int:
     if asked.keep:
         asked.keep.write_text(text)
     return 1 if len(rows) < len(kinds) or any(row.broken for row in rows) else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Struck:
+    """A kind that was struck: its row, how long that took, and the load at each strike."""
+
+    row: Row
+    minutes: float
+    loads: tuple[float, ...]
+
+
+def read_rows(path: Path) -> dict[str, Struck]:
+    """Return the kinds that stand in a file of rows."""
+    struck = {}
+    for line in path.read_text().splitlines():
+        known = json.loads(line)
+        row = known["row"]
+        outcomes = tuple(
+            Outcome(**(each | {"broken": tuple(each["broken"])})) for each in row["outcomes"]
+        )
+        struck[row["kind"]] = Struck(
+            row=Row(kind=row["kind"], outcomes=outcomes, resumed=tuple(map(tuple, row["resumed"]))),
+            minutes=known["minutes"],
+            loads=tuple(known["loads"]),
+        )
+    return struck
 
 
 def strike(

@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -34,7 +35,6 @@ from labdata import (
     Plan,
     Step,
     open_session,
-    read_events,
 )
 from tests.faults.inventing.emulator import GATE, OUTPUTS, SUPPLY, serve
 from tests.faults.inventing.faults import CAMERA_KINDS, INSTRUMENTS, RULE, RULES, Fault
@@ -43,7 +43,8 @@ LIMIT_S, SLACK_S = 2.0, 2.5  # Longest time hot, and what a busy machine adds at
 SILENCE_S, PERIOD_S = 0.5, 1.0 / 60.0
 END_S, LOOK_S = 45.0, 3e-3
 SIZE = (64, 96)
-FRAME_S, FLAGS = OUTPUTS.size, OUTPUTS.size + 8  # Offsets in the shared memory
+# Offsets in the shared memory
+FRAME_S, FLAGS, SERVER = OUTPUTS.size, OUTPUTS.size + 8, 1024
 ASKED = Conditions(mcp_v=650.0, gate_ns=1.6e7)
 PLAN = Plan(
     name="invented",
@@ -159,7 +160,7 @@ class _Trial:
     ) -> None:
         self._program, self._folder, self._shared = program, folder, shared
         self._control, self._client, self._rules = control, client, rules
-        self._log, self._output = folder / "disk/safety.jsonl", folder / "client.txt"
+        self._output = folder / "client.txt"
         self._client_ended = False
         self._server: int | None = None
         self._beyond = False
@@ -175,10 +176,12 @@ class _Trial:
         over_s = opened_s + END_S
         while time.monotonic() < over_s:
             now_s = time.monotonic()
-            if began_s is None and (self._has_begun() or now_s > opened_s + 20.0):
+            is_over = self._client_ended or now_s > opened_s + 20.0
+            if began_s is None and (self._has_begun() or is_over):
                 began_s = now_s
-            # Faults before the first step fall into the opening, which takes about a second.
-            at_s = now_s - opened_s - 1.5 if began_s is None else max(0.0, now_s - began_s)
+            # Faults before the first step fall into the opening, which takes about a second, and no
+            # others do.
+            at_s = min(now_s - opened_s - 1.5, -1e-3) if began_s is None else now_s - began_s
             while due and due[0][0] <= at_s:
                 _, strikes, fault = due.pop(0)
                 self._happen(fault, strikes)
@@ -198,9 +201,8 @@ class _Trial:
         return self._output.exists() and b" frames" in self._output.read_bytes()
 
     def _server_runs(self) -> bool:
-        if self._server is None and self._log.exists():
-            starts = [each["pid"] for each in read_events(self._log) if each["event"] == "start"]
-            self._server = starts[0] if starts else None
+        # Not by its log, whose first line a fault may keep from the disk.
+        self._server = int(np.frombuffer(self._shared, np.int32, 1, SERVER)[0]) or None
         if self._server is None:
             return False
         try:
@@ -295,6 +297,14 @@ def _acquire(folder: Path, shared: mmap.mmap, shim: str | None) -> None:
     if shim is not None:
         ctypes.CDLL(shim).inject_begin(os.fsencode(folder / "rules"), 1)
         os.environ |= {"INJECT_FILE": str(folder / "rules"), "INJECT_ROLE": "2"}
+    popen = subprocess.Popen
+
+    def begin(*asked: Any, **named: Any) -> subprocess.Popen:
+        process = popen(*asked, **named)
+        np.frombuffer(shared, np.int32, 1, SERVER)[0] = process.pid
+        return process
+
+    subprocess.Popen = begin  # type: ignore[misc]
     wires = InstrumentConfig(
         gate_port=str(folder / "ports" / GATE), supply_port=str(folder / "ports" / SUPPLY)
     )
