@@ -176,12 +176,10 @@ class _Trial:
         over_s = opened_s + END_S
         while time.monotonic() < over_s:
             now_s = time.monotonic()
-            is_over = self._client_ended or now_s > opened_s + 20.0
-            if began_s is None and (self._has_begun() or is_over):
+            if began_s is None and (self._has_begun() or now_s > opened_s + 20.0):
                 began_s = now_s
-            # Faults before the first step fall into the opening, which takes about a second, and no
-            # others do.
-            at_s = min(now_s - opened_s - 1.5, -1e-3) if began_s is None else now_s - began_s
+            # Faults before the first step fall into the opening, which takes about a second.
+            at_s = now_s - opened_s - 1.5 if began_s is None else max(0.0, now_s - began_s)
             while due and due[0][0] <= at_s:
                 _, strikes, fault = due.pop(0)
                 self._happen(fault, strikes)
