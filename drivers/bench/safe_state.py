@@ -29,9 +29,9 @@ Warn = Callable[["SafeStateReport"], object]  # Called with a report of a tube t
 FOLLOW_S = 0.2  # Interval between attempts, s
 DEAF_S = 3.0  # Longest time of attempts on an instrument that does not obey, s
 REOPEN_S = 15.0  # Longest time of attempts to reopen a lost port, s
-# Reopened ports at which nobody known answers, before the limit of an answer grows on a busy machine:
-# ports may be swapped, and each then costs that limit
-HASTY_PORTS = 4
+# Of as many reopened ports at which nobody known answers, one is given the time of a busy machine:
+# ports may be swapped, and each then costs that time
+PORTS_A_PATIENT_ONE = 5
 STEADY_READINGS = 3  # Readings of an output ordered off that does not fall, before it is reported
 
 # Manual steps for a tube that could not be made safe
@@ -385,7 +385,7 @@ class _Task:
     def _identify(self) -> None:
         line = self._instrument.line
         slack_s = line.slack_s
-        if self._unknown_ports < HASTY_PORTS:
+        if (self._unknown_ports + 1) % PORTS_A_PATIENT_ONE:
             line.slack_s = float
         try:
             self._instrument.identify()

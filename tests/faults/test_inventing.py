@@ -37,6 +37,14 @@ def test_a_supply_that_answers_nonsense_keeps_nobody_from_the_gate():
 
 
 @pytest.mark.wires
+def test_swapped_ports_are_told_apart_in_time_on_a_busy_machine():
+    # A client that stood still is taken for a busy machine, and limits grow by 2.5 s.
+    stopped = Fault(kind="stopped", who="client", at_s=-0.46, for_s=0.665)
+    swapped = Fault(kind="swapped", who="gate", at_s=1.132, for_s=1.224, value=1)
+    assert attempt((stopped, swapped), 0).broken == ()
+
+
+@pytest.mark.wires
 def test_a_disk_whose_every_sync_takes_half_a_second_ends_no_run(monkeypatch):
     sync, steps = os.fsync, tuple(replace(step, frames=9) for step in trial.PLAN.steps)
     monkeypatch.setattr(trial, "PLAN", replace(trial.PLAN, steps=steps))
