@@ -9,10 +9,13 @@ import subprocess
 import sys
 import textwrap
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from drivers.bench.bare_ports import make_bench_safe
+from labdata import InstrumentConfig
 from simulate.virtual_bench.faults import Faults, inject_faults
 from simulate.virtual_bench.outputs import read_outputs
 from simulate.virtual_bench.process import VirtualInstruments
@@ -85,6 +88,18 @@ def ms_until_safe(virtual, since_s: float) -> float:
     return 1e3 * (time.monotonic() - since_s)
 
 
+def ms_until_shut_after_opened_by_hand(virtual) -> float:
+    for panel in ((), ("LOFF 1,2",)):  # what is new at a panel is done
+        inject_faults(virtual.folder, "delay_generator", Faults(panel=panel))
+        time.sleep(0.1)
+    opened_s = time.monotonic()
+    while not read_outputs(virtual.folder).gate_open:
+        assert time.monotonic() - opened_s < 0.5
+    while read_outputs(virtual.folder).gate_open:
+        assert time.monotonic() - opened_s < 10.0
+    return 1e3 * (time.monotonic() - opened_s)
+
+
 @pytest.mark.parametrize("of", [*STARVED, "everything"])
 @pytest.mark.parametrize("killed", ["client", "server"])
 def test_a_starved_process_makes_safe_within_a_second_of_the_death_of_the_other(
@@ -135,11 +150,7 @@ def test_a_gate_opened_by_hand_is_shut_again_while_a_run_hangs(virtual, pair, is
         subprocess.run(["kill", f"-{signal.SIGKILL.value}", str(pair[1])], check=True)
     ms_until_safe(virtual, time.monotonic())
     time.sleep(0.5)
-    inject_faults(virtual.folder, "delay_generator", Faults(panel=("LOFF 1,2",)))
-    opened_s = time.monotonic()
-    while not read_outputs(virtual.folder).gate_open:
-        assert time.monotonic() - opened_s < 0.5
-    assert ms_until_safe(virtual, time.monotonic()) < 1e3 * WITHIN_S
+    assert ms_until_shut_after_opened_by_hand(virtual) < 1e3 * WITHIN_S
     inject_faults(virtual.folder, "delay_generator", Faults())
 
 
@@ -159,6 +170,19 @@ def test_ports_that_come_back_swapped_are_told_apart_by_who_answers(virtual, pai
         elif not client_lives:
             pair[0].kill()
         time.sleep(0.1)
+
+
+def test_what_is_at_hand_is_followed_while_ports_alone_are_made_safe(virtual):
+    wires = InstrumentConfig(gate_port=virtual.gate_port, supply_port=virtual.supply_port)
+    inject_faults(virtual.folder, "high_voltage", Faults(unplugged=True))
+    with ThreadPoolExecutor(1) as pool:
+        report = pool.submit(make_bench_safe, wires, lambda *_, **__: None)
+        time.sleep(1.0)
+        for _ in range(2):
+            assert ms_until_shut_after_opened_by_hand(virtual) < 1e3 * WITHIN_S
+        for instrument in ("delay_generator", "high_voltage"):
+            inject_faults(virtual.folder, instrument, Faults())
+        assert report.result(30.0).whole
 
 
 def test_the_manual_steps_are_said_within_a_second_of_the_loss_of_a_port(virtual, pair):
