@@ -4,9 +4,15 @@ import numpy as np
 
 import charact
 from charact.estimators.mtf.bars.bar_image_model import BarShape, table_of
-from charact.estimators.mtf.bars.bar_measurement import BarRefusal, StatedBars, measure_bars_in
+from charact.estimators.mtf.bars.bar_measurement import (
+    BarMeasurement,
+    BarRefusal,
+    StatedBars,
+    measure_bars_in,
+)
 from charact.estimators.mtf.bars.checks import findings_of_draws
 from charact.estimators.mtf.bars.target import BarTarget
+from charact.estimators.mtf.bars.thresholds import LIMITS
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.target_motion import TargetMotion, measure_line_motion
 from charact.frames.stack import Stack
@@ -85,6 +91,15 @@ def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
     return table_of(shape, float(np.abs(distance).max()), 1.0).at(distance, distance)[0]
 
 
+def _refuse_impossible(measured: BarMeasurement, stated: StatedBars) -> BarRefusal:
+    """Refuse an MTF that no blurred bars have."""
+    return BarRefusal(
+        f"no target: an MTF is at most 1, got {float(np.median(measured.mtf)):.3g} at "
+        f"{measured.target.frequency:.4g} cy/px for {measured.target.bars} bars; {stated.remedy}",
+        "model-misfit",
+    )
+
+
 @register("bars", METHOD)
 def bars_forward(
     stack: FrameStack,
@@ -129,6 +144,8 @@ def bars_forward(
     where = region or (0, 0, *cut_stack.mean_frame_dn.shape)
     stated = StatedBars(bars=bars, frequency=frequency_cy_per_px)
     measured = measure_bars_in(cut_stack, stated, context)
+    if isinstance(measured, BarMeasurement) and np.median(measured.mtf) > LIMITS.max_reported_mtf:
+        measured = _refuse_impossible(measured, stated)
     if isinstance(measured, BarRefusal):
         refusal = make_refusal(
             "mtf",

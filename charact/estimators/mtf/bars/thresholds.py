@@ -61,6 +61,8 @@ class BarLimits:
     # Preference for another model than the tube; it widens the intervals
     min_model_preference_sd: float = 3.0
     max_mtf: float = 1.5  # Upper bound of a sampled MTF
+    # Larger values are refused: the MTF is at most 1, and sharpening cameras reach this at most
+    max_reported_mtf: float = 1.1
     max_posterior_offset_sd: float = 2.0  # Distance of the draws from the fit, standard deviations
     min_modulation_sd: float = 6.0  # Modulation of the first-term method, standard uncertainties
     # Contrast of the profile method, standard uncertainties; noise has peaks below it

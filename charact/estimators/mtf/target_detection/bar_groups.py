@@ -176,7 +176,7 @@ def find_bar_groups(
 
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """A group in the frame: its middle, frequency, number of bars and length of them, px."""
+    """A group in the frame: middle, frequency, number of bars, their length, px, modulation, DN."""
 
     row: float
     col: float
@@ -184,6 +184,7 @@ class _Group:
     bars: int
     length_px: float
     transposed: bool
+    amplitude: float
     significance: float
 
 
@@ -321,6 +322,7 @@ def _verify(picture: Array, answer: _Detection, bars: int | None) -> _Group | No
         bars=number,
         length_px=bottom - top,
         transposed=False,
+        amplitude=answer.amplitude,
         significance=answer.significance,
     )
 
@@ -399,9 +401,11 @@ def _bar_extent(
 
 
 def _separate(groups: list[_Group]) -> list[_Group]:
-    """Return one group for each place, the most significant."""
+    """Return one group for each place, the most modulated: harmonics of its bars have less
+    modulation, but may be more significant, since less scatters at high frequencies.
+    """
     separate: list[_Group] = []
-    for group in sorted(groups, key=lambda group: -group.significance):
+    for group in sorted(groups, key=lambda group: -group.amplitude):
         if not any(_overlap(_box(group), _box(other)) for other in separate):
             separate.append(group)
     return separate
