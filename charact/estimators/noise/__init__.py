@@ -103,15 +103,32 @@ def _measured(ready: "Prepared", chosen: Method, *, by_name: bool) -> Result:
     from charact.estimators.noise.uneven_scene import suits
 
     session, context = ready.session, ready.context
-    if not by_name and suits(session, ready.surveys, context):
-        chosen = choose("flats", "uneven-scene")
-    elif (
+    scene = (
+        choose("flats", "uneven-scene").function(session, context=context)
+        if not by_name and suits(session, ready.surveys, context)
+        else Result()
+    )
+    if (
         not by_name
         and chosen.name == "covariance-sum"
         and _has_small_white_frames(session, context)
     ):
         chosen = choose("flats", "variance")
-    result = add_event_gains(chosen.function(session, context=context), session, context=context)
+    if any(m.value is not None for m in scene.find("saturation")):
+        # Where pixels are full, the mean of a frame is no level of the line.
+        result = scene
+    else:
+        frames = chosen.function(session, context=context)
+        binned = {
+            (m.quantity, m.unit): m
+            for m in scene.measurements
+            if m.value is not None and not m.stack
+        }
+        numbers = tuple(
+            m if m.stack else binned.get((m.quantity, m.unit), m) for m in frames.measurements
+        )
+        result = replace(frames, measurements=numbers, evidence=frames.evidence | scene.evidence)
+        result = add_event_gains(result, session, context=context)
     return ready.in_dn(result) + defect_pixels(
         session, ready.surveys, ready.defects, context=context
     )
