@@ -207,9 +207,10 @@ def view(
                 raise BadInput(f"a picture must not replace its own frames, got {path}")
             stack = read()
             if layout:
-                parts = _layout_of(source, label, stack)
-                write_layout_image(stack, parts.parts, path)
-                print("\n".join(parts.notes) or "one exposed area of one amplifier")
+                shown = _layout_of(source, label, stack)
+                write_layout_image(stack, shown.areas, path)
+                notes = [part.note for part in shown.parts]
+                print("\n".join(notes) or "one exposed area of one amplifier")
             else:
                 write_frames(stack, path)
             frames, rows, cols = stack.shape

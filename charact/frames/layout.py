@@ -32,68 +32,41 @@ from labdata.frames import LazyStack
 Region = tuple[int, int, int, int]
 Profiles = tuple[Array, Array]  # of columns (band, col), and of rows (band, row), DN
 AXES = ("columns", "rows")
+STRIP, LOST, BORDER = "unexposed strip", "lost rows", "border"
+NOTES = {
+    STRIP: "{axis} {first} to {last} are an unexposed strip ({seen})",
+    LOST: "rows {first} to {last} of frame {frame}{of_stack} are {seen} (lost data)",
+    BORDER: "between {axis} {before} and {first} another amplifier begins: {seen}",
+}
+OFFSET, RESPONSE = "offset by {:.3g} ± {:.1g} DN", "response by {:.3g} ± {:.1g} %"
 
 
 @dataclass(frozen=True, kw_only=True)
-class LostRows:
-    """Rows of one frame that hold one value, as of packets that never arrived."""
+class Part:
+    """Columns (axis 0) or rows (axis 1) of a chip that see no light or that one frame lost, or the
+    border (`first` = `stop`) behind which another amplifier begins.
+    """
 
-    frame: int
-    first: int
-    last: int
-    value_dn: float
-    stack: str = ""
-
-    @property
-    def note(self) -> str:
-        """What was seen, as one line of text."""
-        of_stack = f" of {self.stack}" if self.stack else ""
-        rows = f"rows {self.first} to {self.last} of frame {self.frame}{of_stack}"
-        return f"{rows} are {self.value_dn:g} DN (lost data)"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Strip:
-    """Columns (axis 0) or rows (axis 1) along a side that never see light."""
-
+    name: str  # STRIP, LOST or BORDER
     axis: int
     first: int
-    last: int
-    # flats less darks in the strip with their standard error, and next to it, DN
-    signal_dn: tuple[float, float]
-    exposed_dn: float
+    stop: int
+    seen: str  # what was measured, with its standard error
+    step: float = 0.0  # of a border, largest relative step of the response
+    frame: int = 0  # of lost rows
+    stack: str = ""  # of lost rows
 
     @property
     def note(self) -> str:
         """What was seen, as one line of text."""
-        signal = "{:.2g} ± {:.1g} DN".format(*self.signal_dn)
-        return (
-            f"{AXES[self.axis]} {self.first} to {self.last} are an unexposed strip (signal "
-            f"{signal}, next to it {self.exposed_dn:.4g} DN)"
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Border:
-    """Line between columns (axis 0) or rows (axis 1) at which another amplifier begins."""
-
-    axis: int
-    at: int  # first column or row behind it
-    # largest steps along it with their standard errors; None without darks, or without flats
-    offset_dn: tuple[float, float] | None = None
-    response: tuple[float, float] | None = None  # relative
-
-    @property
-    def note(self) -> str:
-        """What was seen, as one line of text."""
-        steps = []
-        if self.offset_dn is not None:
-            steps.append("offset by {:.3g} ± {:.1g} DN".format(*self.offset_dn))
-        if self.response is not None:
-            steps.append("response by {:.3g} ± {:.1g} %".format(*100.0 * np.array(self.response)))
-        return (
-            f"between {AXES[self.axis]} {self.at - 1} and {self.at} another amplifier begins: "
-            f"{' and '.join(steps)}"
+        return NOTES[self.name].format(
+            axis=AXES[self.axis],
+            before=self.first - 1,
+            first=self.first,
+            last=self.stop - 1,
+            frame=self.frame,
+            of_stack=self.stack and f" of {self.stack}",
+            seen=self.seen,
         )
 
 
@@ -102,9 +75,19 @@ class Layout:
     """What the frames of one chip show of its parts."""
 
     size: tuple[int, int]  # rows and columns
-    strips: tuple[Strip, ...] = ()
-    borders: tuple[Border, ...] = ()
-    lost: tuple[LostRows, ...] = ()
+    parts: tuple[Part, ...] = ()
+
+    def of(self, name: str) -> tuple[Part, ...]:
+        """Return the parts of a name."""
+        return tuple(part for part in self.parts if part.name == name)
+
+    def span(self, axis: int) -> tuple[int, int]:
+        """Return the first and last-plus-one exposed column (axis 0) or row (axis 1)."""
+        strips = [part for part in self.of(STRIP) if part.axis == axis]
+        first = max((part.stop for part in strips if not part.first), default=0)
+        return first, min(
+            (part.first for part in strips if part.first), default=self.size[1 - axis]
+        )
 
     @property
     def exposed(self) -> Region:
@@ -112,19 +95,11 @@ class Layout:
         (first_col, last_col), (first_row, last_row) = self.span(0), self.span(1)
         return first_row, first_col, last_row - first_row, last_col - first_col
 
-    def span(self, axis: int) -> tuple[int, int]:
-        """Return the first and last-plus-one exposed column (axis 0) or row (axis 1)."""
-        strips = [strip for strip in self.strips if strip.axis == axis]
-        first = max((strip.last + 1 for strip in strips if not strip.first), default=0)
-        return first, min(
-            (strip.first for strip in strips if strip.first), default=self.size[1 - axis]
-        )
-
     @property
     def amplifiers(self) -> tuple[Region, ...]:
         """Exposed area of each amplifier, by rows; none where there is one amplifier."""
         cols, rows = (
-            sorted({*self.span(axis), *(part.at for part in self.borders if part.axis == axis)})
+            sorted({*self.span(axis), *(b.first for b in self.of(BORDER) if b.axis == axis)})
             for axis in (0, 1)
         )
         areas = tuple(
@@ -132,41 +107,29 @@ class Layout:
             for top, bottom in pairwise(rows)
             for first, last in pairwise(cols)
         )
-        return areas if self.borders else ()
+        return areas if self.of(BORDER) else ()
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What was seen, each part as one line of text."""
-        return tuple(part.note for part in (*self.strips, *self.borders, *self.lost))
-
-    @property
-    def parts(self) -> tuple[tuple[Region, str, bool], ...]:
-        """Region and name of each part, and whether it is measured; none of a plain frame."""
+    def areas(self) -> tuple[tuple[Region, str, bool], ...]:
+        """Region and name of each area, and whether it is measured; none of a plain frame."""
         rows, cols = self.size
-        parts = []
-        for strip in self.strips:
-            length = strip.last - strip.first + 1
-            of_rows, of_cols = (strip.first, 0, length, cols), (0, strip.first, rows, length)
-            parts.append((of_rows if strip.axis else of_cols, "unexposed strip", False))
-        for lost in self.lost:
-            region = lost.first, 0, lost.last - lost.first + 1, cols
-            name = f"lost rows of frame {lost.frame} {lost.stack and f'of {lost.stack}'}"
-            parts.append((region, name.strip(), False))
-        for number, region in enumerate(self.amplifiers, 1):
-            parts.append((region, f"amplifier {number}", True))
-        return tuple(parts)
+        areas = [
+            ((part.first, 0, part.stop - part.first, cols), part.note, False)
+            if part.axis
+            else ((0, part.first, rows, part.stop - part.first), part.note, False)
+            for part in (*self.of(STRIP), *self.of(LOST))
+        ]
+        numbered = enumerate(self.amplifiers, 1)
+        return (*areas, *((region, f"amplifier {number}", True) for number, region in numbered))
 
     def touching(self, region: Region) -> tuple[str, ...]:
         """Return notes on the parts that a region (row, col, height, width) reaches into."""
         row, col, height, width = region
         spans = (col, col + width), (row, row + height)
-        parts = [(part.note, part.axis, part.first, part.last + 1) for part in self.strips]
-        parts += [(part.note, part.axis, part.at, part.at) for part in self.borders]
-        parts += [(part.note, 1, part.first, part.last + 1) for part in self.lost]
         return tuple(
-            note
-            for note, axis, first, stop in parts
-            if spans[axis][0] < stop and first < spans[axis][1]
+            part.note
+            for part in self.parts
+            if spans[part.axis][0] < part.stop and part.first < spans[part.axis][1]
         )
 
 
@@ -203,7 +166,7 @@ def profiles_of(mean_frame: NDArray) -> Profiles:
     return columns, rows
 
 
-def lost_rows(frames: NDArray, start: int = 0) -> tuple[LostRows, ...]:
+def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
     """Return the rows (frame, row, col) that hold one value where noise cannot.
 
     `start`: number of the first frame. Where a fraction f of the pixels of the same row in another
@@ -227,20 +190,20 @@ def lost_rows(frames: NDArray, start: int = 0) -> tuple[LostRows, ...]:
             chance = normal.size * np.log(max(np.mean(normal == middle), 1.0 / normal.size))
             departs = len(sound) and abs(value - middle) > LAYOUT.lost_sd * normal.std() > 0.0
             if chance < LAYOUT.lost_chance or departs:
-                rows = {"first": first, "last": stop - 1, "value_dn": value}
-                lost.append(LostRows(frame=start + int(frame), **rows))
+                rows = {"axis": 1, "first": first, "stop": stop, "seen": f"{value:g} DN"}
+                lost.append(Part(name=LOST, frame=start + int(frame), **rows))
     return tuple(lost)
 
 
 def layout_of(
-    darks: Sequence[Profiles], flats: Sequence[Profiles], *, lost: Sequence[LostRows] = ()
+    darks: Sequence[Profiles], flats: Sequence[Profiles], *, lost: Sequence[Part] = ()
 ) -> Layout:
     """Return the layout shown by the profiles of darks and of evenly lit flats of one size.
 
     Without darks the dimmest of several flats stands for them; one flat alone shows no offset.
     """
     first = (*darks, *flats)[0]
-    layout = Layout(size=(first[1].shape[1], first[0].shape[1]), lost=tuple(lost))
+    layout = Layout(size=(first[1].shape[1], first[0].shape[1]), parts=tuple(lost))
     flats = sorted(flats, key=lambda profiles: float(profiles[0].mean()))
     black, lit = (darks, flats) if darks or len(flats) < 2 else (flats[:1], flats[1:])
     offsets, signals = (
@@ -254,7 +217,7 @@ def layout_of(
         for axis, signal in enumerate(signals)
         for strip in _strips(signal, axis, bool(offsets))
     ]
-    layout = replace(layout, strips=tuple(strips))
+    layout = replace(layout, parts=(*strips, *layout.parts))
     borders = [
         border
         for axis in (0, 1)
@@ -262,10 +225,10 @@ def layout_of(
             offsets[axis] if darks else None, signals[axis] if signals else None, layout, axis
         )
     ]
-    return replace(layout, borders=tuple(borders))
+    return replace(layout, parts=(*layout.parts, *borders))
 
 
-def _strips(signal: Array, axis: int, black_known: bool) -> list[Strip]:
+def _strips(signal: Array, axis: int, black_known: bool) -> list[Part]:
     """Return the strips at both ends of an axis, from the signal (band, n), DN.
 
     Where black is not known, each end is taken as black of its side.
@@ -294,19 +257,14 @@ def _strips(signal: Array, axis: int, black_known: bool) -> list[Strip]:
         is_flat = black_known or np.ptp(strip.mean(axis=1)) < LAYOUT.flat_fraction * exposed.mean()
         if is_flat and np.all(is_sharp & (level > LAYOUT.lit_sd * noise)):
             first = bands.shape[1] - width if backwards else 0
-            strips.append(
-                Strip(
-                    axis=axis,
-                    first=first,
-                    last=first + width - 1,
-                    signal_dn=(float(strip.mean()), float(strip.std() / np.sqrt(strip.size))),
-                    exposed_dn=float(exposed.mean()),
-                )
-            )
+            error = strip.std() / np.sqrt(strip.size)
+            seen = f"signal {strip.mean():.2g} ± {error:.1g} DN, {exposed.mean():.4g} DN beyond it"
+            ends = {"axis": axis, "first": first, "stop": first + width, "seen": seen}
+            strips.append(Part(name=STRIP, **ends))
     return strips
 
 
-def _borders(offset: Array | None, signal: Array | None, layout: Layout, axis: int) -> list[Border]:
+def _borders(offset: Array | None, signal: Array | None, layout: Layout, axis: int) -> list[Part]:
     """Return the borders across an axis, from profiles (band, n) of the darks and of the signal."""
     (first, last), (low, high) = layout.span(axis), layout.span(1 - axis)
     width = int(np.clip((last - first) // LAYOUT.windows, 4, LAYOUT.max_window_px)) // 2 * 2
@@ -316,27 +274,26 @@ def _borders(offset: Array | None, signal: Array | None, layout: Layout, axis: i
         return []
     bands = {}
     if offset is not None:
-        bands["offset_dn"] = offset[is_exposed, first:last]
+        bands[OFFSET] = offset[is_exposed, first:last]
     if signal is not None:
         exposed = signal[is_exposed, first:last]
         level = np.median(exposed, axis=1, keepdims=True)
-        bands |= {"response": exposed / level} if np.all(level > 0.0) else {}
+        bands |= {RESPONSE: 100.0 * exposed / level} if np.all(level > 0.0) else {}
     searched = {kind: _places(of_kind, width) for kind, of_kind in bands.items()}
     places: list[int] = []
     for at in sorted(at for of_kind, _ in searched.values() for at in of_kind):
         if not places or at - places[-1] > LAYOUT.same_border_px:
             places.append(at)
-    return [
-        Border(
-            axis=axis,
-            at=first + at,
-            **{
-                kind: _of_half(_steps(bands[kind], width)[:, at - 2 * width], searched[kind][1])
-                for kind in bands
-            },
-        )
-        for at in places
-    ]
+    borders = []
+    for at in places:
+        steps = {
+            kind: _of_half(_steps(bands[kind], width)[:, at - 2 * width], searched[kind][1])
+            for kind in bands
+        }
+        seen = [f"{kind.format(*step)}" for kind, step in steps.items()]
+        ends = {"axis": axis, "first": first + at, "stop": first + at, "seen": " and ".join(seen)}
+        borders.append(Part(name=BORDER, step=abs(steps.get(RESPONSE, (0.0,))[0]) / 100.0, **ends))
+    return borders
 
 
 def _places(bands: Array, width: int) -> tuple[list[int], Array]:

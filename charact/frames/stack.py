@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.frames import clipping
 from charact.frames.image_lag import ImageLagModel, image_lag_model
-from charact.frames.layout import Layout, Region, layout_of, lost_rows, profiles_of
+from charact.frames.layout import BORDER, STRIP, Layout, Region, layout_of, lost_rows, profiles_of
 from charact.frames.thresholds import CLIPPING
 from charact.method import Context
 from charact.verdict import Finding
@@ -100,12 +100,12 @@ class Stack:
         may have straight edges elsewhere.
         """
         shown = layout_of((), [profiles_of(self.mean_frame_dn)], lost=lost_rows(self.data))
-        middles = [
-            border
-            for border in shown.borders
-            if abs(2 * border.at - sum(shown.span(border.axis))) <= 2
+        parts = [
+            part
+            for part in shown.parts
+            if part.name != BORDER or abs(2 * part.first - sum(shown.span(part.axis))) <= 2
         ]
-        return replace(shown, borders=tuple(middles))
+        return replace(shown, parts=tuple(parts))
 
     def layout_findings(self, region: Region | None) -> tuple[list[Finding], list[str]]:
         """Return the finding of rows of a region (row, col, height, width; None: all) that single
@@ -115,12 +115,13 @@ class Stack:
         row, col, height, width = region or (0, 0, rows, cols)
         data = self.data[:, row : row + height, col : col + width]
         lost = [
-            replace(part, first=part.first + row, last=part.last + row) for part in lost_rows(data)
+            replace(part, first=part.first + row, stop=part.stop + row) for part in lost_rows(data)
         ]
         in_every_frame = len({part.frame for part in lost}) == len(self)
         notes = [part.note for part in lost] if in_every_frame else []
         if not (row and col and row + height < rows and col + width < cols):
-            notes += replace(self.layout, lost=(), borders=()).touching((row, col, height, width))
+            strips = replace(self.layout, parts=self.layout.of(STRIP))
+            notes += strips.touching((row, col, height, width))
         if not lost or in_every_frame:
             return [], notes
         effect = "; ".join(part.note for part in lost)

@@ -13,7 +13,7 @@ import numpy as np
 
 from charact.estimators.noise.findings import finding
 from charact.estimators.noise.thresholds import CHECKS
-from charact.frames.layout import Layout
+from charact.frames.layout import BORDER, Layout
 from charact.verdict import judge
 from labdata import Measurement, Result
 
@@ -32,8 +32,8 @@ GAINS = ("system_gain", "covariance_gain")
 
 def with_amplifiers(chip: Result, amplifiers: Sequence[Result], layout: Layout) -> Result:
     """Return the result of a chip with those of its amplifiers, in the order of the layout."""
-    border = "; ".join(part.note for part in layout.borders)
-    step = 0.5 * max(abs(part.response[0]) for part in layout.borders if part.response)
+    border = "; ".join(part.note for part in layout.of(BORDER))
+    step = 0.5 * max(part.step for part in layout.of(BORDER))
     out = [
         _of_chip(
             m,

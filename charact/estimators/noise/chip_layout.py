@@ -7,7 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.pixel_survey import PixelSurvey
-from charact.frames.layout import AreaView, Layout, LostRows, Region, layout_of, profiles_of
+from charact.frames.layout import (
+    LOST,
+    STRIP,
+    AreaView,
+    Layout,
+    Part,
+    Region,
+    layout_of,
+    profiles_of,
+)
 from labdata import BadInput, Session, open_lazy_stack
 
 
@@ -60,7 +69,7 @@ def of_amplifier(session: Session, layout: Layout | None, number: int) -> Sessio
 
 def left_out(layout: Layout) -> tuple[str, ...]:
     """Return the notes on what of the frames is not measured."""
-    parts = [part.note for part in (*layout.strips, *layout.lost)]
+    parts = [part.note for part in (*layout.of(STRIP), *layout.of(LOST))]
     return (f"left out: {'; '.join(parts)}",) if parts else ()
 
 
@@ -71,10 +80,10 @@ def _mean_frame(session: Session, survey: PixelSurvey, frames: NDArray[np.int64]
     return stack.frames(0, len(stack)).mean(axis=0, dtype=np.float64)
 
 
-def _between(region: Region, gaps: Sequence[LostRows]) -> Region:
+def _between(region: Region, gaps: Sequence[Part]) -> Region:
     """Return the tallest part of a region without lost rows, nor those that were lost in part."""
     top, left, height, width = region
-    ends = sorted((rows.first - 1, rows.last + 2) for rows in gaps)
+    ends = sorted((rows.first - 1, rows.stop + 1) for rows in gaps)
     starts = [top, *(stop for _, stop in ends)]
     stops = [*(first for first, _ in ends), top + height]
     first, stop = max(zip(starts, stops, strict=True), key=lambda span: span[1] - span[0])

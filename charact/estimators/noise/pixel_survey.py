@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.noise.thresholds import SURVEY
-from charact.frames.layout import LostRows, lost_rows, profiles_of
+from charact.frames.layout import Part, lost_rows, profiles_of
 from charact.frames.robust import NORMAL, robust_sd
 from charact.frames.rounding import rounding_step
 from charact.frames.thresholds import STACK
@@ -74,7 +74,7 @@ class PixelSurvey:
     sample_place: Places
     # profiles, lost: of the mean frame, see `charact.frames.layout`; rows that were lost
     profiles: tuple[Array, Array] | None = None
-    lost: tuple[LostRows, ...] = ()
+    lost: tuple[Part, ...] = ()
 
     @property
     def pixels(self) -> int:

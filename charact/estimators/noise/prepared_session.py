@@ -162,10 +162,10 @@ class Prepared:
         """Return a result in DN of the files, with a note on excluded pixels."""
         unit_dn, note = self.unit_dn, None if self.defects is None else self.defects.note
         notes = () if note is None else (note,)
-        if self.layout is not None and self.layout.parts:
+        if self.layout is not None and self.layout.areas:
             notes += left_out(self.layout)
             names = ("region", "name", "measured")
-            shown = dict(zip(names, map(list, zip(*self.layout.parts, strict=True)), strict=True))
+            shown = dict(zip(names, map(list, zip(*self.layout.areas, strict=True)), strict=True))
             result = replace(result, evidence={**result.evidence, "layout": shown})
         if unit_dn != 1.0:
             notes += (f"DN in other notes are units of {unit_dn:.4g} of the files' values",)
