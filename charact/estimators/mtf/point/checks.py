@@ -21,7 +21,6 @@ from charact.estimators.mtf.point.nonlinearity import (
     power_log_likelihoods,
 )
 from charact.estimators.mtf.point.source_pixels import SourcePixels, dark_noise
-from charact.estimators.mtf.point.source_window import Window
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, pictures
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.target_motion import TargetMotion
@@ -62,9 +61,13 @@ def judge_by(
     )
 
 
-def undersampled(numbers: Iterable[Measurement], window: Window) -> dict[float, CurveFinding]:
+def undersampled(
+    numbers: Iterable[Measurement], step_px: dict[float, float]
+) -> dict[float, CurveFinding]:
     """Return the finding of a spot with an MTF50 too close to the sampling limit, by direction,
     degrees; empty: it is not.
+
+    `step_px`: pixel pitch along each direction, column pitches.
 
     Notes
     -----
@@ -72,7 +75,6 @@ def undersampled(numbers: Iterable[Measurement], window: Window) -> dict[float, 
     wherever it lies in it: MTF50 is 10 to 15 % low, and 30 % at the corner of four pixels. No spot
     has an MTF above |sinc(f p)|, that of the pixel's aperture of pitch p.
     """
-    step_px = {0.0: float(window.x[1] - window.x[0]), 90.0: float(window.y[1] - window.y[0])}
     sharp = any(
         measurement.quantity == "mtf50"
         and measurement.interval95 is not None

@@ -346,7 +346,9 @@ def _result(
         ]
         measured.append((numbers, np.median(fine, axis=0), curve_of(REPORTED, reported)))
     every = [number for numbers, _, _ in measured for number in numbers]
-    aliased = undersampled(every, sites[0].window)
+    window = sites[0].window
+    steps_px = (float(np.diff(at[:2])[0]) for at in (window.x, window.y))
+    aliased = undersampled(every, dict(zip((0.0, 90.0), steps_px, strict=True)))
     measurements: list[Measurement] = []
     curves: dict[str, Curve] = {}
     for name, angle, (numbers, modulus, curve) in zip(

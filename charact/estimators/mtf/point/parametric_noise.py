@@ -31,21 +31,23 @@ RADII_PX = np.linspace(0.0, 16.0, 80)
 
 
 def measure_surroundings_noise(
-    data: NDArray, row: int, col: int, neighbours: Mask | bool = False
+    data: NDArray, row: int, col: int, neighbours: Mask | bool = False, *, spot: Mask | bool = False
 ) -> NoiseLaw:
     """Return the noise far from a source, from frame differences, or in one frame from its own
     scatter.
 
-    `neighbours` marks pixels of other sources, shape (row, col). The correlation, where it is
+    `neighbours` marks pixels of other sources, and `spot` those of a wide one, shape (row, col). The correlation, where it is
     significant, is common exp(-x^2 / 4 w^2) in either direction.
     """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
-    surroundings = (
-        (distance > min(ACCURACY.noise_distance_px, 0.6 * float(distance.max())))
-        & (distance < 4.0 * ACCURACY.noise_distance_px)
-        & ~np.asarray(neighbours)
-    )
+    surroundings = ~np.asarray(neighbours) & ~np.asarray(spot)
+    if not np.any(spot):
+        surroundings = (
+            (distance > min(ACCURACY.noise_distance_px, 0.6 * float(distance.max())))
+            & (distance < 4.0 * ACCURACY.noise_distance_px)
+            & surroundings
+        )
     frames = data[:16].astype(float)
     if len(frames) > 1:
         off, freedom = frames - frames.mean(axis=0), 1.0 - 1.0 / len(frames)

@@ -58,13 +58,11 @@ class PointLimits:
     min_background_pixels: int = 60  # Background pixels
     # Standard deviation of a smoothed background that quantisation hides, DN
     min_background_sd_dn: float = 0.05
-    max_rms_radius_px: float = 3.2  # Rms radius of a spot that the disc holds, px
     min_transform_frames: int = 3  # Frames of the transform method
-    max_border_light: float = 0.005  # Fraction of the light at the border
-    # Excess of the background ring that indicates a halo, standard uncertainties
-    min_halo_excess_sd: float = 3.0
-    max_asymmetry: float = 0.02  # Odd part of the transform over the light
-    max_asymmetry_sd: float = 5.0  # The same, standard uncertainties
+    # Fraction of the light beyond R that a power law extrapolates: an Airy pattern from its first
+    # ring on
+    max_wings: float = 0.1
+    max_lost_draws: float = 0.02  # Drawn curves that do not fall to a level
     min_pinhole_mtf: float = 0.3  # Transfer of a pinhole that can be divided out
 
 
@@ -106,11 +104,7 @@ class PointAccuracy:
     pulse_extent_px: float = 10.2  # Their extent, px
     hidden_sd_dn: float = 0.2  # Noise that quantisation hides, DN
     min_light_fraction: float = 0.02  # Light over the brightest pixel that is informative
-    spot_radius_px: float = 8.0  # Radius of the transformed disc, px
-    background_radius_px: float = 14.0  # Outer radius of the background ring, px
     lag_factor: float = 1.6  # Standard uncertainty factor of frames correlated by phosphor decay
-    light_beyond: float = 6.0  # Light beyond the disc over that at its border, for tails of tubes
-    crossing_factor: float = 0.7  # Its effect on a crossing frequency
 
 
 @dataclass(frozen=True)
@@ -131,6 +125,30 @@ class PointPriors:
     described_stretch_sd: float = 0.03  # Its ln aspect
 
 
+@dataclass(frozen=True)
+class WingLimits:
+    """Extent of a spot in its transform, its wings, and the noise that both have."""
+
+    smoothing_px: float = 1.2  # Standard deviation of the smoothing that finds the spot, px
+    background_quantile: float = 0.25  # Quantile of a frame of which at least half is background
+    min_height_sd: float = 5.0  # Border of a spot, standard deviations of the smoothed background
+    min_height: float = 0.002  # The same over its height: where an Airy pattern has its third ring
+    core_height: float = 0.03  # The same of its core, without the wings
+    max_radius: float = 0.75  # R over the distance to the border, so that a background is seen
+    # R over the largest distance of the spot's pixels, and the smoothing's part of it, px
+    margin: float = 1.2
+    margin_px: float = 2.0
+    # Light beyond R over the square root of light over peak and R: half of an Airy pattern's,
+    # 2 / (pi^2 fc R), whose light over peak is 4 / (pi fc^2)
+    at_width: float = 0.09
+    max_fraction: float = 0.2  # The same at most: an Airy pattern beyond its first ring
+    relative_sd: float = 0.4  # Light beyond R of wings between r^-3 and r^-5
+    lit: float = 0.1  # Pixels whose noise is that of light, fraction of the peak
+    min_read_e: float = 0.9  # Read noise of a camera, electrons: lower 16 % of `DARK_LN`
+    min_frames: int = 8  # Frames whose scatter is known to a quarter
+
+
+WINGS = WingLimits()
 PRIORS = PointPriors()
 LIMITS = PointLimits()
 ACCURACY = PointAccuracy()
