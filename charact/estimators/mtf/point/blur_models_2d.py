@@ -9,12 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES
+from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, Aperture
 from charact.estimators.mtf.point.thresholds import PRIORS
 from charact.transfer.cores import ON_POINTS
 from charact.transfer.extended import ExtendedComponent
 from charact.transfer.form import Parameter, ProperPrior, flat_parameters
 from charact.transfer.tables import disc
+from charact.transfer.video_filter import powers
 from labdata import Array
 
 # Centres of the departure bumps in ln of frequency over half frequency, and their width.
@@ -201,6 +202,21 @@ class BlurModel2D(ProperPrior):
         return np.concatenate(
             [bandwidth[:, None] ** order * transfer for order in range(BANDWIDTH_ORDERS)], axis=1
         )
+
+
+def mtf_of_camera(
+    form: BlurModel2D, draws: Array, frequency: Array, aperture: Aperture, *, vertical: bool
+) -> Array:
+    """Return the MTF of draws along rows or columns, aperture and video filter included, shape
+    (draw, frequency).
+    """
+    blur = np.abs(form.camera(draws, frequency, np.array([-1.0 if vertical else 1.0]))[:, 0])
+    if vertical:
+        return blur * np.abs(aperture.vertical(frequency))
+    bandwidth = form.ln_bandwidth(draws)
+    if bandwidth is not None and aperture.video is not None:
+        blur = blur * np.exp(powers(bandwidth) @ aperture.video.bend(frequency).real)
+    return blur * np.abs(aperture.horizontal(frequency))
 
 
 def pinhole(frequency: Array, diameter_px: float | Array) -> Array:

@@ -23,7 +23,11 @@ from charact.estimators.mtf.curve import (
 )
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.mean_frame import Region
-from charact.estimators.mtf.point.blur_models_2d import BANDWIDTH_ORDERS, BlurModel2D
+from charact.estimators.mtf.point.blur_models_2d import (
+    BANDWIDTH_ORDERS,
+    BlurModel2D,
+    mtf_of_camera,
+)
 from charact.estimators.mtf.point.checks import (
     camera_nonlinearity,
     finding,
@@ -39,9 +43,16 @@ from charact.estimators.mtf.point.model_selection import (
     fit_sources,
 )
 from charact.estimators.mtf.point.parametric_noise import measure_surroundings_noise
-from charact.estimators.mtf.point.source import PointRefusal, detect_source, refuse_all
+from charact.estimators.mtf.point.source import (
+    DetectedSource,
+    PointRefusal,
+    detect_source,
+    refuse_all,
+)
+from charact.estimators.mtf.point.source_count import two_sources
 from charact.estimators.mtf.point.source_pixels import SourcePixels
-from charact.estimators.mtf.point.source_window import neighbour_mask, source_window
+from charact.estimators.mtf.point.source_window import Window, neighbour_mask, source_window
+from charact.estimators.mtf.point.spot_light import SpotLight, light_of_spot
 from charact.estimators.mtf.point.spot_image_matrix import Aperture
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.stack import Stack
@@ -54,7 +65,7 @@ from charact.transfer.extended import (
     HaloComponent,
     ScatterComponent,
 )
-from charact.transfer.video_filter import VideoFilter, powers
+from charact.transfer.video_filter import VideoFilter
 from labdata import (
     Array,
     BadInput,
@@ -175,7 +186,7 @@ def measure_points(
             settings={"quick": context.quick, "pinhole_px": pinhole},
         ),
     }
-    sites = []
+    sites: list[SourcePixels] = []
     for part in (
         [stack.region(*roi) for roi in regions]
         if regions
@@ -184,6 +195,9 @@ def measure_points(
         site = _locate_source(part, context)
         if isinstance(site, PointRefusal):
             return refuse_all(common, *site)
+        pair = two_sources(site.spot) if site.spot is not None else None
+        if pair is not None:
+            return refuse_all(common, pair.reason, "several-targets")
         sites.append(site)
     # Rings beyond the light are needed to separate it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
@@ -279,7 +293,20 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRe
         memory=stack.image_lag,
         full_scale_dn=full,
         screen=has_tube(context.camera),
+        spot=_free_light(part, source, window, context),
     )
+
+
+def _free_light(
+    part: FrameStack, source: DetectedSource, window: Window, context: Context
+) -> SpotLight | None:
+    """Return the light that the forms must agree with; None where it is not that of the blur
+    alone: clipped, cut, beside other sources, or of a tube, whose halo is described.
+    """
+    if has_tube(context.camera) or window.cut or not window.sound:
+        return None
+    spot = light_of_spot(part.data, source, context.pitch_ratio, has_tube=False)
+    return None if spot is None or spot.has_neighbours or spot.is_cut else spot
 
 
 def _result(
@@ -362,21 +389,6 @@ def _result(
         curves=curves,
         evidence={"point-profile": _model_figure_data(sites[0], fitter, models[0].fit)},
     )
-
-
-def mtf_of_camera(
-    form: BlurModel2D, draws: Array, frequency: Array, aperture: Aperture, *, vertical: bool
-) -> Array:
-    """Return the MTF of draws along rows or columns, aperture and video filter included, shape
-    (draw, frequency).
-    """
-    blur = np.abs(form.camera(draws, frequency, np.array([-1.0 if vertical else 1.0]))[:, 0])
-    if vertical:
-        return blur * np.abs(aperture.vertical(frequency))
-    bandwidth = form.ln_bandwidth(draws)
-    if bandwidth is not None and aperture.video is not None:
-        blur = blur * np.exp(powers(bandwidth) @ aperture.video.bend(frequency).real)
-    return blur * np.abs(aperture.horizontal(frequency))
 
 
 def _posterior(

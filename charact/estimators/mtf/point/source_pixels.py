@@ -14,6 +14,7 @@ from charact.estimators.mtf.point.parametric_noise import (
     pulse_covariances,
 )
 from charact.estimators.mtf.point.source_window import Window
+from charact.estimators.mtf.point.spot_light import SpotLight
 from charact.estimators.mtf.point.spot_image_matrix import (
     COSINES,
     FREQUENCIES,
@@ -46,6 +47,8 @@ class SourcePixels:
     # Column and row of the source from the centre of the window, column pitches
     position: tuple[float, float] = (0.0, 0.0)
     pulses: Pulses | None = None  # Noise of its light; None before it is estimated
+    # Its light without a form of the blur; None where it is not that of the blur alone
+    spot: SpotLight | None = None
 
     @property
     def axes(self) -> tuple[Array, Array]:

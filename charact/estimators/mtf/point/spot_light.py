@@ -123,7 +123,7 @@ class SpotLight:
         values = self.mean[self.disc] - columns @ level[:3]
         by_level = columns.sum(axis=0)
         of_level = by_level @ covariance[:3, :3] @ by_level
-        return float(np.sqrt(np.sum(self._pixel_sd(values) ** 2) + of_level))
+        return float(np.sqrt(np.sum(self.pixel_sd(values) ** 2) + of_level))
 
     @property
     def level(self) -> Array:
@@ -171,7 +171,7 @@ class SpotLight:
         )
         t_sd = WINGS.relative_sd * abs(level[3])
         errors = [
-            rise * self._pixel_sd(values),
+            rise * self.pixel_sd(values),
             by_level @ np.linalg.cholesky(covariance),
             t_sd * by_level[:, 3:],
         ]
@@ -190,7 +190,7 @@ class SpotLight:
     def _lag(self) -> float:
         return ACCURACY.lag_factor if self.dark.correlation.size > 1 else 1.0
 
-    def _pixel_sd(self, light: Array) -> Array:
+    def pixel_sd(self, light: Array) -> Array:
         """Return standard deviations of the mean frame's pixels, shape (pixel,), DN."""
         law = NoiseLaw(gain_dn=self.gain_dn, read_dn=self.dark.read_dn)
         variance = law.variance(light) * self.dark.correlation_factor
