@@ -18,10 +18,14 @@ from charact.transfer.pupil import (
     pupil_table,
     pupils_from_table,
 )
+from charact.transfer.spreads import cubic_weights
 from charact.transfer.stages import clear_pupil
 from charact.transfer.tables import ln_bessel_transfer, moffat_grid, moffat_table
 from labdata import Array
 
+# Frequencies over the cut-off at which a pupil is integrated: 24 in each period of a defocus of 2
+# waves.
+PUPIL_NODES = np.linspace(0.0, 1.0, 193)
 # Half frequency of a clear pupil in focus over its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
 AIRY_HALF = 0.40397275
 
@@ -151,7 +155,8 @@ DEFOCUS = Parameter(name="defocus_square", unit="waves^2", low=0.0, high=2.25, s
 class ExactPupil(Core):
     """A round pupil with a hole, out of focus, or both, by integration: `pupil`.
 
-    Scaled by the half frequency of a clear pupil in focus with the same cut-off.
+    Scaled by the half frequency of a clear pupil in focus with the same cut-off. Each hole and
+    defocus is integrated at `PUPIL_NODES` once, and interpolated by cubic polynomials.
     """
 
     def __init__(self, name: str, *shape: Parameter) -> None:
@@ -159,9 +164,15 @@ class ExactPupil(Core):
 
     def terms(self, theta: Array, frequency: Array) -> Iterator[Array]:
         """As of `Core`."""
-        free = dict(zip(self.shape, np.sqrt(np.maximum(theta[:, 1:], 0.0)).T, strict=True))
-        hole, defocus = (free.get(part, np.zeros(len(theta))) for part in (HOLE, DEFOCUS))
-        yield pupil(frequency, np.exp(theta[:, 0]) / AIRY_HALF, hole, defocus)
+        shapes, index = np.unique(theta[:, 1:], axis=0, return_inverse=True)
+        free = dict(zip(self.shape, np.sqrt(np.maximum(shapes, 0.0)).T, strict=True))
+        hole, defocus = (free.get(part, np.zeros(len(shapes))) for part in (HOLE, DEFOCUS))
+        table = pupil(PUPIL_NODES, 1.0, hole, defocus)
+        ratio = AIRY_HALF * np.broadcast_to(frequency, (len(theta), np.shape(frequency)[-1]))
+        ratio = np.minimum(ratio / np.exp(theta[:, :1]), 1.0)
+        nodes, weights = cubic_weights(PUPIL_NODES, ratio)
+        row = index.reshape(-1, 1)
+        yield sum(weights[..., node] * table[row, nodes[..., node]] for node in range(4))
         yield from self.differences(theta, frequency)
 
 

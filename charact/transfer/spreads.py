@@ -47,12 +47,12 @@ def tube(frequency: Array, cut_off: Array, exponent: Array) -> Array:
 def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
     """Transform of (1 + (r/a)^2)^-b, see `charact.transfer.cores.Moffat`; frequencies from 0 on."""
     ln_ratios, inverse, ln, scales = moffat_table()
-    row, weight = _four(inverse, 1.0 / exponent)
+    row, weight = cubic_weights(inverse, 1.0 / exponent)
     lines = np.einsum("dr,dra->da", weight, ln[row])
     ln_half = np.log(2.0) + np.sum(weight * scales[row], axis=1) / (exponent - 1.0)
     ln_scale = np.log(2.0 * np.pi * radius_px) - ln_half
     ln_ratio = ln_scale[:, None] + np.log(np.maximum(frequency, LEAST_CY_PER_PX))
-    positions, weights = _four(ln_ratios, np.clip(ln_ratio, ln_ratios[0], ln_ratios[-1]))
+    positions, weights = cubic_weights(ln_ratios, np.clip(ln_ratio, ln_ratios[0], ln_ratios[-1]))
     out = sum(
         weights[..., node] * np.take_along_axis(lines, positions[..., node], axis=1)
         for node in range(4)
@@ -86,7 +86,7 @@ def halo_disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     x^2)^k, with Sonine's transforms Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
     """
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
-    first, weight = _four(POWER_ARGUMENTS, np.minimum(u, POWER_ARGUMENTS[-1]))
+    first, weight = cubic_weights(POWER_ARGUMENTS, np.minimum(u, POWER_ARGUMENTS[-1]))
     powers = (
         sum(weight[..., node] * power[first[..., node]] for node in range(4))
         for power in _power_table()
@@ -111,7 +111,7 @@ def _power_table() -> tuple[Array, ...]:
     return power(1), power(RIM)
 
 
-def _four(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
+def cubic_weights(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     """Four neighbours on a uniform grid and their cubic interpolation weights, shape (.., 4)."""
     at = (value - grid[0]) / (grid[1] - grid[0])
     first = np.clip(at.astype(np.intp) - 1, 0, len(grid) - 4)

@@ -25,6 +25,9 @@ FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
 # answer without a form held in 99 % and was as close; a form only narrows it.
 FORM_FREE = {"edge-parametric": "edge-free"}
 NARROWED = "Measured without a form of the blur first; a form that the edge accepts narrows it."
+# Fallback of `auto` where the data reject every blur model of the first method.
+WITHOUT_MODEL = {"point-parametric": "point-spread"}
+NO_MODEL = "No blur model fits this {kind}; it was measured without one, with a wider interval."
 # Suffix of a curve's name that states its region.
 REGION_NAME = ":{},{},{},{}"
 NAMES = {"edge": "edges", "bars": "groups of bars", "point": "points"}
@@ -119,6 +122,16 @@ def measure(
         narrow = of_form.function(counted, region=region, context=context, **target)
         if _narrows(result.measurements[0], narrow.measurements[0]):
             chosen, result, notes = of_form, narrow, (NARROWED, *notes)
+    leading = result.find(chosen.quantities[0])
+    if (
+        method == "auto"
+        and chosen.name in WITHOUT_MODEL
+        and any("model-misfit" in measurement.flags for measurement in leading)
+    ):
+        chosen = choose(kind, WITHOUT_MODEL[chosen.name])
+        without = chosen.function(counted, region=region, context=context, **target)
+        if any(m.status != "refused" for m in without.find(chosen.quantities[0])):
+            result, notes = without, (NO_MODEL.format(kind=kind), *notes)
     findings, seen = Stack.of(counted, context).layout_findings(region)
     notes = (*notes, *seen)
     finished = []

@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from charact.estimators.mtf.curve import FINE, CurveFinding, Undo, crossing_frequency
-from charact.estimators.mtf.point.blur_models_2d import BUMP_WIDTH, BUMPS
+from charact.estimators.mtf.point.blur_models_2d import (
+    BUMP_WIDTH,
+    BUMPS,
+    mtf_of_camera,
+    pinhole,
+)
 from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter, WhitenedPixels
 from charact.estimators.mtf.point.model_selection import (
     DEPARTURES,
@@ -22,6 +27,7 @@ from charact.estimators.mtf.point.nonlinearity import (
 )
 from charact.estimators.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, pictures
+from charact.estimators.mtf.point.spot_light import FREQUENCY
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.verdict import judge
@@ -97,17 +103,19 @@ def undersampled(
     }
 
 
-def motion_findings(frames: Array, x: Array, y: Array, parity: Mask) -> list[CurveFinding]:
+def motion_findings(
+    frames: Array, x: Array, y: Array, parity: Mask, radius_px: float = ACCURACY.motion_radius_px
+) -> list[CurveFinding]:
     """Return `interlace-motion` for a displacement between fields, `drift` for one through the
     stack.
 
     `frames`: light around the source above its background, shape (frame, row, col), DN; `x`, `y`:
     positions of columns and rows from the source, column pitches; `parity`: field of every row,
-    shape (row,).
+    shape (row,); `radius_px`: distance from the source within which the fields are compared.
     """
     if len(frames) < 4:
         return []
-    out, field_offset_px = [], _field_offset_px(frames, x, y, parity)
+    out, field_offset_px = [], _field_offset_px(frames, x, y, parity, radius_px)
     if field_offset_px > 0.0:
         effect = f"the fields are displaced by {field_offset_px:.2g} px"
         fields = TargetMotion(rms_px=0.5 * field_offset_px)
@@ -119,11 +127,11 @@ def motion_findings(frames: Array, x: Array, y: Array, parity: Mask) -> list[Cur
     return out
 
 
-def _field_offset_px(frames: Array, x: Array, y: Array, parity: Mask) -> float:
+def _field_offset_px(frames: Array, x: Array, y: Array, parity: Mask, radius_px: float) -> float:
     """Return the distance between the columns in which odd and even rows show the source, px; 0:
     none.
     """
-    weighted = (np.hypot(x[None, :], y[:, None]) < ACCURACY.motion_radius_px) * frames
+    weighted = (np.hypot(x[None, :], y[:, None]) < radius_px) * frames
     centre, error = [], []
     for rows in (parity, ~parity):
         light, moment = weighted[:, rows].sum(axis=(1, 2)), (weighted * x)[:, rows].sum(axis=(1, 2))
@@ -236,6 +244,12 @@ def source_findings(
         2.0 / fit.free
     ) or has_departures(sites, fitter, fit):
         out.append(finding("model-misfit", _misfit_effect(fitter, fit)))
+    elif (gap := _gap_to_light(sites, fit)) > LIMITS.max_gap_sd:
+        effect = (
+            f"the MTF of the form lies {gap:.1f} standard uncertainties from that of the light "
+            "itself"
+        )
+        out.append(finding("model-misfit", effect))
     along, down = _half_frequencies(fit)
     if max(along / down, down / along) > LIMITS.max_elongation:
         effect = (
@@ -279,6 +293,27 @@ def _half_frequencies(fit: BlurModelFit2D) -> tuple[float, float]:
     return float(along), float(down)
 
 
+def _gap_to_light(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
+    """Return the largest difference of a form's MTF from that of the light without a form, standard
+    uncertainties of the latter.
+    """
+    gaps, diameter = [0.0], fit.form.pinhole_px
+    if isinstance(diameter, tuple):
+        return 0.0
+    # Forms take the logarithm of a frequency.
+    frequency = np.maximum(FREQUENCY, 1e-6)
+    source, point = pinhole(frequency, diameter), fit.point[None]
+    for site, spot in ((site, site.spot) for site in sites if site.spot is not None):
+        for vertical in (False, True):
+            form = source * mtf_of_camera(
+                fit.form, point, frequency, site.aperture, vertical=vertical
+            )
+            light = spot.transform(vertical=vertical)
+            at = [int(np.argmax(form[0] < level)) for level in LIMITS.compared_levels]
+            gaps += (np.abs(form[0] - light.modulus)[at] / np.maximum(light.sd[at], 1e-12)).tolist()
+    return max(gaps)
+
+
 def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
     """Return the effect of a misfit: the change of MTF50 by fitted model departures."""
     form = replace(fit.form, departures=max(DEPARTURES))
@@ -308,8 +343,9 @@ def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:
 def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurModelFit2D) -> bool:
     """Return whether model departures reduce chi squared beyond noise.
 
-    Departures are bumps of the transfer along frequency, a rotation of the ellipse, and asymmetry
-    in both directions, each to first order with all parameters free.
+    Departures are bumps of the transfer along frequency, a fourfold direction as of a square pupil,
+    a rotation of the ellipse, and asymmetry in both directions, each to first order with all
+    parameters free.
     """
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-5, 1e-5) * (bounds[:, 1] - bounds[:, 0])
@@ -317,7 +353,12 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
     ratio = np.log(FREQUENCIES) - fit.point[0]
     bumps = np.exp(-0.5 * ((ratio - np.array(BUMPS)[:, None]) / BUMP_WIDTH) ** 2)
     described = nodes[0, : COSINES.size * FREQUENCIES.size]
-    bumped = (described.reshape(1, -1, FREQUENCIES.size) * bumps[:, None]).reshape(len(bumps), -1)
+    # cos 4t of an angle t to the rows, whose cos 2t the directions have.
+    fourfold = (2.0 * COSINES**2 - 1.0)[:, None] * np.exp(2.0 * ratio)
+    shapes = np.concatenate(
+        [np.broadcast_to(bumps[:, None], (len(bumps), *fourfold.shape)), fourfold[None]]
+    )
+    bumped = (described.reshape(1, *fourfold.shape) * shapes).reshape(len(shapes), -1)
     unit_columns, more, residual = [], [], []
     for site, whitened, light in zip(sites, fitter.pixels, fit.light, strict=True):
         matrix = whitened.matrix[:, : nodes.shape[1]]

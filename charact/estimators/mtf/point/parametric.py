@@ -52,12 +52,12 @@ from charact.estimators.mtf.point.source import (
 from charact.estimators.mtf.point.source_count import two_sources
 from charact.estimators.mtf.point.source_pixels import SourcePixels
 from charact.estimators.mtf.point.source_window import Window, neighbour_mask, source_window
-from charact.estimators.mtf.point.spot_light import SpotLight, light_of_spot
 from charact.estimators.mtf.point.spot_image_matrix import Aperture
+from charact.estimators.mtf.point.spot_light import SpotLight, light_of_spot
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
-from charact.inference import has_several_peaks, importance_sample, sample_posterior
+from charact.inference import has_several_peaks, importance_sample, laplace, sample_posterior
 from charact.method import Context, register
 from charact.transfer.extended import (
     DiscComponent,
@@ -319,9 +319,14 @@ def _result(
     context: Context,
 ) -> Result:
     """Return measurements, curves and figure data of fitted sources."""
-    drawn = [_posterior(fitter, model, number, context) for number, model in enumerate(models)]
     response = camera_nonlinearity(sites, models[0].fit)
     findings = source_findings(sites, fitter, models)
+    # Draws of a rejected form are of no use.
+    rejected = any(check.flag == "model-misfit" for check in findings)
+    drawn = [
+        _posterior(fitter, model, number, context, quick=rejected)
+        for number, model in enumerate(models)
+    ]
     # Of a described tube the pulse widths are tried coarsely, so that noise may appear to grow
     # faster than the light.
     known = bool(models[0].fit.form.known)
@@ -392,9 +397,16 @@ def _result(
 
 
 def _posterior(
-    fitter: PointFitter, model: EvidenceWeightedModels2D, number: int, context: Context
+    fitter: PointFitter,
+    model: EvidenceWeightedModels2D,
+    number: int,
+    context: Context,
+    *,
+    quick: bool,
 ) -> Posterior:
-    """Sample the posterior of one blur model, by importance sampling if quick."""
+    """Sample the posterior of one blur model, by importance sampling; from its curvature if
+    quick.
+    """
     fit = model.fit
     arguments = {
         "names": fit.form.names,
@@ -406,6 +418,8 @@ def _posterior(
         "draws": ACCURACY.quick_draws if context.quick else ACCURACY.draws,
     }
     log_probability = partial(fitter.log_probability, fit.form)
+    if quick:
+        return laplace(log_probability, **arguments)
     effort = max(model.weight, 0.25)
     if context.quick:
         enough, first = 500.0 * effort, round(1000 * effort)

@@ -36,8 +36,8 @@ def measure_surroundings_noise(
     """Return the noise far from a source, from frame differences, or in one frame from its own
     scatter.
 
-    `neighbours` marks pixels of other sources, and `spot` those of a wide one, shape (row, col). The correlation, where it is
-    significant, is common exp(-x^2 / 4 w^2) in either direction.
+    `neighbours` marks pixels of other sources, and `spot` those of a wide one, shape (row, col).
+    The correlation, where it is significant, is common exp(-x^2 / 4 w^2) in either direction.
     """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])

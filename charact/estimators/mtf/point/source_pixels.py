@@ -14,7 +14,6 @@ from charact.estimators.mtf.point.parametric_noise import (
     pulse_covariances,
 )
 from charact.estimators.mtf.point.source_window import Window
-from charact.estimators.mtf.point.spot_light import SpotLight
 from charact.estimators.mtf.point.spot_image_matrix import (
     COSINES,
     FREQUENCIES,
@@ -23,6 +22,7 @@ from charact.estimators.mtf.point.spot_image_matrix import (
     pixel_matrix,
     ring_matrix,
 )
+from charact.estimators.mtf.point.spot_light import SpotLight
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.image_lag import ImageLagModel
 from charact.frames.noise_law import NoiseLaw

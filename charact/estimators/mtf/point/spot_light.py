@@ -98,6 +98,8 @@ class SpotLight:
         expected = min(WINGS.at_width * extent / self.radius_px, WINGS.max_fraction) * light
         variance = self.dark.variance(0.0) * self.dark.correlation_factor / frames
         variance = max(variance, robust_sd(values - level) ** 2 * self.dark.correlation_factor)
+        # Quantisation shifts all quiet pixels alike.
+        variance += values.size * self.rounding_dn**2
         normal = design.T @ design / variance
         normal[3, 3] += expected**-2.0
         right = design.T @ values / variance + np.array([0.0, 0.0, 0.0, expected**-1.0])
@@ -114,6 +116,15 @@ class SpotLight:
         level, _ = self._surroundings
         inner = (self.mean[self.disc] - self._columns(self.disc) @ level[:3]).sum()
         return float(inner + level[3]), float(level[3])
+
+    @property
+    def rounding_dn(self) -> float:
+        """Largest shift of quiet pixels by quantisation, DN: the first term of the sawtooth's
+        series.
+        """
+        if self.frames.dtype.kind not in "ui":
+            return 0.0
+        return float(np.exp(-2.0 * np.pi**2 * self.dark.variance(0.0)) / np.pi)
 
     @property
     def light_sd(self) -> float:
@@ -170,8 +181,13 @@ class SpotLight:
             axis=1,
         )
         t_sd = WINGS.relative_sd * abs(level[3])
+        # Light that the sampling folds back, of a transfer whose logarithm falls ever faster: at
+        # most M(1/2)^2 / M(f), of the envelope of a transfer with lobes.
+        end = modulus[FREQUENCY >= WINGS.end_cy_per_px].max()
+        folded = np.minimum(end**2 / np.maximum(modulus, 1e-12), end)
         errors = [
             rise * self.pixel_sd(values),
+            folded[:, None],
             by_level @ np.linalg.cholesky(covariance),
             t_sd * by_level[:, 3:],
         ]

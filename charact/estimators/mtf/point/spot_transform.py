@@ -23,7 +23,6 @@ from charact.estimators.mtf.point.checks import (
     undersampled,
 )
 from charact.estimators.mtf.point.source import (
-    DetectedSource,
     PointRefusal,
     detect_source,
     refuse_all,
@@ -117,11 +116,11 @@ def point_spread(
     light, light_sd = spot.light[0], spot.light_sd
     if light < LIMITS.min_light_sd * light_sd:
         reason = (
-            f"no target: the light must be at least {LIMITS.min_light_sd:g} standard uncertainties, "
-            f"got {round_down(light / light_sd):.1f}"
+            f"no target: the light must be at least {LIMITS.min_light_sd:g} standard "
+            f"uncertainties, got {round_down(light / light_sd):.1f}"
         )
         return refuse_all(common, reason)
-    findings = _findings(spot, source, tube)
+    findings = _findings(spot, tube)
     passed = pinhole(FREQUENCY, pinhole_px or 0.0)
     measured, curves = [], {}
     rng = np.random.default_rng([context.seed, 1])
@@ -164,21 +163,23 @@ def _crossing(quantity: str, curves: Array, passed: Array, common: dict[str, Any
     return measurement_from_draws(quantity, "cy/px", finite, **common)
 
 
-def _findings(spot: SpotLight, source: DetectedSource, tube: bool) -> list[CurveFinding]:
+def _findings(spot: SpotLight, tube: bool) -> list[CurveFinding]:
     """Return the findings of a spot's light."""
     light, wings = spot.light
     # The halo of an intensifier extends beyond the disc: its light is missing from the
     # normalisation.
     lost = spot.is_cut or tube or wings > LIMITS.max_wings * light
     raised = (
-        ("several-targets", source.has_others or spot.has_neighbours),
+        ("several-targets", spot.has_neighbours),
         ("window-too-small", lost),
         ("clipped", is_clipped_at_black(spot.frames[:, spot.background])),
     )
     height = spot.frames - spot.level
     row, col = (slice(at.min(), at.max() + 1) for at in np.nonzero(spot.disc))
+    # Of a ring the middle is dark.
+    radius_px = max(ACCURACY.motion_radius_px, 0.5 * spot.radius_px)
     parity = np.arange(spot.x.shape[0])[row] % 2 == 1
     return [
         *(finding(flag, EFFECTS[flag]) for flag, is_raised in raised if is_raised),
-        *motion_findings(height[:, row, col], spot.x[0, col], spot.y[row, 0], parity),
+        *motion_findings(height[:, row, col], spot.x[0, col], spot.y[row, 0], parity, radius_px),
     ]

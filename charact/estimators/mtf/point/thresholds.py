@@ -34,6 +34,10 @@ class PointLimits:
     min_rounding_shift_dn: float = 0.02  # Quantisation shift of faint light that is reported, DN
     # Chi squared of model departures, standard deviations of its noise
     max_departure_sd: float = 4.5
+    # Distance of a form's MTF from that of the light without a form, standard uncertainties, and
+    # where they are compared
+    max_gap_sd: float = 3.0
+    compared_levels: tuple[float, ...] = (0.7, 0.5, 0.3, 0.15)
     # Ratio of the half frequencies along rows and columns of a single source
     max_elongation: float = 1.5
     max_rounded_sd: float = 1.0  # Noise from which quantisation has no effect, DN
@@ -143,6 +147,7 @@ class WingLimits:
     at_width: float = 0.09
     max_fraction: float = 0.2  # The same at most: an Airy pattern beyond its first ring
     relative_sd: float = 0.4  # Light beyond R of wings between r^-3 and r^-5
+    end_cy_per_px: float = 0.4  # Frequencies that show what the sampling folds back
     lit: float = 0.1  # Pixels whose noise is that of light, fraction of the peak
     min_read_e: float = 0.9  # Read noise of a camera, electrons: lower 16 % of `DARK_LN`
     min_frames: int = 8  # Frames whose scatter is known to a quarter
