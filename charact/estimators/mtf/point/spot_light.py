@@ -183,7 +183,7 @@ class SpotLight:
         t_sd = WINGS.relative_sd * abs(level[3])
         # Light that the sampling folds back, of a transfer whose logarithm falls ever faster: at
         # most M(1/2)^2 / M(f), of the envelope of a transfer with lobes.
-        end = modulus[FREQUENCY >= WINGS.end_cy_per_px].max()
+        end = modulus[WINGS.end_cy_per_px <= FREQUENCY].max()
         folded = np.minimum(end**2 / np.maximum(modulus, 1e-12), end)
         errors = [
             rise * self.pixel_sd(values),
