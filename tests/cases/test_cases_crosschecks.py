@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, median_filter, uniform_filter
 
 from charact.estimators import noise
 from charact.session_measurement import method_context
@@ -233,3 +234,35 @@ def test_tracks_are_hits_as_single_pixels_are(seed, stacks, frames, more):
     for quantity, truth in (("system_gain", GAIN), ("covariance_gain", GAIN), ("blur_factor", 1.0)):
         holds(one(result, quantity), truth)
     assert one(result, "read_noise", "DN").value == pytest.approx(NOISE_DN, rel=0.02)
+
+
+def test_a_median_in_the_camera_is_named(case):
+    result = case("u1-median-3x3")
+    for gain in result.find("covariance_gain"):
+        assert "processed" in gain.flags
+        assert any("median of 3 x 3" in note for note in gain.notes)
+
+
+@pytest.mark.parametrize("size", [(3, 3), (5, 5), (1, 3)])
+def test_medians_of_every_size_are_processed(seed, size):
+    result = measured(
+        np.random.default_rng(seed), flat=lambda data: median_filter(data, (1, *size))
+    )
+    (gain,) = result.find("covariance_gain")
+    assert "processed" in gain.flags
+    assert any(f"median of {size[0]} x {size[1]}" in note for note in gain.notes)
+
+
+@pytest.mark.parametrize(
+    "smooth",
+    [
+        unchanged,
+        lambda data: np.rint(uniform_filter(data, (1, 3, 3), mode="wrap")),
+        lambda data: np.rint(gaussian_filter(data, (0.0, 1.0, 1.0), mode="wrap")),
+        lambda data: 7.0 * np.rint(data / 7.0),
+    ],
+    ids=["raw", "mean", "gaussian", "steps"],
+)
+def test_linear_smoothing_and_coarse_steps_are_no_median(seed, smooth):
+    result = measured(np.random.default_rng(seed), flat=smooth, dark=smooth)
+    assert not {note for note in notes_on(result, "processed") if "median" in note}

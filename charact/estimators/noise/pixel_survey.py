@@ -145,7 +145,8 @@ def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     else:
         extremes = _Extremes(rows * cols)
         for at, block in blocks:
-            _extend(block, at, *extremes.arrays)
+            shift = _level_shifts(block[:, pixel].astype(np.float64) - values[0], sd)
+            _extend(block, shift, at, *extremes.arrays)
             lost += lost_rows(block.reshape(-1, rows, cols), at)
         outliers = extremes.sudden(frames, sd, (rows, cols))
         total, highest, lowest = extremes.total, extremes.high, extremes.low
@@ -305,14 +306,23 @@ class _Extremes:
         }
 
 
+def _level_shifts(changes: Array, sd: float) -> NDArray[np.float32]:
+    """Return by how much the level of each frame differs from the first by more than the noise of a
+    pixel, DN, from the changes of a sample, shape (frame, pixel); 0 of the others.
+    """
+    middle = np.median(changes, axis=1, keepdims=True)
+    shift = middle[:, 0] + np.clip(changes - middle, -6.0 * sd, 6.0 * sd).mean(axis=1)
+    return np.where(np.abs(shift) > sd, shift, 0.0).astype(np.float32)
+
+
 @njit(cache=True)
-def _extend(block, at, total, high, next_high, low, next_low, high_at, low_at):
+def _extend(block, shift, at, total, high, next_high, low, next_low, high_at, low_at):
     """Add frames, in groups of pixels that fit the cache."""
     for start in range(0, block.shape[1], 4096):
         stop = min(start + 4096, block.shape[1])
         for t in range(block.shape[0]):
             for i in range(start, stop):
-                value = np.float32(block[t, i])
+                value = np.float32(block[t, i]) - shift[t]
                 total[i] += value
                 if value > next_high[i]:
                     if value > high[i]:

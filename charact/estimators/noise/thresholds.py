@@ -70,6 +70,11 @@ class CorrelationLimits:
     min_rise: float = 0.1  # relative rise of power by sharpening
     # spatial over temporal correlation: image lag also correlates pixels
     max_spatial_ratio: float = 0.25
+    # px; separation of pixels that no smoothing connects, and equal neighbours beyond chance: a
+    # median of 3 to 25 pixels has 13 to 40 %
+    far_px: int = 16
+    min_equal: float = 0.05
+    median_tolerance: float = 0.03  # correlation of neighbours of a known median
     min_change: float = 0.05  # change of the neighbour correlation along the levels
     linear_exponents: tuple[float, float] = (0.85, 1.15)  # exponents that count as linear
     gamma_exponents: tuple[float, float] = (0.3, 3.0)  # exponents that count as gamma
