@@ -368,23 +368,18 @@ def session_of(folder: Path, form: SessionFile) -> Session:
         notes=(
             *form.notes,
             *_superfluous_targets(stacks),
-            *_conditions_from_headers(stacks),
+            *_conditions_of_headers(stacks),
             *dict.fromkeys(note for entry in stacks for note in entry.record_notes),
         ),
     )
 
 
-def _conditions_from_headers(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
-    """Return a note for each set of conditions that are those of headers."""
-    labels: dict[tuple[str, ...], list[str]] = {}
-    for entry in stacks:
-        labels.setdefault(entry.from_headers, []).append(entry.label)
-    return tuple(
-        f"{', '.join(names)} of {f'stack {of[0]!r}' if len(of) == 1 else f'{len(of)} stacks'}: by "
-        "the headers of the files"
-        for names, of in labels.items()
-        if names
-    )
+def _conditions_of_headers(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
+    """Return a note on the conditions that are those of headers."""
+    names = dict.fromkeys(name for entry in stacks for name in entry.from_headers)
+    count = sum(1 for entry in stacks if entry.from_headers)
+    of = f"{count} of {len(stacks)} stacks" if len(stacks) > 1 else "the stack"
+    return (f"{', '.join(names)} of {of}: by the headers of the files",) if names else ()
 
 
 def _superfluous_targets(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial as bound
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -50,9 +49,15 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 
 
-# Readers that can choose among several pictures, and that can read what remains of a file
-CHOOSING = ("tiff.read", "fits.read", "array_files.read_hdf5", "sif.read")
-ENDING_EARLY = ("cameras.read_spe", "sif.read", "cameras.read_ser")
+# Settings of `read_frames` that readers have, by their functions
+SETTINGS = {
+    "tiff.read": ("extension",),
+    "fits.read": ("extension",),
+    "array_files.read_hdf5": ("extension",),
+    "sif.read": ("extension", "partial"),
+    "cameras.read_spe": ("partial",),
+    "cameras.read_ser": ("partial",),
+}
 # Functions that return the conditions of a file, by its reader
 CONDITIONS = {
     "fits.read": "fits.conditions",
@@ -173,22 +178,19 @@ def read_conditions(path: str | Path, extension: str | None = None) -> Stated:
     if function is None or path.is_dir():
         return NOTHING
     require_regular(path, "a file of frames")
-    return _protected(path, bound(_function(function), path, extension))
+    return _protected(path, lambda: _function(function)(path, extension))
 
 
-def _read_recorded(path: Path, extension: str | None, is_partial: bool) -> Recorded | FrameStack:
-    """Read a file with what its reader knows of the choices."""
-    reader, module = reader_of(path), module_of(path)
-    if extension is not None and module in CHOOSING:
-        reader = bound(reader, extension=extension)
-    elif extension is not None:
+def _read_recorded(path: Path, extension: str | None, partial: bool) -> Recorded | FrameStack:
+    """Read a file with those of the settings that its reader has."""
+    reader, known = reader_of(path), SETTINGS.get(module_of(path) or "", ())
+    if extension is not None and "extension" not in known:
         raise BadInput(
             f"`extension` chooses a picture of a FITS, TIFF, HDF5 or SIF file, got {extension!r} "
             f"for {path.name}, which holds one"
         )
-    if is_partial and module in ENDING_EARLY:
-        reader = bound(reader, partial=True)
-    return _protected(path, bound(reader, path))
+    settings = {"extension": extension, "partial": partial}
+    return _protected(path, lambda: reader(path, **{name: settings[name] for name in known}))
 
 
 def _protected(path: Path, read: Callable[[], Any]) -> Any:

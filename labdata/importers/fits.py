@@ -3,11 +3,12 @@
 import gzip
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections import ChainMap
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from io import BufferedIOBase
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,37 +49,30 @@ def read(path: Path, extension: str | None = None) -> Recorded:
     # Headers out of order are common and harmless; a truncated file is not.
     with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
         warnings.simplefilter("always")
-        number, notes = _choose(path, extension)
+        image, notes = _choose(path, extension)
         with fits.open(content, memmap=False) as file:
-            image = _image_of(file[number], notes)
+            unit = file[image.part.number]
+            data = np.asarray(unit.data)
     if any("truncated" in str(warning.message) for warning in warned):
         raise BadInput(f"a FITS file must be whole, got {path} without its end")
-    return image
-
-
-def _library(path: Path) -> Any:
-    return optional_module("astropy.io", "fits", path) and import_module("astropy.io.fits")
-
-
-def _image_of(unit, notes: tuple[str, ...]) -> Recorded:
     packed = getattr(unit, "compression_type", None)
     # Integers are packed without loss; reals are rounded to a fraction of their noise first.
     lossy = (lossy_note(packed),) if packed is not None and unit.header["BITPIX"] < 0 else ()
     return Recorded(
-        data=np.asarray(unit.data),
+        data=data,
         names=_names(unit.header, unit.header["NAXIS"]),
         pattern=_mosaic(unit.header),
         notes=(*notes, *lossy),
     )
 
 
-def header_of(path: Path, extension: str | None = None) -> dict[str, Any]:
+def _library(path: Path) -> Any:
+    return optional_module("astropy.io", "fits", path) and import_module("astropy.io.fits")
+
+
+def header_of(path: Path, extension: str | None = None) -> Mapping[str, Any]:
     """Return the cards of an image, and those of the primary header that it lacks."""
-    fits = _library(path)
-    with warnings.catch_warnings(action="ignore"), open(path, "rb") as content:
-        number, _ = _choose(path, extension)
-        with fits.open(content, memmap=False) as file:
-            return {**file[0].header, **file[number].header}
+    return _choose(path, extension)[0].cards
 
 
 def conditions(path: Path, extension: str | None = None) -> Stated:
@@ -101,7 +95,7 @@ def conditions(path: Path, extension: str | None = None) -> Stated:
     return stated_conditions, (note,) if combined > 1 else ()
 
 
-def _first_number(header: dict[str, Any], cards: Sequence[str]) -> float | None:
+def _first_number(header: Mapping[str, Any], cards: Sequence[str]) -> float | None:
     """Return the number of the first card that has one."""
     values = (header.get(card) for card in cards)
     numbers = (v for v in values if isinstance(v, int | float) and not isinstance(v, bool))
@@ -123,12 +117,20 @@ def _mosaic(header) -> str | None:
     )
 
 
-def _choose(path: Path, extension: str | None) -> tuple[int, tuple[str, ...]]:
-    """Return the number of the image to read, and a note where there are several.
+class _Image(NamedTuple):
+    """An image of a file, its cards, and the bytes of a value."""
+
+    part: Part
+    cards: Mapping[str, Any]
+    value_bytes: int
+
+
+def _choose(path: Path, extension: str | None) -> tuple[_Image, tuple[str, ...]]:
+    """Return the image to read, and a note where there are several.
 
     It must fit into memory, before astropy unpacks it.
     """
-    images: list[tuple[Part, int]] = []
+    images: list[_Image] = []
     try:
         images.extend(_images(path))
     except BadInput:
@@ -136,15 +138,15 @@ def _choose(path: Path, extension: str | None) -> tuple[int, tuple[str, ...]]:
             raise
     if not images:
         raise BadInput(f"a FITS file must hold an image, got none in {path}")
-    at, notes = choose([part for part, _ in images], extension, 0, "the first")
-    part, value_bytes = images[at]
-    require_picture(part.shape[-2], part.shape[-1], path.name)
-    require_room(path, pixels=math.prod(part.shape), pixel_bytes=value_bytes)
-    return part.number, notes
+    at, notes = choose([image.part for image in images], extension, 0, "the first")
+    shape = images[at].part.shape
+    require_picture(shape[-2], shape[-1], path.name)
+    require_room(path, pixels=math.prod(shape), pixel_bytes=images[at].value_bytes)
+    return images[at], notes
 
 
-def _images(path: Path) -> Iterator[tuple[Part, int]]:
-    """Yield the images of a file, each with the bytes of a value, by their headers.
+def _images(path: Path) -> Iterator[_Image]:
+    """Yield the images of a file by their headers.
 
     Notes
     -----
@@ -156,15 +158,16 @@ def _images(path: Path) -> Iterator[tuple[Part, int]]:
     with open(path, "rb") as plain:
         packed = plain.read(2) == GZIP_MAGIC
     with gzip.open(path) if packed else open(path, "rb") as file:
-        at, number = 0, 0
+        at, number, primary = 0, 0, None
         while text := _header_text(file, path):
             header = fits.Header.fromstring(text)
+            primary = header if primary is None else primary
             packed_image = header.get("ZIMAGE", False)
             axes, value_bytes = _axes(header, "Z" if packed_image else "")
             kind = str(header.get("XTENSION", "IMAGE")).strip()
             if len(axes) > 1 and (packed_image or kind == "IMAGE") and not header.get("GROUPS"):
-                name = str(header.get("EXTNAME", "")).strip()
-                yield Part(number, name, axes[::-1]), value_bytes
+                part = Part(number, str(header.get("EXTNAME", "")).strip(), axes[::-1])
+                yield _Image(part, ChainMap(header, primary), value_bytes)
             if packed_image:  # its room in the file is that of the table
                 axes, value_bytes = _axes(header, "")
             values = (

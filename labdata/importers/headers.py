@@ -1,11 +1,11 @@
 """Conditions of frames that the headers of their files state."""
 
-import math
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from labdata.conditions import Conditions
-from labdata.importers.thresholds import COLDEST_C, MOST_EXPOSURES, WARMEST_C
+from labdata.importers.thresholds import MOST_EXPOSURES, POSSIBLE, POSSIBLE_SETTING
 
 #: Conditions and notes
 Stated = tuple[Conditions, tuple[str, ...]]
@@ -55,7 +55,11 @@ def stated(exposures: float = 1.0, **values: float | None) -> Stated:
     values
         Conditions by name.
     """
-    kept = {name: number for name, number in values.items() if _possible(name, number)}
+    kept: dict[str, Any] = {}
+    for name, number in values.items():
+        lowest, highest = POSSIBLE.get(name, POSSIBLE_SETTING)
+        if number is not None and lowest <= number <= highest:
+            kept[name] = number
     if not 1 < exposures < MOST_EXPOSURES:
         return Conditions(**kept), ()
     for name in {"exposure_s", "gate_ns"} & set(kept):
@@ -72,18 +76,6 @@ def number_of(text: object) -> float | None:
         return float(text) if isinstance(text, str | bytes) else None
     except ValueError:
         return None
-
-
-def _possible(name: str, number: float | None) -> bool:
-    """Whether a header can mean a number: zero is an exposure, but no gate and no gain."""
-    if number is None or not math.isfinite(number):
-        return False
-    if name == "temperature_c":
-        return COLDEST_C < number < WARMEST_C
-    least = {"exposure_s": 0.0, "em_gain": 1.0, "camera_gain_db": -200.0}.get(name, 1e-12)
-    return (
-        least <= number and abs(number) < 1e12 and not (name == "camera_gain_db" and number > 200)
-    )
 
 
 def stated_in_text(pairs: Mapping[str, str]) -> Stated:

@@ -17,6 +17,13 @@ MOSAIC_LEVEL = 0.01
 # Smallest checkerboard amplitude of a mosaic in standard errors; chance 1e-15
 MOSAIC_SIGNIFICANCE = 8.0
 MOST_NAMED = 8  # Pictures of one file that a message lists; larger ones have their own index
-# Temperatures of a sensor, degrees Celsius; drivers write -999 for none, observatories kelvins
-COLDEST_C, WARMEST_C = -150.0, 100.0
+# Conditions that a header can mean: drivers write -999 for no temperature, observatories kelvins;
+# other settings are not 0, which stands for none
+POSSIBLE = {
+    "exposure_s": (0.0, 1e9),
+    "em_gain": (1.0, 1e6),
+    "camera_gain_db": (-100.0, 100.0),
+    "temperature_c": (-150.0, 100.0),
+}
+POSSIBLE_SETTING = 1e-6, 1e12
 MOST_EXPOSURES = 1e9  # Exposures in one frame, more than a year of the fastest cameras

@@ -193,6 +193,16 @@ def test_packed_extensions_are_counted_as_plain_ones(tmp_path):
         )
 
 
+def test_a_card_that_no_one_can_read_spoils_no_image(tmp_path):
+    file = mef(tmp_path / "a.fits", {"RED": edge(1.2), "NIR": edge(2.4)})
+    card = b"GCOUNT  =                    1"
+    content = file.read_bytes().replace(card, b"STRANGE = 'half a text".ljust(len(card)))
+    assert b"STRANGE" in content
+    file.write_bytes(content)
+    for extension, width in (("RED", 1.2), ("NIR", 2.4)):
+        assert np.array_equal(read_frames(file, extension=extension).data[0], edge(width))
+
+
 def test_arrays_of_hdf5_and_series_of_tiff_are_chosen_in_the_same_way(tmp_path):
     h5py = pytest.importorskip("h5py")
     small, large = edge(1.0, 64), edge(2.0, 96)
@@ -483,4 +493,4 @@ def test_the_header_of_a_file_is_used_in_python_and_on_import(tmp_path):
     assert charact.stack(tmp_path / "a.sif", "dark").conditions.exposure_s == 0.02
     assert charact.stack(tmp_path / "a.sif", "dark", exposure_s=0.3).conditions.exposure_s == 0.3
     done = run("import", "frames", tmp_path / "a.sif", tmp_path / "S")
-    assert "exposure_s, temperature_c of stack 'a': by the headers" in done.stdout
+    assert "exposure_s, temperature_c of the stack: by the headers" in done.stdout

@@ -291,7 +291,7 @@ def test_a_stored_frame_that_is_a_pipe_is_not_waited_for(tmp_path, name):
 
 
 def test_a_reader_that_finds_no_end_is_stopped_in_a_sentence(tmp_path, monkeypatch):
-    def look_for_ever(path: Path) -> None:
+    def look_for_ever(path: Path, *, partial: bool) -> None:
         while path:
             pass
 
