@@ -29,11 +29,11 @@ def _as_they_are(entry: StackEntry) -> LazyStack:
     from labdata.importers.axes import FRAME, UNNAMED, names_of_shape
 
     path = entry.paths[0] if isinstance(entry.frames, str) else None
-    if path is not None and is_ours(path) and entry.plane is None:
+    chosen = entry.plane is not None or entry.extension is not None
+    if path is not None and is_ours(path) and not chosen:
         return _of_store(entry, path)
-    array = (
-        None if path is None or entry.plane or entry.axis not in (None, FRAME) else _map_array(path)
-    )
+    plain = path is not None and not chosen and entry.axis in (None, FRAME)
+    array = _map_array(path) if plain else None
     if (
         array is not None
         and array.ndim == 3

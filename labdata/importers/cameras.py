@@ -116,10 +116,10 @@ def spe_conditions(path: Path, extension: str | None = None) -> Stated:
     if field["version"] < 3.0:
         if not field["exposure_s"]:
             return stated()
-        many = field["accumulations"] < 0
+        is_wide = field["accumulations"] < 0
         gated = field["pulser"] or field["intensified"]
         return stated(
-            field["many_accumulations" if many else "accumulations"],
+            field["many_accumulations" if is_wide else "accumulations"],
             exposure_s=field["exposure_s"],
             temperature_c=field["temperature_c"],
             gate_ns=1e3 * field["gate_us"] if gated else None,

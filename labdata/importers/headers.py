@@ -88,8 +88,8 @@ def stated_in_text(pairs: Mapping[str, str]) -> Stated:
     notes = []
     for key, text in pairs.items():
         word, unit = KEY.fullmatch(key.strip()).groups() if key.strip() else ("", None)
-        whole, word = (re.sub(r"[\W_]", "", part).lower() for part in (key, word))
-        name, unit = OF_FITS.get(whole) or (WORDS.get(word) or WORDS.get(whole), unit or "")
+        full_word, word = (re.sub(r"[\W_]", "", part).lower() for part in (key, word))
+        name, unit = OF_FITS.get(full_word) or (WORDS.get(word) or WORDS.get(full_word), unit or "")
         quantity = QUANTITY.fullmatch(text)
         if name is None or quantity is None:
             continue

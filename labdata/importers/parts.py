@@ -81,10 +81,12 @@ def whole_frames(
         )
     if start + (frames - 1) * stride + frame_bytes <= size:
         return frames, ()
-    there = max(0, (size - start - frame_bytes) // stride + 1)
-    if partial and there:
-        return there, (f"the file ends early: the {there} whole frames of {frames} were read",)
-    remedy = f": `partial` reads the {there} that are whole" if there else ""
+    readable = max(0, (size - start - frame_bytes) // stride + 1)
+    if partial and readable:
+        return readable, (
+            f"the file ends early: the {readable} whole frames of {frames} were read",
+        )
+    remedy = f": `partial` reads the {readable} that are whole" if readable else ""
     raise BadInput(
         f"a file must be whole, got {name} of fewer bytes than its {frames} frames{remedy}"
     )

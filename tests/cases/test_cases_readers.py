@@ -43,6 +43,15 @@ def mtf50_of(sigma_px: float) -> float:
     return float(np.sqrt(np.log(2.0) / 2.0) / np.pi / sigma_px)
 
 
+def manifest(folder: Path, frames: str, **keys: object) -> Path:
+    """Write the session of one stack of flats, whose further keys are given as TOML."""
+    lines = "".join(f"{key} = {value}\n" for key, value in keys.items())
+    (folder / "session.toml").write_text(
+        f'name = "s"\n[[stack]]\nlabel = "a"\nkind = "flat"\nframes = "{frames}"\n{lines}'
+    )
+    return folder
+
+
 # Planes that a writer marked as colours
 
 
@@ -63,14 +72,14 @@ def flats(path: Path, *, frames: int, size: int, kind: type, gain: float, read_n
         signal = 10.0 + gain * electrons + rng.normal(0, read_dn, electrons.shape)
         return np.clip(np.rint(signal), 0, top).astype(kind)
 
-    manifest = 'name = "marked"\n'
+    text = 'name = "marked"\n'
     tifffile.imwrite(path / "dark.tif", drawn(0.0, 8), photometric="minisblack")
-    manifest += '[[stack]]\nlabel = "dark"\nkind = "dark"\nframes = "dark.tif"\n'
+    text += '[[stack]]\nlabel = "dark"\nkind = "dark"\nframes = "dark.tif"\n'
     for number, level in enumerate((0.05, 0.1, 0.2, 0.4, 0.6)):
         label = f"flat-{number}"
         marked(path / f"{label}.tif", drawn(level * top / gain, frames))
-        manifest += f'[[stack]]\nlabel = "{label}"\nkind = "flat"\nframes = "{label}.tif"\n'
-    (path / "session.toml").write_text(manifest)
+        text += f'[[stack]]\nlabel = "{label}"\nkind = "flat"\nframes = "{label}.tif"\n'
+    (path / "session.toml").write_text(text)
 
 
 def test_four_frames_marked_as_colours_and_alpha_are_frames_of_a_session():
@@ -96,9 +105,9 @@ def test_three_planes_marked_as_colours_are_refused_with_both_ways_out(tmp_path,
     assert done.exit_code == 1
     for word in ("marks as colours", "--axis 0", "minisblack", "--plane luminance"):
         assert word in done.stderr
-    manifest = (tmp_path / "session.toml").read_text()
+    text = (tmp_path / "session.toml").read_text()
     for setting, frames in (('axis = "0"', 3), ('plane = "luminance"', 1)):
-        stated = manifest.replace('kind = "flat"', f'kind = "flat"\n{setting}')
+        stated = text.replace('kind = "flat"', f'kind = "flat"\n{setting}')
         (tmp_path / "session.toml").write_text(stated)
         assert open_session(tmp_path).stack("flat-1").read().shape[0] == frames
 
@@ -227,6 +236,8 @@ def test_a_file_of_one_picture_has_no_extension(tmp_path):
     np.save(tmp_path / "a.npy", edge(1.0))
     with pytest.raises(BadInput, match="chooses a picture of a FITS, TIFF, HDF5 or SIF file"):
         read_frames(tmp_path / "a.npy", extension="1")
+    with pytest.raises(BadInput, match="which holds one"):
+        charact.noise(manifest(tmp_path, "a.npy", extension='"1"'), quick=True)
     with pytest.raises(BadInput, match="for an array"):
         charact.mtf(edge(1.0), extension="1")
 
@@ -308,13 +319,9 @@ def test_the_pixels_of_a_hamamatsu_file_are_those_that_were_written(tmp_path, ki
 # What headers state
 
 
-def stated_by(path: Path, **manifest: object) -> tuple[dict[str, float], tuple[str, ...]]:
+def stated_by(path: Path, **keys: object) -> tuple[dict[str, float], tuple[str, ...]]:
     """Return the conditions of a session's one stack, with its notes."""
-    keys = "".join(f"{key} = {value}\n" for key, value in manifest.items())
-    (path.parent / "session.toml").write_text(
-        f'name = "s"\n[[stack]]\nlabel = "a"\nkind = "flat"\nframes = "{path.name}"\n{keys}'
-    )
-    session = open_session(path.parent)
+    session = open_session(manifest(path.parent, path.name, **keys))
     conditions = vars(session.stacks[0].conditions)
     return {name: value for name, value in conditions.items() if value is not None}, session.notes
 

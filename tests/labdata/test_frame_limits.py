@@ -152,7 +152,7 @@ BOMBS = {
     "b.h5": (hdf5_of_a_device, "got a device, /dev/zero"),
     "a.sif": (
         lambda path: path.write_bytes(b"Andor Technology Multi-Channel File\n65538 1\n65559 0 0"),
-        "it is cut off",
+        "must describe its frames",
     ),
     "a.pgm": (ppm, f"{TOO_LARGE} 17000 rows"),
     "a.dng": (raw, f"{TOO_LARGE} 17000 rows"),
