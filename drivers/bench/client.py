@@ -55,7 +55,7 @@ SERVER_SILENCE_S = SILENCE_S + BEAT_S
 # Longest duration of the safe action, s: wait for a lost port, then for the decay of the voltage
 SAFE_S = FALL_S + REOPEN_S + 5.0
 
-START_S = 15.0  # Longest start of the server, s
+START_S = 60.0  # Longest start of the server, s
 
 SLICE_S = 0.1
 RESERVE_BYTES = 8 << 20  # Memory reserved for the safe action, bytes
@@ -256,7 +256,8 @@ class BenchClient:
                 age_s = max(0.0, now_s - self._stamp_s)
                 self._server.send(Beat(age_s=age_s, delay_s=self._delay.delay_s))
                 next_beat_s = now_s + BEAT_S
-            silence_s = now_s - self._heard_s
+            # Until the last look for messages: this thread may have slept since.
+            silence_s = began_s - self._heard_s
             longest_s = SERVER_SILENCE_S + self._delay.slack_s()
             if silence_s > (longest_s if self._is_hot else SILENCE_AT_REST_S) or self._server.gone:
                 if not self._left:

@@ -14,8 +14,8 @@ from labdata.instrument_config import Role
 
 BEAT_S = 0.1  # Heartbeat interval, s
 # Time without heartbeat after which the other side counts as hung, s: five intervals, and with the
-# tube at rest as long as a busy machine may take
-SILENCE_S, SILENCE_AT_REST_S = 0.5, 3.0
+# tube at rest as long as a busy machine may take: at 14 times the cores a process stood for 3 s
+SILENCE_S, SILENCE_AT_REST_S = 0.5, 10.0
 LARGEST_BYTES = 1 << 17  # Largest message; a setup with calibrations has a few kilobytes
 
 

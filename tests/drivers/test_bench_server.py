@@ -128,7 +128,7 @@ def test_a_client_that_is_silent_for_half_a_second_ends_the_server(hot):
 
 def test_a_silence_at_rest_may_last_as_long_as_a_busy_machine_takes(bench):
     bench.silent_until_s = float("inf")
-    bench.passes(2.5)
+    bench.passes(9.5)
     assert not bench.over
     bench.passes(1.0)
     assert bench.over
