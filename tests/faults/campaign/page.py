@@ -35,8 +35,8 @@ BEYOND_SOFTWARE = """## What no software can know
   to give an order. An inhibitor of suspend is held while the tube is hot, which the campaign cannot
   strike. Cure: a retriggered gate, a one-shot that shuts the gate unit unless it is triggered anew
   within a second.
-- **Both processes ended at once**, as when a camera library aborts a client without memory as the
-  server is killed. Cure: the same relay; `charact safe` afterwards.
+- **Both processes ended at once**, as when a camera library aborts a client without memory or
+  threads as the server is killed. Cure: the same relay; `charact safe` afterwards.
 - **An instrument that neither hears nor obeys.** No order reaches it; the last line on the terminal
   says so. Cure: an interlock relay that breaks the supply's enable input and the gate's drive.
 - **A gate that answers as if it obeyed.** What is read back is what was set. Cure: a monitor output
