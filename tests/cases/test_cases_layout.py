@@ -6,8 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import erf
+from typer.testing import CliRunner
 
+import charact
+from charact.cli.application import app
 from charact.estimators import noise
+from charact.reporting.report_images import representative
 from charact.session_measurement import method_context
 from labdata import BadInput, open_session
 
@@ -256,6 +261,41 @@ def test_an_even_flat_is_no_scene(tmp_path):
     gain = one(noise.measure(session, method="uneven-scene", context=context), "system_gain")
     assert gain.status == "refused" and "span a factor of 1.5" in gain.reason
     assert one(noise.measure(session, context=context), "system_gain").method != "uneven-scene"
+
+
+def test_view_outlines_the_parts_and_the_report_shows_them(tmp_path):
+    light = np.ones((128, 160))
+    light[:, 150:] = 0.0
+    gain = np.where(np.arange(128) < 64, 0.3, 0.4)[:, None]
+    folder = drawn(tmp_path / "s", light=light, gain=gain)
+    picture = tmp_path / "parts.png"
+    arguments = ["view", f"{folder}#flat-3", "--layout", "--out", str(picture)]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    assert "columns 150 to 159 are an unexposed strip" in done.output
+    assert "between rows 63 and 64 another amplifier begins" in done.output
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    result = measured(folder)
+    images = representative(open_session(folder), (), result.evidence["layout"])
+    regions = {box.region: box.status for image in images for box in image.boxes}
+    assert regions == {
+        (0, 150, 128, 10): "refused",
+        (0, 0, 64, 150): "ok",
+        (64, 0, 64, 150): "ok",
+    }
+
+
+def test_rows_that_one_frame_of_an_edge_lost_are_named():
+    row, col = np.mgrid[:100, :120]
+    edge = 1000.0 + 400.0 * erf((col - 60.0 + 0.1 * (row - 50.0)) / 1.5)
+    frames = np.random.default_rng(1).poisson(np.broadcast_to(edge, (4, 100, 120)))
+    frames = frames.astype(np.uint16)
+    region = (0, 0, 100, 120)
+    assert charact.mtf(frames, roi=region, method="edge-slanted").mtf50.status == "ok"
+    frames[2, 30:38] = 0
+    (lost,) = charact.mtf(frames, roi=region, method="edge-slanted").find("mtf50")
+    assert "defects" in lost.flags
+    assert any("rows 30 to 37 of frame 2 are 0 DN" in note for note in lost.notes)
 
 
 def vignetted(size):
