@@ -148,20 +148,20 @@ def pair_measurements(a: Result, b: Result) -> tuple[tuple[Measurement, Measurem
     """Return the measurements with values that measure the same thing in two results, in the order
     of the first.
 
-    Quantity, unit and stack are equal, frequency and direction agree within `LIMITS`, and regions
-    overlap. Of several possible partners the same method comes first, then the nearest direction
-    and frequency.
+    Quantity, unit, stack and amplifier are equal, frequency and direction agree within `LIMITS`,
+    and regions overlap. Of several possible partners the same method comes first, then the nearest
+    direction and frequency.
     """
-    groups: dict[tuple[str, str, str | None], list[tuple[int, Measurement]]] = {}
+    groups: dict[tuple[object, ...], list[tuple[int, Measurement]]] = {}
     for index, m in enumerate(b.measurements):
         if m.value is not None:
-            groups.setdefault((m.quantity, m.unit, m.stack), []).append((index, m))
+            groups.setdefault((m.quantity, m.unit, m.stack, m.amplifier), []).append((index, m))
     possible = [
         (_unlikeness(measurement, partner), i, j)
         for i, measurement in enumerate(a.measurements)
         if measurement.value is not None
         for j, partner in groups.get(
-            (measurement.quantity, measurement.unit, measurement.stack), ()
+            (measurement.quantity, measurement.unit, measurement.stack, measurement.amplifier), ()
         )
         if _same_place(measurement, partner)
     ]
@@ -302,7 +302,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def _document(difference: Difference) -> dict[str, Any]:
-    applying = ("stack", "region", "frequency_cy_per_px", "orientation_deg")
+    applying = ("stack", "region", "frequency_cy_per_px", "orientation_deg", "amplifier")
     better = difference.probability_better
     return {
         "quantity": difference.a.quantity,

@@ -120,6 +120,7 @@ class Outcome:
     stack: str | None = None  #: Label of the stack
     frequency_cy_per_px: float | None = None  #: Frequency of the value, cycles per pixel
     orientation_deg: float | None = None  #: Direction, degrees
+    amplifier: int | None = None  #: Number of the amplifier; None: the chip
 
     @property
     def reason(self) -> str:
@@ -201,6 +202,7 @@ def _outcomes(limit: Limit, result: Result) -> Iterator[Outcome]:
             stack=m.stack,
             frequency_cy_per_px=m.frequency_cy_per_px,
             orientation_deg=m.orientation_deg,
+            amplifier=m.amplifier,
         )
     if not measurements:
         yield Outcome(

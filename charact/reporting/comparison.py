@@ -172,6 +172,7 @@ def _name(m: Measurement | Outcome, among: Sequence[Measurement | Outcome]) -> s
 
     parts = [m.quantity]
     parts += [m.stack] if m.stack else []
+    parts += [f"amplifier {m.amplifier}"] if m.amplifier else []
     parts += [f"at {m.frequency_cy_per_px:.3g} cy/px"] if m.frequency_cy_per_px is not None else []
     if (
         m.orientation_deg is not None
