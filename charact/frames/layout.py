@@ -158,7 +158,7 @@ class AreaView:
 
 
 def profiles_of(mean_frame: NDArray) -> Profiles:
-    """Return a mean frame averaged over bands."""
+    """Return a mean frame of two pixels a band and more averaged over bands."""
     columns, rows = (
         np.stack([band.mean(axis=0, dtype=float) for band in np.array_split(frame, LAYOUT.bands)])
         for frame in (mean_frame, mean_frame.T)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from charact.frames import clipping
 from charact.frames.image_lag import ImageLagModel, image_lag_model
 from charact.frames.layout import BORDER, STRIP, Layout, Region, layout_of, lost_rows, profiles_of
-from charact.frames.thresholds import CLIPPING
+from charact.frames.thresholds import CLIPPING, LAYOUT
 from charact.method import Context
 from charact.verdict import Finding
 from labdata import Array, Camera, FrameStack, Mask
@@ -99,6 +99,8 @@ class Stack:
         """Unexposed strips and lost rows; an amplifier only at the middle of a frame, as a scene
         may have straight edges elsewhere.
         """
+        if min(self.frames.shape[1:]) < 2 * LAYOUT.bands:
+            return Layout(size=self.frames.shape[1:], parts=lost_rows(self.data))
         shown = layout_of((), [profiles_of(self.mean_frame_dn)], lost=lost_rows(self.data))
         parts = [
             part

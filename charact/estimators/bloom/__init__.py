@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 from charact.estimators.bloom.defects import with_sound_pixels
+from charact.frames.stack import Stack
 from charact.method import Context, choose
+from charact.verdict import judge
 from labdata import BadInput, Result, Session
 from labdata.lazy_names import import_on_first_use
 
@@ -67,4 +69,10 @@ def measure(
     result = chosen.function(session, context=context)
     note = f"{bad} stuck, hot or hit pixels are excluded or replaced by their neighbours' mean"
     noted = (m.with_(notes=(*m.notes, note)) if bad else m for m in result.measurements)
-    return replace(result, measurements=tuple(noted))
+    lost = {
+        entry.label: Stack.of(entry.read(), context).layout_findings(None)[0]
+        for entry in session.of_kind("point")
+    }
+    every = [finding for findings in lost.values() for finding in findings]
+    judged = (judge(m, every if m.stack is None else lost.get(m.stack, ())) for m in noted)
+    return replace(result, measurements=tuple(judged))

@@ -92,6 +92,9 @@ def _between(region: Region, gaps: Sequence[Part]) -> Region:
 
 def _within(session: Session, region: Region, frames: dict[str, NDArray[np.int64]]) -> Session:
     """Return a session whose darks and flats are sound frames cut to a region."""
+    row, col, height, width = region
+    # Even and odd rows stay those of their field.
+    region = row + row % 2, col, height - row % 2, width
     return replace(
         session,
         stacks=tuple(
