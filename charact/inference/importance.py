@@ -51,6 +51,7 @@ def importance_sample(
     draws: int = 1000,
     enough: float = ENOUGH,
     first_draws: int = FIRST_DRAWS,
+    max_added: int = MOST_ADDED,
 ) -> Posterior:
     """Draw from a posterior by importance, from a mixture of densities that is made to fit it.
 
@@ -72,12 +73,14 @@ def importance_sample(
         Effective number of weighted draws, 1/sum w^2, after which no density is added.
     first_draws
         Draws from the density that the curvature tells.
+    max_added
+        Densities that are added at most.
 
     Returns
     -------
     Posterior
         Its effective sample size says how far it may be trusted: the mixture stops growing after
-        `MOST_ADDED`.
+        `max_added`.
 
     Notes
     -----
@@ -102,7 +105,7 @@ def importance_sample(
     while True:
         weight = _weights(heights - drawn)
         effective = 1.0 / float(np.sum(weight**2))
-        if effective >= enough or len(mixture) > MOST_ADDED:
+        if effective >= enough or len(mixture) > max_added:
             break
         more = _add_component(points, unit, weight), MORE_DRAWS
         # A posterior that no draw comes near, as of a model far from its data: one draw holds all

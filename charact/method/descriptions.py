@@ -118,17 +118,21 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
             "1.5, with halo, disc or scatter inside the region, neighbours at least 5 px away; "
             "MTF50 below 0.42 cycles per pixel. Pixels at full scale are treated as lower limits; "
             "with a sensor description, whose wells may fill first and whose video filter spreads "
-            "clipped light, the result is suspect. Not detected: a second source within the blur, "
-            "a pinhole of unstated size, and a nonlinear response that the noise does not show: a "
-            "gamma of g changes MTF50 by about the root of g, and more with a halo.",
+            "clipped light, the result is suspect. Two sources in one spot are refused from 0.7 "
+            "full widths apart on; forms that leave the transform of the light itself are "
+            "rejected. Not detected: a closer second source, a pinhole of unstated size, and a "
+            "nonlinear response that the noise does not show: a gamma of g changes MTF50 by about "
+            "the root of g, and more with a halo.",
         ),
         "point-spread": Description(
             "charact.estimators.mtf.point.spot_transform",
             ("mtf50", "mtf10"),
-            "Single unsaturated point sources with little light beyond 8 px, at least 3 frames, "
-            "linear response: a gamma between 0.6 and 2.2 is not detected, nor are halos below "
-            "the noise and a second source within the blur. Biased upwards where the MTF beyond "
-            "half a cycle per pixel is aliased.",
+            "Single unsaturated point sources of any form, one frame or more (three of a tube), "
+            "with background around them inside the region: light beyond is that of wings that "
+            "fall as r^-3, whose uncertainty the interval holds. Linear response: a gamma between "
+            "0.6 and 2.2 is not detected, nor are halos below the noise and a second source within "
+            "0.7 full widths. What the MTF beyond half a cycle per pixel folds back is in the "
+            "interval.",
         ),
     },
     "post-gain": {

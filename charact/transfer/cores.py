@@ -23,9 +23,9 @@ from charact.transfer.stages import clear_pupil
 from charact.transfer.tables import ln_bessel_transfer, moffat_grid, moffat_table
 from labdata import Array
 
-# Frequencies over the cut-off at which a pupil is integrated: 24 in each period of a defocus of 2
-# waves.
-PUPIL_NODES = np.linspace(0.0, 1.0, 193)
+# Frequencies over the cut-off at which a pupil is integrated: 16 in each period of a defocus of
+# 1.5 waves, within 2e-4.
+PUPIL_NODES = np.linspace(0.0, 1.0, 97)
 # Half frequency of a clear pupil in focus over its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
 AIRY_HALF = 0.40397275
 

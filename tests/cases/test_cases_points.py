@@ -101,7 +101,7 @@ def test_an_aberrated_pupil_is_one_source_and_holds_its_mtf50(cut_off, pupil, fr
     rng = np.random.default_rng([seed, frames])
     transfer, step = transfer_of_pupil(cut_off, **pupil)
     stack = drawn(transfer, step, 20000.0, rng, frames=frames)
-    holds(measured(stack), mtf50_of(transfer, step), 0.12)
+    holds(measured(stack), mtf50_of(transfer, step), 0.2)
 
 
 def test_a_doughnut_of_a_case_has_its_mtf50():

@@ -251,7 +251,9 @@ def source_findings(
         )
         out.append(finding("model-misfit", effect))
     along, down = _half_frequencies(fit)
-    if max(along / down, down / along) > LIMITS.max_elongation:
+    # Where the light itself shows no second source, an ellipse is one of an aberrated pupil.
+    counted = all(site.spot is not None for site in sites)
+    if not counted and max(along / down, down / along) > LIMITS.max_elongation:
         effect = (
             f"MTF50 along rows is {along / down:.2f} times that along columns; light next to "
             f"the source has this effect"
@@ -304,6 +306,9 @@ def _gap_to_light(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
     frequency = np.maximum(FREQUENCY, 1e-6)
     source, point = pinhole(frequency, diameter), fit.point[None]
     for site, spot in ((site, site.spot) for site in sites if site.spot is not None):
+        if len(spot.frames) == 1 and site.pulses is not None:
+            # What the form leaves is no less than the noise.
+            spot = replace(spot, light_gain_dn=min(site.pulses.gain, spot.gain_dn))
         for vertical in (False, True):
             form = source * mtf_of_camera(
                 fit.form, point, frequency, site.aperture, vertical=vertical

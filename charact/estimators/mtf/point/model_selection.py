@@ -20,8 +20,9 @@ from charact.transfer.cores import ON_POINTS
 from charact.transfer.extended import ExtendedComponent, HaloComponent
 from labdata import Array
 
-# Prior odds of each extended component of a camera without a description; both together equal none.
-WIDE_ODDS = 0.5
+# Prior odds of each extended component of a camera without a description, of a Gaussian beside an
+# exponential, and of an ellipse: a parameter that the data do not ask for biases the others.
+WIDE_ODDS, LENS_ODDS, ELLIPSE_ODDS = 0.25, 0.2, 0.5
 # Prior odds of separable blurs.
 SEPARABLE_ODDS = 0.2
 # Cores of a described tube.
@@ -206,6 +207,7 @@ def _weight(fit: BlurModelFit2D) -> float:
     """Return ln evidence plus ln prior probability of a model."""
     form = fit.form
     odds = ON_POINTS[form.core][1] * (SEPARABLE_ODDS if form.separable else 1.0)
+    odds *= (LENS_ODDS if form.lens else 1.0) * (1.0 if form.round else ELLIPSE_ODDS)
     odds *= 1.0 if form.wide is None or isinstance(form.wide, HaloComponent) else WIDE_ODDS
     return fit.log_evidence + float(np.log(odds * (DEPARTURES_ODDS if form.departures else 1.0)))
 

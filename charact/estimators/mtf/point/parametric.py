@@ -57,7 +57,7 @@ from charact.estimators.mtf.point.spot_light import SpotLight, light_of_spot
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
-from charact.inference import has_several_peaks, importance_sample, laplace, sample_posterior
+from charact.inference import has_several_peaks, importance_sample, laplace
 from charact.method import Context, register
 from charact.transfer.extended import (
     DiscComponent,
@@ -340,7 +340,7 @@ def _result(
             )
         )
     if any("not-converged" in posterior.flags for posterior in drawn):
-        findings.append(finding("not-converged", "interval from the curvature at the optimum"))
+        findings.append(finding("not-converged", "draws of a form are too few for its interval"))
     common["notes"] = (*common["notes"], *_notes(sites, models, pinhole, context), response.note)
     total = sum(model.weight for model in models)
     wanted = ACCURACY.quick_draws if context.quick else ACCURACY.draws
@@ -421,10 +421,18 @@ def _posterior(
     if quick:
         return laplace(log_probability, **arguments)
     effort = max(model.weight, 0.25)
-    if context.quick:
-        enough, first = 500.0 * effort, round(1000 * effort)
-        return importance_sample(log_probability, **arguments, enough=enough, first_draws=first)
-    return sample_posterior(log_probability, **arguments, max_steps=1500, effort=effort)
+    enough, first = ACCURACY.quick_effective if context.quick else ACCURACY.effective
+    posterior = importance_sample(
+        log_probability,
+        **arguments,
+        enough=enough * effort,
+        first_draws=round(first * effort),
+        max_added=ACCURACY.max_added,
+    )
+    effective = posterior.effective_sample_size
+    if effective is not None and effective.min() < ACCURACY.min_effective * effort:
+        return replace(posterior, flags=(*posterior.flags, "not-converged"))
+    return posterior
 
 
 def _model_figure_data(

@@ -204,13 +204,15 @@ def fit_pulses(
     factor: Array,
     pixels: NDArray[np.int64],
     fitted: Array | None = None,
+    ln_odds: float = 0.0,
 ) -> Pulses:
     """Return the pulses that make independent samples of the noise most probable.
 
     `samples`: deviations, each of the noise of one frame, shape (sample, pixel), DN; `dark`:
     covariance of the dark noise, shape (pixel, pixel); `units`: candidate covariances at unit gain;
     `factor`: image lag of each pair of pixels, shape (pixel, pixel); `pixels`: pixels used;
-    `fitted`: directions in which a fit absorbed noise, shape (pixel, direction); None: none.
+    `fitted`: directions in which a fit absorbed noise, shape (pixel, direction); None: none;
+    `ln_odds`: ln of further prior odds for the first candidate.
 
     Notes
     -----
@@ -241,7 +243,7 @@ def fit_pulses(
         # Student's t of fewer than six values has hardly a variance.
         n_values = max(2.0 / max(spread, 1e-9), 6.0)
         median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
-        odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
+        odds = np.log(len(units) - 1.0) + ln_odds if number and len(units) > 1 else 0.0
         fits.append((float(fit.max()) - odds, median * n_values / (n_values - 2.0)))
     best = int(np.argmax([fit for fit, _ in fits]))
     return Pulses(gain=fits[best][1], unit=units[best])

@@ -56,7 +56,7 @@ def two_sources(spot: SpotLight) -> TwoSources | None:
     -----
     Least squares of B + L (1 + r^2 / a^2)^-b averaged over pixels (Moffat 1969). With the sums of
     squared residuals S1 of one elliptical and S2 of two round images, and N expected of noise:
-    S1 - S2 > 0.4 (S1 - N), at 0.7 full widths and more.
+    S1 - S2 > 0.5 (S1 - N), at 0.7 full widths and more.
     """
     box = _box_of(spot)
     x, y, top = box.x, box.y, float(box.light.max())
@@ -101,6 +101,7 @@ def two_sources(spot: SpotLight) -> TwoSources | None:
         and gain > SOURCES.min_gain_sd**2 * box.variance.max()
         and distance > SOURCES.min_distance * max(full_width, 1.0)
         and ratio > SOURCES.min_ratio
+        and order > SOURCES.min_order
     )
     return TwoSources(float(distance) * box.step_px, float(ratio)) if is_double else None
 

@@ -239,10 +239,20 @@ def add_noise(
             site,
             pulses=fit_pulses(site.window.contrasts, dark_noise(site), units, factor, near_pixels),
         )
+    # One frame tells pulses from a white scatter only where they are much likelier.
+    correlated = site.screen or site.dark.correlation.size > 1
     core = _core_residual(site, transfer, _sd(site))
     fitted = np.concatenate([core.design, _slopes(site, fit)], axis=1)
     still = dark_noise(site) + _rounding_variance(site) * np.eye(mean.size)
-    pulses = fit_pulses(core.residual[None], still, units, factor, near_pixels, fitted)
+    pulses = fit_pulses(
+        core.residual[None],
+        still,
+        units,
+        factor,
+        near_pixels,
+        fitted,
+        ln_odds=0.0 if correlated else ACCURACY.ln_white_odds,
+    )
     return replace(site, pulses=replace(pulses, gain=lower * pulses.gain))
 
 

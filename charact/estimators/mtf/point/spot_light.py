@@ -63,6 +63,8 @@ class SpotLight:
     has_neighbours: bool
     is_cut: bool  # Whether the border of the frame is nearer than R
     by_frames: bool  # Whether the scatter of the frames gives the uncertainty
+    # Variance of a frame's light over that light, DN; None: from the pixels
+    light_gain_dn: float | None = None
 
     @cached_property
     def mean(self) -> Array:
@@ -147,6 +149,8 @@ class SpotLight:
         """Variance of a frame's light over that light, DN, from frame differences, or the pixels'
         scatter about their neighbours in one frame.
         """
+        if self.light_gain_dn is not None:
+            return self.light_gain_dn
         level, _ = self._surroundings
         lit = self.disc & (self.mean - level[0] > WINGS.lit * (self.mean.max() - level[0]))
         light = max(float((self.mean - level[0])[lit].sum()), 1e-9)
@@ -158,8 +162,9 @@ class SpotLight:
         line = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 70.0**0.5
         scatter = convolve(self.mean, np.outer(line, line), mode="nearest")[lit] ** 2
         over = max(float((scatter - self.dark.variance(0.0)).sum()) / light, 0.0)
-        # What the kernel leaves of a sharp spot is no noise: cameras have at least so much.
-        return min(over, float(self.dark.sd(0.0)) / WINGS.min_read_e)
+        # What the kernel leaves of a sharp spot is no noise, and few pixels may show none.
+        least, most = WINGS.read_e
+        return float(np.clip(over, self.dark.sd(0.0) / most, self.dark.sd(0.0) / least))
 
     def transform(self, vertical: bool) -> Transform:
         """Return the MTF along rows, or along columns."""

@@ -36,7 +36,7 @@ class PointLimits:
     max_departure_sd: float = 4.5
     # Distance of a form's MTF from that of the light without a form, standard uncertainties, and
     # where they are compared
-    max_gap_sd: float = 3.0
+    max_gap_sd: float = 2.5
     compared_levels: tuple[float, ...] = (0.7, 0.5, 0.3, 0.15)
     # Ratio of the half frequencies along rows and columns of a single source
     max_elongation: float = 1.5
@@ -99,11 +99,21 @@ class PointAccuracy:
     motion_radius_px: float = 5.0  # Pixels in which motion is followed, px from the centre
     draws: int = 1000  # Draws of the parametric method
     quick_draws: int = 500  # The same for a quick answer
+    # Effective draws of the likeliest form at which its sampling ends, and first draws; the same
+    # for a quick answer
+    effective: tuple[float, int] = (2000.0, 4000)
+    quick_effective: tuple[float, int] = (500.0, 1000)
+    # Densities of a thousand draws that may be added: a second of processor time
+    max_added: int = 8
+    min_effective: float = 150.0  # Effective draws below which a posterior is not determined
     empty_rings: int = 2  # Rings that an extended component must leave empty
     # Relative noise assumed for the first estimate, of the brightest pixel
     first_relative_sd: float = 0.02
     model_relative_sd: float = 3e-4  # Relative error of the model's tables
     noise_distance_px: float = 12.0  # Distance of the surroundings from a source, px
+    # ln of further prior odds for white noise of one frame's light: eight standard deviations
+    # squared in -2 ln likelihood, which some fifty pixels rarely show by chance
+    ln_white_odds: float = 4.0
     pulse_step_px: float = 0.6  # Step of pulse positions, px
     pulse_extent_px: float = 10.2  # Their extent, px
     hidden_sd_dn: float = 0.2  # Noise that quantisation hides, DN
@@ -149,7 +159,8 @@ class WingLimits:
     relative_sd: float = 0.4  # Light beyond R of wings between r^-3 and r^-5
     end_cy_per_px: float = 0.4  # Frequencies that show what the sampling folds back
     lit: float = 0.1  # Pixels whose noise is that of light, fraction of the peak
-    min_read_e: float = 0.9  # Read noise of a camera, electrons: lower 16 % of `DARK_LN`
+    # Read noise of a camera, electrons: central half of `DARK_LN`'s range that one frame may show
+    read_e: tuple[float, float] = (2.0, 18.0)
     min_frames: int = 8  # Frames whose scatter is known to a quarter
 
 
@@ -159,13 +170,16 @@ class SourceCount:
 
     Of 14 aberrated pupils (0.1 to 0.6 waves rms of defocus, astigmatism, coma, trefoil and
     spherical aberration, obscured, square) two images explain at most 14 % of what an ellipse
-    leaves; of pairs of Gaussian and Airy spots 0.7 full widths apart, 1 : 0.5 and more, over 40 %.
+    leaves, of coma at 350 standard deviations 43 %; of pairs of Gaussian and Airy spots 0.9 full
+    widths apart, 1 : 0.5 and more, over 60 %.
     """
 
-    min_gain: float = 0.4  # S1 - S2 over S1 less its noise
+    min_gain: float = 0.5  # S1 - S2 over S1 less its noise
+    min_order: float = 1.4  # Moffat's b of two images: flatter wings fill what no image describes
     min_gain_sd: float = 6.0  # Root of S1 - S2, standard deviations of the brightest pixel
     min_distance: float = 0.7  # Distance over the full width at half maximum
-    min_ratio: float = 0.04  # Light of the fainter source over that of the brighter
+    # Light of the fainter source over that of the brighter: a square pupil has side lobes of 0.05
+    min_ratio: float = 0.1
     core: float = 0.3  # Pixels whose moments give the axis, fraction of the peak
     max_pixels: int = 31  # Side of the box, in its own pixels
     evaluations: int = 25

@@ -76,11 +76,15 @@ def said(stack):
     return " ".join(point_parametric(stack, context=QUICK).measurements[0].notes)
 
 
-@pytest.mark.parametrize(("stretch", "told"), [(0.0, False), (0.2, False), (0.6, True)])
-def test_light_much_longer_than_wide_may_be_two_sources(seed, stretch, told):
-    stack = SpotCamera(snr=60.0).taken(
-        Spot(width=1.2, stretch=stretch), np.random.default_rng(seed)
-    )
-    assert (
-        "several-targets" in point_parametric(stack, context=QUICK).measurements[0].flags
-    ) == told
+@pytest.mark.parametrize(
+    ("stretch", "apart_px", "told"),
+    [(0.0, 0.0, False), (0.2, 0.0, False), (0.6, 0.0, False), (0.0, 3.0, True)],
+)
+def test_light_in_two_places_is_two_sources_and_an_ellipse_is_one(seed, stretch, apart_px, told):
+    """An ellipse of 1.8 : 1 is that of astigmatism; Gaussians 1.1 full widths apart are two."""
+    rng = np.random.default_rng(seed)
+    spots = [Spot(width=1.2, stretch=stretch), Spot(width=1.2, col_px=apart_px)]
+    stacks = [SpotCamera(snr=60.0).taken(spot, rng) for spot in spots[: 1 + (apart_px > 0.0)]]
+    data = np.sum([stack.data.astype(float) for stack in stacks], axis=0)
+    flags = point_parametric(replace(stacks[0], data=data), context=QUICK).measurements[0].flags
+    assert ("several-targets" in flags) == told

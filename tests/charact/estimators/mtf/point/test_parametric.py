@@ -15,7 +15,7 @@ from charact.estimators.mtf.point import (
     parametric_noise,
     spot_image_matrix,
 )
-from charact.inference import importance, importance_sample
+from charact.inference import importance_sample, sample
 from charact.method import Context
 from labdata import BadInput, FrameStack
 from tests.truth.blur import TrueBlur
@@ -149,7 +149,11 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
     picked, quick = drawn(), drawn(quick=True)
     assert picked.sampler == quick.sampler == "importance"
     assert picked.effective_sample_size.min() >= 2000
-    monkeypatch.setattr(importance, "LEAST_EFFECTIVE", np.inf)
+
+    def by_chain(log_probability, *, enough, first_draws, max_added, **asked):
+        return sample(log_probability, **asked, max_steps=1500)
+
+    monkeypatch.setattr(parametric, "importance_sample", by_chain)
     chained = drawn()
     assert chained.sampler == "emcee"
     spread = chained.draws.std(axis=0)
