@@ -255,6 +255,18 @@ def test_full_pixels_of_the_brightest_of_uneven_flats_take_no_part(tmp_path):
     assert low <= 5000.0 <= high
 
 
+@pytest.mark.parametrize("method", ["variance", "covariance-sum"])
+def test_a_named_method_says_that_pixels_are_full(tmp_path, method):
+    folder = drawn(
+        tmp_path / "s", light=scene((160, 200)), size=(160, 200), full_e=4000.0, levels=1
+    )
+    session = open_session(folder)
+    context = method_context(session, quick=True, seed=0)
+    result = noise.measure(session, method=method, context=context)
+    assert "saturated" in one(result, "system_gain").flags
+    assert one(result, "read_noise", "DN").status == "ok"
+
+
 def test_an_even_flat_is_no_scene(tmp_path):
     session = open_session(drawn(tmp_path / "s", levels=1))
     context = method_context(session, quick=True, seed=0)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from charact.method import Context, Method, choose
 from charact.method.stopwatch import with_timing
-from labdata import BadInput, Result, Session, open_lazy_stack
+from labdata import BadInput, Measurement, Result, Session, open_lazy_stack
 from labdata.lazy_names import import_on_first_use
 
 if TYPE_CHECKING:
@@ -103,35 +103,50 @@ def _measured(ready: "Prepared", chosen: Method, *, by_name: bool) -> Result:
     from charact.estimators.noise.uneven_scene import suits
 
     session, context = ready.session, ready.context
-    scene = (
-        choose("flats", "uneven-scene").function(session, context=context)
-        if not by_name and suits(session, ready.surveys, context)
-        else Result()
-    )
+    counts = defect_pixels(session, ready.surveys, ready.defects, context=context)
+    scene = Result()
+    if chosen.name != "uneven-scene" and suits(session, ready.surveys, context):
+        scene = choose("flats", "uneven-scene").function(session, context=context)
     if (
         not by_name
         and chosen.name == "covariance-sum"
         and _has_small_white_frames(session, context)
     ):
         chosen = choose("flats", "variance")
-    if any(m.value is not None for m in scene.find("saturation")):
-        # Where pixels are full, the mean of a frame is no level of the line.
-        result = scene
-    else:
-        frames = chosen.function(session, context=context)
+    # Where pixels are full, the mean of a frame is no level of the line.
+    is_full = any(m.value is not None for m in scene.find("saturation"))
+    if is_full and not by_name:
+        return ready.in_dn(scene) + counts
+    result = chosen.function(session, context=context)
+    if is_full:
+        result = replace(
+            result, measurements=tuple(_of_full_pixels(m, session) for m in result.measurements)
+        )
+    elif not by_name:
         binned = {
             (m.quantity, m.unit): m
             for m in scene.measurements
             if m.value is not None and not m.stack
         }
-        numbers = tuple(
-            m if m.stack else binned.get((m.quantity, m.unit), m) for m in frames.measurements
+        numbers = (
+            m if m.stack else binned.get((m.quantity, m.unit), m) for m in result.measurements
         )
-        result = replace(frames, measurements=numbers, evidence=frames.evidence | scene.evidence)
-        result = add_event_gains(result, session, context=context)
-    return ready.in_dn(result) + defect_pixels(
-        session, ready.surveys, ready.defects, context=context
-    )
+        evidence = result.evidence | scene.evidence
+        result = replace(result, measurements=tuple(numbers), evidence=evidence)
+    return ready.in_dn(add_event_gains(result, session, context=context)) + counts
+
+
+def _of_full_pixels(m: Measurement, session: Session) -> Measurement:
+    """Return a number of flats of which some pixels are full, suspect, or one of darks as it is."""
+    from charact.estimators.noise.findings import finding
+    from charact.verdict import judge
+
+    of_darks = (m.quantity in ("read_noise", "dark_signal") and m.unit == "DN") or m.stack in [
+        entry.label for entry in session.of_kind("dark")
+    ]
+    effect = "part of the pixels of an uneven flat are full, which lowers mean and variance"
+    full = finding("saturated", effect, "`method` uneven-scene, or flats of less light")
+    return m if of_darks or m.value is None else judge(m, [full])
 
 
 def _has_small_white_frames(session: Session, context: Context) -> bool:
