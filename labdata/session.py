@@ -121,8 +121,8 @@ class StackEntry:
     lost_frames: int = 0  #: Number of frames that the camera numbered and that were not recorded
     losses: tuple[LostFrames, ...] = ()  #: Their numbers and causes, where known
     notes: tuple[str, ...] = ()  #: Remarks of the manifest
-    #: Damage and gaps in the record of the frames, and what the headers of the files contradict
-    record_notes: tuple[str, ...] = ()
+    record_notes: tuple[str, ...] = ()  #: Damage and gaps in the record of the frames
+    header_notes: tuple[str, ...] = ()  #: Contradictions of the headers, and exposures added up
     from_headers: tuple[str, ...] = ()  #: Names of the conditions that the headers state
     bit_depth: int | None = None  #: Bits of the digitiser; None if unknown
     sensor: str | None = (
@@ -369,7 +369,9 @@ def session_of(folder: Path, form: SessionFile) -> Session:
             *form.notes,
             *_superfluous_targets(stacks),
             *_conditions_of_headers(stacks),
-            *dict.fromkeys(note for entry in stacks for note in entry.record_notes),
+            *dict.fromkeys(
+                note for entry in stacks for note in (*entry.record_notes, *entry.header_notes)
+            ),
         ),
     )
 
@@ -433,7 +435,8 @@ def _entry(stack: StackRecord, form: SessionFile, folder: Path) -> StackEntry:
         lost_frames=(stack.lost_frames or 0) + lost_frames,
         losses=stack.lost,
         notes=stack.notes if stack.doubt is None else (*stack.notes, stack.doubt),
-        record_notes=(*record_notes, *header_notes),
+        record_notes=record_notes,
+        header_notes=header_notes,
         bit_depth=form.bit_depth if stack.bit_depth is None else stack.bit_depth,
         sensor=stack.sensor,
         # The stacks of a manifest are frames by definition.

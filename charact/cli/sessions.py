@@ -146,6 +146,8 @@ def _analyse(
                 f"charact import frames {source} OUT --kind point"
             )
         measured = source if image else open_session_only(source)
+        if not image:
+            _print_doubts(measured, events=events)
         analysis = getattr(measuring, room)
         with progress_bar(events=events) as progress:
             result = analysis(measured, progress=progress, **of(analysis, settings))
@@ -211,18 +213,25 @@ def measure(session: SessionFolder, **settings: Any) -> None:
         )
 
 
+def _print_doubts(session: "Session", *, events: bool) -> None:
+    """Print which fields of targets are not used, and what headers of files contradict."""
+    from labdata.session import UNUSED
+
+    of_headers = {note for entry in session.stacks for note in entry.header_notes}
+    for note in session.notes:
+        if UNUSED in note or note in of_headers:
+            print_message(note, events=events)
+
+
 def measure_folder(
     folder: Path, *, events: bool = False, save: bool = False, **settings: Any
 ) -> "Result":
     """Measure a session; `save`: store the result in it."""
     from charact.session_measurement import with_inputs
     from labdata import result_io
-    from labdata.session import UNUSED
 
     session = open_session_only(folder)
-    for note in session.notes:
-        if UNUSED in note:
-            print_message(note, events=events)
+    _print_doubts(session, events=events)
     with progress_bar(events=events) as progress:
         result = with_inputs(measuring.measure(session, progress=progress, **settings), session)
     if save:

@@ -20,6 +20,7 @@ from labdata.importers.axes import COL, FRAME, ROW, Recorded
 from labdata.importers.headers import NOTHING, Stated, number_of, stated
 from labdata.importers.parts import Part, choose, whole_frames
 
+MOST_HEADER_BYTES = 2**26  # Texts of a section hold a line of calibration for each frame
 MAGIC = b"Andor Technology Multi-Channel File"
 LAYOUT = re.compile(
     rb"6\d{4} \d{1,9} \d{1,9} \d{1,9} \d{1,9} (\d{1,9}) (\d{1,4}) (\d{1,18}) (\d{1,12}) *\r?\n"
@@ -69,7 +70,7 @@ def _section(path: Path, extension: str | None) -> tuple[_Section, tuple[str, ..
         raise BadInput(f"a .sif file must be a file of Andor Solis, got something else in {path}")
     sections: list[_Section] = []
     end = len(MAGIC)
-    while (match := LAYOUT.search(content, end)) is not None:
+    while (match := LAYOUT.search(content, end, end + MOST_HEADER_BYTES)) is not None:
         section = _section_of(match, content[end : match.start()].tobytes(), content)
         end = match.end()
         if section is not None:

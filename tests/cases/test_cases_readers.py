@@ -464,7 +464,10 @@ def test_a_session_precedes_the_header_and_a_contradiction_is_told(tmp_path):
     assert found == {"exposure_s": 0.05, "temperature_c": -69.5}
     (note,) = notes
     assert "exposure_s 0.05 by the session and 0.02 by the headers" in note
+    done = run("noise", tmp_path, "--quick")
+    assert "exposure_s 0.05 by the session and 0.02 by the headers" in done.stderr
     assert not stated_by(tmp_path / "a.sif", exposure_s=0.02, temperature_c=-70)[1]
+    assert "headers" not in run("noise", tmp_path, "--quick").stderr
 
 
 def test_files_of_a_stack_that_contradict_each_other_give_no_condition(tmp_path):
