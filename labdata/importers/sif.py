@@ -26,8 +26,8 @@ LAYOUT = re.compile(
     rb"6\d{4} \d{1,9} \d{1,9} \d{1,9} \d{1,9} (\d{1,9}) (\d{1,4}) (\d{1,18}) (\d{1,12}) *\r?\n"
     rb"((?:6\d{4}(?: \d{1,9}){6,7} *\r?\n)+)"
 )
-# First version whose header states the gate's step and whether the gain is that of the register
-WITH_GATE_STEP, WITH_REAL_GAIN = 65542, 65553
+# First version whose header states whether the gain is that of the register
+WITH_REAL_GAIN = 65553
 ACCUMULATE, KINETICS = 2, 3  # Acquisition modes whose frames may be sums
 INTENSIFIED = b"DH"  # First letters of the heads with an intensifier, iStar
 # First line of a section: version, temperature, five bytes with blanks, the fields from the twelfth
@@ -119,10 +119,10 @@ def conditions(path: Path, extension: str | None = None) -> Stated:
     if first is None:
         return NOTHING
     version, temperature_c, mode = int(first[1]), number_of(first[2]), first[3][6]
-    fields = [number_of(word) or 0.0 for word in first[4].split(b" ")]
-    fields = [0.0] * 11 + fields + [0.0] * 60
-    if version < WITH_GATE_STEP:  # the fields behind the gate stand one place earlier
-        fields.insert(24, 0.0)
+    # Older versions have fewer fields; what is no number is unknown.
+    fields: list[float] = [math.nan] * 71
+    for at, word in enumerate(first[4].split(b" ")[:60], 11):
+        fields[at] = math.nan if (number := number_of(word)) is None else number
     gain, gate_ps, register = fields[21], fields[23], fields[50] == 1 and fields[42] == 0
     values: dict[str, float | None] = {"exposure_s": fields[12]}
     values["temperature_c"] = fields[47] if temperature_c == -999 else temperature_c

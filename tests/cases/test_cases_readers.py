@@ -369,6 +369,10 @@ HEADERS = {
         lambda path: write_sif(path, FRAMES, version=65540, temperature_c=-20.0),
         {"exposure_s": 0.02, "temperature_c": -20.0},
     ),
+    "unstable.sif": (
+        lambda path: write_sif(path, FRAMES, version=65548, temperature_c=-999.0),
+        {"exposure_s": 0.02},
+    ),
     "istar.sif": (
         lambda path: write_sif(path, FRAMES, head="DH734_18mm", gain=180, gate_ps=750000.0),
         {"exposure_s": 0.02, "temperature_c": -70.0, "gain_control": 180.0, "gate_ns": 750.0},
