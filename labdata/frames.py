@@ -121,6 +121,34 @@ class FrameStack:
         return replace(self, data=self.data[:, row : row + height, col : col + width], origin=first)
 
 
+def concatenated(parts: list[FrameStack], label: str) -> FrameStack:
+    """Return the stacks of several files as one stack."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    if shapes := {part.shape[1:] for part in parts} - {first.shape[1:]}:
+        raise BadInput(
+            f"all files of a stack must have one picture size, got {first.shape[1:]} and "
+            f"{min(shapes)} in {label!r}"
+        )
+    return replace(
+        first,
+        data=np.concatenate([part.data for part in parts]),
+        time_s=_all_or_none([part.time_s for part in parts], parts),
+        frame_number=_all_or_none([part.frame_number for part in parts], parts),
+        lost_frames=sum(part.lost_frames for part in parts),
+        full_scale_dn=max(
+            (known for part in parts if (known := part.full_scale_dn) is not None), default=None
+        ),
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )
+
+
+def _all_or_none(arrays: list[NDArray], parts: list[FrameStack]) -> NDArray:
+    complete = all(len(array) == len(part) for array, part in zip(arrays, parts, strict=True))
+    return np.concatenate(arrays) if complete else arrays[0][:0]
+
+
 @dataclass(frozen=True, kw_only=True)
 class LazyStack:
     """Frames that are read on demand."""

@@ -7,14 +7,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from labdata.camera.description import Camera
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions, conditions_of, flat_conditions
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
-from labdata.frames import FrameStack, View
+from labdata.frames import FrameStack, View, concatenated
 from labdata.sensors import load_camera
 from labdata.serialiser import from_toml
 from labdata.target import Kind, Target
@@ -151,7 +149,7 @@ class StackEntry:
         """
         unknown = self.bit_depth is None
         parts = [self._read_file(path, plane or self.plane, unknown) for path in self.paths]
-        stack = _concatenate(parts, self.label)
+        stack = concatenated(parts, self.label)
         if stack.origin != (0, 0) and self.target.region is not None:
             raise BadInput(
                 "a region must count from the first pixel that is read, got frames whose border "
@@ -217,34 +215,6 @@ class LoadedStackEntry(StackEntry):
         camera.
         """
         return self.kept.plane, self.kept.sample_pitch_px
-
-
-def _concatenate(parts: list[FrameStack], label: str) -> FrameStack:
-    """Return the stacks of several files as one stack."""
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    if shapes := {part.shape[1:] for part in parts} - {first.shape[1:]}:
-        raise BadInput(
-            f"all files of a stack must have one picture size, got {first.shape[1:]} and "
-            f"{min(shapes)} in {label!r}"
-        )
-    return replace(
-        first,
-        data=np.concatenate([part.data for part in parts]),
-        time_s=_all_or_none([part.time_s for part in parts], parts),
-        frame_number=_all_or_none([part.frame_number for part in parts], parts),
-        lost_frames=sum(part.lost_frames for part in parts),
-        full_scale_dn=max(
-            (known for part in parts if (known := part.full_scale_dn) is not None), default=None
-        ),
-        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
-    )
-
-
-def _all_or_none(arrays: list[np.ndarray], parts: list[FrameStack]) -> np.ndarray:
-    complete = all(len(array) == len(part) for array, part in zip(arrays, parts, strict=True))
-    return np.concatenate(arrays) if complete else arrays[0][:0]
 
 
 def _agreeing(first: Conditions, other: Conditions) -> tuple[str, ...]:
