@@ -6,12 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from charact.estimators.mtf.curve import FINE, CurveFinding, Undo
-from charact.estimators.mtf.edge.pixels.line import (
-    bow_of,
-    field_displacement,
-    is_significant,
-    rms_of,
-)
+from charact.estimators.mtf.edge.pixels.bow import bow_of, rms_of
+from charact.estimators.mtf.edge.pixels.line import field_displacement, is_significant
 from charact.estimators.mtf.edge.pixels.plateau_noise import noise_flags
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.pixels.profile import DEFECT_SD, EdgeProfile
@@ -80,7 +76,9 @@ def edge_findings(
     picture, profile = edge.picture, edge.profile
     if edge.picture.stack.is_clipped():
         yield EdgeFinding(flag="clipped", effect=_clipping(edge))
+    bend = edge.rows.line.bend
     travel_px = abs(edge.rows.line.slope) * picture.value.shape[0]
+    travel_px += 0.0 if bend is None else float(np.ptp(bend))
     if travel_px < THRESHOLDS.min_travel_px:
         effect = (
             f"the edge crosses {travel_px:.1f} pixels along its length: gaps between them are not "
@@ -89,11 +87,11 @@ def edge_findings(
         yield EdgeFinding(flag="tilt-too-small", effect=effect)
     rough, bow_px = edge.roughness, rms_of(bow_of(edge.rows.offset))
     if rough.moves or bow_px > 0.0:
-        shape = "its line" if edge.rows.line.bend is not None else "a straight line"
+        shape = "its line" if bend is not None else "a straight line"
         rms_px = max(rough.rms_px if rough.moves else 0.0, bow_px)
         yield curved_finding(f"the edge deviates from {shape} by", rms_px, "beyond the noise")
-    elif edge.rows.line.bend is not None:
-        bend_px = float(np.std(edge.rows.line.bend))
+    elif bend is not None:
+        bend_px = float(np.std(bend))
         effect = f"the edge bends by {bend_px:.2g} px rms and its line follows, to"
         yield curved_finding(effect, THRESHOLDS.followed_bend * bend_px, "")
     if is_significant(displacement_of_fields(edge)):

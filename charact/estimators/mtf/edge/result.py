@@ -20,6 +20,7 @@ from charact.estimators.mtf.edge.checks import (
 from charact.estimators.mtf.edge.nonlinearity import CurvatureEstimate, response_bias
 from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
 from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
+from charact.estimators.mtf.edge.pixels.rim import Rim
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.thresholds import LIMITS
@@ -58,7 +59,7 @@ def measure_by_fit(
     quickly
         Whether wider bins serve where noise hides what narrow ones would show.
     """
-    edge = prepare_edge(stack, region, context, quickly=quickly, fields_apart=True)
+    edge = prepare_edge(stack, region, context, quickly=quickly, fields_apart=True, closed=True)
     if isinstance(edge, EdgeRefusal):
         return refuse_edge(method, edge, context.seed)
     return fit(edge, context)
@@ -167,7 +168,9 @@ def shared_fields(
         "notes": (*edge.notes, *notes),
         "region": edge.where,
         # Direction of the edge's normal from the row direction, in [0, 180).
-        "orientation_deg": (90.0 - tilt if edge.picture.transposed else tilt) % 180.0,
+        "orientation_deg": None
+        if isinstance(edge.rows.line, Rim)
+        else (90.0 - tilt if edge.picture.transposed else tilt) % 180.0,
         "provenance": provenance,
     }
 
@@ -212,7 +215,7 @@ def edge_result(
             "degrees_of_freedom": fitted.free,
             "orientation_deg": shared["orientation_deg"],
         }
-    measurements = (*numbers, angle)
+    measurements = (*numbers, *([] if isinstance(edge.rows.line, Rim) else [angle]))
     if findings:
         modulus = _modulus_at_fine(curve)
         measurements = tuple(

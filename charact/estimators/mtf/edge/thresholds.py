@@ -15,6 +15,10 @@ class EdgeThresholds:
     bow_px: float = 0.12  # Bow or wave that matters to MTF50, px (simulated edges)
     # Fraction of a bend that a line which follows it misses (simulated edges of 1 to 3 px sagitta)
     followed_bend: float = 0.05
+    # Scatter of a closed edge's sectors about its harmonics, px: squares of 30 px leave 1
+    rim_scatter_px: float = 0.3
+    rim_ovality: float = 0.15  # Amplitudes of its harmonics, fraction of its radius
+    rim_unevenness: float = 0.6  # Range of the values on a side of it, fraction of the step
     # Pixels that the edge crosses along its length: fewer leave gaps between samples
     min_travel_px: float = 1.0
     # Reduced chi squared that a sufficient blur model reaches (simulated edges)
@@ -132,6 +136,9 @@ class EdgeAccuracy:
     """Bounds draws, iterations, windows and tolerances."""
 
     bow_blocks: int = 12  # Blocks of rows whose scatter tests for a bow
+    rim_reach_px: float = 8.0  # Distance from a closed edge of pixels that place it, px
+    rim_iterations: int = 4  # Gauss-Newton steps that place it
+    rim_sectors: int = 32  # Sectors whose scatter tests its shape
     bow_lags: int = 5  # Lags at which displacements of rows may be correlated, rows
     # Distance from the edge of pixels that show a displacement of fields, px
     field_distance_px: float = 8.0

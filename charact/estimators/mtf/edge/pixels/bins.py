@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.pixels.line import EdgeLine
 from charact.estimators.mtf.edge.pixels.noise_model import NARROWEST_PX
+from charact.estimators.mtf.edge.pixels.rim import Rim
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.frames.robust import median
 
@@ -65,7 +66,7 @@ class BinnedPixels:
 
 def bin_pixels(
     picture: OrientedFrame,
-    line: EdgeLine,
+    line: EdgeLine | Rim,
     half_width_px: float,
     masked: NDArray[np.bool_] | None = None,
 ) -> BinnedPixels:

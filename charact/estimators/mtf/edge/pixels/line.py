@@ -3,14 +3,19 @@ displacements of fields.
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.estimators.mtf.edge.pixels.bow import bow_of
+from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.frames.robust import NORMAL, median, robust_sd
 from charact.frames.stack import Stack
+
+if TYPE_CHECKING:
+    from charact.estimators.mtf.edge.pixels.rim import Rim
 
 Array = NDArray[np.float64]
 
@@ -22,8 +27,8 @@ ROW_REACH_PX, CELLS_PER_PX = 14.0, 4
 # Cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell).
 CELLS_PX = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
 SMOOTHING = np.exp(-0.5 * ((CELLS_PX[:, None] - CELLS_PX) / 0.5) ** 2)
-# Times a line is bent after its edge; 2 k + 1 of the polynomials that bend it.
-MAX_BENDS, LEGENDRE_ORDERS = 3, np.array([5.0, 7.0])
+# Times a line is bent after its edge.
+MAX_BENDS = 3
 # Displacement of the odd lines against the even ones, px, and its standard uncertainty.
 Displacement = tuple[float, float]
 
@@ -222,14 +227,14 @@ class RowFit:
     Parameters
     ----------
     line
-        The refined line.
+        The refined line, or the rim of a disc.
     offset
         Displacement of each row's edge from the line, shape (row,), px.
     offset_sd
         Their scatter, px.
     """
 
-    line: EdgeLine
+    line: "EdgeLine | Rim"
     offset: Array
     offset_sd: float
 
@@ -284,54 +289,6 @@ def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
         return RowFit(line=line, offset=offset, offset_sd=np.inf)
     offset = np.where(usable, offset - shift - turn * row, np.nan)
     return RowFit(line=line, offset=offset, offset_sd=robust_sd(offset[usable]))
-
-
-def rms_of(coefficients: Array) -> float:
-    """Return the root mean square of Legendre polynomials of the second and third order."""
-    return float(np.sqrt(np.sum(coefficients**2 / LEGENDRE_ORDERS)))
-
-
-def bow_of(offset: Array) -> Array:
-    """Return the bow and wave that the rows' displacements follow: amplitudes of the second and
-    third Legendre polynomial over the rows that have one, px; 0: none.
-
-    The scatter of block means is estimated from rows, with the correlation of neighbouring rows
-    (Geyer's initial positive sequence, Stat. Sci. 7, 473, 1992), and from differences of
-    neighbouring blocks; the largest counts.
-    """
-    finite = np.isfinite(offset)
-    if np.count_nonzero(finite) < 24:
-        return np.zeros(2)
-    rows, value = np.flatnonzero(finite), offset[finite]
-    # The polynomials span exactly the valid rows: beyond them they would grow.
-    design = np.polynomial.legendre.legvander(
-        2.0 * (rows - rows[0]) / (rows[-1] - rows[0]) - 1.0, 3
-    )
-    begin = np.arange(ACCURACY.bow_blocks) * value.size // ACCURACY.bow_blocks
-    size = np.diff(begin, append=value.size)
-    means = np.add.reduceat(value, begin) / size
-    row_variance = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
-    coefficients = np.linalg.lstsq(design, value, rcond=None)[0]
-    residual = value - design @ coefficients
-    differences = 0.5 * median(np.diff(means) ** 2) / 0.455
-    shared = np.array(
-        [
-            float(np.mean(residual[:-lag] * residual[lag:]))
-            for lag in range(1, ACCURACY.bow_lags + 1)
-        ]
-    )
-    correlated = float(np.mean(residual**2)) + 2.0 * float(
-        np.sum(shared[np.cumprod(shared > 0.0).astype(bool)])
-    )
-    error = np.sqrt(
-        max(row_variance, differences, correlated / value.size * ACCURACY.bow_blocks)
-        * ACCURACY.bow_blocks
-    )
-    # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
-    sd = error / ACCURACY.bow_blocks * np.sqrt(LEGENDRE_ORDERS)
-    shape = np.abs(coefficients[2:])
-    is_bow = np.any((shape > THRESHOLDS.bow_sd * sd) & (shape > THRESHOLDS.bow_px / 1.5))
-    return coefficients[2:] if is_bow else np.zeros(2)
 
 
 def _near_columns(line: EdgeLine, across: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -31,6 +31,7 @@ from charact.estimators.mtf.edge.pixels.profile import (
     centre_line,
     profile_of,
 )
+from charact.estimators.mtf.edge.pixels.rim import Rim, find_rim
 from charact.estimators.mtf.edge.pixels.roughness import measure_roughness
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, Region
@@ -84,6 +85,8 @@ class PreparedEdge:
     @cached_property
     def target_motion(self) -> TargetMotion:
         """Displacement across the edge from frame to frame."""
+        if isinstance(self.rows.line, Rim):
+            return TargetMotion()
         across = self.rows.line.across(self.picture.value.shape)
         row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
         normal = across * np.cos(self.profile.angle_rad)
@@ -94,6 +97,8 @@ class PreparedEdge:
     @cached_property
     def roughness(self) -> TargetMotion:
         """Deviation from a straight line along its length, the same in all frames."""
+        if isinstance(self.rows.line, Rim):
+            return TargetMotion()
         return measure_roughness(self.picture, self.profile)
 
     @cached_property
@@ -157,6 +162,7 @@ def prepare_edge(
     *,
     quickly: bool = False,
     fields_apart: bool = False,
+    closed: bool = False,
 ) -> PreparedEdge | EdgeRefusal:
     """Find the one edge of a region or, where the frame shows more, its most prominent one.
 
@@ -167,6 +173,8 @@ def prepare_edge(
     fields_apart
         Whether the two fields of an interlaced frame are taken each at its own position, where the
         edge moved between them; else that is left to be flagged.
+    closed
+        Whether the edge may be the rim of a disc.
     """
     stack = Stack.of(frames if region is None else frames.region(*region), context)
     row, col, *_ = region or (0, 0)
@@ -178,6 +186,9 @@ def prepare_edge(
             reason = f"an edge needs a region of at least 8 x 8 px, got {height} x {width}"
             return EdgeRefusal(reason=reason, where=where, flag="window-too-small")
         picture, coarse = find(stack)
+        rim = find_rim(picture) if closed and not cut else None
+        if rim is not None:
+            break
         part = (
             edge_extent(picture, coarse) if min(height, width) >= 2 * MIN_ROWS and not cut else None
         )
@@ -189,6 +200,15 @@ def prepare_edge(
             True,
         )
         height, width = part[2:]
+    if rim is not None:
+        profile = profile_of(picture, rim, WIDEST_PX, quickly=quickly)
+        apart = np.full(picture.value.shape[0], np.nan)
+        note = (
+            f"The edge is a closed curve of {rim.radii[0]:.1f} px mean radius: the MTF is that of "
+            "all directions."
+        )
+        rows = RowFit(line=rim, offset=apart, offset_sd=np.inf)
+        return PreparedEdge(where=where, picture=picture, rows=rows, profile=profile, notes=(note,))
     rows = refine(picture, coarse)
     if context.interlaced and fields_apart:
         rows = separate_fields(picture, rows)

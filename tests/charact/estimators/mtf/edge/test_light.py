@@ -8,7 +8,8 @@ from scipy.ndimage import gaussian_filter
 
 from charact.estimators import mtf
 from charact.estimators.mtf import prepare_edge
-from charact.estimators.mtf.edge.pixels import line, noise_model
+from charact.estimators.mtf.edge.pixels import bow as bows
+from charact.estimators.mtf.edge.pixels import noise_model
 from charact.estimators.mtf.edge.pixels import profile as edge_profile
 from charact.method import Context
 from labdata import FrameStack
@@ -183,10 +184,10 @@ def test_rows_that_share_noise_make_no_bow(tied, seed):
     place = np.linspace(-1.0, 1.0, 96)
     design = np.polynomial.legendre.legvander(place, 1)
     course -= (course @ np.linalg.pinv(design).T) @ design.T
-    assert np.mean([line.bow_of(one).any() for one in course]) <= 0.006
+    assert np.mean([bows.bow_of(one).any() for one in course]) <= 0.006
     error = course.std() * np.sqrt((3.0 if tied else 1.0) / 96 * 5.0)
     bow = 8.0 * error * np.polynomial.legendre.legval(place, [0.0, 0.0, 1.0])
-    assert np.mean([line.bow_of(one + bow).any() for one in course[:200]]) > 0.95
+    assert np.mean([bows.bow_of(one + bow).any() for one in course[:200]]) > 0.95
 
 
 @pytest.mark.parametrize(
