@@ -145,6 +145,10 @@ class SlowBench(_Opened):
         """Nobody waits."""
         return nullcontext()
 
+    def slack_s(self) -> float:
+        """The machine is idle."""
+        return 0.0
+
     def safe_at_once(self) -> None:
         """Nothing is on."""
 

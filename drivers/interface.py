@@ -156,6 +156,10 @@ class Bench(Protocol):
         """Suspend the heartbeat for a time; the gate must be shut."""
         ...
 
+    def slack_s(self) -> float:
+        """Return the time by which limits grow on a busy machine, s."""
+        ...
+
     def safe(self) -> None:
         """Shut the gate and order the high voltage off."""
 

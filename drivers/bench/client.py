@@ -188,6 +188,10 @@ class BenchClient:
         finally:
             self._stamp_s = time.monotonic()
 
+    def slack_s(self) -> float:
+        """Return the time by which limits grow on a busy machine, s."""
+        return self._delay.slack_s()
+
     def safe(self) -> None:
         """Make the tube safe now; BenchError if not verified. The bench stays usable if nothing
         failed.

@@ -67,6 +67,10 @@ class LocalBench(TubeBench):
                 self.look(role)
         super().check()
 
+    def slack_s(self) -> float:
+        """Return 0: nobody measures the delay of this process."""
+        return 0.0
+
     def safe(self) -> None:
         """Make the tube safe now; BenchError if not verified. The bench stays usable if nothing
         failed.

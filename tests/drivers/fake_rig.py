@@ -130,6 +130,9 @@ class FakeBench(_Opened):
     def patience(self, seconds: float) -> AbstractContextManager[None]:
         return nullcontext()
 
+    def slack_s(self) -> float:
+        return 0.0
+
     def safe_at_once(self) -> None:
         self.rig.gate_open, self.rig.mcp_v = False, 0.0
 

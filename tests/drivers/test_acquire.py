@@ -28,6 +28,7 @@ from labdata import (
     read_events,
     read_plan,
 )
+from labdata.storage_thread import Storage
 from tests.drivers import fake_rig
 
 FakeRig = fake_rig.FakeRig
@@ -457,6 +458,14 @@ def test_frames_lost_in_a_run_that_broke_off_are_recorded_too(tmp_path):
     entry = open_session(tmp_path / "s").stack("low")
     assert [(one.first, one.last) for one in entry.losses] == [(1, 2), (1, 3)]
     assert entry.lost_frames == 5
+
+
+def test_a_disk_may_take_longer_on_a_busy_machine(tmp_path, monkeypatch):
+    monkeypatch.setattr(Storage, "stall_s", 1.5)
+    with pytest.raises(BadInput, match=r"must take a frame within 1\.2 s, got 1\.5 s without one"):
+        take(FakeRig(), tmp_path / "idle")
+    (busy := FakeRig()).bench.slack_s = lambda: 0.5
+    assert len(take(busy, tmp_path / "busy").stacks) == 3
 
 
 def test_a_full_disk_shuts_the_gate_first_and_keeps_what_was_stored(tmp_path, monkeypatch):
