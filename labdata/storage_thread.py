@@ -183,7 +183,7 @@ class Storage:
             self._close_stack()
             self._reserve.release()
         except OSError as error:
-            self.failure = self.failure or error
+            self.failure = self.failure or _refusal_of(error)
         with self._turn:
             self._idle = self._ended = True
             self._turn.notify_all()
@@ -230,13 +230,23 @@ class Storage:
         with self._turn:
             jobs += self._jobs
             self._jobs.clear()
-            self.failure = self.failure or error
+            cause = _refusal_of(error) if isinstance(error, OSError) else error
+            self.failure = self.failure or cause
         self._reserve.release()
         for stack in dict.fromkeys(job.stack for job in jobs if job.stack is not None):
             numbers = [
                 job.frame.number for job in jobs if job.stack is stack and job.frame is not None
             ]
             stack.record_lost(lost_frames_with_reason(f"not stored: {error}", numbers))
+
+
+def _refusal_of(error: OSError) -> BadInput:
+    """Return the sentence for a disk that does not take a file of the session."""
+    file = f" at {error.filename}" if error.filename else ""
+    return BadInput(
+        f"the disk must take what a session records, got {error.strerror!r}{file}; make room or "
+        "mend the disk, then resume"
+    )
 
 
 @dataclass(frozen=True)

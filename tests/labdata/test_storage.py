@@ -112,6 +112,15 @@ def test_a_queue_that_stays_full_ends_in_a_sentence_and_the_frame_has_a_reason(w
     assert "did not keep up" in entry.losses[0].reason
 
 
+def test_a_disk_that_is_full_before_the_first_frame_ends_in_a_sentence_too(writer, monkeypatch):
+    disk = Disk(monkeypatch)
+    refusal = "the disk must take what a session records, got 'No space left on device'"
+    with pytest.raises(BadInput, match=refusal), Storage(writer) as storage:
+        disk.full = True
+        begun(storage)
+        storage.wait()
+
+
 def test_a_full_disk_ends_the_writing_and_every_frame_that_waited_has_number_and_reason(
     writer, monkeypatch
 ):
