@@ -40,8 +40,10 @@ class RimThresholds:
     model_error: float = 3e-3
     # Cost of a rim where no tube is known that makes one: ln of a hundred rings and one to three.
     cost: float = 6.0
+    # Cost of a rim of any width: three more of its amplitudes.
+    cost_of_any: float = 20.0
     # Blur of a step that is no edge, px, and standard deviations of the core.
-    soft_px: float = 3.0
+    soft_px: float = 4.0
     soft_cores: float = 2.0
     # Error of a radius by the centre and the shape of pixels, px.
     error_px: float = 0.02

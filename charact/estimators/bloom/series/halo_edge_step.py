@@ -23,6 +23,8 @@ from labdata import Array
 
 # Standard deviations of the blurs, px.
 BLURS_PX = np.geomspace(0.5, 5.0, 14)
+# Widths of rings that with discs are rims of any other kind, px.
+RIM_PX = np.array([3.0, 6.0])
 # Blur of the kink, whose own hardly shows, px.
 KINK_BLUR_PX = np.array([1.2])
 # Half width of the window, px and fraction of the radius; rings next to the edge do not count as
@@ -30,8 +32,8 @@ KINK_BLUR_PX = np.array([1.2])
 HALF_WINDOW_PX, HALF_WINDOW, ON_EDGE_PX = 10.0, 0.5, 1.5
 # Degrees of the smooth curve, and that of the curve without a step, which has as many terms.
 DEGREES, DEGREE_ALONE = (2, 3, 4, 5), 6
-# Degrees with discs alone, and with discs and rims.
-MODELS = [(degree, parts) for degree in DEGREES for parts in (1, 2)]
+# Degrees with discs alone, with the rim of a tube, and with any rim.
+MODELS = [(degree, parts) for degree in DEGREES for parts in (1, 2, 2 + len(RIM_PX))]
 # Distance from the most significant radius within which the edge is sought, px.
 SEARCH_PX = 3.0
 
@@ -91,7 +93,9 @@ def parts_of(radius_px: Array, series: RingSeries, pitch_ratio: float) -> Parts:
     """
     u = 2.0 * np.pi * radius_px[:, None] * FREQUENCIES
     (flat, slope), area = disc(u), np.pi * radius_px[:, None] ** 2
-    bare = np.stack([area * flat, area * np.sinc(u / np.pi)], axis=1)[:, :, None]
+    inner_px = np.maximum(radius_px[:, None] - RIM_PX[:, None, None], 0.0)
+    rings = area * flat - np.pi * inner_px**2 * disc(2.0 * np.pi * inner_px * FREQUENCIES)[0]
+    bare = np.stack([area * flat, area * np.sinc(u / np.pi), *rings], axis=1)[:, :, None]
     blurs = spreads.gaussian(FREQUENCIES, BLURS_PX**2) * pixel_of(pitch_ratio)
     steps = (bare * blurs).reshape(len(u), -1, FREQUENCIES.size)
     # Sonine: the transform of 1 - x^2 is 8 J2(u)/u^2, and the slope of the disc's is -2 J2(u)/u.
@@ -175,7 +179,8 @@ def rim_of(series: RingSeries, *, pitch_ratio: float, has_tube: bool) -> Rim | N
     chi^2 of a stack is divided by that of its best model per degree of freedom, and where the
     stacks disagree the radii spread by the root of their chi^2 (Birge 1932).
     """
-    levels, rim_cost = range(len(series.labels)), 0.0 if has_tube else RIM.cost
+    levels = range(len(series.labels))
+    rim_cost = {1: 0.0, 2: 0.0 if has_tube else RIM.cost, 2 + len(RIM_PX): RIM.cost_of_any}
     scan_px = np.arange(SEARCH_PX + KINK_BLUR_PX[0], series.radius_px[-1] - SEARCH_PX)
     steps, kinks = parts_of(scan_px, series, pitch_ratio)
     gains = np.full((len(scan_px), len(levels)), np.nan)
@@ -207,7 +212,7 @@ def rim_of(series: RingSeries, *, pitch_ratio: float, has_tube: bool) -> Rim | N
         chi2 = np.array([[CubicSpline(radii, chi2)(fine) for chi2, _ in fit] for fit in fits])
         freedom = [[window.freedom(degree) for window in windows.values()] for degree, _ in MODELS]
         chi2 /= np.maximum((chi2.min(axis=2) / freedom).min(axis=0), 1.0)[:, None]
-        cost = [2.0 * degree * len(windows) + (rims - 1.0) * rim_cost for degree, rims in MODELS]
+        cost = [2.0 * degree * len(windows) + rim_cost[rims] for degree, rims in MODELS]
         ln = -0.5 * (chi2.sum(axis=1) + np.array(cost)[:, None])
         probability = np.exp(ln - ln.max()).sum(axis=0)
         centre_px, sd_px = moments(fine, probability)
