@@ -13,6 +13,7 @@ from charact.estimators.mtf.bars.amplitudes import (
 )
 from charact.estimators.mtf.bars.bar_image_model import BarLikelihood
 from charact.estimators.mtf.bars.checks import (
+    bound_lost_light,
     clipping_findings,
     findings_of_fit,
     findings_of_sums,
@@ -213,8 +214,8 @@ def _sample_measurement(
         posterior=posterior,
         mtf=mtf,
         findings=(
-            *target_findings,
-            *findings_of_fit(fit, problem),
+            *bound_lost_light(target_findings, [model for _, model, _ in forms], margin),
+            *findings_of_fit(fit, problem, margin),
             *response_findings(response, float(np.mean(mtf))),
             # White clips where there is light, black mostly where there is none.
             *clipping_findings(stack, (lit, problem.window), fit),

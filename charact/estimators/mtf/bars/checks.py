@@ -58,22 +58,27 @@ def finding(flag: str, effect: str, remedy: str | None = None) -> Finding:
     return Finding(flag=flag, effect=effect, remedy=remedy or REMEDIES[flag])
 
 
-def sharpening(fit: BarFit) -> float:
-    """Return the fraction of a blurred copy of the bars that is missing, 0 where not
-    significant.
+def sharpening(fit: BarFit, margin_px: float) -> float:
+    """Return the fraction of a blurred copy of the bars that is missing, 0 where not significant.
+
+    A camera that sharpens takes light off at all distances up to the margin of the window; a blur
+    of slightly another form takes it from one distance to another, and must do so more clearly.
     """
+    widths = [width for width in ACCURACY.copy_widths_px if width <= max(margin_px, 2.0)]
     weight = 1.0 / np.maximum(fit.noise.variance, ACCURACY.min_variance * fit["level_dn"] ** 2)
     basis = np.linalg.qr((fit.slope * np.sqrt(weight)).T)[0]
-    spread = np.array([_blur_bars(fit, width) for width in (2.0, 4.0, 8.0)]) * np.sqrt(weight)
+    spread = np.array([_blur_bars(fit, width) for width in widths]) * np.sqrt(weight)
     free_spread = (spread - (spread @ basis) @ basis.T) * np.sqrt(weight)
     missing = -(free_spread @ fit.residual_dn)
     sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(free_spread, fit.window)), 0.0))
     response = np.sum(free_spread * spread / np.sqrt(weight), axis=1)
     free_fraction = np.sum((free_spread / np.sqrt(weight)) ** 2, axis=1) / np.sum(spread**2, axis=1)
+    independent = free_fraction > LIMITS.min_independent_fraction
+    moved = (missing < LIMITS.max_added_sd * sd)[independent].any()
     significant = (
-        (missing > LIMITS.min_sharpening_sd * sd)
+        (missing > (LIMITS.significant_sd if moved else LIMITS.min_sharpening_sd) * sd)
         & (missing > LIMITS.min_sharpening * response)
-        & (free_fraction > LIMITS.min_independent_fraction)
+        & independent
     )
     return float(np.max(np.where(significant, missing / response, 0.0)))
 
@@ -103,6 +108,30 @@ def window_findings(margin_px: float, least_px: float, *, crowded: bool = False)
             finding("window-too-small", f"{effect}: the MTF is too high by its fraction")
         )
     return findings
+
+
+def bound_lost_light(
+    findings: Iterable[Finding], fits: Iterable[BarFit], margin_px: float
+) -> list[Finding]:
+    """Return findings with the bound of a small window: the light that the widest of the blur
+    models has beyond it.
+
+    For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df, lost on
+    both pairs of sides.
+    """
+    f = (np.arange(4096) + 0.5) / 2048.0
+    kernel = np.sin(2.0 * np.pi * f * margin_px) / f / 2048.0
+    bound = 0.0
+    for fit in fits:
+        shape = fit.shape
+        parameters = float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two
+        core = np.exp(shape.form.ln(np.log(f / shape.reference), *parameters))
+        lost = 2.0 * (1.0 - 2.0 / np.pi * float(core @ kernel))
+        bound = max(bound, lost * shape.mtf)
+    return [
+        replace(doubt, bound=bound, sign=1) if doubt.flag == "window-too-small" else doubt
+        for doubt in findings
+    ]
 
 
 def clipping_findings(
@@ -230,7 +259,7 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
     return findings
 
 
-def findings_of_fit(fit: BarFit, problem: BarLikelihood) -> list[Finding]:
+def findings_of_fit(fit: BarFit, problem: BarLikelihood, margin_px: float) -> list[Finding]:
     """Return the findings of a fitted image: misfit, departure, sharpening, field motion, bar
     count, quantisation.
     """
@@ -255,7 +284,7 @@ def findings_of_fit(fit: BarFit, problem: BarLikelihood) -> list[Finding]:
             "image"
         )
         findings.append(finding("model-misfit", effect))
-    taken_off = sharpening(fit)
+    taken_off = sharpening(fit, margin_px)
     if taken_off > 0.0:
         effect = (
             f"{100 * taken_off:.1f} % of the light around the bars is missing: the MTF may "

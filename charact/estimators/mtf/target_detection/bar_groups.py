@@ -14,9 +14,8 @@ from charact.estimators.mtf.target_detection.smoothed_mean_frame import local_ma
 from charact.estimators.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from labdata import BadInput, FrameStack
 
-# Periods looked at outside the bars; mean over modulation of bars with dark gaps; the ground
-# outside them over their height; the first bar against the last.
-BEYOND = 0.8
+# Periods looked at outside the bars, and those that must be there.
+BEYOND, LEAST_BEYOND = 0.8, 0.35
 
 
 def matches_bars(
@@ -241,9 +240,9 @@ def _detections(picture: Array, bars: int) -> Iterator[_Detection]:
         response = _filter_amplitude(small, bars, period)
         # The median of a Rayleigh distribution is 1.1774 of its scale.
         spread = float(np.median(response)) / 1.1774
-        for row, col in _peaks(
-            response, max(THRESHOLDS.bar_filter_sd * spread, floor), bars, period
-        ):
+        # Bars that fill most of a picture are their own scatter.
+        required = min(THRESHOLDS.bar_filter_sd * spread, THRESHOLDS.clear_bars * float(high - low))
+        for row, col in _peaks(response, max(required, floor), bars, period):
             amplitude = float(response[row, col])
             yield _Detection(
                 row=(row + 0.5) * factor - 0.5,
@@ -358,12 +357,16 @@ def _strip(picture: Array, answer: _Detection, bars: int) -> tuple[NDArray, NDAr
     """
     half = max(1, round(0.25 * ACCURACY.central_fraction * ASPECT / answer.frequency))
     top, bottom = round(answer.row) - half, round(answer.row) + half + 1
-    half_width = (0.5 * bars + BEYOND) / answer.frequency
-    first_col, last_col = (
-        int(np.floor(answer.col - half_width)),
-        int(np.ceil(answer.col + half_width)) + 1,
-    )
-    if top < 0 or bottom > picture.shape[0] or first_col < 0 or last_col > picture.shape[1]:
+    # The background may end at the border of the frame.
+    reach, needed = ((0.5 * bars + beyond) / answer.frequency for beyond in (BEYOND, LEAST_BEYOND))
+    first_col = max(int(np.floor(answer.col - reach)), 0)
+    last_col = min(int(np.ceil(answer.col + reach)) + 1, picture.shape[1])
+    if (
+        top < 0
+        or bottom > picture.shape[0]
+        or first_col > answer.col - needed
+        or last_col - 1 < answer.col + needed
+    ):
         return None
     factor = max(1, int(1.0 / (answer.frequency * 2.0 * ACCURACY.pixels_per_period)))
     rows = picture[top:bottom, first_col : first_col + (last_col - first_col) // factor * factor]

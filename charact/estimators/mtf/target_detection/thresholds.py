@@ -14,6 +14,8 @@ class DetectionThresholds:
     max_bar_noise: float = 0.3  # Fraction of the profile's variance that may be noise
     modulation_sd: float = 5.0  # Significance of the modulation, standard errors
     bar_filter_sd: float = 7.0  # Filter amplitude over its robust scatter
+    # Filter amplitude over the range of the frame that needs no scatter; noise has seven of its own
+    clear_bars: float = 0.3
     min_bar_contrast: float = 0.01  # Modulation over the range of the frame
     min_bar_aspect: float = 3.5  # Length over width of a bar
     foreign_sd: float = 6.5  # Significance of a gradient that belongs to another object
