@@ -29,11 +29,12 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
         "edge-free": Description(
             "charact.estimators.mtf.edge.free",
             ("mtf50", "mtf10", "mtf", "edge_angle"),
-            "Straight edges tilted 1 to 45 degrees in any direction, step over 5 standard "
-            "deviations of the pixel noise, 60 rows and more, a line spread of any smooth shape "
-            "that ends inside the region. Normalises to the light inside the region: what tails "
-            "and halo carry beyond it is not seen. Noise costs it up to half as much again as a "
-            "method that knows the form.",
+            "Straight or gently bent edges tilted 1 to 45 degrees in any direction, and rims of "
+            "discs, step over 5 standard deviations of the pixel noise, 60 rows and more, a line "
+            "spread of any smooth shape, symmetric or not, that ends inside the region. A curved "
+            "response that the noise leaves possible widens its interval. Normalises to the light "
+            "inside the region: what tails and halo carry beyond it is not seen. Noise costs it up "
+            "to half as much again as a method that knows the form.",
         ),
         "edge-gradient": Description(
             "charact.estimators.mtf.edge.conventional",

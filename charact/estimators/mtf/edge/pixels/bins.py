@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.pixels.line import EdgeLine
 from charact.estimators.mtf.edge.pixels.noise_model import NARROWEST_PX
-from charact.estimators.mtf.edge.pixels.rim import Rim
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.frames.robust import median
 
@@ -66,7 +65,7 @@ class BinnedPixels:
 
 def bin_pixels(
     picture: OrientedFrame,
-    line: EdgeLine | Rim,
+    line: EdgeLine,
     half_width_px: float,
     masked: NDArray[np.bool_] | None = None,
 ) -> BinnedPixels:

@@ -3,7 +3,6 @@ displacements of fields.
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,6 @@ from charact.estimators.mtf.edge.thresholds import THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.frames.robust import NORMAL, median, robust_sd
 from charact.frames.stack import Stack
-
-if TYPE_CHECKING:
-    from charact.estimators.mtf.edge.pixels.rim import Rim
 
 Array = NDArray[np.float64]
 
@@ -234,7 +230,7 @@ class RowFit:
         Their scatter, px.
     """
 
-    line: "EdgeLine | Rim"
+    line: EdgeLine
     offset: Array
     offset_sd: float
 

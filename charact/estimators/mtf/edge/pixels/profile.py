@@ -14,7 +14,6 @@ from charact.estimators.mtf.edge.pixels.noise_model import (
     bin_covariance,
     correlation_of,
 )
-from charact.estimators.mtf.edge.pixels.rim import Rim
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame, usable_black_level
 from charact.estimators.mtf.nonlinearity import contrast_of
@@ -222,7 +221,7 @@ class EdgeProfile:
 
 
 def profile_of(
-    picture: OrientedFrame, line: EdgeLine | Rim, half_width_px: float, *, quickly: bool = False
+    picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, quickly: bool = False
 ) -> EdgeProfile:
     """Bin the pixels of an edge and estimate its noise from the residuals of its profile.
 

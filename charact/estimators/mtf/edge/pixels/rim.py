@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.mtf.edge.pixels.line import EdgeLine
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
 
@@ -27,7 +28,7 @@ def _waves(turn: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rim:
+class Rim(EdgeLine):
     """A closed edge about a centre.
 
     Parameters
@@ -38,14 +39,16 @@ class Rim:
         Amplitudes of its harmonics: mean, cosines and sines, px.
     inside
         1 where it is bright inside, -1 where it is dark.
+    position, slope
+        Those of a piece that stands for all directions.
     """
 
     row: float
     col: float
     radii: Array
     inside: int
+    position: float = 0.0
     slope: float = SLOPE
-    bend: None = None
 
     def _polar(self, shape: tuple[int, int], pitch_ratio: float) -> tuple[Array, Array]:
         """Return distance from the centre, px, and direction of every pixel, rad."""
@@ -63,10 +66,6 @@ class Rim:
         turning -= np.tensordot(on_cosines, orders * sines, 1)
         gap = np.tensordot(self.radii, _waves(turn), 1) - radius
         return self.inside * gap / np.hypot(1.0, turning / self.radii[0])
-
-    def angle_rad(self, pitch_ratio: float) -> float:
-        """Return the angle of the piece that stands for all of it, rad."""
-        return float(np.arctan(self.slope / pitch_ratio))
 
 
 def find_rim(picture: OrientedFrame) -> Rim | None:
