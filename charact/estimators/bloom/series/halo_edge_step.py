@@ -216,8 +216,10 @@ def rim_of(series: RingSeries, *, pitch_ratio: float, has_tube: bool) -> Rim | N
         ln = -0.5 * (chi2.sum(axis=1) + np.array(cost)[:, None])
         probability = np.exp(ln - ln.max()).sum(axis=0)
         centre_px, sd_px = moments(fine, probability)
-        reach_px = min(6.0 * float(sd_px) + 0.1, SEARCH_PX)
-    best = int(np.argmax(ln.max(axis=1)))
+        best = int(np.argmax(ln.max(axis=1)))
+        clear = gains[middle, list(windows)] > RIM.least_sd**2
+        apart_px = float(np.ptp(fine[chi2[best, clear].argmin(axis=1)])) if clear.any() else 0.0
+        reach_px = min(6.0 * float(sd_px) + 0.1 + apart_px, SEARCH_PX)
     alone = np.exp(-0.5 * (chi2[best] - chi2[best].min(axis=1, keepdims=True)))
     mean, sd = moments(fine, alone)
     sd = np.hypot(sd, RIM.error_px)
