@@ -1,5 +1,6 @@
 """Detection and measurement of bars: by fit, or by sums for a camera with a description."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -13,7 +14,6 @@ from charact.estimators.mtf.bars.amplitudes import (
 )
 from charact.estimators.mtf.bars.bar_image_model import BarLikelihood
 from charact.estimators.mtf.bars.checks import (
-    bound_lost_light,
     clipping_findings,
     findings_of_fit,
     findings_of_sums,
@@ -214,7 +214,7 @@ def _sample_measurement(
         posterior=posterior,
         mtf=mtf,
         findings=(
-            *bound_lost_light(target_findings, [model for _, model, _ in forms], margin),
+            *_bound_lost_light(target_findings, [model for _, model, _ in forms], margin),
             *findings_of_fit(fit, problem, margin),
             *response_findings(response, float(np.mean(mtf))),
             # White clips where there is light, black mostly where there is none.
@@ -223,6 +223,30 @@ def _sample_measurement(
         notes=tuple(notes),
         margin_px=margin,
     )
+
+
+def _bound_lost_light(
+    findings: Iterable[Finding], fits: Iterable[BarFit], margin_px: float
+) -> list[Finding]:
+    """Return findings with the bound of a small window: the light that the widest of the blur
+    models has beyond it.
+
+    For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df, lost on
+    both pairs of sides.
+    """
+    f = (np.arange(4096) + 0.5) / 2048.0
+    kernel = np.sin(2.0 * np.pi * f * margin_px) / f / 2048.0
+    bound = 0.0
+    for fit in fits:
+        shape = fit.shape
+        parameters = float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two
+        core = np.exp(shape.form.ln(np.log(f / shape.reference), *parameters))
+        lost = 2.0 * (1.0 - 2.0 / np.pi * float(core @ kernel))
+        bound = max(bound, lost * shape.mtf)
+    return [
+        replace(doubt, bound=bound, sign=1) if doubt.flag == "window-too-small" else doubt
+        for doubt in findings
+    ]
 
 
 def _average_models(

@@ -110,30 +110,6 @@ def window_findings(margin_px: float, least_px: float, *, crowded: bool = False)
     return findings
 
 
-def bound_lost_light(
-    findings: Iterable[Finding], fits: Iterable[BarFit], margin_px: float
-) -> list[Finding]:
-    """Return findings with the bound of a small window: the light that the widest of the blur
-    models has beyond it.
-
-    For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df, lost on
-    both pairs of sides.
-    """
-    f = (np.arange(4096) + 0.5) / 2048.0
-    kernel = np.sin(2.0 * np.pi * f * margin_px) / f / 2048.0
-    bound = 0.0
-    for fit in fits:
-        shape = fit.shape
-        parameters = float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two
-        core = np.exp(shape.form.ln(np.log(f / shape.reference), *parameters))
-        lost = 2.0 * (1.0 - 2.0 / np.pi * float(core @ kernel))
-        bound = max(bound, lost * shape.mtf)
-    return [
-        replace(doubt, bound=bound, sign=1) if doubt.flag == "window-too-small" else doubt
-        for doubt in findings
-    ]
-
-
 def clipping_findings(
     stack: Stack, windows: Iterable[Mask], fit: BarFit | None = None
 ) -> list[Finding]:
