@@ -201,7 +201,7 @@ def with_tracks(rng, *, level_dn, horizontal=False, number=4, length=12):
             along = np.arange(length)
             row = (rng.uniform(30, rows - 30) + along * np.sin(angle)).astype(int)
             col = (rng.uniform(30, cols - 30) + along * np.cos(angle)).astype(int)
-            data[rng.integers(frames), row, col] += np.rint(rng.exponential(level_dn, length))
+            data[rng.integers(frames), row, col] += np.rint(rng.gamma(9.0, level_dn / 9.0, length))
         return data
 
     return add
@@ -266,3 +266,11 @@ def test_medians_of_every_size_are_processed(seed, size):
 def test_linear_smoothing_and_coarse_steps_are_no_median(seed, smooth):
     result = measured(np.random.default_rng(seed), flat=smooth, dark=smooth)
     assert not {note for note in notes_on(result, "processed") if "median" in note}
+
+
+def test_many_tracks_in_a_long_dark_are_hits_too(seed):
+    """Outliers of a twentieth of the pixels, over all frames, are followed along their tracks."""
+    rng = np.random.default_rng(seed)
+    tracks = with_tracks(rng, level_dn=500.0, number=20, length=15)
+    result = measured(rng, dark=tracks, dark_frames=16, size=(80, 96))
+    assert one(result, "read_noise", "DN").value == pytest.approx(NOISE_DN, rel=0.02)

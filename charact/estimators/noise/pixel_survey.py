@@ -236,7 +236,7 @@ def _tracks(
     """
     rows, cols = size
     is_hit, is_track = (np.zeros((rows + 2, cols + 2), bool) for _ in range(2))
-    known = pixels if len(pixels) <= SURVEY.max_fraction * rows * cols else _no_places()
+    known = pixels if len(pixels) <= SURVEY.max_tracks * rows * cols else _no_places()
     row, col = np.divmod(known, cols)
     step = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
     is_hit[row + 1, col + 1] = True
@@ -250,6 +250,9 @@ def _tracks(
         is_new = is_near & ~is_hit[around[0] + 1, around[1] + 1]
         row, col = np.divmod(np.unique(clipped[is_new]), cols)
         is_hit[row + 1, col + 1] = True
+    if 2 * np.count_nonzero(is_track) > np.count_nonzero(is_hit):
+        # Where most are tracks, single outliers are parts of them that others cross.
+        is_track = is_hit
     track = np.flatnonzero(is_track[1:-1, 1:-1])
     return {"track": track, "track_frame": frame(track)}
 
@@ -282,9 +285,8 @@ class _Extremes:
         sd *= float(np.sqrt(1.0 + 1.0 / (frames - 2)))
         limit = SURVEY.sudden_sd * sd
         up, down = self.high - middle, middle - self.low
-        pixels = np.flatnonzero((up > limit) | (down > limit))[
-            : int(SURVEY.max_fraction * len(middle)) + 1
-        ]
+        outliers = np.flatnonzero((up > limit) | (down > limit))
+        pixels = outliers[: int(SURVEY.max_fraction * len(middle)) + 1]
         times = sum(
             (np.abs(extreme[pixels] - middle[pixels]) > limit).astype(np.int64)
             for extreme in (self.high, self.next_high, self.low, self.next_low)
@@ -297,12 +299,16 @@ class _Extremes:
             is_up = up[pixels] > down[pixels]
             return np.where(is_up, self.high_at[pixels], self.low_at[pixels]).astype(np.int64)
 
+        tracks = _tracks(outliers, departure, frame, size, sd)
+        track = tracks["track"]
+        struck_again = self.next_high[track] - middle[track] > limit
+        tracks["track_frame"] = np.where(struck_again, -1, tracks["track_frame"])
         return {
             "sudden": pixels,
             "departure_dn": departure(pixels),
             "times": np.asarray(times),
             "frame": frame(pixels),
-            **_tracks(pixels, departure, frame, size, sd),
+            **tracks,
         }
 
 
