@@ -132,17 +132,24 @@ def is_clipped(data: NDArray, full_scale_dn: float | None) -> bool:
 
 
 def _noise_below(frame: NDArray, level: float) -> float:
-    """Return the noise of the pixels below a level, DN, from differences of neighbours along
-    rows: from their median, and where most are 0 from their mean square without the largest ones.
+    """Return the noise of the pixels below a level, DN, from differences of neighbours along rows.
+
+    From the median of their sizes; where most are 0, from the covariance of successive ones, -sigma^2
+    of white noise and positive on the slopes of a picture without noise.
     """
     frame = np.asarray(frame, np.float64)
-    dark = (frame[..., 1:] <= level) & (frame[..., :-1] <= level)
-    differences = np.abs(np.diff(frame, axis=-1))[dark]
-    if not differences.size:
+    is_dark = frame <= level
+    difference = np.diff(frame, axis=-1)
+    sizes = np.abs(difference[is_dark[..., 1:] & is_dark[..., :-1]])
+    if not sizes.size:
         return 0.0
-    middle, largest = np.quantile(differences, (0.5, CLIPPING.ordinary_differences))
-    square = np.mean(np.minimum(differences, largest) ** 2) if middle == 0.0 else 0.0
-    return float(max(1.05 * middle, np.sqrt(0.5 * square)))
+    middle, largest = np.quantile(sizes, (0.5, CLIPPING.ordinary_differences))
+    if middle > 0.0:
+        return 1.05 * float(middle)
+    ordinary = np.clip(difference, -largest, largest)
+    are_dark = is_dark[..., 2:] & is_dark[..., 1:-1] & is_dark[..., :-2]
+    products = (ordinary[..., 1:] * ordinary[..., :-1])[are_dark]
+    return float(np.sqrt(max(-products.mean(), 0.0))) if products.size else 0.0
 
 
 def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) -> bool:

@@ -51,7 +51,7 @@ def importance_sample(
     draws: int = 1000,
     enough: float = ENOUGH,
     first_draws: int = FIRST_DRAWS,
-    max_added: int = MOST_ADDED,
+    max_added: int | None = None,
 ) -> Posterior:
     """Draw from a posterior by importance, from a mixture of densities that is made to fit it.
 
@@ -74,7 +74,7 @@ def importance_sample(
     first_draws
         Draws from the density that the curvature tells.
     max_added
-        Densities that are added at most.
+        Densities that are added at most; None: `MOST_ADDED`.
 
     Returns
     -------
@@ -105,7 +105,8 @@ def importance_sample(
     while True:
         weight = _weights(heights - drawn)
         effective = 1.0 / float(np.sum(weight**2))
-        if effective >= enough or len(mixture) > max_added:
+        limit = MOST_ADDED if max_added is None else max_added
+        if effective >= enough or len(mixture) > limit:
             break
         more = _add_component(points, unit, weight), MORE_DRAWS
         # A posterior that no draw comes near, as of a model far from its data: one draw holds all

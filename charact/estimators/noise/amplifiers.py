@@ -95,6 +95,14 @@ def _pattern(m: Measurement, parts: Sequence[Measurement], values: np.ndarray) -
         arms = np.sqrt(np.sum((values[:, None] * (ends - values[:, None])) ** 2, axis=0))
         low, high = arms / (len(values) * value) if value else (0.0, float(ends[:, 1].max()))
         limits.append((value - float(low), value + float(high)))
-    flags = [flag for part in parts for flag in part.flags]
-    mean = replace(m, value=value, interval68=limits[0], interval95=limits[1])
-    return mean.with_(flags=flags, notes=(*m.notes, "root mean square over the amplifiers"))
+    mean = replace(
+        parts[0], value=value, interval68=limits[0], interval95=limits[1], posterior=m.posterior
+    )
+    findings = [
+        finding(flag, f"of amplifier {number}")
+        for number, part in enumerate(parts[1:], 2)
+        for flag in part.flags
+        if flag not in parts[0].flags
+    ]
+    notes = (*m.notes, "root mean square over the amplifiers")
+    return judge(mean.with_(notes=notes), findings)
