@@ -134,8 +134,8 @@ def is_clipped(data: NDArray, full_scale_dn: float | None) -> bool:
 def _noise_below(frame: NDArray, level: float) -> float:
     """Return the noise of the pixels below a level, DN, from differences of neighbours along rows.
 
-    From the median of their sizes; where most are 0, from the covariance of successive ones, -sigma^2
-    of white noise and positive on the slopes of a picture without noise.
+    From the median of their sizes; where most are 0, from the covariance of successive ones: -sigma^2
+    of white noise, positive on the slopes of a picture without noise.
     """
     frame = np.asarray(frame, np.float64)
     is_dark = frame <= level
