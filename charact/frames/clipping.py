@@ -1,8 +1,8 @@
 """Ends of the scale that frames reach: one definition for every method.
 
 The ceiling F is the lowest of full scale, where it is stated, and of the highest code, where a
-plateau of touching pixels of one frame holds it. Noise has single highest pixels; m pixels beside
-each other that have one code by chance have the probability p = (2 sqrt(pi) s)^(1 - m), s the
+plateau of touching pixels of one frame holds it. Noise has single highest pixels; m adjacent pixels
+have one code by chance with the probability p = (2 sqrt(pi) s)^(1 - m), s the
 noise in codes (the density at 0 of the difference of two normal values). A plateau is shown where p
 is small and few pixels are close below it, at any code: full scale of a digitiser, white of video
 (235), a sensor's own ceiling.
@@ -28,7 +28,7 @@ def ceiling_of(data: NDArray, full_scale_dn: float | None) -> float | None:
         Pixel values, shape (frame, row, col), DN.
     full_scale_dn
         Stated full scale, DN; None: unknown, and a plateau at the highest code of a digitiser
-        needs no noise beside it.
+        needs no noise near it.
     """
     shown = _shown_ceiling(data, needs_noise=full_scale_dn is not None)
     return min((end for end in (full_scale_dn, shown) if end is not None), default=None)
@@ -134,8 +134,8 @@ def is_clipped(data: NDArray, full_scale_dn: float | None) -> bool:
 def _noise_below(frame: NDArray, level: float) -> float:
     """Return the noise of the pixels below a level, DN, from differences of neighbours along rows.
 
-    From the median of their sizes; where most are 0, from the covariance of successive ones: -sigma^2
-    of white noise, positive on the slopes of a picture without noise.
+    From the median of their sizes; where most are 0, from the covariance of successive ones: that
+    of white noise is -sigma^2, that on the slopes of a picture without noise is positive.
     """
     frame = np.asarray(frame, np.float64)
     is_dark = frame <= level

@@ -74,7 +74,7 @@ def _is_array(file, shape: tuple[int, ...]) -> bool:
     """Whether a file is an array of this shape, written by a library that guesses what planes are.
 
     Tifffile marks three and four planes as red, green, blue and alpha unless the caller states
-    `photometric`; it keeps the shape of the array beside them.
+    `photometric`; it keeps the shape of the array with them.
     """
     return any(
         tuple(described.get("shape", ())) == shape for described in file.shaped_metadata or ()

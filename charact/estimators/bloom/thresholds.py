@@ -29,20 +29,21 @@ CUT_SD = 0.5
 
 @dataclass(frozen=True)
 class RimThresholds:
-    """Decide about the edge of a halo; set on discs and smooth halos drawn by tests/cases."""
+    """Decide about the edge of a halo; chosen on drawn discs, rings and smooth halos, not blind."""
 
     # Step over a smooth curve alone, standard errors: the largest of the some 60 radii of a smooth
     # halo has 4, that of a disc of 2 % of the light 8 and more.
     least_sd: float = 6.0
     # Rings on either side of the edge that a step needs.
-    rings_beside: int = 3
+    rings_per_side: int = 3
     # Error of a ring over the height of the window: pixels and centre that are not as modelled.
     model_error: float = 3e-3
-    # Cost of a rim where no tube is known that makes one: ln of a hundred rings and one to three.
+    # Cost of a rim where no tube is known that makes one, ln of odds: a judgement. With less, rims
+    # of discs are made of noise.
     cost: float = 6.0
-    # Cost of a rim of any width: three more of its amplitudes.
+    # Cost of a rim of any width, whose amplitudes are more: a judgement.
     cost_of_any: float = 20.0
-    # Blur of a step that is no edge, px, and standard deviations of the core.
+    # Blur of a step that is no edge, px, and standard deviations of the core: a judgement.
     soft_px: float = 4.0
     soft_cores: float = 2.0
     # Error of a radius by the centre and the shape of pixels, px.

@@ -21,8 +21,8 @@ from labdata import BadInput, FrameStack, Measurement, Result, Session, has_tube
 # erred by 1.6 standard uncertainties (rms) with parametric models alone and by 0.7 with model
 # departures and a free video bandwidth.
 FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
-# What `auto` measures first in place of a method that fits blur models: on edges of 18 kinds the
-# answer without a form held in 99 % and was as close; a form only narrows it.
+# What `auto` measures first in place of a method that fits blur models: on edges drawn by other
+# programs the answer without a form is closer and holds more often; a form only narrows it.
 FORM_FREE = {"edge-parametric": "edge-free"}
 NARROWED = "Measured without a form of the blur first; a form that the edge accepts narrows it."
 # Fallback of `auto` where the data reject every blur model of the first method.

@@ -112,7 +112,7 @@ class SurveyLimits:
     outlying_sd: float = 8.0  # robust standard deviations of a mean: 1e-14 of a normal distribution
     sudden_sd: float = 6.15  # standard deviations of a difference: 1e-9 of a normal distribution
     max_tracks: float = 0.1  # outliers beyond which they are not followed along tracks
-    track_sd: float = 3.0  # standard deviations of a pixel of a track beside an outlier
+    track_sd: float = 3.0  # standard deviations of a pixel of a track next to an outlier
     tail_decades: float = 4.0  # decades by which the tail is extrapolated from 1e-2 and 1e-3
     # variances over signal; exponential heights of F^2 = 2 exceed it with e^-50
     max_pulse: float = 25.0

@@ -6,7 +6,7 @@ within some px of the radius R of the edge, z the distance from its middle over 
 that window: the T_k, Chebyshev polynomials, are core, wing, glare and background; disc is 1 inside
 R, rim 1/sqrt(1 - r^2/R^2) (electrons scattered back without loss), kink 1 - r^2/R^2; G(s) is a
 Gaussian with the pixel's aperture. Blurs are mixtures of Gaussians, so that p_j, q_j >= 0 allow
-every blur that is narrow beside the window (non-negative least squares, Lawson and Hanson 1974).
+every blur that is narrow against the window (non-negative least squares, Lawson and Hanson 1974).
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class Rim:
         return 2.0 * float(self.probability @ self.radius_px)
 
     def why_no_edge(self, core_px: float) -> str | None:
-        """Why there is no halo with an edge, beside the blur of the core, px; None where there is
+        """Why there is no halo with an edge, next to the blur of the core, px; None where there is
         one.
         """
         if self.significance < RIM.least_sd:
@@ -145,7 +145,7 @@ class RimWindow:
         return np.array(chi2), blur_px[int(np.argmin(chi2))]
 
     def freedom(self, degree: int) -> float:
-        """Degrees of freedom beside curve, kink, and height, blur and radius of the step."""
+        """Degrees of freedom besides curve, kink, and height, blur and radius of the step."""
         return max(len(self.data) - degree - 5.0, 1.0)
 
 
@@ -153,7 +153,7 @@ def window_of(series: RingSeries, level: int, middle_px: float) -> RimWindow | N
     """Return the rings of a stack about a radius; None where too few are left on either side."""
     half_px, away = min(HALF_WINDOW_PX, HALF_WINDOW * middle_px), series.radius_px - middle_px
     usable = series.usable[level] & (np.abs(away) <= half_px)
-    if min(np.sum(usable & (way * away > ON_EDGE_PX)) for way in (-1, 1)) < RIM.rings_beside:
+    if min(np.sum(usable & (way * away > ON_EDGE_PX)) for way in (-1, 1)) < RIM.rings_per_side:
         return None
     data, covariance = series.data[level, usable], series.own_covariance[level][usable][:, usable]
     floor = (RIM.model_error * np.ptp(data)) ** 2

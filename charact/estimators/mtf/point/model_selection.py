@@ -20,7 +20,7 @@ from charact.transfer.cores import ON_POINTS
 from charact.transfer.extended import ExtendedComponent, HaloComponent
 from labdata import Array
 
-# Prior odds of each extended component of a camera without a description, of a Gaussian beside an
+# Prior odds of each extended component of a camera without a description, of a Gaussian with an
 # exponential, and of an ellipse: a parameter that the data do not ask for biases the others.
 WIDE_ODDS, LENS_ODDS, ELLIPSE_ODDS = 0.25, 0.2, 0.5
 # Prior odds of separable blurs.

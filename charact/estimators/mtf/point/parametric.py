@@ -301,7 +301,7 @@ def _free_light(
     part: FrameStack, source: DetectedSource, window: Window, context: Context
 ) -> SpotLight | None:
     """Return the light that the forms must agree with; None where it is not that of the blur
-    alone: clipped, cut, beside other sources, or of a tube, whose halo is described.
+    alone: clipped, cut, near other sources, or of a tube, whose halo is described.
     """
     if has_tube(context.camera) or window.cut or not window.sound:
         return None

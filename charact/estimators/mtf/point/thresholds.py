@@ -168,10 +168,9 @@ class WingLimits:
 class SourceCount:
     """Fits that tell two sources in one spot, and when they do.
 
-    Of 14 aberrated pupils (0.1 to 0.6 waves rms of defocus, astigmatism, coma, trefoil and
-    spherical aberration, obscured, square) two images explain at most 14 % of what an ellipse
-    leaves, of coma at 350 standard deviations 43 %; of pairs of Gaussian and Airy spots 0.9 full
-    widths apart, 1 : 0.5 and more, over 60 %.
+    Two images explain 14 % of what an ellipse leaves of most aberrated pupils that were drawn, of
+    coma at 350 standard deviations 43 %; of pairs of Gaussian and Airy spots 0.9 full widths apart,
+    1 : 0.5 and more, over 60 %. The limits were chosen on these drawings.
     """
 
     min_gain: float = 0.5  # S1 - S2 over S1 less its noise

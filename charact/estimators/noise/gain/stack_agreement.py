@@ -115,7 +115,7 @@ def dark_noise_findings(series: FlatSeries) -> list[Finding]:
 
 
 def level_change_of(level: StackStatistics) -> LevelChange | None:
-    """Return the step or drift of the level of a stack that matters beside the noise of a pixel."""
+    """Return the step or drift of the level of a stack that matters against a pixel's noise."""
     noise_dn = max(level.variance_dn2, 0.0) ** 0.5
     change = level_change(level.frame_mean_dn, noise_dn / level.pixels**0.5)
     matters = change is not None and change.departure_dn > AGREEMENT.min_change * noise_dn

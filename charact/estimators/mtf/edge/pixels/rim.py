@@ -145,4 +145,4 @@ def _is_alone(picture: OrientedFrame, rim: Rim) -> bool:
         ]
     )
     step = 0.5 * (middle_high + high - low - middle_low)
-    return bool(max(middle_low - low, high - middle_high) < THRESHOLDS.rim_unevenness * step)
+    return bool(max(middle_low - low, high - middle_high) < THRESHOLDS.rim_value_range * step)
