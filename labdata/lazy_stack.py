@@ -32,8 +32,8 @@ def _as_they_are(entry: StackEntry) -> LazyStack:
     chosen = entry.plane is not None or entry.extension is not None
     if path is not None and is_ours(path) and not chosen:
         return _of_store(entry, path)
-    plain = path is not None and not chosen and entry.axis in (None, FRAME)
-    array = _map_array(path) if plain else None
+    plain = not chosen and entry.axis in (None, FRAME)
+    array = _map_array(path) if plain and path is not None else None
     if (
         array is not None
         and array.ndim == 3

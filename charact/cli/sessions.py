@@ -145,8 +145,9 @@ def _analyse(
                 f"--map needs a session with point sources, got the file {source}; create one with "
                 f"charact import frames {source} OUT --kind point"
             )
-        measured = source if image else open_session_only(source)
+        measured = source
         if not image:
+            measured = open_session_only(source)
             _print_doubts(measured, events=events)
         analysis = getattr(measuring, room)
         with progress_bar(events=events) as progress:

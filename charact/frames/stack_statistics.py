@@ -5,6 +5,7 @@ spectrum.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +135,7 @@ def _join(
         return None
     weight = np.array([len(run.time) for run in runs], float)
     weights = weight / weight.sum()
-    pooled: dict[str, float] = {}
+    pooled: dict[str, Any] = {}
     for name, (value, error) in _POOLED.items():
         values, errors = np.array([getattr(run, name) for run in runs]).T
         pooled |= {value: float(weights @ values), error: float(np.sqrt(weights**2 @ errors**2))}

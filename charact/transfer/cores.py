@@ -172,7 +172,9 @@ class ExactPupil(Core):
         ratio = np.minimum(ratio / np.exp(theta[:, :1]), 1.0)
         nodes, weights = cubic_weights(PUPIL_NODES, ratio)
         row = index.reshape(-1, 1)
-        yield sum(weights[..., node] * table[row, nodes[..., node]] for node in range(4))
+        yield np.sum(
+            [weights[..., node] * table[row, nodes[..., node]] for node in range(4)], axis=0
+        )
         yield from self.differences(theta, frequency)
 
 

@@ -87,7 +87,8 @@ def stated_in_text(pairs: Mapping[str, str]) -> Stated:
     values: dict[str, float] = {}
     notes = []
     for key, text in pairs.items():
-        word, unit = KEY.fullmatch(key.strip()).groups() if key.strip() else ("", None)
+        matched = KEY.fullmatch(key.strip())
+        word, unit = ("", None) if matched is None else matched.groups()
         full_word, word = (re.sub(r"[\W_]", "", part).lower() for part in (key, word))
         name, unit = OF_FITS.get(full_word) or (WORDS.get(word) or WORDS.get(full_word), unit or "")
         quantity = QUANTITY.fullmatch(text)

@@ -83,7 +83,7 @@ def conditions(path: Path, extension: str | None = None) -> Stated:
     from PIL import Image
 
     with Image.open(path) as picture:
-        texts = {key: text for key, text in picture.info.items() if isinstance(text, str)}
+        texts = {str(key): text for key, text in picture.info.items() if isinstance(text, str)}
     return stated_in_text(texts)
 
 

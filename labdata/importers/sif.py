@@ -12,6 +12,7 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -70,8 +71,10 @@ def _section(path: Path, extension: str | None) -> tuple[_Section, tuple[str, ..
         raise BadInput(f"a .sif file must be a file of Andor Solis, got something else in {path}")
     sections: list[_Section] = []
     end = len(MAGIC)
-    while (match := LAYOUT.search(content, end, end + MOST_HEADER_BYTES)) is not None:
-        section = _section_of(match, content[end : match.start()].tobytes(), content)
+    # A regular expression reads any buffer.
+    text: Any = content
+    while (match := LAYOUT.search(text, end, end + MOST_HEADER_BYTES)) is not None:
+        section = _section_of(match, content[end : match.start()].tobytes(), text)
         end = match.end()
         if section is not None:
             sections.append(section)
@@ -83,7 +86,7 @@ def _section(path: Path, extension: str | None) -> tuple[_Section, tuple[str, ..
     return sections[at], notes, content.size
 
 
-def _section_of(match: re.Match, header: bytes, content: np.ndarray) -> _Section | None:
+def _section_of(match: re.Match, header: bytes, content: Any) -> _Section | None:
     """Return the section of a description; None if its numbers contradict each other."""
     frames, areas, pixels, frame_pixels = (int(text) for text in match.groups()[:4])
     lines = match[5].splitlines(keepends=True)[:areas]

@@ -223,13 +223,15 @@ def _fit_series(
     context.progress("blur models of the source", 0.9)
     tube = _has_tube(group, context)
     rim = rim_of(series, pitch_ratio=context.pitch_ratio, has_tube=tube)
-    is_step = rim is not None and rim.significance > RIM.least_sd
+    diameter_px = float("nan")
+    if rim is not None and rim.significance > RIM.least_sd:
+        diameter_px = rim.diameter_px
     forms = candidates(
         series,
         pitch_ratio=context.pitch_ratio,
         sensor=context.camera,
         has_tube=tube,
-        first_diameter_px=rim.diameter_px if is_step else float("nan"),
+        first_diameter_px=diameter_px,
     )
     context.progress("posterior of the series", 0.95)
     posterior = _posterior(forms[0], context)

@@ -37,9 +37,11 @@ def find_layout(session: Session, surveys: Sequence[PixelSurvey]) -> tuple[Layou
     }
     profiles = {"dark": [], "flat": []}
     for survey in known:
-        frames = sound.get(survey.label, ())
+        frames = sound.get(survey.label)
         profiles[survey.kind].append(
-            profiles_of(_mean_frame(session, survey, frames)) if len(frames) else survey.profiles
+            survey.profiles
+            if frames is None or not len(frames)
+            else profiles_of(_mean_frame(session, survey, frames))
         )
     layout = layout_of(profiles["dark"], profiles["flat"], lost=lost)
     frames = {label: numbers for label, numbers in sound.items() if len(numbers) > 1}
@@ -52,7 +54,7 @@ def find_layout(session: Session, surveys: Sequence[PixelSurvey]) -> tuple[Layou
 def of_amplifier(session: Session, layout: Layout | None, number: int) -> Session:
     """Return the session of one amplifier (from 1, by rows); a number without one is BadInput."""
     regions = () if layout is None else layout.amplifiers
-    if not 1 <= number <= len(regions):
+    if layout is None or not 1 <= number <= len(regions):
         shown = f"be 1 to {len(regions)}" if regions else "be left out: the frames show only one"
         raise BadInput(f"`amplifier` must {shown}, got {number}")
     top, left, height, width = regions[number - 1]

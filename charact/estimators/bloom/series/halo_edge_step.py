@@ -189,9 +189,9 @@ def rim_of(series: RingSeries, *, pitch_ratio: float, has_tube: bool) -> Rim | N
             window = window_of(series, level, middle_px)
             if window is not None:
                 parts = steps[at, None], kinks[at, None]
-                chi2 = float(window.chi2(parts, DEGREES[1], steps.shape[1])[0][0])
-                scale = max(chi2 / window.freedom(DEGREES[1]), 1.0)
-                gains[at, level] = max(window.chi2_alone() - chi2, 0.0) / scale
+                of_step = float(window.chi2(parts, DEGREES[1], steps.shape[1])[0][0])
+                scale = max(of_step / window.freedom(DEGREES[1]), 1.0)
+                gains[at, level] = max(window.chi2_alone() - of_step, 0.0) / scale
     if np.isnan(gains).all():
         return None
     middle = int(np.argmax(np.nansum(gains, axis=1)))
@@ -209,7 +209,7 @@ def rim_of(series: RingSeries, *, pitch_ratio: float, has_tube: bool) -> Rim | N
             [window.chi2(parts, degree, rims * len(BLURS_PX)) for window in windows.values()]
             for degree, rims in MODELS
         ]
-        chi2 = np.array([[CubicSpline(radii, chi2)(fine) for chi2, _ in fit] for fit in fits])
+        chi2 = np.array([[CubicSpline(radii, coarse)(fine) for coarse, _ in fit] for fit in fits])
         freedom = [[window.freedom(degree) for window in windows.values()] for degree, _ in MODELS]
         chi2 /= np.maximum((chi2.min(axis=2) / freedom).min(axis=0), 1.0)[:, None]
         cost = [2.0 * degree * len(windows) + rim_cost[rims] for degree, rims in MODELS]

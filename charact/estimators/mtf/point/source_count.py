@@ -45,7 +45,9 @@ class _Box(NamedTuple):
     def residual(self, images: list[Array]) -> tuple[Array, Array]:
         """Return the lights of images and a level at their optimum, and what they leave."""
         design = np.stack([*(image.ravel() for image in images), np.ones(self.light.size)], axis=1)
-        lights = np.linalg.lstsq(design, self.light.ravel(), rcond=None)[0]
+        lights = np.asarray(
+            np.linalg.lstsq(design, self.light.ravel(), rcond=None)[0], dtype=np.float64
+        )
         return lights, self.light.ravel() - design @ lights
 
 

@@ -105,7 +105,7 @@ class SpotLight:
         normal = design.T @ design / variance
         normal[3, 3] += expected**-2.0
         right = design.T @ values / variance + np.array([0.0, 0.0, 0.0, expected**-1.0])
-        covariance = np.linalg.inv(normal)
+        covariance: Array = np.asarray(np.linalg.inv(normal), np.float64)
         return covariance @ right, covariance
 
     def _columns(self, pixels: Mask) -> Array:
@@ -259,7 +259,8 @@ def light_of_spot(
     radius_px = max(min(blob_px, WINGS.max_radius * to_border_px), core_px)
     bright = others & (smooth - level > LIMITS.min_other_height * height)
     ring = (distance >= radius_px) & (distance < 3.0 * radius_px + 10.0)
-    ring &= ~ndimage.binary_dilation(others & (distance >= radius_px), iterations=2)
+    grown = ndimage.binary_dilation(others & (distance >= radius_px), iterations=2)
+    ring &= ~np.asarray(grown, bool)
     if np.count_nonzero(ring) < LIMITS.min_background_pixels:
         return None
     count = len(frames)
@@ -280,7 +281,8 @@ def _blob(smooth: Array, threshold: float, source: DetectedSource) -> tuple[Mask
     """Return the connected pixels above a threshold that hold the source, and the other ones."""
     from scipy import ndimage
 
-    labels, _ = ndimage.label(smooth > threshold)
+    labels = np.zeros(smooth.shape, np.int64)
+    ndimage.label(smooth > threshold, output=labels)
     blob = labels == max(int(labels[source.row, source.col]), 1)
     blob[source.row, source.col] = True
     return blob, (labels > 0) & ~blob

@@ -82,12 +82,12 @@ def variance_at_no_light(series: FlatSeries) -> tuple[float, float] | None:
     chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0.0))
     if len(chosen) < CHECKS.min_levels or series.reference != "dark":
         return None
-    sd, shared = (part for part in variance_errors(series.stacks))
-    signal, variance, sd = series.signal_dn[chosen], series.variance_dn2[chosen], sd[chosen]
+    variance_sd, shared = variance_errors(series.stacks)
+    signal, variance = series.signal_dn[chosen], series.variance_dn2[chosen]
     x = signal / signal.max()
     slope = float(np.median(variance / x))
     columns = [np.append(column, end) for column, end in ((x**0, 0.0), (x, 0.0), (x**2, 1.0))]
-    known_sd = np.append(sd, CHECKS.curvature * slope)
+    known_sd = np.append(variance_sd[chosen], CHECKS.curvature * slope)
     fit = linear_fit(columns, np.append(variance, 0.0), known_sd)
     b_sd = fit.stretch(len(known_sd)) * float(np.sqrt(fit.covariance[0, 0]))
     return float(fit.best[0]), float(np.hypot(b_sd, shared))
