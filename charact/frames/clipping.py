@@ -1,11 +1,11 @@
 """Ends of the scale that frames reach: one definition for every method.
 
 The ceiling F is the lowest of full scale, where it is stated, and of the highest code, where a
-plateau of touching pixels of one frame holds it. Noise has single highest pixels; m adjacent pixels
-have one code by chance with the probability p = (2 sqrt(pi) s)^(1 - m), s the
-noise in codes (the density at 0 of the difference of two normal values). A plateau is shown where p
-is small and few pixels are close below it, at any code: full scale of a digitiser, white of video
-(235), a sensor's own ceiling.
+plateau of touching pixels of one frame, or a pixel in several frames, holds it. Noise has single
+highest values; m of them have one code by chance with the probability p = (2 sqrt(pi) s)^(1 - m), s
+the noise in codes (the density at 0 of the difference of two normal values). A plateau is shown
+where p is small and few values are close below it, at any code: full scale of a digitiser, white of
+video (235), a sensor's own ceiling.
 """
 
 import math
@@ -40,19 +40,20 @@ def _shown_ceiling(data: NDArray, *, needs_noise: bool) -> float | None:
     full = data == highest
     touching = int(np.count_nonzero(full[:, 1:] & full[:, :-1]))
     touching += int(np.count_nonzero(full[..., 1:] & full[..., :-1]))
-    if not touching or not np.all(data[0] == np.rint(data[0])):
+    pixels, count = np.count_nonzero(full.any(axis=0)), np.count_nonzero(full)
+    if not (touching or count > pixels) or not np.all(data[0] == np.rint(data[0])):
         return None
-    if not needs_noise and ends_at(int(highest), LEAST_PIXELS):
+    if touching and not needs_noise and ends_at(int(highest), LEAST_PIXELS):
         return float(highest)
-    # Touching pairs of a frame, or the pixels of a plateau less one.
-    pairs = touching / np.count_nonzero(full.any(axis=(1, 2)))
+    # Touching pairs of a frame, or the pixels of a plateau less one; and the frames of a pixel.
+    pairs = touching / np.count_nonzero(full.any(axis=(1, 2))) + count / pixels - 1.0
     noise = _noise_below(data[0], 0.5 * (float(highest) + float(data.min())))
     if noise < CLIPPING.least_noise_codes:
         return None
     chance = (2.0 * np.sqrt(np.pi) * noise) ** -pairs
     # Noise of an even plateau has more values just below its highest one.
-    close = np.count_nonzero(data >= highest - 2.0 * noise) - np.count_nonzero(full)
-    is_plateau = chance < CLIPPING.max_plateau_chance and np.count_nonzero(full) > close
+    close = np.count_nonzero(data >= highest - 2.0 * noise) - count
+    is_plateau = chance < CLIPPING.max_plateau_chance and count > close
     return float(highest) if is_plateau else None
 
 

@@ -85,6 +85,12 @@ def test_a_spot_cut_at_its_own_ceiling_keeps_its_width(ceiling_dn, rng):
     assert low <= truth <= high or "clipped" in measurement.flags
 
 
+def test_one_pixel_at_one_code_in_every_frame_is_cut(rng):
+    frames = spot(0.5, 800.0, 4.0, rng, frames=8)
+    assert ceiling_of(codes(frames), None) is None
+    assert ceiling_of(codes(frames, 600), None) == 600.0
+
+
 def test_noise_shows_a_ceiling_by_chance_in_few_spots_edges_and_flats(rng):
     shown = 0
     for _ in range(200):
@@ -93,6 +99,7 @@ def test_noise_shows_a_ceiling_by_chance_in_few_spots_edges_and_flats(rng):
             codes(spot(rng.uniform(0.6, 1.5), rng.uniform(500.0, 3000.0), sd_dn, rng)),
             codes(edge(100.0, 200.0, 0.2 * sd_dn, rng)),
             codes(rng.normal(500.0, sd_dn, (2, SIZE, SIZE))),
+            codes(spot(0.5, 800.0, sd_dn, rng, frames=6)),
         )
         shown += sum(ceiling_of(picture, None) is not None for picture in pictures)
     assert shown <= 6
