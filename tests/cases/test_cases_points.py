@@ -159,3 +159,24 @@ def test_defocus_discs_have_their_mtf50(radius_px, frames, seed):
 
 def test_a_clipped_spot_of_one_frame_has_lower_limits():
     holds(measured(case("ee1-clipped-single-frame-spot")), (0.2201, 0.2201), 0.05)
+
+
+@pytest.mark.parametrize(("distance_px", "ratio"), [(8.0, 0.5), (7.0, 0.3), (10.0, 0.9)])
+def test_a_neighbour_whose_light_joins_the_spot_is_no_spread_of_it(distance_px, ratio):
+    """Two Gaussians with a faint halo that joins them: the sum has a MTF50 of a quarter."""
+    rng = np.random.default_rng(11)
+    x = np.arange(96) - 47.3
+    spots = [
+        np.exp(-0.5 * (np.hypot(x - shift, (x + 0.4)[:, None]) / 1.3) ** 2)
+        + 0.004 * np.exp(-np.hypot(x - shift, (x + 0.4)[:, None]) / 6.0)
+        for shift in (0.0, distance_px)
+    ]
+    mean = 100.0 + 3000.0 * (spots[0] + ratio * spots[1])
+    frames = np.rint(mean + rng.normal(0.0, 5.0, (8, 96, 96))).astype(np.uint16)
+    f = np.linspace(0.05, 0.4, 7001)
+    truth = f[np.argmax(np.exp(-2.0 * (np.pi * f * 1.3) ** 2) < 0.5)]
+    for method in ("auto", "point-spread"):
+        stack = FrameStack(data=frames)
+        result = mtf.measure("point", stack, method=method, context=Context(quick=True))
+        for measurement in result.find("mtf50"):
+            assert measurement.status != "ok" or measurement.value == pytest.approx(truth, rel=0.1)

@@ -130,7 +130,7 @@ def measure(
     ):
         chosen = choose(kind, WITHOUT_MODEL[chosen.name])
         without = chosen.function(counted, region=region, context=context, **target)
-        if any(m.status != "refused" for m in without.find(chosen.quantities[0])):
+        if any(m.status == "ok" for m in without.find(chosen.quantities[0])):
             result, notes = without, (NO_MODEL.format(kind=kind), *notes)
     findings, seen = Stack.of(counted, context).layout_findings(region)
     notes = (*notes, *seen)

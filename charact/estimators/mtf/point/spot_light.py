@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.point.parametric_noise import measure_surroundings_noise
 from charact.estimators.mtf.point.source import DetectedSource
-from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS, WINGS
+from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS, SOURCES, WINGS
 from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import median, robust_sd
 from labdata import Array, Mask
@@ -258,6 +258,10 @@ def light_of_spot(
     )
     radius_px = max(min(blob_px, WINGS.max_radius * to_border_px), core_px)
     bright = others & (smooth - level > LIMITS.min_other_height * height)
+    joined = [
+        distance[at] < radius_px and _is_apart(smooth - level, at, source)
+        for at in source.neighbours
+    ]
     ring = (distance >= radius_px) & (distance < 3.0 * radius_px + 10.0)
     grown = ndimage.binary_dilation(others & (distance >= radius_px), iterations=2)
     ring &= ~np.asarray(grown, bool)
@@ -271,10 +275,19 @@ def light_of_spot(
         radius_px=radius_px,
         background=ring,
         dark=measure_surroundings_noise(frames, round(row), round(col), spot=~ring),
-        has_neighbours=bool(bright[distance < radius_px].any()),
+        has_neighbours=bool(bright[distance < radius_px].any()) or any(joined),
         is_cut=to_border_px < core_px,
         by_frames=count >= (LIMITS.min_transform_frames if has_tube else WINGS.min_frames),
     )
+
+
+def _is_apart(light: Array, at: tuple[int, int], source: DetectedSource) -> bool:
+    """Return whether a detected neighbour is another source, though its light joins this one: as
+    bright as one of two, and not in one piece with it above half its height, as peaks of a ring
+    are.
+    """
+    is_bright = light[at] > SOURCES.min_ratio * light[source.row, source.col]
+    return bool(is_bright) and not _blob(light, 0.5 * light[at], source)[0][at]
 
 
 def _blob(smooth: Array, threshold: float, source: DetectedSource) -> tuple[Mask, Mask]:

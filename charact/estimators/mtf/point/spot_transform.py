@@ -28,6 +28,7 @@ from charact.estimators.mtf.point.source import (
     refuse_all,
     round_down,
 )
+from charact.estimators.mtf.point.source_count import two_sources
 from charact.estimators.mtf.point.spot_light import FREQUENCY, SpotLight, light_of_spot
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.clipping import is_clipped_at_black
@@ -120,6 +121,9 @@ def point_spread(
             f"uncertainties, got {round_down(light / light_sd):.1f}"
         )
         return refuse_all(common, reason)
+    pair = two_sources(spot)
+    if pair is not None:
+        return refuse_all(common, pair.reason, "several-targets")
     findings = _findings(spot, tube)
     passed = pinhole(FREQUENCY, pinhole_px or 0.0)
     measured, curves = [], {}

@@ -179,7 +179,8 @@ class SourceCount:
     min_distance: float = 0.7  # Distance over the full width at half maximum
     # Light of the fainter source over that of the brighter: a square pupil has side lobes of 0.05
     min_ratio: float = 0.1
-    core: float = 0.3  # Pixels whose moments give the axis, fraction of the peak
+    # Pixels whose moments give the axis, fraction of the peak: a fainter source counts too
+    core: float = 0.12
     max_pixels: int = 31  # Side of the box, in its own pixels
     evaluations: int = 25
     first_order: float = 2.5  # Moffat's b - 1
