@@ -3,38 +3,19 @@ tracks. Shared inputs, and siblings drawn here.
 """
 
 import re
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, median_filter, uniform_filter
 
 from charact.estimators import noise
-from charact.session_measurement import method_context
-from labdata import Conditions, FrameStack, open_session
+from labdata import Conditions, FrameStack
 from tests.truth.counted_pulses import QUICK, one, session_of
 
-ROOT = Path(__file__).parents[2]
-CASES = ROOT.parent / "shared" / "cases"
 GAIN, READ_E, BLACK_DN = 0.4, 5.0, 100.0
 # Read noise and the rounding of single frames, DN.
 NOISE_DN = np.hypot(GAIN * READ_E, 12.0**-0.5)
 LEVELS_E = (250.0, 800.0, 2000.0, 4000.0, 6000.0)
-
-
-@pytest.fixture
-def case(tmp_path):
-    """Measure a shared case by its name."""
-
-    def of(name):
-        if not (CASES / name).is_dir():
-            pytest.skip(f"the shared case {name} is not on this machine")
-        shutil.copytree(CASES / name, tmp_path / name)
-        session = open_session(tmp_path / name)
-        return noise.measure(session, context=method_context(session, quick=True, seed=0))
-
-    return of
 
 
 def frames_of(rng, electrons, count, size=(160, 200), gain=GAIN):

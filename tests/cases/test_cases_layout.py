@@ -1,8 +1,6 @@
 """Chips of several parts: cases of other tools' users, and siblings drawn here in plain NumPy."""
 
 import re
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,28 +14,12 @@ from charact.reporting.report_images import representative
 from charact.session_measurement import method_context
 from labdata import BadInput, open_session
 
-ROOT = Path(__file__).parents[2]
-CASES = ROOT.parent / "shared" / "cases"
 LEVELS = (300.0, 1000.0, 2500.0, 5000.0)
 
 
 def measured(folder, **settings):
     session = open_session(folder)
     return noise.measure(session, context=method_context(session, quick=True, seed=0, **settings))
-
-
-@pytest.fixture
-def case(tmp_path):
-    """Measure a shared case by its name."""
-
-    def of(name):
-        if not (CASES / name).is_dir():
-            pytest.skip(f"the shared case {name} is not on this machine")
-        folder = tmp_path / name
-        shutil.copytree(CASES / name, folder)
-        return measured(folder)
-
-    return of
 
 
 def drawn(

@@ -1,8 +1,5 @@
 """Noise sessions of other tools' users, and siblings drawn here: pixels, registers, scales."""
 
-import shutil
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,23 +9,7 @@ from labdata import open_session
 from labdata.camera import excess_noise_factor
 from tests.truth.counted_pulses import one
 
-ROOT = Path(__file__).parents[2]
-CASES = ROOT.parent / "shared" / "cases"
 TUBES = ("tube", "pulse", "photocathode", "photoelectron", "plate", "intensif")
-
-
-@pytest.fixture
-def case(tmp_path):
-    """Measure a shared case by its name."""
-
-    def of(name):
-        if not (CASES / name).is_dir():
-            pytest.skip(f"the shared case {name} is not on this machine")
-        folder = tmp_path / name
-        shutil.copytree(CASES / name, folder)
-        return measured(folder)
-
-    return of
 
 
 def measured(folder):

@@ -118,11 +118,8 @@ class BarAccuracy:
     # Standard deviation of the demodulation filter, periods; it leaves 1e-3 of the patch's own
     # light.
     smoothing_periods: float = 0.6
-    copy_widths_px: tuple[float, ...] = (
-        2.0,
-        4.0,
-        8.0,
-    )  # Blurs of the copies that sharpening takes off, px
+    # Blurs of the copies that sharpening takes off, px
+    copy_widths_px: tuple[float, ...] = (2.0, 4.0, 8.0)
     count_range: int = 2  # The extent of a patch gives the number of bars within this
     min_lag_frames: int = 7  # Frames from which image lag is estimated
     other_margin_px: int = 8  # Margin excluded around other light, px
