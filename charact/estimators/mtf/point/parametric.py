@@ -36,26 +36,19 @@ from charact.estimators.mtf.point.checks import (
     source_findings,
     undersampled,
 )
+from charact.estimators.mtf.point.located_source import locate_source
 from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.estimators.mtf.point.model_selection import (
     EvidenceWeightedModels2D,
     candidate_cores,
     fit_sources,
 )
-from charact.estimators.mtf.point.parametric_noise import measure_surroundings_noise
 from charact.estimators.mtf.point.source import (
-    DetectedSource,
     PointRefusal,
-    detect_source,
     refuse_all,
 )
-from charact.estimators.mtf.point.source_count import two_sources
 from charact.estimators.mtf.point.source_pixels import SourcePixels
-from charact.estimators.mtf.point.source_window import Window, neighbour_mask, source_window
-from charact.estimators.mtf.point.spot_image_matrix import Aperture
-from charact.estimators.mtf.point.spot_light import SpotLight, light_of_spot
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
-from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
 from charact.inference import has_several_peaks, importance_sample, laplace
 from charact.method import Context, register
@@ -65,7 +58,6 @@ from charact.transfer.extended import (
     HaloComponent,
     ScatterComponent,
 )
-from charact.transfer.video_filter import VideoFilter
 from labdata import (
     Array,
     BadInput,
@@ -192,12 +184,9 @@ def measure_points(
         if regions
         else [stack.region(*region) if region else stack]
     ):
-        site = _locate_source(part, context)
+        site = locate_source(part, context)
         if isinstance(site, PointRefusal):
             return refuse_all(common, *site)
-        pair = two_sources(site.spot) if site.spot is not None else None
-        if pair is not None:
-            return refuse_all(common, pair.reason, "several-targets")
         sites.append(site)
     # Rings beyond the light are needed to separate it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
@@ -253,60 +242,6 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
     if pinhole_px is not None and not low <= pinhole_px < high:
         raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
     return float(pinhole_px or 0.0)
-
-
-def _locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRefusal:
-    """Return the source of a part of the frames."""
-    if min(part.shape[1:]) < LIMITS.min_region_px:
-        min_region = f"{LIMITS.min_region_px} x {LIMITS.min_region_px} px"
-        return PointRefusal(
-            f"a point needs a region of at least {min_region}, got {part.shape[1:]}",
-            "window-too-small",
-        )
-    stack = Stack.of(part, context)
-    full = stack.ceiling_dn
-    source = detect_source(part.data, context.pitch_ratio)
-    if isinstance(source, PointRefusal):
-        bright = full is not None and np.median(part.data, axis=0).max() >= full
-        return (
-            PointRefusal("the source is too bright: there is no background", "saturated")
-            if bright
-            else source
-        )
-    window = source_window(stack, source, context)
-    height = np.maximum(window.core - np.median(window.core), 0.0)
-    if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
-        reason = "the source is too bright: pixels below full scale contain too little of its light"
-        return PointRefusal(reason, "saturated")
-    rows = 2.0 if context.interlaced else 1.0
-    return SourcePixels(
-        window=window,
-        aperture=Aperture(
-            height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.camera)
-        ),
-        dark=measure_surroundings_noise(
-            part.data,
-            source.row,
-            source.col,
-            neighbour_mask(part.shape[1:], source.neighbours, context.pitch_ratio),
-        ),
-        memory=stack.image_lag,
-        full_scale_dn=full,
-        screen=has_tube(context.camera),
-        spot=_free_light(part, source, window, context),
-    )
-
-
-def _free_light(
-    part: FrameStack, source: DetectedSource, window: Window, context: Context
-) -> SpotLight | None:
-    """Return the light that the forms must agree with; None where it is not that of the blur
-    alone: clipped, cut, near other sources, or of a tube, whose halo is described.
-    """
-    if has_tube(context.camera) or window.cut or not window.sound:
-        return None
-    spot = light_of_spot(part.data, source, context.pitch_ratio, has_tube=False)
-    return None if spot is None or spot.has_neighbours or spot.is_cut else spot
 
 
 def _result(
