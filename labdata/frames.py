@@ -164,6 +164,19 @@ class LazyStack:
         [int, int], NDArray
     ]  #: Returns the frames first..last-1, shape (frame, row, col)
 
+    @classmethod
+    def of(cls, stack: FrameStack, label: str) -> "LazyStack":
+        """Return the frames of a stack in memory."""
+        return cls(
+            label=label,
+            shape=stack.shape,
+            dtype=stack.data.dtype,
+            time_s=stack.time_s,
+            frame_number=stack.frame_number,
+            full_scale_dn=stack.full_scale_dn,
+            block=stack.frames,
+        )
+
     def __len__(self) -> int:
         return self.shape[0]
 

@@ -42,16 +42,7 @@ def _as_they_are(entry: StackEntry) -> LazyStack:
     ):
         require_picture(array.shape[1], array.shape[2], entry.label)
         return _lazy_stack(entry, array, lambda first, last: np.asarray(array[first:last]))
-    stack = entry.read()
-    return LazyStack(
-        label=entry.label,
-        shape=stack.shape,
-        dtype=stack.data.dtype,
-        time_s=stack.time_s,
-        frame_number=stack.frame_number,
-        full_scale_dn=stack.full_scale_dn,
-        block=lambda first, last: stack.data[first:last],
-    )
+    return LazyStack.of(entry.read_files(), entry.label)
 
 
 def _of_store(entry: StackEntry, path: Path) -> LazyStack:

@@ -12,7 +12,7 @@ from labdata.capture import LostFrames
 from labdata.conditions import Conditions, conditions_of, flat_conditions
 from labdata.errors import BadInput
 from labdata.file_io import require_regular
-from labdata.frames import FrameStack, View, concatenated
+from labdata.frames import FrameStack, LazyStack, View, concatenated
 from labdata.sensors import load_camera
 from labdata.serialiser import from_toml
 from labdata.target import Kind, Target
@@ -144,9 +144,19 @@ class StackEntry:
         return tuple(self.folder / name for name in names)
 
     def read(self, plane: str | None = None) -> FrameStack:
-        """Read the frames, or one colour plane; damaged files, and frames that break a rule, are
-        BadInput.
+        """Read the frames as the view shows them, or one colour plane; damaged files, and frames
+        that break a rule, are BadInput.
         """
+        stack = self.read_files(plane)
+        if self.view is None:
+            return stack
+        seen = self.view.through(LazyStack.of(stack, self.label))
+        names = ("time_s", "frame_number", "full_scale_dn")
+        shown = {name: getattr(seen, name) for name in names}
+        return replace(stack, data=seen.frames(0, len(seen)), **shown)
+
+    def read_files(self, plane: str | None = None) -> FrameStack:
+        """Read the frames as they are, without the view."""
         unknown = self.bit_depth is None
         parts = [self._read_file(path, plane or self.plane, unknown) for path in self.paths]
         stack = concatenated(parts, self.label)
@@ -206,7 +216,7 @@ class LoadedStackEntry(StackEntry):
 
     kept: FrameStack  #: The frames
 
-    def read(self, plane: str | None = None) -> FrameStack:
+    def read_files(self, plane: str | None = None) -> FrameStack:
         """Return the frames; `plane` has no effect."""
         return self.kept
 

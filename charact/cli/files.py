@@ -226,14 +226,14 @@ def view(
 
 def _layout_of(source: str, label: str, stack: "FrameStack") -> "Layout":
     """Return the layout that darks and flats of a session show, else that of the stack."""
-    from charact.estimators.noise.prepared_session import session_layout
     from charact.frames import Stack
+    from charact.frames.session_layout import sound_session
     from labdata import MANIFEST, open_session
 
     path = Path(source.partition("#")[0])
     session = open_session(path) if (path / MANIFEST).is_file() else None
     of_chip = session is not None and session.stack(label).kind in ("dark", "flat")
-    shown = session_layout(session) if session is not None and of_chip else None
+    shown = sound_session(session)[0] if session is not None and of_chip else None
     return Stack(frames=stack).layout if shown is None else shown
 
 

@@ -33,6 +33,7 @@ from charact.fitting.stack_levels import (
     stacks_of,
 )
 from charact.fitting.thresholds import LIMITS, SAMPLING
+from charact.frames.session_layout import layout_notes, sound_session
 from labdata import Array, BadInput, Camera, Posterior, Result, Session
 from labdata.camera.parameters import Draws, Parameter
 
@@ -140,6 +141,7 @@ def fit_sensor(
     plane, pitch_px = session.sampling
     camera = camera_of(session, pitch_px)
     session, left_out = with_fixed_gain(session)
+    layout, session = sound_session(session)
     result = per_pixel(result, pitch_px)
     progress("levels of darks and flats", 0.0)
     levels = levels_of(session)
@@ -172,6 +174,7 @@ def fit_sensor(
     rise = 0.0 if metered else dark_rise_dn_per_s(levels)
     noted = (
         PLANE_NOTE.format(plane) if pitch_px > 1 else None,
+        *layout_notes(layout),
         note_on_exclusions(session, levels),
         RISE_NOTE.format(rise) if rise else None,
         *(finding.note for finding in findings.values()),

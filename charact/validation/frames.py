@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.frames.session_layout import layout_notes, sound_session
 from charact.validation.thresholds import VALIDATION
 from labdata import BadInput, Camera, Conditions, Kind, Session, StackEntry, Target
 
@@ -83,6 +84,7 @@ def choose(session: Session) -> MatchedStacks:
         camera of visible light.
     """
     camera_of(session)
+    layout, session = sound_session(session)
     darks = _shots(session, "dark")
     if not darks:
         raise BadInput(
@@ -112,7 +114,7 @@ def choose(session: Session) -> MatchedStacks:
             shot.label: _cut(shot, entry)
             for shot, entry in (dark, *flats, *edges[:1], *brightest, *bars[:1])
         },
-        notes=tuple(notes),
+        notes=(*notes, *layout_notes(layout)),
         parts=_parts(dark, flats[-1]),
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.target_detection import find_bar_groups, find_edges, find_pinholes
 from charact.estimators.mtf.thresholds import ACCURACY
+from charact.frames.session_layout import layout_notes, sound_session
 from charact.frames.stack import Stack
 from charact.method import Context, choose
 from charact.method.registry import beyond_note
@@ -187,7 +188,12 @@ def measure_flats(
             "a noise spectrum needs flat stacks, got only "
             f"{sorted({s.kind for s in session.stacks})}"
         )
-    return chosen.function(session, context=context)
+    layout, session = sound_session(session)
+    result, notes = chosen.function(session, context=context), layout_notes(layout)
+    noted = (
+        m if m.value is None else m.with_(notes=(*m.notes, *notes)) for m in result.measurements
+    )
+    return replace(result, measurements=tuple(noted)) if notes else result
 
 
 def _require_valid_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> None:

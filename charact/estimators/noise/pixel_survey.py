@@ -8,9 +8,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.estimators.noise.thresholds import SURVEY
-from charact.frames.layout import Part, lost_rows, profiles_of
+from charact.frames.layout import lost_rows, profiles_of
 from charact.frames.robust import NORMAL, robust_sd
 from charact.frames.rounding import rounding_step
+from charact.frames.session_layout import StackProfile
 from charact.frames.thresholds import STACK
 from labdata import Array, BadInput, StackEntry, open_lazy_stack
 
@@ -39,14 +40,9 @@ def _no_places() -> Places:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PixelSurvey:
+class PixelSurvey(StackProfile):
     """Outlying pixels of one stack; positions are row times columns plus column."""
 
-    # label, kind, size: as in the session; rows and columns
-    label: str
-    kind: str
-    size: tuple[int, int]
-    frames: int  # number of frames
     # level_dn, sd_dn: median, and robust temporal standard deviation, DN
     level_dn: float
     sd_dn: float
@@ -72,9 +68,6 @@ class PixelSurvey:
     # sample, sample_place: deviations of a sample of values, DN, and their positions
     sample: NDArray[np.float32]
     sample_place: Places
-    # profiles, lost: of the mean frame, see `charact.frames.layout`; rows that were lost
-    profiles: tuple[Array, Array] | None = None
-    lost: tuple[Part, ...] = ()
 
     @property
     def pixels(self) -> int:

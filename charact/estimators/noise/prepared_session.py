@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.chip_layout import find_layout, left_out, of_amplifier
 from charact.estimators.noise.defective_pixels import (
     DefectivePixels,
     FrameView,
@@ -22,6 +21,7 @@ from charact.estimators.noise.gain.series import has_multiplication
 from charact.estimators.noise.pixel_survey import PixelSurvey, common_step, survey_pixels
 from charact.estimators.noise.thresholds import SURVEY
 from charact.frames.layout import AreaView, Layout
+from charact.frames.session_layout import find_layout, left_out, of_amplifier
 from charact.frames.stack_statistics import WHOLE_BYTES
 from charact.method import Context
 from labdata import (
@@ -199,13 +199,6 @@ def prepare(session: Session, *, context: Context) -> Prepared:
     if any(entry.view is not None for entry in session.stacks):
         surveys = _survey(session)
     return _prepared(session, surveys, layout, context)
-
-
-def session_layout(session: Session) -> Layout | None:
-    """Return the layout that the darks and flats of a session show; None without them, or where
-    their images are too small.
-    """
-    return find_layout(session, _survey(session))[0]
 
 
 def _survey(session: Session) -> list[PixelSurvey]:
