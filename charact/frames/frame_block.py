@@ -17,6 +17,7 @@ from charact.frames.pixels import (
     right_neighbour,
     successor_correlation,
     variance_error,
+    window_ratio,
 )
 from charact.frames.spectrum import NO_BINS, Bins, bins_of, smooth_length
 from charact.frames.temporal import (
@@ -244,8 +245,9 @@ def run_of(frames: FrameStack, *, context: Context, spectra: Spectra) -> FrameBl
     )
     few_lags, many_lags = NO_SPECTRUM, NO_SPECTRUM
     if spectra:
-        few_lags = _spectrum(sums, order, STACK.few_lags if spectra is True else 0)
-        many_lags = _spectrum(sums, order, STACK.max_lags)
+        ratio = window_ratio(sums, bins)
+        few_lags = _spectrum(sums, order, STACK.few_lags if spectra is True else 0, ratio)
+        many_lags = _spectrum(sums, order, STACK.max_lags, ratio)
     rows, cols = line_errors(sums, order)
     lines = np.hypot(rows, cols)
     scale = max(variance, np.finfo(float).tiny)
@@ -293,10 +295,12 @@ def _check(frames: FrameStack, context: Context) -> None:
         raise BadInput(f"pixel values must lie below {STACK.max_dn:.0e} DN, got {largest:.3g}")
 
 
-def _spectrum(sums: PixelSums, order: Order, max_lag: int) -> BlockSpectrum:
-    """Return the unbiased temporal autocovariance up to a lag."""
+def _spectrum(sums: PixelSums, order: Order, max_lag: int, ratio: float) -> BlockSpectrum:
+    """Return the unbiased temporal autocovariance up to a lag, of the image by that under the
+    window.
+    """
     lags = usable_lags(order.time, order.parity, max_lag)
     same = same_row_lags(lags, order.parity)
     variance = autocovariance(sums.products, order.time, order.parity, same, within_parity=True)[0]
-    power = autocovariance(sums.spectra, order.time, order.parity, lags)
+    power = autocovariance(sums.spectra, order.time, order.parity, lags) * ratio
     return BlockSpectrum(lags=lags, power_dn2=power, variance_dn2=float(variance))

@@ -67,8 +67,7 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     """
     fields = split_fields(data, order.row_step)
     rows, cols = fields[0].shape[1:]
-    row_cuts = np.linspace(0, rows, min(STACK.blocks[0], rows) + 1).astype(np.int64)
-    col_cuts = np.linspace(0, cols, min(STACK.blocks[1], cols) + 1).astype(np.int64)
+    row_cuts, col_cuts = _cuts((rows, cols))
     total = np.zeros((len(SUMS), len(row_cuts) - 1, len(col_cuts) - 1))
     count = len(order.time)
     level, products, with_mean = np.empty(count), np.zeros((count, count)), np.zeros(count)
@@ -107,6 +106,46 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
         pairs=sum(len(field_pass.first) for field_pass in passes),
         spectra=_complete_products(products_of(np.array(modes), bins), order.parity),
         **mean,
+    )
+
+
+def _cuts(size: tuple[int, int]) -> list[Whole]:
+    """Return the first row and column of each block, and the end of the last."""
+    return [
+        np.linspace(0, length, min(most, length) + 1).astype(np.int64)
+        for length, most in zip(size, STACK.blocks, strict=True)
+    ]
+
+
+def window_ratio(sums: PixelSums, bins: Bins) -> float:
+    """Return the variance of the image over that under the window of the spectra.
+
+    Shot noise of a vignetted flat is stronger where the window weighs more.
+    """
+    cuts = _cuts(sums.size)
+    if min(map(len, cuts)) < 3 or not sums.power.any():
+        return 1.0
+    of_image, under_window = (
+        np.outer(*(_block_weights(weight, cut) for weight, cut in zip(weights, cuts, strict=True)))
+        for weights in ([np.ones(length) for length in sums.size], [f**2 for f in bins.fades])
+    )
+    of_image, under_window = (
+        float(np.average(sums.power, weights=weights.ravel()))
+        for weights in (of_image, under_window)
+    )
+    return of_image / under_window
+
+
+def _block_weights(weight: Array, cuts: Whole) -> Array:
+    """Return the weight of each block in a sum of pixels, which lie on lines between the means of
+    blocks.
+    """
+    middle = 0.5 * (cuts[1:] + cuts[:-1] - 1)
+    at = np.arange(len(weight))
+    block = np.clip(np.searchsorted(middle, at) - 1, 0, len(middle) - 2)
+    part = (at - middle[block]) / (middle[block + 1] - middle[block])
+    return np.bincount(block, weight * (1.0 - part), len(middle)) + np.bincount(
+        block + 1, weight * part, len(middle)
     )
 
 

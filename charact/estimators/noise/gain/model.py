@@ -222,6 +222,9 @@ class GainBlurModel:
         )
 
 
+WHITE = GainBlurModel(priors={"power": ((0.0, np.inf), None)})
+
+
 def blur_models(
     exponent: tuple[float, float] | None, *, blurred: bool, floor: bool
 ) -> tuple[GainBlurModel, ...]:

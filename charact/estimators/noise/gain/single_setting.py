@@ -8,7 +8,7 @@ from charact.estimators.noise.findings import Remarks, bounded, finding, posteri
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import exposure_findings
 from charact.estimators.noise.gain.fit import Fit, GainSpectrumOptimum, fit_spectrum
-from charact.estimators.noise.gain.model import blur_models
+from charact.estimators.noise.gain.model import WHITE, blur_models
 from charact.estimators.noise.gain.pooled_noise import PooledNoise, pool_noise, pooling
 from charact.estimators.noise.gain.series import FlatSeries, has_intensifier
 from charact.estimators.noise.gain.undetected_correlation import (
@@ -158,15 +158,25 @@ def misfit_findings(fit: GainSpectrumOptimum) -> list[Finding]:
 
 
 def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> SingleSetting:
-    """Fit blur and covariance gain to the flats of one setting."""
+    """Fit blur and covariance gain to the flats of one setting.
+
+    Without a tube and without correlation of neighbours the spectrum is white where it says so;
+    every form of blur would extrapolate it to frequency 0 with the error of its own strength.
+    """
+    tube = has_intensifier([level.conditions for level in (*series.flats, *series.darks)], context)
     neighbours = spatially_correlated_fraction(series)
     summary = pool_noise(
         series, context.camera, floor=neighbours.is_detected and not has_analogue_chain(context)
     )
-    forms = blur_models(
-        blur_exponent(context), blurred=neighbours.is_detected, floor=summary.outer is not None
-    )
-    fit = fit_spectrum(summary, seed=context.seed, quick=quick, forms=forms)
+    if not (tube or summary.lag.is_detected):
+        # Only a phosphor is expected to hand light to later exposures.
+        summary = replace(summary, lag=replace(summary.lag, factor=1.0, factor_sd=0.0))
+    fit = fit_spectrum(summary, seed=context.seed, quick=quick, forms=(WHITE,))
+    if tube or neighbours.is_detected or fit.best.chance < GAIN.min_p_value:
+        forms = blur_models(
+            blur_exponent(context), blurred=neighbours.is_detected, floor=summary.outer is not None
+        )
+        fit = fit_spectrum(summary, seed=context.seed, quick=quick, forms=forms)
     if rounding_fraction := quantisation_fraction(series, summary):
         fit = replace(
             fit,
@@ -184,7 +194,6 @@ def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> 
         exposures=exposures,
     )
     # Image lag of a tube that too few frames cannot exclude.
-    tube = has_intensifier([level.conditions for level in (*series.flats, *series.darks)], context)
     hidden = exposures.allowance if tube and not summary.lag.tested else 0.0
     return pooled.allowing(hidden, np.random.default_rng([context.seed, 6])) if hidden else pooled
 
