@@ -89,10 +89,10 @@ class PixelSurvey(StackProfile):
         sizes = np.abs(self.sample[~without[self.sample_place]])
         if sizes.size < 100:
             return np.inf
-        ranks = [int(sizes.size * (1.0 - chance)) for chance in (1e-2, 1e-3)]
-        hundredth, thousandth = np.partition(sizes, ranks)[ranks]
+        ranks = [int(sizes.size * (1.0 - chance)) for chance in SURVEY.tail_chances]
+        nearer, farther = np.partition(sizes, ranks)[ranks]
         return max(
-            float(thousandth + SURVEY.tail_decades * (thousandth - hundredth)),
+            float(farther + SURVEY.tail_decades * (farther - nearer)),
             SURVEY.sudden_sd * self.sd_dn,
         )
 
@@ -225,7 +225,8 @@ def _tracks(
     sd: float,
 ) -> dict:
     """Return the pixels of tracks with their frames: outliers and their neighbours in that frame
-    that depart by `SURVEY.track_sd`, and so on along the track.
+    that depart by `SURVEY.track_sd`, and so on along the track; then all neighbours of these, whose
+    share of the charge their noise hides.
     """
     rows, cols = size
     is_hit, is_track = (np.zeros((rows + 2, cols + 2), bool) for _ in range(2))
@@ -233,10 +234,15 @@ def _tracks(
     row, col = np.divmod(known, cols)
     step = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
     is_hit[row + 1, col + 1] = True
-    while len(row):
+
+    def neighbours() -> tuple[tuple[Places, Places], Places, NDArray[np.bool_]]:
         around = row[:, None] + step[:, 0], col[:, None] + step[:, 1]
         clipped = np.clip(around[0], 0, rows - 1) * cols + np.clip(around[1], 0, cols - 1)
         is_inside = (np.clip(around, 0, [[[rows - 1]], [[cols - 1]]]) == around).all(axis=0)
+        return around, clipped, is_inside
+
+    while len(row):
+        around, clipped, is_inside = neighbours()
         is_near = is_inside & (departure(clipped) > SURVEY.track_sd * sd)
         is_near &= frame(clipped) == frame(row * cols + col)[:, None]
         is_track[row + 1, col + 1] |= is_near.any(axis=1)
@@ -247,7 +253,15 @@ def _tracks(
         # Where most are tracks, single outliers are parts of them that others cross.
         is_track = is_hit
     track = np.flatnonzero(is_track[1:-1, 1:-1])
-    return {"track": track, "track_frame": frame(track)}
+    row, col = np.divmod(track, cols)
+    _, clipped, is_inside = neighbours()
+    rim_frame = np.broadcast_to(frame(track)[:, None], clipped.shape)[is_inside]
+    rim = np.unique([clipped[is_inside], rim_frame], axis=1)
+    rim = rim[:, ~np.isin(rim[0], track)]
+    return {
+        "track": np.concatenate([track, rim[0]]),
+        "track_frame": np.concatenate([frame(track), rim[1]]),
+    }
 
 
 class _Extremes:

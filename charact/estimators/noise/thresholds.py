@@ -113,7 +113,9 @@ class SurveyLimits:
     sudden_sd: float = 6.15  # standard deviations of a difference: 1e-9 of a normal distribution
     max_tracks: float = 0.1  # outliers beyond which they are not followed along tracks
     track_sd: float = 3.0  # standard deviations of a pixel of a track next to an outlier
-    tail_decades: float = 4.0  # decades by which the tail is extrapolated from 1e-2 and 1e-3
+    # chances, a decade apart, of which the tail is extrapolated; one pixel of 1000 may be hit
+    tail_chances: tuple[float, float] = (10**-1.5, 10**-2.5)
+    tail_decades: float = 4.5  # decades by which it is extrapolated, to 1e-7
     # variances over signal; exponential heights of F^2 = 2 exceed it with e^-50
     max_pulse: float = 25.0
     blinking_fraction: float = 0.006  # outlying pixels of a dark before they count as its own tail
