@@ -107,18 +107,20 @@ def posterior_findings(posterior: Posterior) -> list[Finding]:
     return [finding(flag, FLAGS[flag].rstrip(".")) for flag in posterior.flags]
 
 
-def rounding_findings(variance_dn2: float) -> list[Finding]:
+def rounding_findings(variance_dn2: float, included_dn2: float = QUANTISATION_DN2) -> list[Finding]:
     """Return the finding of noise smaller than the quantisation step, with its bound on the
     standard deviation, DN.
 
     Noise of variance v before rounding to steps s has the variance v + s^2/12 where rounding is
-    independent; v lies within `variance_range_before_rounding`.
+    independent; v lies within `variance_range_before_rounding`. `included_dn2`: what the printed
+    noise holds of s^2/12.
     """
     if variance_dn2 >= QUANTISED_DN2:
         return []
     noise_dn = max(variance_dn2, 0.0) ** 0.5
+    printed_dn2 = max(variance_dn2 - QUANTISATION_DN2 + included_dn2, 0.0)
     effects_dn = [
-        noise_dn - (before_dn2 + QUANTISATION_DN2) ** 0.5
+        printed_dn2**0.5 - (before_dn2 + included_dn2) ** 0.5
         for before_dn2 in variance_range_before_rounding(noise_dn**2)
     ]
     low, high = min(effects_dn), max(effects_dn)

@@ -3,6 +3,7 @@ quantities.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -277,7 +278,12 @@ def electron_quantities(
         return [*out, make_refusal("read_noise", "e-", reason, **fields)]
     dark_e2 = np.maximum(square, 0.0) / slope**2
     read = measurement_from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **fields)
-    out.append(judge(with_drift_of_darks(read, series), why))
+    electron_dn = float(np.median(slope))
+    rounded = [
+        replace(entry, bound=entry.bound and entry.bound / electron_dn)
+        for entry in rounding_findings(dark**2, included_dn2=0.0)
+    ]
+    out.append(judge(with_drift_of_darks(read, series), [*why, *rounded]))
     # Capacity, largest signal-to-noise ratio and dynamic range, at the level of peak variance.
     names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
     if series.peak is None:
