@@ -1,8 +1,8 @@
 """Numbers of a chip of several amplifiers: each amplifier's, and the chip's with their spread.
 
-Fixed patterns of the chip are the root mean square over its amplifiers, so that no step between
-them counts. Where other numbers x_i of the amplifiers differ by more than their errors, the
-chip's holds them all: max |x_i - x| is the bound of a finding.
+Fixed patterns of the chip are the root mean square over its amplifiers, its other numbers their
+mean, so that no step between them counts. Where the numbers x_i of the amplifiers differ by more
+than their errors, the chip's holds them all: max |x_i - x| is the bound of a finding.
 """
 
 from collections.abc import Sequence
@@ -26,6 +26,7 @@ SHOWN = (
     "prnu",
     "saturation_capacity",
 )
+MEANS = {1: "mean of the amplifiers", 2: "root mean square over the amplifiers"}
 PATTERNS = ("dsnu", "prnu", "noise_v", "noise_h", "noise_vh")
 GAINS = ("system_gain", "covariance_gain")
 
@@ -62,9 +63,10 @@ def _of_chip(
 ) -> Measurement:
     """Return a number of the chip by the same numbers of its amplifiers."""
     values = np.array([part.value for part in parts if part.value is not None], float)
-    if m.quantity in PATTERNS and len(parts) == count:
-        return _pattern(m, parts, values)
-    if m.value is None:
+    is_pattern = m.quantity in PATTERNS and len(parts) == count
+    if is_pattern or (m.quantity in SHOWN and len(values) == count):
+        m = _mean(m, parts, 2 if is_pattern else 1)
+    if is_pattern or m.value is None:
         return m
     bound = 0.0
     if len(values) == count:
@@ -82,18 +84,19 @@ def _of_chip(
     return judge(m, [finding("amplifiers", effect, bound=bound)])
 
 
-def _pattern(m: Measurement, parts: Sequence[Measurement], values: np.ndarray) -> Measurement:
-    """Return the root mean square of a fixed pattern over the amplifiers; refused where one is."""
+def _mean(m: Measurement, parts: Sequence[Measurement], power: int) -> Measurement:
+    """Return the mean of a number over the amplifiers, or of its square; refused where one is."""
     refused = [part for part in parts if part.value is None]
     if refused:
         return replace(refused[0], posterior=None)
-    value = float(np.sqrt(np.mean(values**2)))
+    values = np.array([part.value for part in parts], float)
+    value = float(np.mean(values**power) ** (1.0 / power))
+    # dx = sum(x_i^(p - 1) dx_i) / (N x^(p - 1)), independent between amplifiers.
+    weight = (values / value) ** (power - 1) / len(values) if value else np.ones(len(values))
     limits = []
     for name in ("interval68", "interval95"):
         ends = np.array([getattr(part, name) for part in parts], float)
-        # dx = sum(x_i dx_i) / (N x), independent between amplifiers.
-        arms = np.sqrt(np.sum((values[:, None] * (ends - values[:, None])) ** 2, axis=0))
-        low, high = arms / (len(values) * value) if value else (0.0, float(ends[:, 1].max()))
+        low, high = np.sqrt(weight**2 @ (ends - values[:, None]) ** 2)
         limits.append((value - float(low), value + float(high)))
     mean = replace(
         parts[0], value=value, interval68=limits[0], interval95=limits[1], posterior=m.posterior
@@ -104,5 +107,4 @@ def _pattern(m: Measurement, parts: Sequence[Measurement], values: np.ndarray) -
         for flag in part.flags
         if flag not in parts[0].flags
     ]
-    notes = (*m.notes, "root mean square over the amplifiers")
-    return judge(mean.with_(notes=notes), findings)
+    return judge(mean.with_(notes=(*m.notes, MEANS[power])), findings)
