@@ -222,12 +222,13 @@ class BarForm:
     def derivatives(
         self, ln_ratio: Array, attenuation: float, first: float, second: float
     ) -> Array:
-        """Return ln transfer and its derivatives by ln A and both parameters, shape (4, ...) for
-        ln(r/f) of any shape.
+        """Return ln transfer and its derivatives by ln A, both parameters and ln r, shape (5, ...)
+        for ln(r/f) of any shape.
 
         Interpolated in a radial table: the transfer is rotationally symmetric.
         """
         table = self.table(LN_RATIOS, attenuation, first, second)
+        table = np.stack([*table, np.gradient(table[0], LN_RATIOS)])
         position = np.clip(
             (ln_ratio - LN_RATIOS[0]) / (LN_RATIOS[1] - LN_RATIOS[0]), 0.0, LN_RATIOS.size - 1.001
         )

@@ -19,6 +19,8 @@ NAMES = (
     "departure",
     "log_frequency",
     "log_length",
+    "log_width",
+    "log_aspect",
     "across_px",
     "along_px",
     "angle_rad",
@@ -27,9 +29,12 @@ NAMES = (
     "slope_across",
     "slope_along",
 )
-ALONG = ("log_length", "along_px")
+SHAPES = NAMES[:8]
+ALONG = ("log_length", "log_aspect", "along_px")
 # Prior standard deviations: frequency (STANAG 4349: 5 %) and length, relative.
 FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
+# The same of a bar's width over half a period, and of the blur along the bars over that across.
+WIDTH_SD, ASPECT_SD = 0.01, 0.2
 # Prior standard deviation of the model departure: relative to the transfer, and absolute.
 DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
 BOUNDS = {
@@ -38,6 +43,8 @@ BOUNDS = {
     # Far beyond any target: bounds the size of the image when other objects are fitted.
     "log_frequency": (float(np.log(1e-3)), 0.0),
     "log_length": (0.0, float(np.log(4e3))),
+    "log_width": (-0.3, 0.3),
+    "log_aspect": (-1.5, 1.5),
 }
 
 
@@ -58,6 +65,8 @@ class BarShape:
     # Relative departure of the transfer from the blur model around the bar frequency
     departure: float
     angle_rad: float  # Direction across the bars, for the pixel's aperture
+    log_width: float = 0.0  # ln of a bar's width over half a period
+    log_aspect: float = 0.0  # ln of the blur along the bars over that across them
 
     @property
     def pixel(self) -> float:
@@ -77,12 +86,11 @@ class Table:
     step_across_px: float  # Step across the bars, px
     # Distance along the bars of each row, px; one row: the image does not vary along them
     along_px: Array
-    # Image, 1 on a wide bar, and its derivatives by log attenuation, both model parameters,
-    # departure, ln(frequency) and ln(length), shape (7, along, across)
+    # Image, 1 on a wide bar, and its derivatives by `SHAPES`, shape (9, along, across)
     values: Array
 
     def at(self, across: Array, along: Array) -> Array:
-        """Return image, the six derivatives, and the slopes across and along, at points, shape (9,
+        """Return image, its derivatives, and the slopes across and along, at points, shape (11,
         point).
         """
         _, rows, cols = self.values.shape
@@ -117,30 +125,41 @@ def table_of(shape: BarShape, half_across_px: float, half_along_px: float) -> Ta
     Notes
     -----
     Across the bars, u, the spectrum of N bars is w sinc(u w) sin(pi N u P) / sin(pi u P), along
-    them L sinc(L v). The transfer is that of a blur model at r = |(u, v)|, c at f, times the
-    pixel's two sincs in its own directions. Around f, over the width f/N in which the bars have
-    light, it may depart from the model by a fraction.
+    them L sinc(L v). The transfer is that of a blur model at r = |(u, a v)|, c at f, times the
+    pixel's two sincs in its own directions; a is the blur along the bars over that across them.
+    Around f, over the width f/N in which the bars have light, it may depart from the model by a
+    fraction.
     """
     from scipy.fft import irfft, next_fast_len
 
     period = float(next_fast_len(int(2.2 * half_across_px) + 16, True) or 0)
     step = 2.0 ** -max(3.0, np.ceil(np.log2(100 * shape.frequency)))
-    u = np.arange(int(1.5 * period)) / period
-    comb, comb_slope = _comb(shape, u)
+    highest_u, highest_v = _highest_frequencies(shape)
+    u = np.arange(int(highest_u * period)) / period
+    comb, comb_slope, comb_widens = _comb(shape, u)
     if np.isinf(shape.length_px):
         nodes = np.zeros(1)
         rows = _transfers(shape, u, nodes)[..., 0][:, None]
         longer = np.zeros_like(rows[0])
     else:
         nodes = _rows(shape.length_px, half_along_px)
-        v, weight, weight_slope = _along(shape.length_px, nodes)
+        v, weight, weight_slope = _along(shape.length_px, nodes, highest_v)
         transfers = _transfers(shape, u, v)
         rows = np.swapaxes(transfers @ weight, 1, 2)
         longer = (transfers[0] @ weight_slope).T * comb
     bar_lobe = np.exp(-0.5 * ((u / shape.frequency - 1.0) * 2.0 * shape.bars) ** 2)
     family = rows[0] * comb
     rows = rows * (1.0 + shape.departure * bar_lobe)
-    spectrum = np.stack([*(rows * comb), family * bar_lobe, rows[0] * comb_slope, longer])
+    spectrum = np.stack(
+        [
+            *(rows[:4] * comb),
+            family * bar_lobe,
+            rows[0] * comb_slope,
+            longer,
+            rows[0] * comb_widens,
+            rows[4] * comb,
+        ]
+    )
     values = (
         np.asarray(irfft(spectrum, int(period / step), axis=-1))[
             ..., : int(half_across_px / step) + 2
@@ -171,36 +190,53 @@ def _rows(length_px: float, half_px: float) -> Array:
     return np.array([0.0, *[node for node in nodes if node > 0.25 * ACCURACY.row_step_px]])
 
 
-def _along(length_px: float, nodes: Array) -> tuple[Array, Array, Array]:
+def _highest_frequencies(shape: BarShape) -> tuple[float, float]:
+    """Return the frequencies across and along the bars up to which their image has light, cy/px.
+
+    The pixel alone falls as 1/f: without a blur its image needs several cycles per pixel.
+    """
+    attenuation = float(np.exp(shape.log_attenuation))
+    ln_core = shape.form.ln(
+        np.log([1.0 / shape.reference]), attenuation, shape.form_one, shape.form_two
+    )
+    blurred = ln_core[0] < np.log(ACCURACY.negligible_transfer)
+    return ACCURACY.highest_cy_per_px if blurred else ACCURACY.highest_sharp_cy_per_px
+
+
+def _along(length_px: float, nodes: Array, highest: float) -> tuple[Array, Array, Array]:
     """Return frequencies along the bars, and their weights in every row and in its derivative by
     ln(length).
     """
     tall = float(int(2.2 * nodes[-1]) + 16)
-    v = np.arange(int(1.0 * tall)) / tall
+    v = np.arange(int(highest * tall)) / tall
     wave = np.cos(2.0 * np.pi * v[:, None] * nodes) * (2.0 - (v == 0))[:, None] * length_px / tall
     return v, np.sinc(length_px * v)[:, None] * wave, np.cos(np.pi * length_px * v)[:, None] * wave
 
 
-def _comb(shape: BarShape, u: Array) -> tuple[Array, Array]:
-    """Return the spectrum of the bars across them, px, and its derivative by ln(frequency)."""
-    width = 0.5 / shape.frequency
+def _comb(shape: BarShape, u: Array) -> tuple[Array, Array, Array]:
+    """Return the spectrum of the bars across them, px, and its derivatives by ln(frequency) and
+    ln(width).
+    """
+    width = 0.5 * np.exp(shape.log_width) / shape.frequency
     positions = (np.arange(shape.bars) - (shape.bars - 1) / 2.0)[:, None] / shape.frequency
     turn = 2.0 * np.pi * positions * u
     bar, repeats = width * np.sinc(width * u), np.cos(turn).sum(axis=0)
-    return bar * repeats, bar * (turn * np.sin(turn)).sum(axis=0) - width * np.cos(
-        np.pi * width * u
-    ) * repeats
+    widens = width * np.cos(np.pi * width * u) * repeats
+    return bar * repeats, bar * (turn * np.sin(turn)).sum(axis=0) - widens, widens
 
 
 def _transfers(shape: BarShape, u: Array, v: Array) -> Array:
-    """Return the transfer and its derivatives by log attenuation and both model parameters, shape
-    (4, u, v).
+    """Return the transfer and its derivatives by log attenuation, both model parameters and log
+    aspect, shape (5, u, v).
     """
-    ln_ratio = np.log(np.maximum(np.hypot(u[:, None], v) / shape.reference, 1e-9))
+    u_squared, v_squared = u[:, None] ** 2, (np.exp(shape.log_aspect) * v) ** 2
+    r_squared = np.maximum(u_squared + v_squared, (1e-9 * shape.reference) ** 2)
+    ln_ratio = 0.5 * np.log(r_squared / shape.reference**2)
     core = shape.form.derivatives(
         ln_ratio, float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two
     )
     core[0] = np.exp(core[0]) * _pixel(shape.angle_rad, u.size, float(u[1]), v.size, float(v[-1]))
+    core[4] *= v_squared / r_squared
     core[1:] *= core[0]
     return core
 
@@ -268,6 +304,8 @@ def priors(problem: BarLikelihood, mtf: float) -> tuple[Array, Array]:
         "departure": (0.0, DEPARTURE_SD + DEPARTURE_FLOOR / max(mtf, 1e-3)),
         "log_frequency": (np.log(problem.asked), FREQUENCY_SD),
         "log_length": (np.log(problem.length_px), LENGTH_SD),
+        "log_width": (0.0, WIDTH_SD),
+        "log_aspect": (0.0, ASPECT_SD),
     }
     mean = np.array([known.get(name, (0.0, np.inf))[0] for name in problem.names])
     return mean, np.array([known.get(name, (0.0, np.inf))[1] ** -2.0 for name in problem.names])
@@ -284,6 +322,8 @@ def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, f
         "departure": 0.0,
         "log_frequency": float(np.log(target.frequency)),
         "log_length": float(np.log(problem.length_px)),
+        "log_width": 0.0,
+        "log_aspect": 0.0,
         "across_px": 0.0,
         "along_px": 0.0,
         "angle_rad": target.angle_rad,
@@ -326,6 +366,8 @@ class BarImageModel:
             form_one=theta["form_one"],
             form_two=theta["form_two"],
             departure=theta["departure"],
+            log_width=theta["log_width"],
+            log_aspect=theta.get("log_aspect", 0.0),
             # The fit changes the direction too little to affect the pixel's transfer.
             angle_rad=self.target.angle_rad,
         )
@@ -337,7 +379,7 @@ class BarImageModel:
         )
         looked_up = table_of(self.shape(theta), *self.reach).at(across, along)
         level = theta["level_dn"]
-        slopes = level * looked_up[7], level * looked_up[8]
+        slopes = level * looked_up[-2], level * looked_up[-1]
         scale = (2.0 * self.reach[0], 2.0 * self.reach[1])
         image = (
             theta["pedestal_dn"]
@@ -346,7 +388,7 @@ class BarImageModel:
             + theta["slope_along"] * along / scale[1]
         )
         derivative = {
-            **dict(zip(NAMES[:6], level * looked_up[1:7], strict=True)),
+            **dict(zip(SHAPES, level * looked_up[1:9], strict=True)),
             "across_px": -slopes[0],
             "along_px": -slopes[1],
             "angle_rad": slopes[0] * along - slopes[1] * across,

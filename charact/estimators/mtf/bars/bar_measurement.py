@@ -322,7 +322,12 @@ def _measure_complete_target(
     why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
     if why is not None:
         return BarRefusal(why, "aliased")
-    second = second_harmonic(mean, target, window, float(mean[background].mean()), amplitudes)
+    # A fitted image has the width of the bars and the curvature of the response instead.
+    second = (
+        second_harmonic(mean, target, window, float(mean[background].mean()), amplitudes)
+        if has_tube(context.camera)
+        else 0.0
+    )
     target_findings = findings_of_sums(target, amplitudes, second)
     target_findings += window_findings(
         margin, LIMITS.min_margin_px if cut else 0.0, crowded=crowded

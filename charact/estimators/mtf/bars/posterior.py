@@ -34,10 +34,11 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
     image = BarImageModel(problem, fit.target)
     centre = {**fit.values, **{name: 0.0 for name in PLACE if name in fit.names}}
     value, sd = (
-        np.array([fit[name] for name in TABULATED]),
+        _coordinates(np.array([[fit[name] for name in TABULATED]]))[0],
         np.array([fit.sd(name) for name in TABULATED]),
     )
-    low, high = np.array([problem.bounds[name] for name in TABULATED]).T
+    sd[0] *= value[0]
+    low, high = _coordinates(np.array([problem.bounds[name] for name in TABULATED]).T)
     low = np.maximum(low, value - ACCURACY.table_range_sd * sd)
     high = np.minimum(high, value + ACCURACY.table_range_sd * sd)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
@@ -46,8 +47,8 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
     data = problem.image[problem.window]
     numbers = [
         fit.estimator
-        @ (data - image({**centre, **dict(zip(TABULATED, grid_point, strict=True))})[0])
-        for grid_point in (middle + half * positions).tolist()
+        @ (data - image({**centre, TABULATED[0]: np.log(attenuation), TABULATED[1]: form_one})[0])
+        for attenuation, form_one in (middle + half * positions).tolist()
     ]
     polynomial = np.linalg.lstsq(_powers(positions), np.array(numbers), rcond=None)[0]
     inverse, response, offset = _marginal(fit)
@@ -58,7 +59,7 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
     )
 
     def log_probability(theta: Array) -> Array:
-        scaled = (theta[:, :2] - middle) / half
+        scaled = (_coordinates(theta[:, :2]) - middle) / half
         in_bounds = np.all(np.abs(scaled) <= 1.0, axis=1) & (
             theta[:, 2] > problem.bounds["departure"][0]
         )
@@ -66,9 +67,17 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
         off = off - np.outer(theta[:, 2] - fit["departure"], response)
         chi2 = np.einsum("ni,ij,nj->n", off, inverse, off)
         prior = precision[0] * (theta[:, 1] - mean) ** 2 + precision[1] * theta[:, 2] ** 2
-        return np.where(in_bounds, -0.5 * (chi2 + prior), -np.inf)
+        # Flat in the attenuation: below what the pixels resolve all of its logarithms fit alike.
+        return np.where(in_bounds, theta[:, 0] - 0.5 * (chi2 + prior), -np.inf)
 
     return log_probability
+
+
+def _coordinates(tabulated: Array) -> Array:
+    """Return the coordinates of the table: attenuation, in which a sharp image is linear, and
+    exponent.
+    """
+    return np.stack([np.exp(tabulated[:, 0]), tabulated[:, 1]], axis=1)
 
 
 def _powers(points: Array) -> Array:

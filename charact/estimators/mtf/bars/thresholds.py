@@ -130,6 +130,11 @@ class BarAccuracy:
     matched_range: tuple[float, float] = 0.02, 3.0
     # Variance over the squared bar height that corresponds to the error of the image's table.
     min_variance: float = 1e-8
+    # Highest frequencies of the image's spectrum across and along the bars, cy/px: of a blur whose
+    # transfer is negligible at 1 cy/px, and of a sharper one, which is that of the pixel
+    negligible_transfer: float = 0.01
+    highest_cy_per_px: tuple[float, float] = 1.5, 1.0
+    highest_sharp_cy_per_px: tuple[float, float] = 4.0, 3.0
     table_range_sd: float = 4.0  # Tabulated range of attenuation and exponent, standard deviations
     table_points: int = 7  # Points of the table along either
     table_degree: int = 4  # Degree of the interpolating polynomial
