@@ -90,7 +90,6 @@ def least_squares(
     min_damping: float = 1e-9,
     max_damping: float = 1e9,
     max_step: ArrayLike = 0.25,
-    hopeless: float = np.inf,
 ) -> Optimum:
     """Minimise a sum of squares within bounds by damped Gauss-Newton steps.
 
@@ -110,8 +109,6 @@ def least_squares(
         the cost and after one that does not, its least value, and that above which the search ends.
     max_step
         Largest step, as a fraction of the range between the bounds, of all parameters or of each.
-    hopeless
-        Cost above which a search ends that the last gains cannot bring below it.
 
     Notes
     -----
@@ -122,7 +119,6 @@ def least_squares(
     point = np.clip(np.asarray(start, float), bounds[:, 0], bounds[:, 1])
     max_change = np.asarray(max_step, float) * (bounds[:, 1] - bounds[:, 0])
     model = linearise(point)
-    accepted = 0
     for _ in range(iterations):
         step = damped_step(model.gradient, model.normal, point, bounds, damping, max_change)
         trial = np.clip(point + step, bounds[:, 0], bounds[:, 1])
@@ -131,10 +127,9 @@ def least_squares(
         if gain >= 0:
             # Near the optimum a step gains at least as much as all later ones, unless damping
             # shortens it.
-            is_whole, accepted = damping < 1.0, accepted + 1
+            is_whole = damping < 1.0
             point, model, damping = trial, trial_model, max(damping * shrink, min_damping)
-            is_hopeless = accepted > 2 and model.cost - gain > hopeless
-            if is_whole and (gain < max(tolerance, relative_tolerance * model.cost) or is_hopeless):
+            if is_whole and gain < max(tolerance, relative_tolerance * model.cost):
                 break
         else:
             damping *= grow

@@ -5,6 +5,7 @@ A new form is a class here and its place in `ON_EDGES`, `ON_BARS` and `ON_POINTS
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from math import exp, log
 
 import numpy as np
@@ -178,6 +179,24 @@ class ExactPupil(Core):
         yield from self.differences(theta, frequency)
 
 
+@lru_cache(maxsize=16)
+def _pupil_at_nodes(square: float) -> Array:
+    return pupil(PUPIL_NODES, 1.0, 0.0, float(np.sqrt(max(square, 0.0))))[0]
+
+
+class DefocusedPupil(Core):
+    """A round pupil out of focus up to the zero of its transfer, by integration at `PUPIL_NODES`:
+    `pupil`.
+    """
+
+    name, shape = "defocused pupil", (DEFOCUS,)
+
+    def attenuation(self, x: Array, shape: Sequence[float]) -> Array:
+        """As of `Core`, x = f over the cut-off."""
+        transfer = np.interp(x, PUPIL_NODES, _pupil_at_nodes(shape[0]))
+        return -np.log(np.maximum(transfer, np.exp(MIN_LN)))
+
+
 class TwoGaussians(Core):
     """(1 - q) exp(-x^2) + q exp(-(k x)^2), a Gaussian and a fraction q of the light in one k times
     as wide.
@@ -191,9 +210,27 @@ class TwoGaussians(Core):
 
     def attenuation(self, x: Array, shape: Sequence[float]) -> Array:
         """As of `Core`, x as in the equation."""
-        square, (fraction, ln_wider) = np.minimum(x**2, -MIN_LN), shape
-        wider_part = np.exp(-np.minimum(np.exp(2.0 * ln_wider) * square, -MIN_LN))
-        return -np.log((1.0 - fraction) * np.exp(-square) + fraction * wider_part)
+        square, (fraction, ln_wider) = x**2, shape
+        wider_part = self.wider_part(np.exp(2.0 * ln_wider) * square)
+        narrow_part = np.exp(-np.minimum(square, -MIN_LN))
+        transfer = (1.0 - fraction) * narrow_part + fraction * wider_part
+        return -np.log(np.maximum(transfer, np.exp(MIN_LN)))
+
+    def wider_part(self, square: Array) -> Array:
+        """Return the transfer of the wider part at squared frequencies (k x)^2."""
+        return np.exp(-np.minimum(square, -MIN_LN))
+
+
+class GaussianInWings(TwoGaussians):
+    """(1 - q) exp(-x^2) + q (1 + (k x)^2)^(-3/2), a Gaussian and a fraction q of the light in a
+    scatter tail exp(-r/t) with k = sqrt(2) t/s.
+    """
+
+    name = "gaussian in wings"
+
+    def wider_part(self, square: Array) -> Array:
+        """As of `TwoGaussians`."""
+        return (1.0 + square) ** -1.5
 
 
 GAUSSIAN, EXPONENTIAL, MOFFAT, AIRY = Gaussian(), Exponential(), Moffat(), ClearPupil()
@@ -238,12 +275,12 @@ ON_BARS = (
     ),
     BarForm(
         name="a lens",
-        core=AIRY,
+        core=DefocusedPupil(),
         first=Parameter(
             name="gaussian_share", unit="1", low=0.0, high=0.95, mean=0.2, sd=0.4, start=0.1
         ),
-        second=NONE,
-        shape=lambda _first, _second: (),
+        second=DEFOCUS,
+        shape=lambda _, defocus_square: (defocus_square,),
         gaussian_share=lambda fraction, _: fraction,
     ),
     BarForm(
@@ -256,6 +293,13 @@ ON_BARS = (
     BarForm(
         name="two Gaussians",
         core=TwoGaussians(),
+        first=TwoGaussians.shape[0],
+        second=TwoGaussians.shape[1],
+        shape=lambda fraction, ln_wider: (fraction, ln_wider),
+    ),
+    BarForm(
+        name="a Gaussian in wings",
+        core=GaussianInWings(),
         first=TwoGaussians.shape[0],
         second=TwoGaussians.shape[1],
         shape=lambda fraction, ln_wider: (fraction, ln_wider),

@@ -29,6 +29,10 @@ class MtfLimits:
     # Effect of motion on MTF50 that leaves the noise on slopes a test, standard uncertainties
     max_motion_sd: float = 0.5
     min_line_power: float = 0.5  # Precision of a line's position over the median
+    # Fall of the summed noise correlation that is sharpening: white noise never shows it, an amount
+    # of 0.3 does (study strangers_edges).
+    min_anticorrelation: float = 0.1
+    anticorrelation_sd: float = 4.0  # Its significance, standard errors: chance 3e-5 an edge
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,8 @@ class MtfAccuracy:
     wide_gap_lines: int = 5
     profile_cells_per_px: int = 4  # Cells of the mean profile per px
     profile_smoothing_px: float = 0.5  # Its smoothing, px
+    sharpening_pixels: int = 1000  # Pixels below which no anticorrelation is tested
+    sharpening_clip_sd: float = 5.0  # Standardised noise is clipped to this
 
 
 LIMITS = MtfLimits()

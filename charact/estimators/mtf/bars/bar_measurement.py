@@ -215,7 +215,7 @@ def _sample_measurement(
         mtf=mtf,
         findings=(
             *_bound_lost_light(target_findings, [model for _, model, _ in forms], margin),
-            *findings_of_fit(fit, problem, margin),
+            *findings_of_fit(fit, problem),
             *response_findings(response, float(np.mean(mtf))),
             # White clips where there is light, black mostly where there is none.
             *clipping_findings(stack, (lit, problem.window), fit),

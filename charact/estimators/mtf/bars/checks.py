@@ -1,22 +1,19 @@
 """Checks of a bar target: bar count, field motion, nonlinearity, misfit, sharpening, aliasing."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
 from charact.estimators.mtf.bars.amplitudes import Amplitudes
-from charact.estimators.mtf.bars.bar_image_model import (
-    BarImageModel,
-    BarLikelihood,
-    initial_parameters,
-    table_of,
-)
-from charact.estimators.mtf.bars.fit import BarFit, fit_bars, rounding_sd
+from charact.estimators.mtf.bars.bar_count import likelier_bar_count
+from charact.estimators.mtf.bars.bar_image_model import BarLikelihood
+from charact.estimators.mtf.bars.fit import BarFit, rounding_sd
 from charact.estimators.mtf.bars.target import BarTarget, core_margin_px
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.estimators.mtf.sharpening import noise_gain
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.frames.stack import Stack
+from charact.transfer.stages import aperture
 from charact.verdict import Finding
 from labdata import Array, Mask
 
@@ -58,38 +55,47 @@ def finding(flag: str, effect: str, remedy: str | None = None) -> Finding:
     return Finding(flag=flag, effect=effect, remedy=remedy or REMEDIES[flag])
 
 
-def sharpening(fit: BarFit, margin_px: float) -> float:
-    """Return the fraction of a blurred copy of the bars that is missing, 0 where not significant.
-
-    A camera that sharpens takes light off at all distances up to the margin of the window; a blur
-    of slightly another form takes it from one distance to another, and must do so more clearly.
+def sharpening_findings(fit: BarFit) -> list[Finding]:
+    """Return the finding of a camera that sharpens: of noise on even ground, or of a response to a
+    step that overshoots.
     """
-    widths = [width for width in ACCURACY.copy_widths_px if width <= max(margin_px, 2.0)]
-    weight = 1.0 / np.maximum(fit.noise.variance, ACCURACY.min_variance * fit["level_dn"] ** 2)
-    basis = np.linalg.qr((fit.slope * np.sqrt(weight)).T)[0]
-    spread = np.array([_blur_bars(fit, width) for width in widths]) * np.sqrt(weight)
-    free_spread = (spread - (spread @ basis) @ basis.T) * np.sqrt(weight)
-    missing = -(free_spread @ fit.residual_dn)
-    sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(free_spread, fit.window)), 0.0))
-    response = np.sum(free_spread * spread / np.sqrt(weight), axis=1)
-    free_fraction = np.sum((free_spread / np.sqrt(weight)) ** 2, axis=1) / np.sum(spread**2, axis=1)
-    independent = free_fraction > LIMITS.min_independent_fraction
-    moved = (missing < LIMITS.max_added_sd * sd)[independent].any()
-    significant = (
-        (missing > (LIMITS.significant_sd if moved else LIMITS.min_sharpening_sd) * sd)
-        & (missing > LIMITS.min_sharpening * response)
-        & independent
+    noise, height = np.zeros(fit.window.shape), np.ones(fit.window.shape)
+    noise[fit.window] = fit.residual_dn / np.sqrt(np.maximum(fit.noise.variance, 1e-30))
+    height[fit.window] = np.abs((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"])
+    gain = noise_gain(noise, height < LIMITS.max_even_height)
+    overshoot, sd = _overshoot(fit)
+    overshoots = overshoot > max(LIMITS.min_overshoot, LIMITS.significant_sd * sd)
+    if not (gain > 1.0 or overshoots):
+        return []
+    effect = (
+        f"sharpened: overshoot of {100.0 * overshoot:.1f} % of a step, and noise is "
+        f"{100.0 * (gain - 1.0):.0f} % larger; the MTF is that of the processed image"
     )
-    return float(np.max(np.where(significant, missing / response, 0.0)))
+    return [finding("processed", effect)]
 
 
-def _blur_bars(fit: BarFit, width_px: float) -> Array:
-    """Return the bars' light blurred, in the pixels of the window."""
-    from scipy.ndimage import gaussian_filter
+def _overshoot(fit: BarFit) -> tuple[float, float]:
+    """Return the overshoot of both sides of a step under the fitted blur, and its standard
+    uncertainty.
 
-    light = np.zeros(fit.window.shape)
-    light[fit.window] = fit.model_dn - fit["pedestal_dn"]
-    return gaussian_filter(light, width_px, mode="nearest")[fit.window]
+    E(x) = 1/2 + int_0^inf T(u) sin(2 pi u x)/(pi u) du, in periods x and cycles per period u.
+    """
+    names = ("log_attenuation", "form_one", "form_two")
+    shape, index = fit.shape, [fit.names.index(name) for name in names]
+    u = (np.arange(4000) + 0.5) / 100.0
+    x = np.arange(1.0, 100.0) / 50.0
+    kernel = np.sin(2.0 * np.pi * np.outer(x, u)) / (100.0 * np.pi * u)
+    pixel = aperture(u * fit.target.frequency, shape.angle_rad)
+    ratio = np.log(u * fit.target.frequency / shape.reference)
+
+    def overshoot(theta: Array) -> float:
+        core = np.exp(shape.form.ln(ratio, float(np.exp(theta[0])), theta[1], theta[2]))
+        return 2.0 * float((kernel @ (core * pixel)).max() - 0.5)
+
+    theta, step = fit.value[index], ACCURACY.shape_step * np.eye(len(index))
+    value = overshoot(theta)
+    slopes = np.array([overshoot(theta - move) - value for move in step]) / ACCURACY.shape_step
+    return value, float(np.sqrt(max(slopes @ fit.covariance[np.ix_(index, index)] @ slopes, 0.0)))
 
 
 def window_findings(margin_px: float, least_px: float, *, crowded: bool = False) -> list[Finding]:
@@ -235,7 +241,7 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
     return findings
 
 
-def findings_of_fit(fit: BarFit, problem: BarLikelihood, margin_px: float) -> list[Finding]:
+def findings_of_fit(fit: BarFit, problem: BarLikelihood) -> list[Finding]:
     """Return the findings of a fitted image: misfit, departure, sharpening, field motion, bar
     count, quantisation.
     """
@@ -260,13 +266,7 @@ def findings_of_fit(fit: BarFit, problem: BarLikelihood, margin_px: float) -> li
             "image"
         )
         findings.append(finding("model-misfit", effect))
-    taken_off = sharpening(fit, margin_px)
-    if taken_off > 0.0:
-        effect = (
-            f"{100 * taken_off:.1f} % of the light around the bars is missing: the MTF may "
-            f"be too high by that"
-        )
-        findings.append(finding("processed", effect))
+    findings += sharpening_findings(fit)
     upright = abs(np.sin(fit.target.angle_rad)) < LIMITS.max_upright_sine
     field_offset_px = _field_offset_px(fit) if fit.strip and upright else 0.0
     if field_offset_px:
@@ -387,71 +387,3 @@ def not_identifiable(target: BarTarget, length_px: float) -> str | None:
                 "degrees"
             )
     return None
-
-
-def likelier_bar_count(fit: BarFit, problem: BarLikelihood) -> int | None:
-    """Return the number of bars, one fewer or one more, that fits the pixels better; None if none
-    does.
-    """
-    cost = fit.cost
-    begun = {
-        n: _chi2_of_count(fit, problem, n)
-        for n in (fit.target.bars - 1, fit.target.bars + 1)
-        if n > 1
-    }
-    chi2_of_count = {
-        n: _fit_count(fit, problem, n, shift_px).cost
-        for n, (chi2, shift_px) in begun.items()
-        if chi2 < LIMITS.max_count_chi2_ratio * cost
-    }
-    if not chi2_of_count:
-        return None
-    best = min(chi2_of_count, key=chi2_of_count.__getitem__)
-    shared = fit.noise.correlation_sum
-    # A wrong number leaves residuals that resemble correlated noise; no other number then saves a
-    # third of them.
-    return (
-        best
-        if cost - chi2_of_count[best]
-        > min(LIMITS.min_count_chi2_gain * shared, LIMITS.min_count_chi2_fraction * cost)
-        else None
-    )
-
-
-def _chi2_of_count(fit: BarFit, problem: BarLikelihood, bars: int) -> tuple[float, float]:
-    """Return the smallest chi squared of another number of bars at the fitted transfer, and their
-    shift, px.
-    """
-    image = BarImageModel(problem, fit.target)
-    across, along = image.places(fit["angle_rad"], 0.0, 0.0)
-    half_size_px = (
-        image.reach[0] + max(ACCURACY.count_shifts_periods) / fit.target.frequency,
-        image.reach[1],
-    )
-    table = table_of(replace(fit.shape, bars=bars), *half_size_px)
-    weight = 1.0 / np.sqrt(problem.variance)
-    background = (
-        np.stack([np.ones_like(across), across / half_size_px[0], along / half_size_px[1]]) * weight
-    )
-    data, chi2_of_shift = problem.image[problem.window] * weight, {}
-    for shift_px in np.array(ACCURACY.count_shifts_periods) / fit.target.frequency:
-        design = np.concatenate(
-            [(table.at(across - shift_px, along)[0] * weight)[None], background]
-        )
-        amplitude = np.linalg.lstsq(design @ design.T, design @ data, rcond=1e-12)[0]
-        chi2_of_shift[float(shift_px)] = float(np.sum((data - amplitude @ design) ** 2))
-    best = min(chi2_of_shift, key=chi2_of_shift.__getitem__)
-    return chi2_of_shift[best], best
-
-
-def _fit_count(fit: BarFit, problem: BarLikelihood, bars: int, shift_px: float) -> BarFit:
-    """Return a rough fit of another number of bars."""
-    start = initial_parameters(problem, fit.target)
-    start |= {"angle_rad": fit["angle_rad"], "across_px": shift_px}
-    return fit_bars(
-        problem,
-        replace(fit.target, bars=bars),
-        start,
-        fit.noise,
-        tolerance=ACCURACY.rough_tolerance,
-    )

@@ -81,11 +81,8 @@ def fit_bars(
     noise: WindowCovariance | None = None,
     *,
     tolerance: float = 3e-3,
-    hopeless: float = np.inf,
 ) -> BarFit:
-    """Fit the image by least squares; stop early if the cost cannot fall below `hopeless`.
-
-    The noise, if given, sets the covariance.
+    """Fit the image by least squares; the noise, if given, sets the covariance.
 
     Notes
     -----
@@ -118,7 +115,6 @@ def fit_bars(
         tolerance=tolerance,
         damping=1e-6,
         grow=1e3,
-        hopeless=hopeless,
     )
     model, slope, mean, precision = optimum.at.model
     weighted = slope / problem.variance
@@ -215,7 +211,7 @@ def fit_all_models(
     now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
     core = np.exp(shape.form.ln(positions, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
-    fits, best_cost = [], fit.cost
+    fits = []
     for form in ON_BARS:
         likelihood = replace(problem, form=form)
         if form is shape.form and ratio == 1.0:
@@ -235,11 +231,7 @@ def fit_all_models(
             "form_one": float(first_shape),
             "form_two": float(second_shape),
         }
-        hopeless = best_cost - 2.0 * fit.noise.correlation_sum * np.log(ACCURACY.min_model_weight)
-        fits.append(
-            (fit_bars(likelihood, fit.target, start, fit.noise, hopeless=hopeless), likelihood)
-        )
-        best_cost = min(best_cost, fits[-1][0].cost)
+        fits.append((fit_bars(likelihood, fit.target, start, fit.noise), likelihood))
     gain = fits[0][0].cost - min(candidate.cost for candidate, _ in fits[1:])
     weights = dict(weigh_by_evidence([_ln_evidence(*candidate) for candidate in fits]))
     order = [index for index, weight in weights.items() if weight > ACCURACY.min_model_weight]

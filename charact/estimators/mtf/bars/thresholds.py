@@ -81,13 +81,10 @@ class BarLimits:
     # Chi squared that another number must save, over the correlation sum
     min_count_chi2_gain: float = 25.0
     min_count_chi2_fraction: float = 1.0 / 3.0  # Or this fraction of all of it
-    min_sharpening_sd: float = 3.5  # Significance of missing light, standard uncertainties
-    # Light that is there instead, of another width, standard uncertainties: a blur of another form
-    max_added_sd: float = -2.0
-    # Missing fraction of a copy; the image's table errs by a few ten-thousandths
-    min_sharpening: float = 3e-3
-    # Squared fraction of a copy that the parameters do not absorb
-    min_independent_fraction: float = 1e-5
+    # Overshoot of both sides of a step that is sharpening, fraction of the step: forms fitted to
+    # rays of lenses overshoot by up to 0.022, unsharp masks of amount 0.8 by 0.03
+    min_overshoot: float = 0.025
+    max_even_height: float = 0.02  # Height of pixels without structure over that of the bars
     # Match of a strip, standard uncertainties; noise alone does not reach it
     min_strip_match_sd: float = 6.0
     # Light at both ends of a region over that in its centre, of bars that cross it
@@ -118,8 +115,6 @@ class BarAccuracy:
     # Standard deviation of the demodulation filter, periods; it leaves 1e-3 of the patch's own
     # light.
     smoothing_periods: float = 0.6
-    # Blurs of the copies that sharpening takes off, px
-    copy_widths_px: tuple[float, ...] = (2.0, 4.0, 8.0)
     count_range: int = 2  # The extent of a patch gives the number of bars within this
     min_lag_frames: int = 7  # Frames from which image lag is estimated
     other_margin_px: int = 8  # Margin excluded around other light, px

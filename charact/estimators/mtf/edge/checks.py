@@ -13,9 +13,9 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.pixels.profile import DEFECT_SD, EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
+from charact.estimators.mtf.sharpening import REACH_PX, noise_gain
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS
-from charact.frames.noise_law import masked_covariance
 from charact.method import Context
 from charact.verdict import Finding
 from labdata import FLAGS, Array, Measurement
@@ -293,10 +293,6 @@ def noise_below_quantisation(picture: OrientedFrame, profile: EdgeProfile) -> bo
     )
 
 
-# Lags over which sharpening makes neighbours anticorrelated, px.
-REACH_PX = 2
-
-
 def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
     """Return the overshoot of both plateaus together, fraction of the step; 0: none, or MTF50
     is unknown.
@@ -341,36 +337,19 @@ def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
 
 
 def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
-    """Return the factor by which sharpening raised the noise; 1: neighbours are not anticorrelated.
+    """Return the factor by which sharpening raised the noise of the plateaus.
 
-    Notes
-    -----
-    Gain = C^(-1/2), C = 1 + 2 sum rho over half the lags up to 2 px. Blur correlates neighbours;
-    only differences between pixels make them anticorrelated. Means over many pixels are unchanged,
-    so C, the sum of the noise's correlation, falls below 1 and the noise rises. Each of the n
-    pixels of a bin contributes 1/n of its mean, which is corrected for.
+    Each of the n pixels of a bin contributes 1/n of its mean, which is corrected for.
     """
-    gathered, clip_sd = profile.gathered, ACCURACY.sharpening_clip_sd
+    gathered = profile.gathered
     at_pixel = np.interp(gathered.distance, profile.distance, profile.value)
     level = (at_pixel - profile.dark) / (profile.step or 1.0)
     on_plateau = gathered.valid & (
         np.minimum(np.abs(level), np.abs(level - 1.0)) < ACCURACY.sharpening_plateau
     )
-    pixels = int(np.count_nonzero(on_plateau))
-    if pixels < ACCURACY.sharpening_pixels:
-        return 1.0
     sd = np.sqrt(np.maximum(profile.noise_variance(level), profile.variance_floor))
-    noise = np.where(on_plateau, np.clip((picture.value - at_pixel) / sd, -clip_sd, clip_sd), 0.0)
-    covariance, _ = masked_covariance(noise[None], on_plateau, REACH_PX)
-    variance = float(covariance[REACH_PX, REACH_PX])
-    # A variance below 1 is the residual of the bins, not noise.
-    total = (float(covariance.sum()) - variance) / max(variance, 1.0)
-    opposed = -(total + 2.0 * REACH_PX * float(np.mean(1.0 / profile.count)))
-    # Opposite lags are equal: half of them count.
-    error = np.sqrt(2.0 * (covariance.size - 1) / pixels)
-    if opposed > max(THRESHOLDS.min_anticorrelation, THRESHOLDS.anticorrelation_sd * error):
-        return float(max(1.0 - opposed, 0.05) ** -0.5)
-    return 1.0
+    absorbed = 2.0 * REACH_PX * float(np.mean(1.0 / profile.count))
+    return noise_gain((picture.value - at_pixel) / sd, on_plateau, absorbed)
 
 
 CHAIN = "the interval is the Laplace approximation and may be a third too narrow"

@@ -40,10 +40,6 @@ class EdgeThresholds:
     # gradients leave 0.004 (study strangers_edges).
     min_overshoot: float = 0.01
     overshoot_sd: float = 5.0  # Its significance, standard errors: chance 5e-5 an edge
-    # Fall of the summed noise correlation that is sharpening: white noise never shows it, an amount
-    # of 0.3 does (study strangers_edges).
-    min_anticorrelation: float = 0.1
-    anticorrelation_sd: float = 4.0  # Its significance, standard errors: chance 3e-5 an edge
     conventional_rows: int = 20  # Rows that the conventional methods need
     conventional_cols: int = 16  # Columns that the conventional methods need
     # Step over the noise of a pixel below which noise biases them
@@ -151,8 +147,6 @@ class EdgeAccuracy:
     plateau_range: tuple[float, ...] = 2.0, 7.0
     # Distance from a level within which a pixel belongs to the plateau, fraction of the step.
     sharpening_plateau: float = 0.1
-    sharpening_pixels: int = 1000  # Pixels below which no anticorrelation is tested
-    sharpening_clip_sd: float = 5.0  # Standardised noise is clipped to this
     jackknife_blocks: int = 20  # Blocks of rows of the jackknife
     # Range of frequency around a crossing over which the slope is fitted, fraction
     crossing_range: float = 0.3
