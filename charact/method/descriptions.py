@@ -64,34 +64,20 @@ DESCRIPTIONS: dict[str, dict[str, Description]] = {
         ),
     },
     "bars": {
-        "bars-coltman": Description(
-            "charact.estimators.mtf.bars.contrast",
-            ("mtf",),
-            "For comparison, always suspect: first term of Coltman's series, (pi/4)(max - "
-            "min)/step of the inner bars. Up to a fifth low below a third of the cut-off by "
-            "harmonics; the step of a single patch is low by its tails, by several percent for "
-            "tubes (n near 1.1); high where the noise approaches the modulation; phase-dependent "
-            "for untilted bars above half the sampling limit.",
-        ),
-        "bars-contrast": Description(
-            "charact.estimators.mtf.bars.contrast",
-            ("mtf",),
-            "For comparison with visual readings, always suspect: up to a fifth low below a third "
-            "of the cut-off by harmonics, low near it by the outer bars; normalised to the light "
-            "of the bars, not to all light.",
-        ),
         "bars-forward": Description(
             "charact.estimators.mtf.bars.forward",
             ("mtf",),
-            "Two to sixty bars as wide as their gaps, brighter or darker than a uniform "
-            "background, in any direction, completely inside the region with their blur, or "
-            "crossing it within 12 degrees of an axis; fundamental over 5 standard uncertainties. "
-            "Number and frequency are measured from three bars on if not stated. Without a sensor "
-            "description the blur is modelled as a tube, a lens, a Moffat or two Gaussians. "
+            "Two to sixty bars, as wide as their gaps within a few percent, brighter or darker "
+            "than a uniform background, in any direction, completely inside the region with "
+            "their blur, or crossing it within 12 degrees of an axis; fundamental over 5 "
+            "standard uncertainties. Number and frequency are measured from three bars on if not "
+            "stated. Without a sensor "
+            "description the blur is modelled as a tube, a lens in or out of focus, a Moffat, two "
+            "Gaussians or one in a scatter tail, of another width along the bars than across. "
             "Invalid with clipping and motion between fields (undetectable for bars along rows). "
             "A nonlinear response is detected in the image and in noise that does not grow as the "
-            "light; the interval includes undetected nonlinearity. Sharpening is flagged above "
-            "3.5 standard uncertainties. Untilted bars near the sampling limit are refused; one "
+            "light; the interval includes undetected nonlinearity. Sharpening is flagged where a "
+            "step would overshoot by 2.5 %. Untilted bars near the sampling limit are refused; one "
             "bar more or fewer than stated is flagged where detectable.",
         ),
     },

@@ -195,7 +195,7 @@ def test_the_map_of_stability_holds_every_axis_and_every_lie(tmp_path):
 
 
 def test_a_sweep_over_processes_has_the_rows_of_one_process():
-    methods = tuple(method for method in methods_of("mtf") if method.name == "bars-contrast")
+    methods = tuple(method for method in methods_of("mtf") if method.name == "bars-forward")
     alone, shared = (
         stability("mtf", quick=True, axes=("tilt",), methods=methods, workers=workers).rows
         for workers in (1, 2)

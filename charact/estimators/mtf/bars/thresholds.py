@@ -64,9 +64,6 @@ class BarLimits:
     # Larger values are refused: the MTF is at most 1, and sharpening cameras reach this at most
     max_reported_mtf: float = 1.1
     max_posterior_offset_sd: float = 2.0  # Distance of the draws from the fit, standard deviations
-    min_modulation_sd: float = 6.0  # Modulation of the first-term method, standard uncertainties
-    # Contrast of the profile method, standard uncertainties; noise has peaks below it
-    min_contrast_sd: float = 12.0
     min_group_p_value: float = 0.001  # p-value of chi squared of the groups
     max_direction_spread_deg: float = 15.0  # Directions of one curve, deg
     max_axis_angle_deg: float = 30.0  # Angle to the rows or columns of their curve, deg
@@ -134,9 +131,6 @@ class BarAccuracy:
     table_points: int = 7  # Points of the table along either
     table_degree: int = 4  # Degree of the interpolating polynomial
     image_table_sd: float = 3e-4  # Relative error of the MTF by interpolation in the image's table
-    # Pixels this close to the centre of a bar or gap are averaged, periods
-    extremum_periods: float = 0.06
-    inner_length: float = 0.3  # Fraction of the bars' length that is used
     row_step_px: float = 0.18  # Distance of the table's rows at the bars' ends, px
     row_step_growth: float = 0.08  # Growth of that distance per px from the ends
     correlation_px: int = 2  # Range of the noise correlation, px

@@ -217,20 +217,6 @@ def test_clipped_bars_are_told(seed: int) -> None:
     assert "clipped" in mtf_at(stack, 0.1).flags
 
 
-def test_a_contrast_reading_is_low_where_harmonics_are_and_never_trusted(seed: int) -> None:
-    """physics: pi/4 of the contrast of wide bars is 18.6 % low at 0.05 cy/px under a blur of 0.8
-    px.
-    """
-    stack = frames_of(blurred_bars(0.05, 4.0, 0.8), np.random.default_rng(seed), grain_px=0.0)
-    context = Context(seed=1, quick=True, full_scale_dn=255.0)
-    found = measure(
-        "bars", stack, bars=4, frequency_cy_per_px=0.05, context=context, method="bars-contrast"
-    )
-    reading = found.measurements[0]
-    assert reading.status == "suspect"
-    assert reading.value / mtf_of(0.05, 4.0, 0.8) == pytest.approx(1.0 - 0.186, abs=0.02)
-
-
 def scene_mtf(scene, rng, **asked):
     context = Context(seed=1, quick=True, full_scale_dn=scene.full_scale_dn)
     target = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px, **asked}
@@ -283,13 +269,12 @@ def test_a_camera_that_sharpens_is_told(seed: int) -> None:
     assert "processed" not in plain.flags
 
 
-@pytest.mark.parametrize("method", ["bars-forward", "bars-coltman", "bars-contrast"])
-def test_dark_bars_give_the_mtf_of_bright_ones(method: str, seed: int) -> None:
+def test_dark_bars_give_the_mtf_of_bright_ones(seed: int) -> None:
     """Half of the world's targets are dark on bright: the picture upside down has the same MTF."""
     frames = frames_of(blurred_bars(0.1, 4.0, 0.8), np.random.default_rng(seed)).data
     context, told = (
         Context(seed=1, quick=True),
-        {"bars": 4, "frequency_cy_per_px": 0.1, "method": method},
+        {"bars": 4, "frequency_cy_per_px": 0.1, "method": "bars-forward"},
     )
     bright, dark = (
         measure("bars", FrameStack(data=data), context=context, **told).measurements[0]

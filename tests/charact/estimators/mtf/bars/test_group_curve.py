@@ -11,8 +11,7 @@ from charact.estimators.mtf import fit_group_curve, frame_curves, measure, sessi
 from charact.estimators.mtf.bars import bar_measurement, nonlinearity
 from charact.method import Context
 from labdata import BadInput, FrameStack, Measurement, Result, load_sensor, measurement_from_sd
-from tests.charact.estimators.mtf.bars.test_strip import read
-from tests.truth import BarChart, Bars, BarScene, PulsedBars, StripScene, TrueBlur, noisy
+from tests.truth import BarChart, Bars, BarScene, PulsedBars, TrueBlur, noisy
 
 # Groups of bars of a frame or a session give one MTF50 and one curve for each direction, and only
 # where they can.
@@ -137,7 +136,7 @@ def video(frequency):
         [reading(0.1, 0.8), reading(0.103, 0.79)],
         [reading(0.1, 0.8), reading(0.2, 0.5, flags=("low-signal",))],
         [reading(0.1, 0.8), reading(0.2, 0.5, angle_deg=93.0)],
-        [reading(0.1, 0.8, method="bars-coltman"), reading(0.2, 0.5, method="bars-coltman")],
+        [reading(0.1, 0.8, method="edge-free"), reading(0.2, 0.5, method="edge-free")],
         [reading(0.1, 0.8, angle_deg=45.0), reading(0.2, 0.5, angle_deg=45.0)],
     ],
 )
@@ -186,18 +185,6 @@ def test_one_group_is_no_curve_and_directions_do_not_mix() -> None:
     assert fit_group_curve([one], context=context).measurements[0].status == "refused"
     with pytest.raises(BadInput, match="degrees"):
         fit_group_curve([one, reading(0.2, 0.5, 0.01, angle_deg=90.0)], context=context)
-
-
-@pytest.mark.parametrize(("frequency", "bias"), [(0.05, -0.186), (0.25, 0.0)])
-def test_coltmans_first_term_is_low_where_harmonics_are_and_always_suspect(
-    frequency: float, bias: float, seed: int
-) -> None:
-    """physics: 18.6 % low at 0.05 cy/px under a blur of 0.8 px, right at 0.25."""
-    pose = {"frequency_cy_per_px": frequency, "angle_deg": 4.0, "phase_px": 0.2, "snr": 300.0}
-    scene = StripScene(blur=TrueBlur(sigma_px=0.8), **pose)
-    found = read(scene, np.random.default_rng(seed), method="bars-coltman")
-    assert found.status == "suspect"
-    assert found.value / scene.truth_mtf - 1.0 == pytest.approx(bias, abs=0.03)
 
 
 # What the noise of bars says of a response, level by level: pulses of light, one frame of it,
