@@ -1,6 +1,7 @@
 """Checks of a bar target: bar count, field motion, nonlinearity, misfit, sharpening, aliasing."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -265,7 +266,8 @@ def findings_of_fit(fit: BarFit, problem: BarLikelihood) -> list[Finding]:
             f"the MTF at the bars departs by {100 * departure:.0f} % from the blur model of the "
             "image"
         )
-        findings.append(finding("model-misfit", effect))
+        bound = departure * fit.shape.mtf
+        findings.append(replace(finding("model-misfit", effect), bound=bound))
     findings += sharpening_findings(fit)
     upright = abs(np.sin(fit.target.angle_rad)) < LIMITS.max_upright_sine
     field_offset_px = _field_offset_px(fit) if fit.strip and upright else 0.0

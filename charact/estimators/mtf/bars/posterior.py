@@ -47,8 +47,8 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
     data = problem.image[problem.window]
     numbers = [
         fit.estimator
-        @ (data - image({**centre, TABULATED[0]: np.log(attenuation), TABULATED[1]: form_one})[0])
-        for attenuation, form_one in (middle + half * positions).tolist()
+        @ (data - image.mean({**centre, TABULATED[0]: np.log(attenuation), TABULATED[1]: shape}))
+        for attenuation, shape in (middle + half * positions).tolist()
     ]
     polynomial = np.linalg.lstsq(_powers(positions), np.array(numbers), rcond=None)[0]
     inverse, response, offset = _marginal(fit)
