@@ -258,7 +258,7 @@ ON_BARS = (
     BarForm(
         name="a tube",
         core=EXPONENTIAL,
-        first=_ln_parameter("ln_exponent", 0.3, 4.0, 1.5, 0.8, 1.6),
+        first=_ln_parameter("ln_exponent", 0.6, 4.0, 1.5, 0.8, 1.6),
         second=replace(NONE, low=0.0),
         shape=lambda ln_exponent, _: (exp(ln_exponent),),
         gaussian_share=lambda _, fraction: fraction,
@@ -266,7 +266,7 @@ ON_BARS = (
     BarForm(
         name="a tube and a lens",
         core=EXPONENTIAL,
-        first=_ln_parameter("ln_exponent", 0.3, 4.0, 1.5, 0.8, 1.4),
+        first=_ln_parameter("ln_exponent", 0.6, 4.0, 1.5, 0.8, 1.4),
         second=Parameter(
             name="gaussian_share", unit="1", low=0.0, high=1.0, mean=0.2, sd=0.25, start=0.2
         ),

@@ -7,7 +7,7 @@ import numpy as np
 
 from charact.estimators.mtf.bars.amplitudes import Amplitudes
 from charact.estimators.mtf.bars.bar_count import likelier_bar_count
-from charact.estimators.mtf.bars.bar_image_model import BarLikelihood
+from charact.estimators.mtf.bars.bar_image_model import BOUNDS, BarLikelihood
 from charact.estimators.mtf.bars.fit import BarFit, rounding_sd
 from charact.estimators.mtf.bars.target import BarTarget, core_margin_px
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
@@ -65,7 +65,7 @@ def sharpening_findings(fit: BarFit) -> list[Finding]:
     height[fit.window] = np.abs((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"])
     gain = noise_gain(noise, height < LIMITS.max_even_height)
     overshoot, sd = _overshoot(fit)
-    overshoots = overshoot > max(LIMITS.min_overshoot, LIMITS.significant_sd * sd)
+    overshoots = overshoot > max(LIMITS.min_overshoot, LIMITS.overshoot_sd * sd)
     if not (gain > 1.0 or overshoots):
         return []
     effect = (
@@ -89,14 +89,18 @@ def _overshoot(fit: BarFit) -> tuple[float, float]:
     pixel = aperture(u * fit.target.frequency, shape.angle_rad)
     ratio = np.log(u * fit.target.frequency / shape.reference)
 
+    low, high = np.array([BOUNDS["log_attenuation"], *shape.form.bounds]).T
+
     def overshoot(theta: Array) -> float:
-        core = np.exp(shape.form.ln(ratio, float(np.exp(theta[0])), theta[1], theta[2]))
+        attenuation, *parameters = np.clip(theta, low, high)
+        core = np.exp(shape.form.ln(ratio, float(np.exp(attenuation)), *parameters))
         return 2.0 * float((kernel @ (core * pixel)).max() - 0.5)
 
-    theta, step = fit.value[index], ACCURACY.shape_step * np.eye(len(index))
-    value = overshoot(theta)
-    slopes = np.array([overshoot(theta - move) - value for move in step]) / ACCURACY.shape_step
-    return value, float(np.sqrt(max(slopes @ fit.covariance[np.ix_(index, index)] @ slopes, 0.0)))
+    theta, step = fit.value[index], ACCURACY.shape_step
+    moves = step * np.eye(len(index))
+    slopes = np.array([overshoot(theta + move) - overshoot(theta - move) for move in moves])
+    variance = slopes @ fit.covariance[np.ix_(index, index)] @ slopes / (2.0 * step) ** 2
+    return overshoot(theta), float(np.sqrt(max(variance, 0.0)))
 
 
 def window_findings(margin_px: float, least_px: float, *, crowded: bool = False) -> list[Finding]:

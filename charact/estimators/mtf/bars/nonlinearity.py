@@ -156,7 +156,10 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
     known = np.concatenate([(fit.slope * np.sqrt(weight)).T, np.diag(np.sqrt(fit.precision))])
     basis = np.linalg.qr(known)[0]
     wanted = np.concatenate([bent * np.sqrt(weight), np.zeros(len(fit.names))])
-    free_curvature = (wanted - basis @ (wanted @ basis))[: bent.size] * np.sqrt(weight)
+    unexplained = wanted - basis @ (wanted @ basis)
+    free_curvature = unexplained[: bent.size] * np.sqrt(weight)
+    # What pulls parameters off their priors, the width of the bars above all, may be the response.
+    pulled = unexplained[bent.size :] @ (np.sqrt(fit.precision) * (fit.prior_mean - fit.value))
     size = max(float(free_curvature @ bent), 1e-300)
     noise = (
         float(np.sqrt(max(float(fit.noise.spread(free_curvature[None], fit.window)[0, 0]), 0.0)))
@@ -165,7 +168,7 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
     # The blur of several stages mimics a curvature of 0.01.
     sd = float(np.hypot(noise, 0.01))
     return (
-        float(free_curvature @ fit.residual_dn) / size,
+        float(free_curvature @ fit.residual_dn + pulled) / size,
         sd,
         float(fit.ln_mtf_slope @ (fit.estimator @ bent)),
     )

@@ -84,7 +84,9 @@ def test_the_exact_spectrum_of_four_bars_gives_the_mtf_in_any_direction(
     image = PEDESTAL_DN + 80.0 * blurred_bars(frequency, angle_deg, 0.8)
     stack = FrameStack(data=np.repeat(image[None], 4, axis=0))
     found = mtf_at(stack, frequency)
-    assert found.value == pytest.approx(mtf_of(frequency, angle_deg, 0.8), rel=0.01)
+    # The width of fine bars is known to a percent before the data, and little better after.
+    tolerance = max(0.0028, 0.5 * float(np.ptp(found.interval95)))
+    assert found.value == pytest.approx(mtf_of(frequency, angle_deg, 0.8), abs=tolerance)
     turned = (found.orientation_deg - angle_deg + 90.0) % 180.0 - 90.0
     assert abs(turned) < 1.0
 

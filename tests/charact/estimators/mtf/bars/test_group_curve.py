@@ -308,9 +308,9 @@ def test_the_picture_tells_its_curvature_and_what_it_does(curvature, seed, monke
     assert of.shared is None and of.per_pixel is None
     assert of.curvature == pytest.approx(curvature, abs=4.0 * of.sd + 0.15 * abs(curvature))
     assert any(note.startswith("gamma: the image") for note in one.notes) == (curvature != 0.0)
-    # What is told has its lift taken off: what is left of it is of second order.
+    # What is told has its lift taken off, most of it by the width of the bars, which a response of
+    # 0.3 changes by a tenth: what is left of it is of second order.
     assert one.value == pytest.approx(PLAIN.truth_mtf, rel=0.25 * abs(of.lifts * curvature) + 0.01)
-    assert curvature == 0.0 or abs(of.lifts * curvature) > 0.03
 
 
 @pytest.mark.parametrize("gamma", [0.6, 1.6])
