@@ -15,7 +15,7 @@ from charact.estimators.mtf.target_detection.thresholds import ACCURACY, THRESHO
 from labdata import BadInput, FrameStack
 
 # Periods looked at outside the bars, and those that must be there.
-BEYOND, LEAST_BEYOND = 0.8, 0.35
+BEYOND, LEAST_BEYOND = 0.8, 0.2
 
 
 def matches_bars(
@@ -235,7 +235,7 @@ def _detections(picture: Array, bars: int) -> Iterator[_Detection]:
         factor = max(1, int(1.0 / (frequency * ACCURACY.pixels_per_period)))
         small = _block_means(picture, factor)
         period = 1.0 / (frequency * factor)
-        if small.shape[1] < (bars + 1) * period or small.shape[0] < 0.5 * ASPECT * period:
+        if small.shape[1] < bars * period or small.shape[0] < 0.5 * ASPECT * period:
             continue
         response = _filter_amplitude(small, bars, period)
         # The median of a Rayleigh distribution is 1.1774 of its scale.
@@ -336,9 +336,11 @@ def _candidate_counts(picture: Array, answer: _Detection) -> list[tuple[int, flo
     middle = round(answer.row)
     rows = picture[max(middle - half, 0) : middle + half + 1]
     value = rows.mean(axis=0, dtype=np.float64)
-    wave = (value - value.mean()) * np.exp(-2j * np.pi * answer.frequency * np.arange(value.size))
+    # Bars next to a border have background there, which is no wave.
+    background = 0.5 * (value[:2].mean() + value[-2:].mean())
+    wave = (value - background) * np.exp(-2j * np.pi * answer.frequency * np.arange(value.size))
     height = np.abs(
-        gaussian_filter1d(wave, BAR_ACCURACY.smoothing_periods / answer.frequency, mode="nearest")
+        gaussian_filter1d(wave, BAR_ACCURACY.smoothing_periods / answer.frequency, mode="constant")
     )
     centre = min(max(round(answer.col), 0), value.size - 1)
     low = height < 0.5 * height[centre]
