@@ -61,4 +61,6 @@ class BenchServerLost(BenchError):
 
 
 class BenchStopped(BenchError):
-    """A safe action has taken the line over: the procedure ends without another command."""
+    """A safe action was asked for at once, or has taken the line over: what goes on ends without
+    another command or frame.
+    """

@@ -164,7 +164,9 @@ class Bench(Protocol):
         """Shut the gate and order the high voltage off."""
 
     def safe_at_once(self) -> None:
-        """Order the safe state without waiting, from any thread."""
+        """Order the safe state without waiting, from any thread; `check` is BenchStopped from then
+        on.
+        """
 
     @property
     def last_words(self) -> str:

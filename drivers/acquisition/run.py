@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
-from drivers.errors import BenchError, CameraError
+from drivers.errors import BenchError, BenchStopped, CameraError
 from drivers.interface import Bench, Camera, FrameLevels, Operator
 from labdata import BadInput, Conditions, EventLog, SessionWriter, open_session
 from labdata import Camera as Description
@@ -394,7 +394,7 @@ class Run:
         """
         try:
             yield
-        except CameraError:
+        except (CameraError, BenchStopped):  # all frames came before the gate was ordered shut
             raise
         except BenchError as error:
             with suppress(BadInput):

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+from drivers.errors import BenchStopped
+
 LOOK_S = 0.05
 
 URGENT = (signal.SIGTERM, signal.SIGHUP)
@@ -96,10 +98,18 @@ class RunControl:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Mark the time in which steps run; in the safe action that follows Ctrl-C is ignored."""
+        """Mark the time in which steps run; in the safe action that follows Ctrl-C is ignored.
+
+        Two Ctrl-C that come while the main thread hangs are one to it, and only the bench, made
+        safe by the second, ends its steps.
+        """
         self._running = True
         try:
             yield
+        except BenchStopped as stopped:
+            if not self.stop:
+                raise
+            raise KeyboardInterrupt from stopped
         finally:
             self._running, self._leaving = False, True
 

@@ -41,7 +41,7 @@ from drivers.bench.safe_state import (
     tell_failures,
 )
 from drivers.bench.setup import BenchSetup, remember_bench
-from drivers.errors import BenchError, BenchServerLost
+from drivers.errors import BenchError, BenchServerLost, BenchStopped
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import FALL_S
 from drivers.interface import FrameLevels, Operator
@@ -199,7 +199,10 @@ class BenchClient:
         self._make_safe().require_whole()
 
     def safe_at_once(self) -> None:
-        """Order the safe state without waiting, for signal handlers of a run that may hang."""
+        """Order the safe state without waiting, for signal handlers of a run that may hang; no
+        frame is taken for a good one from now on.
+        """
+        self.fault = self.fault or BenchStopped("the tube was made safe at once, as asked")
         self._server.send(Request(number=0, command="safe"))
 
     @property

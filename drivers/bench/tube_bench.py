@@ -422,7 +422,8 @@ class TubeBench(LightControl):
         )
 
     def safe_at_once(self) -> None:
-        """Make the tube safe now, from any thread."""
+        """Make the tube safe now, from any thread; no frame is taken for a good one from now on."""
+        self.fault = self.fault or BenchStopped("the tube was made safe at once, as asked")
         self.make_safe("asked for at once")
 
     def close(self) -> str | None:

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from drivers.errors import BenchStopped
 from drivers.interface import FrameLevels
 from labdata import CameraSettings, Conditions, Frame, LostFrames
 
@@ -133,7 +134,10 @@ class FakeBench(_Opened):
     def slack_s(self) -> float:
         return 0.0
 
+    fault: BenchStopped | None = None
+
     def safe_at_once(self) -> None:
+        self.fault = BenchStopped("the tube was made safe at once")
         self.rig.gate_open, self.rig.mcp_v = False, 0.0
 
     def __exit__(self, *_: object) -> None:
@@ -156,6 +160,8 @@ class FakeBench(_Opened):
 
     def check(self) -> None:
         self.rig.happens("bench checked")
+        if self.fault is not None:
+            raise self.fault
 
     def safe(self) -> None:
         self.rig.happens("made safe")

@@ -2,11 +2,13 @@
 and the light out.
 """
 
+import ctypes
 import os
 import signal
 import threading
 import time
 
+import numpy as np
 import pytest
 
 from drivers import acquire
@@ -63,6 +65,34 @@ def test_a_second_interrupt_shuts_the_gate_at_once(tmp_path):
     assert rig.diary[rig.diary.index("made safe") - 1] == "frame"
     assert lengths(tmp_path / "s") == [4, 1]
     assert read_events(tmp_path / "s" / "log.jsonl")[-1]["kind"] == "KeyboardInterrupt"
+
+
+def test_two_interrupts_that_a_hanging_main_thread_sees_as_one_leave_no_dark_frame(tmp_path):
+    libc, mutex, numbers = ctypes.CDLL(None), ctypes.create_string_buffer(64), iter(range(1, 100))
+    libc.pthread_mutex_init(mutex, None)
+    libc.pthread_mutex_lock(mutex)
+
+    def interrupt_twice() -> None:
+        for _ in range(2):
+            time.sleep(0.05)
+            os.kill(os.getpid(), signal.SIGINT)
+        while rig.gate_open:
+            time.sleep(0.005)
+        libc.pthread_mutex_unlock(mutex)
+
+    def hang(event: str) -> None:
+        if event == "frame" and next(numbers) == 6:
+            threading.Thread(target=interrupt_twice).start()
+            libc.pthread_mutex_lock(mutex)  # signals neither end nor interrupt this call
+
+    rig = fake_rig.FakeRig(fail=hang)
+    rig.picture = lambda number: np.full(fake_rig.SIZE, 100 * rig.gate_open + number, np.uint8)
+    with pytest.raises(KeyboardInterrupt):
+        take(rig, tmp_path / "s")
+    frames = [entry.read().data for entry in open_session(tmp_path / "s").stacks]
+    assert [len(stack) for stack in frames] == [4, 1]
+    assert all(np.all(stack > 100) for stack in frames)
+    assert "doubt" not in (tmp_path / "s" / "session.toml").read_text()
 
 
 def test_an_interrupt_while_the_tube_is_made_safe_does_not_keep_that_up(tmp_path):
