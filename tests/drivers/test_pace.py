@@ -7,36 +7,46 @@ import pytest
 from drivers.acquisition.run_progress import RunProgress, StepClock, duration
 
 
-def test_only_what_is_neither_wire_nor_settling_is_our_own():
+@pytest.fixture
+def lasts(monkeypatch):
+    """Let time pass, s; none passes otherwise."""
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+
+    def pass_by(seconds: float) -> None:
+        now[0] += seconds
+
+    return pass_by
+
+
+def test_only_what_is_neither_wire_nor_settling_is_our_own(lasts):
     clock = StepClock()
     with clock.timing("wire_s"):
-        time.sleep(0.03)
+        lasts(0.03)
     with clock.timing("settling_s"):
-        time.sleep(0.02)
+        lasts(0.02)
 
     def frames():
         for number in range(3):
-            time.sleep(0.01)
+            lasts(0.01)
             yield number
 
     seen = []
     for number in clock.waiting_for(frames()):
         seen.append(number)
-        time.sleep(0.005)
+        lasts(0.005)
     assert seen == [0, 1, 2]
-    assert clock.wire_s == pytest.approx(0.06, abs=0.02)
-    assert clock.settling_s == pytest.approx(0.02, abs=0.01)
-    assert clock.overhead_s == pytest.approx(0.015, abs=0.01)
+    assert clock.wire_s == pytest.approx(0.06)
+    assert clock.settling_s == pytest.approx(0.02)
+    assert clock.overhead_s == pytest.approx(0.015)
 
 
-def test_the_time_left_follows_from_the_pace_so_far(monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+def test_the_time_left_follows_from_the_pace_so_far(lasts):
     pace = RunProgress(frames=400, done=100)
     pace.step_begins()
-    now[0] += 5.0
+    lasts(5.0)
     assert pace.words(1) == ""
-    now[0] += 5.0
+    lasts(5.0)
     assert pace.share(101) == pytest.approx(0.5025)
     # 100 frames in 5 s once they came; 101 frames in the 10 s of the run so far, 199 are left.
     assert pace.words(101) == ", 20.0 frames/s, 20 s left"
