@@ -1,7 +1,9 @@
 """Programs of faults: what each kind does, and what it keeps from being heard meanwhile."""
 
 import errno
+import math
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,6 +74,11 @@ class Fault:
         return self.kind in DEAF and self.who == who
 
     @property
+    def is_away(self) -> bool:
+        """Whether an instrument hears nothing, or is to be found at another port."""
+        return self.kind == "swapped" or any(map(self.deafens, INSTRUMENTS))
+
+    @property
     def delay_s(self) -> float:
         """By how much each system call is late, s."""
         return self.value[3] * 1e-6 if self.kind == "call" else 0.0
@@ -114,6 +121,56 @@ def _draw(rng: np.random.Generator, *, calls: bool) -> Fault:
 
 def _of(rng: np.random.Generator, choices: Any) -> Any:
     return choices[int(rng.integers(len(choices)))]
+
+
+Drawn = Callable[[float, float], tuple[Fault, ...]]
+
+
+def _all(*faults: tuple[str, str, float, Any]) -> Drawn:
+    """Faults that begin together, by kind, whom, for how long and value; an infinite time is drawn
+    from 0.3 to 1 s.
+    """
+
+    def draw(at_s: float, short_s: float) -> tuple[Fault, ...]:
+        return tuple(
+            Fault(kind=kind, who=who, at_s=at_s, for_s=min(for_s, short_s), value=value)
+            if math.isinf(for_s)
+            else Fault(kind=kind, who=who, at_s=at_s, for_s=for_s, value=value)
+            for kind, who, for_s, value in faults
+        )
+
+    return draw
+
+
+_WRITES_FAIL = (WRITE, PORT, errno.EIO, 0, 0)
+_KILLED = ("killed", "client", 0.1, None)
+TABLE: dict[str, Drawn] = {
+    "port writes return EIO": _all(("call", "server", math.inf, _WRITES_FAIL)),
+    "port writes return EIO, client killed": _all(
+        ("call", "server", math.inf, _WRITES_FAIL), _KILLED
+    ),
+    "both instruments silent for 20 s": _all(*(("silent", who, 20.0, 1) for who in INSTRUMENTS)),
+    "both instruments silent for 5 s, client killed": _all(
+        *(("silent", who, 5.0, 1) for who in INSTRUMENTS), _KILLED
+    ),
+    "generator without power for 4 s": _all(("power", GATE, 4.0, 1)),
+    "generator without power for 4 s, client killed": _all(("power", GATE, 4.0, 1), _KILLED),
+    "first orders to the supply lost, client killed": _all(
+        ("lost orders", SUPPLY, 0.15, 1.0), _KILLED
+    ),
+    "ports come back swapped": _all(("swapped", GATE, math.inf, 1)),
+    "ports come back swapped, client killed": _all(("swapped", GATE, math.inf, 1), _KILLED),
+    "every frame broken": _all(("broken", "camera", 2.0, None)),
+    "one picture again and again": _all(("repeats", "camera", 2.0, None)),
+    "room light": _all(("room light", "camera", 2.0, None)),
+    **{f"panel: {orders}": _all(("panel", GATE, 0.1, orders)) for orders in PANEL[GATE]},
+}
+"""Kinds that once left the tube hot where software could know."""
+
+
+def draw_of_table(kind: str, rng: np.random.Generator) -> tuple[Fault, ...]:
+    """Draw a program of a kind of the table, at a random moment while the tube is hot."""
+    return TABLE[kind](float(rng.uniform(0.1, LATEST_S)), float(rng.uniform(0.3, 1.0)))
 
 
 def smaller(program: tuple[Fault, ...]) -> list[tuple[Fault, ...]]:
