@@ -1,5 +1,6 @@
 """`python -m tests.fuzz --seconds 3600`: every parser of bytes from outside, each for its share of
-the time, in its own processes.
+the time, in its own processes; `--mutations 300` gives each kind of file, document and reply as
+many cases instead.
 
 A parser that crashes takes only its own process along: decoders that are not ours are among them.
 What broke is told with the seed that makes it again: `python -m tests.fuzz --again PARSER SEED`.
@@ -7,6 +8,7 @@ What broke is told with the seed that makes it again: `python -m tests.fuzz --ag
 
 import argparse
 import json
+import math
 import random
 import signal
 import subprocess
@@ -15,6 +17,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from tests.fuzz import documents, kernel_answers, pictures, serial_replies
@@ -29,6 +32,14 @@ PARSERS: dict[str, Callable[[random.Random, Path], bool]] = {
 """What is fuzzed: each reads something drawn, in a folder of its own, and returns whether it was
 sound."""
 
+KINDS: dict[str, Callable[[random.Random, Path], bool]] = {
+    **{f"file {name}": partial(pictures.read, name) for name in pictures.FILES},
+    **{f"document {name}": partial(documents.mangle_and_read, name) for name in documents.TARGETS},
+    **{f"reply {name}": partial(serial_replies.hear, name) for name in serial_replies.PARSERS},
+    "v4l2": kernel_answers.once,
+}
+"""The same by kind."""
+
 SLICE_S = 120.0
 STUCK_S = 300.0  # of a busy machine; the processor time of a case has its own bound
 
@@ -38,18 +49,25 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0, help="time in all, s")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 2**31)
+    parser.add_argument("--mutations", type=int, help="cases of each kind, in place of a time")
     parser.add_argument("--only", choices=PARSERS)
     parser.add_argument(
         "--again", nargs=2, metavar=("PARSER", "SEED"), help="one case, with what it raises"
     )
     parser.add_argument(
-        "--slice", nargs=3, metavar=("PARSER", "SECONDS", "STATE"), help=argparse.SUPPRESS
+        "--slice",
+        nargs=4,
+        metavar=("PARSER", "SECONDS", "CASES", "STATE"),
+        help=argparse.SUPPRESS,
     )
     asked = parser.parse_args()
     if asked.again:
         return _again(asked.again[0], int(asked.again[1]))
     if asked.slice:
-        return _slice(asked.slice[0], float(asked.slice[1]), Path(asked.slice[2]), asked.seed)
+        name, seconds, cases, state = asked.slice
+        return _slice(name, float(seconds), int(cases), Path(state), asked.seed)
+    if asked.mutations:
+        return _every_kind(asked.mutations, asked.seed)
     return _all([asked.only] if asked.only else list(PARSERS), asked.seconds, asked.seed)
 
 
@@ -61,9 +79,9 @@ def _all(names: list[str], seconds: float, seed: int) -> int:
     for turn in range(round(seconds / slice_s)):
         name = names[turn % len(names)]
         found = _sliced(name, slice_s, seed + (turn << 32))
-        most_mb = max(tallies[name]["most_mb"], found.pop("most_mb", 0))
+        most = {key: max(tallies[name][key], found.pop(key, 0)) for key in ("most_mb", "worst_ms")}
         tallies[name].update(found)
-        tallies[name]["most_mb"] = most_mb
+        tallies[name] |= Counter(most)
     for name, tally in tallies.items():
         print(
             f"{name}: {tally['read']} read in {tally['seconds']} s, {tally['sound']} of them "
@@ -72,7 +90,20 @@ def _all(names: list[str], seconds: float, seed: int) -> int:
     return 1 if any(tally["broken"] for tally in tallies.values()) else 0
 
 
-def _sliced(name: str, seconds: float, seed: int) -> dict[str, int]:
+def _every_kind(cases: int, seed: int) -> int:
+    """Give each kind its cases."""
+    print(f"seed {seed}, {cases} cases of each of {len(KINDS)} kinds", flush=True)
+    tallies = {name: _sliced(name, math.inf, seed, cases) for name in KINDS}
+    for name, tally in tallies.items():
+        print(
+            f"{name}: {tally.get('read', 0)} read, {tally.get('sound', 0)} of them still sound, "
+            f"{tally['broken']} broke it; {tally.get('worst_ms', 0)} ms of the processor and "
+            f"{tally.get('most_mb', 0)} MB at most"
+        )
+    return 1 if any(tally["broken"] for tally in tallies.values()) else 0
+
+
+def _sliced(name: str, seconds: float, seed: int, cases: int = 0) -> dict[str, int]:
     """Run one slice in its own process; one that crashes or goes no further there has broken
     something.
     """
@@ -86,6 +117,7 @@ def _sliced(name: str, seconds: float, seed: int) -> dict[str, int]:
             "--slice",
             name,
             str(seconds),
+            str(cases),
             str(state),
             "--seed",
             str(seed),
@@ -93,7 +125,7 @@ def _sliced(name: str, seconds: float, seed: int) -> dict[str, int]:
         said, how = _outlived(subprocess.Popen(command, stdout=subprocess.PIPE, text=True), state)
         last = state.read_text()
     lines = said.splitlines()
-    tally = {"broken": 1, "seconds": round(seconds)} if how else json.loads(lines.pop())
+    tally = {"broken": 1} if how else json.loads(lines.pop())
     for line in (*lines, *([f"its process {how} at --again {name} {last}"] if how else [])):
         print(f"BROKEN {name}: {line}", flush=True)
     return tally
@@ -122,19 +154,21 @@ def _ended(code: int) -> str:
     return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
-def _slice(name: str, seconds: float, state: Path, seed: int) -> int:
-    """Fuzz one parser for a time; tell what breaks it, line by line, and the tally last."""
+def _slice(name: str, seconds: float, cases: int, state: Path, seed: int) -> int:
+    """Fuzz one parser for a time, or with a number of cases; tell what breaks it, line by line, and
+    the tally last.
+    """
     limit_memory()
-    tally: Counter[str] = Counter(seconds=round(seconds))
-    until_s = time.monotonic() + seconds
+    tally: Counter[str] = Counter(broken=0, worst_ms=0)
+    began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder, state.open("w") as file:
-        while time.monotonic() < until_s:
+        while time.monotonic() < began_s + seconds and tally["read"] < (cases or math.inf):
             seed += 1
             file.seek(0)
             file.write(f"{seed:20d}")
             file.flush()
             tally["read"] += 1
-            before_mb = most_resident_mb()
+            before_mb, before_s = most_resident_mb(), time.process_time()
             try:
                 tally["sound"] += _once(name, seed, Path(folder))
                 require_little(most_resident_mb() - before_mb)
@@ -144,6 +178,9 @@ def _slice(name: str, seconds: float, state: Path, seed: int) -> int:
                     f"{type(error).__name__}: {str(error)[:200]!r} at --again {name} {seed}",
                     flush=True,
                 )
+            worst_ms = round(1e3 * (time.process_time() - before_s))
+            tally["worst_ms"] = max(tally["worst_ms"], worst_ms)
+    tally["seconds"] = round(time.monotonic() - began_s)
     tally["most_mb"] = round(most_resident_mb())
     print(json.dumps(tally))
     return 0
@@ -151,7 +188,7 @@ def _slice(name: str, seconds: float, state: Path, seed: int) -> int:
 
 def _once(name: str, seed: int, folder: Path) -> bool:
     with in_time(LONGEST_S):
-        return PARSERS[name](random.Random(seed), folder)
+        return (PARSERS | KINDS)[name](random.Random(seed), folder)
 
 
 def _again(name: str, seed: int) -> int:

@@ -325,5 +325,9 @@ def sound(target: str) -> list[bytes]:
 
 def once(rng: random.Random, folder: Path) -> bool:
     """Mangle one document of any target and read it; whether it was still sound."""
-    target = rng.choice(tuple(TARGETS))
+    return mangle_and_read(rng.choice(tuple(TARGETS)), rng, folder)
+
+
+def mangle_and_read(target: str, rng: random.Random, folder: Path) -> bool:
+    """Mangle one document of a target and read it; whether it was still sound."""
     return read(target, mangled(rng.choice(sound(target)), rng), prepared(folder))

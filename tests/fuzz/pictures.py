@@ -7,6 +7,7 @@ its header states.
 
 import json
 import random
+import re
 import shutil
 import struct
 import tempfile
@@ -30,6 +31,7 @@ from tests.labdata import dng
 from tests.truth import camera_files
 
 ROWS, COLUMNS = 12, 16
+SIF_VERSIONS = (65541, 65550, 65559, 65567)  # 1998 to today: fields were added, none was moved
 PLANES = (None, "r", "g1", "luminance", "mono", "")
 EXTENSIONS = (None, None, None, "0", "2", "AMP1", "x")
 
@@ -111,8 +113,8 @@ def _mef(path: Path) -> None:
     fits.HDUList([fits.PrimaryHDU(), *images]).writeto(path)
 
 
-def _sif(path: Path) -> None:
-    camera_files.write_sif(path, _frames(np.float32), version=65550)
+def _sif(**options) -> Callable[[Path], object]:
+    return lambda path: camera_files.write_sif(path, _frames(np.float32), **options)
 
 
 def _hdf5(path: Path) -> None:
@@ -155,7 +157,8 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
     "ser": ("a.ser", _ser),
     "spe": ("a.spe", _spe),
     "spe of LightField": ("a.spe", _lightfield),
-    "sif": ("a.sif", _sif),
+    **{f"sif of version {version}": ("a.sif", _sif(version=version)) for version in SIF_VERSIONS},
+    "sif of two sections": ("a.sif", _sif(background=_frames(np.float32))),
     "img": ("a.img", _img),
     "png with text": ("a.png", _png_with_text),
     "fits of extensions": ("a.fits", _mef),
@@ -207,7 +210,8 @@ def read(name: str, rng: random.Random, folder: Path, *, wrong: bool = True) -> 
     if wrong and rng.random() < 0.1:
         plane = rng.choice(PLANES)
     try:
-        extension = rng.choice(EXTENSIONS) if wrong and "extensions" in name else None
+        several = wrong and name in ("fits of extensions", "sif of two sections", "hdf5")
+        extension = rng.choice(EXTENSIONS) if several else None
         _read(name, path, plane, extension, partial=wrong and rng.random() < 0.5)
     except BadInput as error:
         assert str(error).strip() and "\n" not in str(error), "a refusal is one sentence"
@@ -246,6 +250,8 @@ def mangled_bytes(data: bytes, rng: random.Random) -> bytes:
     """
     if rng.random() < 0.3:
         return mangled(data, rng)
+    if rng.random() < 0.3 and (numbers := list(NUMBER.finditer(data))):
+        return _other_number(data, rng.choice(numbers), rng)
     if data[:1] == b"{" and rng.random() < 0.7:
         return _other_json(data, rng)
     out = bytearray(data)
@@ -259,6 +265,19 @@ def mangled_bytes(data: bytes, rng: random.Random) -> bytes:
         )
         out[at : at + width] = value.to_bytes(width, rng.choice(("little", "big")))
     return bytes(out)
+
+
+NUMBER = re.compile(rb"(?<![\w.])\d{1,12}(?![\w.])")
+
+
+def _other_number(data: bytes, number: re.Match[bytes], rng: random.Random) -> bytes:
+    """Return a file with another number of as many digits in its text: cards, comments and lines
+    keep their places.
+    """
+    digits = len(number[0])
+    value = rng.choice((0, 1, 10**digits - 1, rng.randrange(10**digits), int(number[0]) + 1))
+    text = str(value).zfill(digits)[-digits:].encode()
+    return data[: number.start()] + text + data[number.end() :]
 
 
 def _other_json(data: bytes, rng: random.Random) -> bytes:

@@ -189,4 +189,9 @@ def try_once(name: str, said: bytes, rng: random.Random) -> bool:
 
 def once(rng: random.Random, _folder: Path) -> bool:
     """Let one parser hear one reply; whether it found what it asked for."""
-    return try_once(rng.choice(tuple(PARSERS)), reply(rng), rng)
+    return hear(rng.choice(tuple(PARSERS)), rng, _folder)
+
+
+def hear(name: str, rng: random.Random, _folder: Path) -> bool:
+    """Let a parser hear one reply; whether it found what it asked for."""
+    return try_once(name, reply(rng), rng)
