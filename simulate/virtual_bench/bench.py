@@ -67,7 +67,8 @@ class VirtualBench:
     ) -> None:
         self.folder = Path(folder).resolve()
         self.truth_folder = self.folder / TRUTH
-        self._wires_folder = _next_wires_folder(self.folder)
+        # Folder where the instruments publish what they put out
+        self.wires_folder = _next_wires_folder(self.folder)
         wires = InstrumentConfig() if wires is None else wires
         if wires.bench == "real":
             raise BadInput(
@@ -89,14 +90,14 @@ class VirtualBench:
         self.camera: CameraProcess | None = None
 
     def __enter__(self) -> Self:
-        self._wires_folder.mkdir(parents=True, exist_ok=True)
+        self.wires_folder.mkdir(parents=True, exist_ok=True)
         load_or_draw_truth(self.truth_folder, self._sensor, self._seed, self._lamp)
         self.operator.darken()
         with ExitStack() as running:
             self._start_instruments(running)
             if self._camera_has_a_wire():
                 self.camera = running.enter_context(
-                    CameraProcess(self.folder, self._wires_folder, say=self._say)
+                    CameraProcess(self.folder, self.wires_folder, say=self._say)
                 )
             self._running = running.pop_all()
         return self
@@ -122,11 +123,6 @@ class VirtualBench:
             )
         return self._instruments
 
-    @property
-    def wires_folder(self) -> Path:
-        """Folder where the instruments publish what they put out."""
-        return self._wires_folder
-
     def in_process_camera(self) -> InProcessCamera:
         """Return the camera without its wire."""
         return InProcessCamera(self.folder, self.outputs)
@@ -134,10 +130,8 @@ class VirtualBench:
     def outputs(self) -> Outputs:
         """Return the present outputs of the instruments."""
         if self.inside is None:
-            return read_outputs(self._wires_folder)
-        return replace(
-            self.inside.outputs(), room_light_lux=read_room_light_lux(self._wires_folder)
-        )
+            return read_outputs(self.wires_folder)
+        return replace(self.inside.outputs(), room_light_lux=read_room_light_lux(self.wires_folder))
 
     def provoke(self, instrument: str, faults: Faults) -> None:
         """Inject faults into a virtual instrument, the camera or the surroundings; BadInput for a
@@ -155,7 +149,7 @@ class VirtualBench:
         elif instrument in (*virtual, "surroundings") or (
             instrument == "camera" and self.camera is not None
         ):
-            inject_faults(self._wires_folder, instrument, faults)
+            inject_faults(self.wires_folder, instrument, faults)
         else:
             raise BadInput(
                 f"a fault must strike an instrument on the wires of this bench, got {instrument}"
@@ -181,7 +175,7 @@ class VirtualBench:
                 f"Of this virtual bench {sentence}; the virtual tube feels nothing of what it does."
             )
         instruments = VirtualInstruments(
-            self._wires_folder,
+            self.wires_folder,
             models=tuple(
                 connection.model for connection in self._asked.instruments if not connection.port
             ),

@@ -16,8 +16,7 @@ from labdata.instrument_config import InstrumentConfig, Role
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.instrument import SerialInstrument, virtual_model
 from simulate.virtual_bench.instruments.meters import TEMPERATURE_C
-from simulate.virtual_bench.outputs import GateOutput, Outputs
-from simulate.virtual_bench.prologix import PrologixAdapter
+from simulate.virtual_bench.outputs import Outputs
 from simulate.virtual_bench.pseudo_terminal import enter_at_panel
 from simulate.virtual_bench.tube import VirtualTube
 
@@ -80,18 +79,10 @@ class InProcessPort:
             if not self._faults.disobedient:
                 self._instrument.advance(time.monotonic(), self._faults)
 
-    def volts(self) -> float:
-        """Voltage that a supply at the far end puts out now, V."""
-        return self.far_end().output_v
-
-    def gate(self) -> GateOutput:
-        """What a gate generator at the far end does to the gate unit now."""
-        return self.far_end().gate()
-
     def far_end(self) -> Any:
         """The instrument at the far end as it is now, whatever adapter stands before it."""
         self.advance()
-        return _behind_adapter(self._shown)
+        return getattr(self._shown, "instrument", self._shown)
 
     def reopen(self, path: str | None = None) -> None:
         """Nothing to open: the instrument is in this process."""
@@ -130,18 +121,13 @@ class InProcessInstruments:
         """Return the present inputs of the tube."""
         light, wheel = self.ports.get("light-source"), self.ports.get("filter-wheel")
         return Outputs(
-            mcp_v=self.supply_port.volts(),
-            **vars(self.gate_port.gate()),
+            mcp_v=self.supply_port.far_end().output_v,
+            **vars(self.gate_port.far_end().gate()),
             lamp_a=None if light is None else light.far_end().current_a,
             filter_position=None if wheel is None else wheel.far_end().position,
             has_wheel=wheel is not None,
             temperature_c=TEMPERATURE_C if "thermometer" in self.ports else None,
         )
-
-
-def _behind_adapter(instrument: Any) -> Any:
-    """Return the instrument behind an adapter, or the instrument itself."""
-    return instrument.only if isinstance(instrument, PrologixAdapter) else instrument
 
 
 POLL_S = 0.05  # Longest wait for a frame between two calls of `while_waiting`, s

@@ -9,7 +9,7 @@ model in the group `charact.instruments`.
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntFlag
 from pathlib import Path
@@ -186,10 +186,21 @@ def parse_number(text: str, kind: type, code: object) -> Any:
     return value
 
 
-def read_register(value: int, bit: int | None) -> tuple[int, int]:
-    """Return a register, or one of its bits, and its value after the reading."""
-    mask = 0xFF if bit is None else 1 << bit
-    return value & mask if bit is None else int(bool(value & mask)), value & ~mask
+def read_register(
+    value: int, arguments: Sequence[str], refusals: tuple[Any, Any, Any], kind: type = int
+) -> tuple[int, int]:
+    """Return a register, or the bit that a command names, and its value after the reading;
+    `refusals` are the codes of too many arguments, of one that is no number, and of no such bit.
+    """
+    too_many, no_number, no_bit = refusals
+    if len(arguments) > 1:
+        raise RefusedCommand(too_many)
+    if not arguments:
+        return value & 0xFF, value & ~0xFF
+    bit = int(parse_number(arguments[0], kind, no_number))
+    if not 0 <= bit <= 7:
+        raise RefusedCommand(no_bit)
+    return value >> bit & 1, value & ~(1 << bit)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 current address.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from simulate.virtual_bench.faults import Faults
@@ -19,12 +19,12 @@ class _Unrecognized(Exception):
 
 
 class PrologixAdapter:
-    """GPIB-USB adapter with factory settings (controller, read after write, address 0) before its
-    instruments.
+    """GPIB-USB adapter with factory settings (controller, read after write, address 0) before an
+    instrument with a GPIB address.
     """
 
-    def __init__(self, bus: Mapping[int, BusInstrument]) -> None:
-        self._bus = dict(bus)
+    def __init__(self, address: int, instrument: BusInstrument) -> None:
+        self.instrument, self._instrument_address = instrument, address
         self._address = 0
         self._settings = {
             "mode": 1,
@@ -37,12 +37,6 @@ class PrologixAdapter:
             "read_tmo_ms": 500,
         }
         self._line, self._escaped, self._plus = bytearray(), False, 0
-
-    @property
-    def only(self) -> BusInstrument:
-        """The one instrument on the bus."""
-        (instrument,) = self._bus.values()
-        return instrument
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
         """Take bytes from the USB side; return answers, each with the time it takes, s."""
@@ -70,18 +64,23 @@ class PrologixAdapter:
                 self._line.append(byte)
 
     def _pass(self, line: bytes) -> list[tuple[float, bytes]]:
-        if not self._settings["mode"] or (instrument := self._bus.get(self._address)) is None:
+        if not self._settings["mode"] or not self._is_addressed:
             return []
-        instrument.listen(line + ENDINGS[self._settings["eos"]], end=bool(self._settings["eoi"]))
+        self.instrument.listen(
+            line + ENDINGS[self._settings["eos"]], end=bool(self._settings["eoi"])
+        )
         return self._read() if self._settings["auto"] else []
 
     def _read(self) -> list[tuple[float, bytes]]:
-        instrument = self._bus.get(self._address)
-        answer = instrument.talk() if instrument is not None else b""
+        answer = self.instrument.talk() if self._is_addressed else b""
         if not answer:
             return []
         mark = bytes([self._settings["eot_char"]]) if self._settings["eot_enable"] else b""
         return [(BUS_S, answer + mark)]
+
+    @property
+    def _is_addressed(self) -> bool:
+        return self._address == self._instrument_address
 
     def _own(self, line: bytes) -> list[tuple[float, bytes]]:
         name, *arguments = line.decode("ascii", "replace").lower().split()
@@ -103,8 +102,8 @@ class PrologixAdapter:
         if name == "ver":
             return VERSION
         if name == "clr":
-            if instrument := self._bus.get(self._address):
-                instrument.clear()
+            if self._is_addressed:
+                self.instrument.clear()
             return []
         if name in ("ifc", "loc", "llo", "rst", "trg"):
             return []
@@ -128,19 +127,16 @@ class PrologixAdapter:
         return []
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Advance the instruments on the bus to a time, s."""
-        for instrument in self._bus.values():
-            instrument.advance(now_s, faults)
+        """Advance the instrument to a time, s."""
+        self.instrument.advance(now_s, faults)
 
     def power_cycle(self) -> None:
-        """Power cycle the instruments; the adapter is powered by the computer."""
-        for instrument in self._bus.values():
-            instrument.power_cycle()
+        """Power cycle the instrument; the adapter is powered by the computer."""
+        self.instrument.power_cycle()
 
     def publish(self, folder: Path) -> None:
-        """Publish the outputs of the instruments."""
-        for instrument in self._bus.values():
-            instrument.publish(folder)
+        """Publish the outputs of the instrument."""
+        self.instrument.publish(folder)
 
 
 def _whole(arguments: list[str], lowest: int, highest: int) -> int:

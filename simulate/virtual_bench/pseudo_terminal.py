@@ -132,7 +132,7 @@ def enter_at_panel(instrument: SerialInstrument, commands: Iterable[str]) -> Non
     """Enter commands at an instrument's front panel; answers do not reach the line."""
     for command in commands:
         if isinstance(instrument, PrologixAdapter):
-            instrument.only.listen(command.encode(), end=True)
+            instrument.instrument.listen(command.encode(), end=True)
         else:
             instrument.receive(command.encode() + b"\n")
 

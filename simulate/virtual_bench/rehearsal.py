@@ -1,6 +1,5 @@
 """Injection of scripted faults."""
 
-import json
 import threading
 import time
 from collections import Counter
@@ -280,19 +279,17 @@ class _Steps:
     """
 
     def __init__(self, log: Path) -> None:
-        self._log = log
-        self._read = log.stat().st_size if log.exists() else 0
+        self._log, self._size = log, -1
+        self._events_read = len(self._events())
         self.began_s: dict[str, float] = {}
 
     def look(self, now_s: float) -> None:
-        if not self._log.exists() or self._log.stat().st_size == self._read:
-            return
-        with self._log.open("rb") as file:
-            file.seek(self._read)
-            text = file.read()
-        complete_lines = text[: text.rfind(b"\n") + 1]
-        self._read += len(complete_lines)
-        for line in complete_lines.splitlines():
-            event = json.loads(line)
+        for event in self._events()[self._events_read :]:
             if event["event"] == "step begins":
                 self.began_s.setdefault(event["step"], now_s)
+
+    def _events(self) -> list[dict]:
+        """Return the events of the log; none where it has not grown since the last call."""
+        size = self._log.stat().st_size if self._log.exists() else 0
+        is_same, self._size = size == self._size, size
+        return [] if is_same or not size else read_events(self._log)

@@ -30,7 +30,7 @@ def test_a_triggered_gate_opens_once_for_each_field_and_holds_off_what_comes_too
     assert gate.open(
         width_ns=WIDTH_NS, rate_hz=FIELD_HZ, delay_ns=3e6, sync="triggered"
     ) == pytest.approx(WIDTH_NS)
-    out = port.gate()
+    out = port.far_end().gate()
     assert (out.gate_trigger, out.gate_hz, out.gate_delay_ns) == (
         "camera",
         FIELD_HZ,
@@ -39,7 +39,7 @@ def test_a_triggered_gate_opens_once_for_each_field_and_holds_off_what_comes_too
     assert float(gate.line.ask("HOLD?")) == pytest.approx(HOLDOFF / FIELD_HZ, abs=1e-9)
     ringing, port = dg645(external_hz=2.0 * FIELD_HZ)
     ringing.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
-    assert port.gate().gate_hz <= FIELD_HZ / HOLDOFF
+    assert port.far_end().gate().gate_hz <= FIELD_HZ / HOLDOFF
 
 
 def test_a_gate_at_whose_input_nothing_comes_is_told_and_left_shut():
@@ -48,7 +48,7 @@ def test_a_gate_at_whose_input_nothing_comes_is_told_and_left_shut():
         InstrumentRejected, match=r"must be triggered 59\.9401 times a second, got no trigger"
     ):
         gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
-    assert not port.gate().gate_open
+    assert not port.far_end().gate().gate_open
 
 
 @pytest.mark.parametrize("sync", ["triggered", "line-locked"])
@@ -74,16 +74,16 @@ def test_a_gate_goes_from_one_trigger_to_another_and_keeps_nothing_of_the_first(
     gate, port = dg645()
     gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
     gate.open(width_ns=WIDTH_NS, rate_hz=60.0, sync="line-locked")
-    assert (port.gate().gate_trigger, port.gate().gate_hz) == ("mains", 60.0)
+    assert (port.far_end().gate().gate_trigger, port.far_end().gate().gate_hz) == ("mains", 60.0)
     gate.open(width_ns=WIDTH_NS, rate_hz=200.0)
-    assert (port.gate().gate_trigger, port.gate().gate_hz) == ("clock", 200.0)
+    assert (port.far_end().gate().gate_trigger, port.far_end().gate().gate_hz) == ("clock", 200.0)
 
 
 def test_the_older_generator_takes_the_mains_and_refuses_what_it_cannot_hold_off():
-    port = InProcessPort(PrologixAdapter({15: VirtualDg535()}))
+    port = InProcessPort(PrologixAdapter(15, VirtualDg535()))
     gate = dg535.MODEL.driver(dg535.MODEL.line(port, 15))
     gate.open(width_ns=WIDTH_NS, rate_hz=60.0, sync="line-locked")
-    assert port.gate().gate_trigger == "mains"
+    assert port.far_end().gate().gate_trigger == "mains"
     with pytest.raises(BadInput, match="has no trigger holdoff, got triggered"):
         gate.check_pulse(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
 

@@ -198,7 +198,7 @@ class ListenedPort(InProcessPort):
 @pytest.mark.parametrize(
     ("module", "virtual", "order"),
     [
-        (high_voltage, lambda: PrologixAdapter({14: HighVoltageSupply()}), b"++addr 14\nHVOF\n"),
+        (high_voltage, lambda: PrologixAdapter(14, HighVoltageSupply()), b"++addr 14\nHVOF\n"),
         (iseg, IsegSupply, b"\r\nG1\r\n"),
     ],
 )
@@ -210,7 +210,7 @@ def test_a_ramp_ends_where_the_safe_action_takes_over_and_the_output_falls(modul
     supply.prepare(limit_v=900.0)
     supply.switch_on()
     ramping, ended = in_a_thread(lambda: supply.raise_to(800.0, rate_v_per_s=100.0))
-    while port.volts() < 60.0:
+    while port.far_end().output_v < 60.0:
         time.sleep(0.01)
     line.take_over()
     with line.safing():

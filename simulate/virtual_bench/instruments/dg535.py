@@ -163,15 +163,11 @@ class Dg535(BusInstrument, GateGenerator):
         return None
 
     def _register(self, name: str, arguments: list[str]) -> str:
-        if len(arguments) > 1:
-            raise RefusedCommand(ErrorStatus.COUNT)
-        bit = _number(arguments[0]) if arguments else None
-        if bit is not None and not 0 <= bit <= 7:
-            raise RefusedCommand(ErrorStatus.VALUE)
+        refusals = ErrorStatus.COUNT, ErrorStatus.VALUE, ErrorStatus.VALUE
         if name == "ES":
-            value, self._errors = read_register(self._errors, bit)
+            value, self._errors = read_register(self._errors, arguments, refusals)
         else:
-            value, self._status = read_register(self._status, bit)
+            value, self._status = read_register(self._status, arguments, refusals)
         return str(value)
 
     def _clear_settings(self) -> None:
@@ -219,7 +215,7 @@ def _number(text: str, kind: type = int) -> Any:
 MODEL = VirtualModel(
     name="dg535",
     bench_name="delay_generator",
-    make=lambda address, scale: PrologixAdapter({address: Dg535()}),
+    make=lambda address, scale: PrologixAdapter(address, Dg535()),
     baud=None,
     panel={
         "source": ("TM 4",),

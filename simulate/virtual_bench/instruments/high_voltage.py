@@ -150,15 +150,13 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
 
     def _register(self, name: str, arguments: tuple[str, ...]) -> str:
         """Read a register, or one of its bits, which clears what latches."""
-        if len(arguments) > 1:
-            raise RefusedCommand(StandardEvent.CME)
-        bit = int(parse_number(arguments[0], float, StandardEvent.CME)) if arguments else None
-        if bit is not None and not 0 <= bit <= 7:
-            raise RefusedCommand(StandardEvent.EXE)
-        if name == "*ESR":
-            value, self._event_status = read_register(self._event_status, bit)
+        is_event = name == "*ESR"
+        refusals = StandardEvent.CME, StandardEvent.CME, StandardEvent.EXE
+        register = self._event_status if is_event else self._status_byte()
+        value, remaining_bits = read_register(register, arguments, refusals, float)
+        if is_event:
+            self._event_status = remaining_bits
         else:
-            value, remaining_bits = read_register(self._status_byte(), bit)
             self._latched &= remaining_bits | ~LATCHED
         return str(value)
 
@@ -221,7 +219,7 @@ _ACTIONS = {
 MODEL = VirtualModel(
     name="ps350",
     bench_name="high_voltage",
-    make=lambda address, scale: PrologixAdapter({address: HighVoltageSupply(time_scale=scale)}),
+    make=lambda address, scale: PrologixAdapter(address, HighVoltageSupply(time_scale=scale)),
     baud=None,
     panel={"voltage": ("VSET 350",), "on": ("VSET 100", "HVON")},
 )

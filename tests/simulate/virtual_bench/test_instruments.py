@@ -310,7 +310,7 @@ def test_several_questions_in_a_message_are_answered_together(bus):
 
 @pytest.fixture
 def adapter():
-    adapter = PrologixAdapter({14: HighVoltageSupply()})
+    adapter = PrologixAdapter(14, HighVoltageSupply())
     said(adapter, b"++auto 0\n++eoi 1\n++eos 2\n++addr 14\n*CLS\n")
     return adapter
 
