@@ -4,7 +4,8 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -32,6 +33,7 @@ REOPEN_S = 15.0  # Longest time of attempts to reopen a lost port, s
 # Of as many reopened ports at which nobody known answers, one is given the time of a busy machine:
 # ports may be swapped, and each then costs that time
 PORTS_A_PATIENT_ONE = 5
+LONGEST_TURN_S = 1.0  # Longest wait for another task that reopens ports, s
 STEADY_READINGS = 3  # Readings of an output ordered off that does not fall, before it is reported
 
 # Manual steps for a tube that could not be made safe
@@ -211,7 +213,9 @@ def make_safe(
         for lamp in lamps
     ]
     tasks, workers = (shut, fall, *dark), crew or Crew(3 + len(dark))
+    reopening = threading.Lock()
     for task in tasks:
+        task.reopening = reopening
         task.other_paths = [other.path for other in tasks if other.path and other is not task]
 
     def report() -> SafeStateReport:
@@ -292,9 +296,11 @@ class _Task:
         self.ordered = self.verified = False
         self.failures: list[str] = []
         self.path: str | None = None if instrument is None else instrument.line.path
-        # Paths of the bench at which its instrument may answer when ports come back swapped
+        # Paths of the bench at which its instrument may answer when ports come back swapped, and
+        # the turn to ask there
         self.other_paths: list[str] = []
-        self._reopenings = self._unknown_ports = 0
+        self.reopening = threading.Lock()
+        self._unknown_ports = 0
 
     def run(self, attempts: _FirstAttempts, is_patient: bool) -> None:
         """Repeat the steps until they are verified or the time is over; a lost port is reopened."""
@@ -360,27 +366,43 @@ class _Task:
     def _reopen(self) -> None:
         """Reopen a lost port, and ask who answers there: names of ports may be swapped.
 
-        At each call another path of the bench is the first, since another task may hold it. The
-        orders go out before the question: an instrument may hear and its answers be lost.
+        The orders go out before the question: an instrument may hear and its answers be lost.
         """
-        line, paths = self._instrument.line, [None, *self.other_paths]
-        begin, self._reopenings = self._reopenings % len(paths), self._reopenings + 1
-        for path in (*paths[begin:], *paths[:begin]):
-            try:
-                line.reopen(path)
-                self._disconnected = self.ordered = False
-                if self.other_paths:
-                    self.order()
-                    self._identify()
-            except (InstrumentReplyError, InstrumentTimeout):
-                line.close()
-                self._disconnected, self._unknown_ports = True, self._unknown_ports + 1
-            except BenchError:
-                continue
-            else:
-                self._record(f"{self._label}: port reopened", ok=True, path=path or self.path)
-                self.failures.clear()
-                return
+        with self._turn_to_reopen():
+            for path in (None, *self.other_paths):
+                if self._reopen_at(path):
+                    self._record(f"{self._label}: port reopened", ok=True, path=path or self.path)
+                    self.failures.clear()
+                    return
+
+    @contextmanager
+    def _turn_to_reopen(self) -> Iterator[None]:
+        """Wait until no other task reopens ports: two that ask at each other's would both find
+        their own held, again and again. One that takes long is not waited for.
+        """
+        is_alone = self.reopening.acquire(timeout=LONGEST_TURN_S)
+        try:
+            yield
+        finally:
+            if is_alone:
+                self.reopening.release()
+
+    def _reopen_at(self, path: str | None) -> bool:
+        """Return whether the port at a path could be opened and its instrument is the right one."""
+        line = self._instrument.line
+        try:
+            line.reopen(path)
+            self._disconnected = self.ordered = False
+            if self.other_paths:
+                self.order()
+                self._identify()
+        except (InstrumentReplyError, InstrumentTimeout):
+            line.close()
+            self._disconnected, self._unknown_ports = True, self._unknown_ports + 1
+            return False
+        except BenchError:
+            return False
+        return True
 
     def _identify(self) -> None:
         line = self._instrument.line

@@ -10,9 +10,10 @@ from importlib import resources
 import pytest
 
 from drivers.bench.safe_state import make_safe
+from drivers.errors import InstrumentDisconnected
 from drivers.instruments import delay_generator, high_voltage
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.in_process import InProcessInstruments
+from simulate.virtual_bench.in_process import InProcessInstruments, InProcessPort
 
 
 @pytest.fixture
@@ -101,6 +102,54 @@ def test_a_line_that_could_not_be_opened_leaves_the_other_to_be_made_safe(virtua
         == f"the gate may be open, the high voltage is off and down to {safety.residual_v:g} V"
     )
     assert safety.failures == ("the delay generator could not be reached",)
+
+
+def test_instruments_that_try_each_others_ports_do_not_keep_each_other_out(virtual, record):
+    """The supply's port is back before the gate's, whose task then asks at the supply's."""
+    instruments = {"gate": virtual.gate_port, "supply": virtual.supply_port}
+    held, began_s = dict[str, str](), time.monotonic()
+
+    class LostPort:
+        def __init__(self, path: str, *, lost_s: float, back_s: float) -> None:
+            self.path, self.lost_s = path, lost_s
+            backs_s[path] = began_s + back_s
+
+        def send(self, data: bytes) -> None:
+            self.at_hand().send(data)
+
+        def receive(self, timeout_s: float) -> bytes:
+            return self.at_hand().receive(timeout_s)
+
+        def at_hand(self) -> InProcessPort:
+            path = next((path for path, holder in list(held.items()) if holder == self.path), None)
+            if path is None:
+                time.sleep(max(0.0, began_s + self.lost_s - time.monotonic()))
+                raise InstrumentDisconnected(f"the port {self.path} is gone")
+            return instruments[path]
+
+        def reopen(self, path: str | None = None) -> None:
+            self.close()
+            path = path or self.path
+            if time.monotonic() < backs_s[path] or held.setdefault(path, self.path) != self.path:
+                raise InstrumentDisconnected(f"the port {path} is not free")
+
+        def close(self) -> None:
+            for path in [path for path, holder in list(held.items()) if holder == self.path]:
+                del held[path]
+
+    backs_s: dict[str, float] = {}
+    drivers = {
+        "gate": delay_generator.MODEL.driver(
+            delay_generator.MODEL.line(LostPort("gate", lost_s=0.0, back_s=0.3), 0)
+        ),
+        "supply": high_voltage.MODEL.driver(
+            high_voltage.MODEL.line(LostPort("supply", lost_s=0.23, back_s=0.0), 14)
+        ),
+    }
+    virtual.gate_port.send(b"DLAY 3,2,1e-3;LAMP 1,4;TSRC 0\n")
+    assert virtual.outputs().gate_open
+    assert make_safe(**drivers, record=record).whole
+    assert time.monotonic() - began_s < 2.0 and not virtual.outputs().gate_open
 
 
 def test_a_wrong_polarity_is_put_right(virtual, drivers, record):
