@@ -354,10 +354,8 @@ class BenchClient:
             self.process.wait(1.0)
         except subprocess.TimeoutExpired:  # it stands guard
             threading.Thread(target=self.process.wait, daemon=True).start()
-        for descriptor in self._ports.values():
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
-        self._ports.clear()
+        for driver in self._drivers.values():
+            driver.line.close()
         self._crew.dismiss()
         self._log.close()
 

@@ -185,7 +185,16 @@ class InheritedPort(_DescriptorPort):
     ) -> None:
         super().__init__(descriptor, name=name, location=f"the inherited descriptor {descriptor}")
         self.path, self._open_again = path, open_again
+        self._opened: SerialPort | None = None
         os.set_blocking(descriptor, False)
+
+    def close(self) -> None:
+        """Close the port, even one that is gone."""
+        if self._opened is None:
+            return super().close()
+        # By its own object, which would else close the next port of the same number when it ends
+        self._opened.close()
+        self._descriptor = -1
 
     def reopen(self, path: str | None = None) -> None:
         """Reopen the port, or another path in its place; InstrumentDisconnected if it is missing,
@@ -193,6 +202,7 @@ class InheritedPort(_DescriptorPort):
         """
         if self._open_again is None or self.path is None:
             raise self._disconnection("no path to open it by")
+        self.close()
         self._opened = self._open_again(path or self.path)
         self._descriptor = self._opened.fileno()
 

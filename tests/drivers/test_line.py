@@ -1,5 +1,6 @@
 """Whole lines over a port that may be late, partial, full, or gone."""
 
+import gc
 import os
 import resource
 import threading
@@ -398,6 +399,24 @@ def test_the_safe_action_opens_a_port_that_another_program_has_locked(terminal):
     assert os.read(terminal[0], 64) == b"HVOF\n"
     port.close()
     holder.close()
+
+
+def test_an_inherited_port_opens_again_and_again(terminal):
+    path = os.ttyname(terminal[1])
+    opened = SerialPort(path, name="supply")
+    port = InheritedPort(
+        os.dup(opened.fileno()),
+        name="supply",
+        path=path,
+        open_again=lambda path: SerialPort(path, name="supply", exclusive=False),
+    )
+    opened.close()
+    for _ in range(3):
+        port.reopen()
+        gc.collect()
+        port.send(b"HVOF\n")
+        assert os.read(terminal[0], 64) == b"HVOF\n"
+        port.close()
 
 
 def test_an_inherited_port_speaks_where_no_further_descriptor_can_be_had(terminal):
