@@ -45,7 +45,7 @@ from drivers.errors import BenchError, BenchServerLost, BenchStopped
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import FALL_S
 from drivers.interface import FrameLevels, Operator
-from drivers.serial_lines.port import InheritedPort
+from drivers.serial_lines.port import LaterPort
 from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
@@ -302,11 +302,11 @@ class BenchClient:
             instrument for instrument in self._setup.wires.instruments if instrument.role == role
         )
         model = model_of(connection)
-        port = InheritedPort(
-            self._ports[role],
+        port = LaterPort(
+            partial(model.open_port, exclusive=False),
             name=model.title,
             path=connection.port,
-            open_again=partial(model.open_port, exclusive=False),
+            descriptor=self._ports[role],
         )
         return model.driver(model.line(port, connection.address))
 

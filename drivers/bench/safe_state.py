@@ -400,7 +400,8 @@ class _Task:
             line.close()
             self._disconnected, self._unknown_ports = True, self._unknown_ports + 1
             return False
-        except BenchError:
+        except BenchError as error:
+            self.failures.append(str(error))
             return False
         return True
 

@@ -169,24 +169,26 @@ class SerialPort(_DescriptorPort):
         return InstrumentDisconnected(sentence, instrument=self._name)
 
 
-class InheritedPort(_DescriptorPort):
-    """A serial port opened and configured by another process, on an inherited descriptor.
+class LaterPort(_DescriptorPort):
+    """A serial port that `reopen` opens by its path, or by another, and that is closed before.
 
-    `open_again` opens a lost port by its path, or by another; None: the path is unknown.
+    It may begin with an inherited `descriptor`, opened and configured by another process.
     """
 
     def __init__(
         self,
-        descriptor: int,
+        open_port: Callable[[str], SerialPort] | None,
         *,
         name: str,
-        path: str | None = None,
-        open_again: "Callable[[str], SerialPort] | None" = None,
+        path: str | None,
+        descriptor: int = -1,
     ) -> None:
-        super().__init__(descriptor, name=name, location=f"the inherited descriptor {descriptor}")
-        self.path, self._open_again = path, open_again
+        location = path if descriptor < 0 else f"the inherited descriptor {descriptor}"
+        super().__init__(descriptor, name=name, location=str(location))
+        self.path, self._open_port = path, open_port
         self._opened: SerialPort | None = None
-        os.set_blocking(descriptor, False)
+        if descriptor >= 0:
+            os.set_blocking(descriptor, False)
 
     def close(self) -> None:
         """Close the port, even one that is gone."""
@@ -197,13 +199,13 @@ class InheritedPort(_DescriptorPort):
         self._descriptor = -1
 
     def reopen(self, path: str | None = None) -> None:
-        """Reopen the port, or another path in its place; InstrumentDisconnected if it is missing,
-        or its path is unknown.
+        """Open the port, or another path in its place; InstrumentDisconnected if it is missing, or
+        its path is unknown.
         """
-        if self._open_again is None or self.path is None:
+        if self._open_port is None or self.path is None:
             raise self._disconnection("no path to open it by")
         self.close()
-        self._opened = self._open_again(path or self.path)
+        self._opened = self._open_port(path or self.path)
         self._descriptor = self._opened.fileno()
 
 

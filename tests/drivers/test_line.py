@@ -22,7 +22,7 @@ from drivers.instruments import high_voltage, iseg
 from drivers.instruments.filter_wheel import PromptLine
 from drivers.instruments.iseg import IsegLine
 from drivers.serial_lines.line import FramedLine, PrologixLine
-from drivers.serial_lines.port import InheritedPort, SerialPort
+from drivers.serial_lines.port import LaterPort, SerialPort
 from simulate.virtual_bench.in_process import InProcessPort
 from simulate.virtual_bench.instruments.high_voltage import HighVoltageSupply
 from simulate.virtual_bench.instruments.iseg import IsegSupply
@@ -404,11 +404,11 @@ def test_the_safe_action_opens_a_port_that_another_program_has_locked(terminal):
 def test_an_inherited_port_opens_again_and_again(terminal):
     path = os.ttyname(terminal[1])
     opened = SerialPort(path, name="supply")
-    port = InheritedPort(
-        os.dup(opened.fileno()),
+    port = LaterPort(
+        lambda path: SerialPort(path, name="supply", exclusive=False),
         name="supply",
         path=path,
-        open_again=lambda path: SerialPort(path, name="supply", exclusive=False),
+        descriptor=os.dup(opened.fileno()),
     )
     opened.close()
     for _ in range(3):
@@ -421,7 +421,7 @@ def test_an_inherited_port_opens_again_and_again(terminal):
 
 def test_an_inherited_port_speaks_where_no_further_descriptor_can_be_had(terminal):
     opened = SerialPort(os.ttyname(terminal[1]), name="supply")
-    port = InheritedPort(os.dup(opened.fileno()), name="supply")
+    port = LaterPort(None, name="supply", path=None, descriptor=os.dup(opened.fileno()))
     opened.close()
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
