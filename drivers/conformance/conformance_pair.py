@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections.abc import Callable, Mapping
+from functools import wraps
 from typing import Any, Protocol
 
 from drivers.errors import BenchError, BenchStopped, InstrumentDisconnected, InstrumentTimeout
@@ -57,16 +58,6 @@ Rule = Callable[[ConformancePair], None]
 _RULES: dict[Role | None, list[Rule]] = {}
 
 
-def rule_of(role: Role | None) -> Callable[[Rule], Rule]:
-    """Register a rule for a role; None: for every instrument."""
-
-    def enter(rule: Rule) -> Rule:
-        _RULES.setdefault(role, []).append(rule)
-        return rule
-
-    return enter
-
-
 def rules_for(model: InstrumentModel) -> tuple[Rule, ...]:
     """Return the rules of a model: those of every instrument, and those of its role."""
     return (*_RULES[None], *_RULES[model.role])
@@ -77,6 +68,24 @@ def identify_driver(pair: ConformancePair) -> Any:
     driver = pair.driver()
     driver.identify()
     return driver
+
+
+def rule_of(
+    role: Role | None, prepare: Callable[[ConformancePair], Any] = identify_driver
+) -> Callable[[Callable[[ConformancePair, Any], None]], Rule]:
+    """Register a rule for a role; None: for every instrument. It begins with the driver that
+    `prepare` returns.
+    """
+
+    def enter(rule: Callable[[ConformancePair, Any], None]) -> Rule:
+        @wraps(rule)
+        def prepared(pair: ConformancePair) -> None:
+            rule(pair, prepare(pair))
+
+        _RULES.setdefault(role, []).append(prepared)
+        return prepared
+
+    return enter
 
 
 def must_raise(kind: type[Exception], action: Callable[[], object]) -> None:
@@ -104,16 +113,16 @@ PATIENCE_S = 1.0
 
 
 @rule_of(None)
-def says_who_it_is(pair: ConformancePair) -> None:
+def says_who_it_is(pair: ConformancePair, driver: Any) -> None:
     """It says who it is, twice the same."""
-    driver, identity = _new_driver(pair)
+    identity = driver.identify()
     assert driver.identify() == identity != ""
 
 
 @rule_of(None)
-def silence_is_reported_in_time(pair: ConformancePair) -> None:
+def silence_is_reported_in_time(pair: ConformancePair, driver: Any) -> None:
     """An instrument that says nothing is InstrumentTimeout within its answer time and a second."""
-    driver, identity = _new_driver(pair)
+    identity = driver.identify()
     pair.suffer("silent")
     began_s = time.monotonic()
     must_raise(InstrumentTimeout, lambda: _probe(pair, driver))
@@ -123,11 +132,11 @@ def silence_is_reported_in_time(pair: ConformancePair) -> None:
 
 
 @rule_of(None)
-def half_lines_and_garbage_are_no_answers(pair: ConformancePair) -> None:
+def half_lines_and_garbage_are_no_answers(pair: ConformancePair, driver: Any) -> None:
     """Half an answer, or characters that are none, is an error, and the line is in step
     afterwards.
     """
-    driver, identity = _new_driver(pair)
+    identity = driver.identify()
     for fault in ("half-lines", "garbage"):
         pair.suffer(fault)
         must_raise(BenchError, lambda: _probe(pair, driver))
@@ -137,12 +146,12 @@ def half_lines_and_garbage_are_no_answers(pair: ConformancePair) -> None:
 
 
 @rule_of(None)
-def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair) -> None:
+def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair, driver: Any) -> None:
     """An answer that comes late is taken for no other, neither by this program nor by the next that
     opens the line.
     """
     for is_reopened in (False, True):
-        driver, identity = _new_driver(pair)
+        identity = driver.identify()
         pair.suffer("late")
         with contextlib.suppress(BenchError):
             _probe(pair, driver)
@@ -153,11 +162,11 @@ def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair) -> None:
 
 
 @rule_of(None)
-def a_pulled_plug_is_reported_and_put_back(pair: ConformancePair) -> None:
+def a_pulled_plug_is_reported_and_put_back(pair: ConformancePair, driver: Any) -> None:
     """A pulled plug is InstrumentDisconnected; with the plug back in, the line works once reopened,
     and a new one.
     """
-    driver, identity = _new_driver(pair)
+    identity = driver.identify()
     pair.suffer("unplugged")
     must_raise(InstrumentDisconnected, lambda: _probe(pair, driver))
     must_raise(InstrumentDisconnected, driver.line.reopen)
@@ -168,9 +177,11 @@ def a_pulled_plug_is_reported_and_put_back(pair: ConformancePair) -> None:
 
 
 @rule_of(None)
-def a_line_that_was_taken_over_obeys_the_safe_action_alone(pair: ConformancePair) -> None:
+def a_line_that_was_taken_over_obeys_the_safe_action_alone(
+    pair: ConformancePair, driver: Any
+) -> None:
     """A line that the safe action has taken over obeys it alone, until it is released."""
-    driver, identity = _new_driver(pair)
+    identity = driver.identify()
     driver.line.take_over()
     must_raise(BenchStopped, driver.identify)
     with driver.line.safing():
@@ -181,9 +192,9 @@ def a_line_that_was_taken_over_obeys_the_safe_action_alone(pair: ConformancePair
 
 
 @rule_of(None)
-def a_loss_of_power_leaves_it_at_rest(pair: ConformancePair) -> None:
+def a_loss_of_power_leaves_it_at_rest(pair: ConformancePair, driver: Any) -> None:
     """After a loss of power the line works again, and nothing is on that was not on before."""
-    _, identity = _new_driver(pair)
+    identity = driver.identify()
     before = dict(pair.outputs())
     pair.suffer("power-cycle")
     time.sleep(0.1)
@@ -191,12 +202,6 @@ def a_loss_of_power_leaves_it_at_rest(pair: ConformancePair) -> None:
     assert pair.driver().identify() == identity
     now = pair.outputs()
     assert all(now[name] == before[name] for name in before if name != "sensors_lit")
-
-
-def _new_driver(pair: ConformancePair) -> tuple[Any, str]:
-    """Return a driver on a new line, and the identity of its instrument."""
-    driver = pair.driver()
-    return driver, driver.identify()
 
 
 def _probe(pair: ConformancePair, driver: Any) -> None:

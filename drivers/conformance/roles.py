@@ -22,9 +22,8 @@ _TWO_TRIGGERS_S = 0.1
 
 
 @rule_of("gate")
-def the_gate_opens_as_read_back_and_shuts(pair: ConformancePair) -> None:
+def the_gate_opens_as_read_back_and_shuts(pair: ConformancePair, driver: Any) -> None:
     """The gate opens for the width and at the rate that were read back, and shuts."""
-    driver = identify_driver(pair)
     driver.shut()
     assert not pair.outputs()["gate_open"]
     read_ns = driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ, delay_ns=500.0)
@@ -38,11 +37,10 @@ def the_gate_opens_as_read_back_and_shuts(pair: ConformancePair) -> None:
 
 
 @rule_of("gate")
-def an_impossible_pulse_is_refused_untouched(pair: ConformancePair) -> None:
+def an_impossible_pulse_is_refused_untouched(pair: ConformancePair, driver: Any) -> None:
     """A pulse that is too short, too fine, or longer than the time between triggers is refused
     before it is sent.
     """
-    driver = identify_driver(pair)
     driver.shut()
     for width_ns in (0.0, 1e-3, 10.0012, 1e9 / _RATE_HZ + 1.0, float("nan")):
         must_raise(
@@ -53,11 +51,10 @@ def an_impossible_pulse_is_refused_untouched(pair: ConformancePair) -> None:
 
 
 @rule_of("gate")
-def making_safe_shuts_the_gate(pair: ConformancePair) -> None:
+def making_safe_shuts_the_gate(pair: ConformancePair, driver: Any) -> None:
     """The safe action shuts an open gate and verifies it; a mute one is shut too, and nothing is
     claimed.
     """
-    driver = identify_driver(pair)
     for is_mute in (False, True):
         driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ)
         wait_for(lambda: pair.outputs()["gate_open"])
@@ -69,11 +66,10 @@ def making_safe_shuts_the_gate(pair: ConformancePair) -> None:
 
 
 @rule_of("gate")
-def a_setting_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
+def a_setting_changed_at_the_panel_is_reported(pair: ConformancePair, driver: Any) -> None:
     """A source, idle level or width changed at the panel is reported at the next look, with the
     gate open or shut.
     """
-    driver = identify_driver(pair)
     driver.look()
     for is_open, setting in (
         (1, "source"),
@@ -92,11 +88,10 @@ def a_setting_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
 
 
 @rule_of("gate")
-def lost_triggers_are_reported(pair: ConformancePair) -> None:
+def lost_triggers_are_reported(pair: ConformancePair, driver: Any) -> None:
     """Triggers of an external source that come while the gate is busy are reported at the next
     look.
     """
-    driver = identify_driver(pair)
     driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ, sync="line-locked")
     time.sleep(_TWO_TRIGGERS_S)
     driver.look()
@@ -111,10 +106,15 @@ def lost_triggers_are_reported(pair: ConformancePair) -> None:
 _LIMIT_A = 0.5
 
 
-@rule_of("filter-wheel")
-def the_wheel_reaches_every_position(pair: ConformancePair) -> None:
-    """The wheel reaches every position, and its own lamps are out."""
+def _ready_lamp(pair: ConformancePair) -> Any:
     driver = identify_driver(pair)
+    driver.prepare(limit_a=_LIMIT_A)
+    return driver
+
+
+@rule_of("filter-wheel")
+def the_wheel_reaches_every_position(pair: ConformancePair, driver: Any) -> None:
+    """The wheel reaches every position, and its own lamps are out."""
     for position in range(driver.positions, 0, -1):
         assert driver.turn_to(position) == position
         wait_for(lambda position=position: pair.outputs()["position"] == position)
@@ -122,19 +122,17 @@ def the_wheel_reaches_every_position(pair: ConformancePair) -> None:
 
 
 @rule_of("filter-wheel")
-def a_position_that_is_not_there_is_refused(pair: ConformancePair) -> None:
+def a_position_that_is_not_there_is_refused(pair: ConformancePair, driver: Any) -> None:
     """A position that the wheel has not is refused, and it stands still."""
-    driver = identify_driver(pair)
     driver.turn_to(2)
     for position in (0, -1, driver.positions + 1):
         must_raise(BadInput, lambda position=position: driver.turn_to(position))
     assert driver.position() == 2
 
 
-@rule_of("light-source")
-def the_light_shines_as_read_back_and_goes_dark(pair: ConformancePair) -> None:
+@rule_of("light-source", _ready_lamp)
+def the_light_shines_as_read_back_and_goes_dark(pair: ConformancePair, driver: Any) -> None:
     """The light takes the current that was read back, and goes dark."""
-    driver = _ready_lamp(pair)
     assert pair.outputs()["current_a"] == 0.0
     read_a = driver.shine(0.1)
     wait_for(lambda: abs(pair.outputs()["current_a"] - read_a) < 1e-9)
@@ -142,22 +140,20 @@ def the_light_shines_as_read_back_and_goes_dark(pair: ConformancePair) -> None:
     wait_for(lambda: pair.outputs()["current_a"] == 0.0)
 
 
-@rule_of("light-source")
-def the_source_itself_refuses_more_than_its_limit(pair: ConformancePair) -> None:
+@rule_of("light-source", _ready_lamp)
+def the_source_itself_refuses_more_than_its_limit(pair: ConformancePair, driver: Any) -> None:
     """More than the limit is refused by the instrument, and a current finer than a step before it
     is sent.
     """
-    driver = _ready_lamp(pair)
     must_raise(InstrumentRejected, lambda: driver.shine(_LIMIT_A + 0.1))
     must_raise(BadInput, lambda: driver.shine(0.0001))
     must_raise(BadInput, lambda: driver.shine(-0.1))
     assert pair.outputs()["current_a"] == 0.0
 
 
-@rule_of("light-source")
-def a_lamp_that_goes_out_is_reported(pair: ConformancePair) -> None:
+@rule_of("light-source", _ready_lamp)
+def a_lamp_that_goes_out_is_reported(pair: ConformancePair, driver: Any) -> None:
     """A lamp that goes out by itself is reported at the next look."""
-    driver = _ready_lamp(pair)
     driver.shine(0.1)
     pair.suffer("trip")
     wait_for(lambda: pair.outputs()["current_a"] == 0.0)
@@ -166,10 +162,9 @@ def a_lamp_that_goes_out_is_reported(pair: ConformancePair) -> None:
     driver.darken()
 
 
-@rule_of("light-source")
-def making_safe_puts_a_mute_lamp_out(pair: ConformancePair) -> None:
+@rule_of("light-source", _ready_lamp)
+def making_safe_puts_a_mute_lamp_out(pair: ConformancePair, driver: Any) -> None:
     """The safe action puts a lamp out that hears and cannot be heard, and claims nothing."""
-    driver = _ready_lamp(pair)
     driver.shine(0.1)
     pair.suffer("mute")
     assert not make_safe(gate=None, supply=None, lamps=[driver], record=discard_log).light_dark
@@ -178,11 +173,10 @@ def making_safe_puts_a_mute_lamp_out(pair: ConformancePair) -> None:
 
 
 @rule_of("light-meter")
-def the_meter_reads_watts_at_a_wavelength(pair: ConformancePair) -> None:
+def the_meter_reads_watts_at_a_wavelength(pair: ConformancePair, driver: Any) -> None:
     """Watts are read, in the dark next to none, and a wavelength that its head does not see is
     refused.
     """
-    driver = identify_driver(pair)
     driver.tune(650.0)
     assert all(abs(driver.power_w()) < 1e-9 for _ in range(5))
     must_raise(BenchError, lambda: driver.tune(1e6))
@@ -191,26 +185,35 @@ def the_meter_reads_watts_at_a_wavelength(pair: ConformancePair) -> None:
 
 
 @rule_of("thermometer")
-def the_thermometer_reads_degrees_celsius(pair: ConformancePair) -> None:
+def the_thermometer_reads_degrees_celsius(pair: ConformancePair, driver: Any) -> None:
     """What it puts out as a temperature is what it reads, again and again."""
-    driver = identify_driver(pair)
     true_c = pair.outputs()["temperature_c"]
     assert all(abs(driver.temperature_c() - true_c) < 0.1 for _ in range(5))
-
-
-def _ready_lamp(pair: ConformancePair) -> Any:
-    driver = identify_driver(pair)
-    driver.prepare(limit_a=_LIMIT_A)
-    return driver
 
 
 _LIMIT_V = 900.0
 
 
-@rule_of("supply")
-def the_voltage_rises_no_faster_than_asked_and_is_measured(pair: ConformancePair) -> None:
-    """The voltage rises no faster than asked, is measured where it is, falls, and goes off."""
+def _ready_supply(pair: ConformancePair) -> Any:
+    driver = identify_driver(pair)
+    driver.prepare(limit_v=_LIMIT_V)
+    driver.off()
+    return driver
+
+
+def _supply_at_300_v(pair: ConformancePair) -> Any:
     driver = _ready_supply(pair)
+    driver.switch_on()
+    driver.look()
+    driver.raise_to(300.0, rate_v_per_s=1e6)
+    return driver
+
+
+@rule_of("supply", _ready_supply)
+def the_voltage_rises_no_faster_than_asked_and_is_measured(
+    pair: ConformancePair, driver: Any
+) -> None:
+    """The voltage rises no faster than asked, is measured where it is, falls, and goes off."""
     assert pair.outputs()["mcp_v"] <= DISCHARGED_V
     driver.switch_on()
     began_s = time.monotonic()
@@ -224,10 +227,9 @@ def the_voltage_rises_no_faster_than_asked_and_is_measured(pair: ConformancePair
     assert pair.outputs()["mcp_v"] <= DISCHARGED_V + 1.0
 
 
-@rule_of("supply")
-def the_ramp_is_checked_at_every_step(pair: ConformancePair) -> None:
+@rule_of("supply", _ready_supply)
+def the_ramp_is_checked_at_every_step(pair: ConformancePair, driver: Any) -> None:
     """What the caller's check raises ends a ramp before its goal."""
-    driver = _ready_supply(pair)
     driver.switch_on()
 
     def fault() -> None:
@@ -238,33 +240,32 @@ def the_ramp_is_checked_at_every_step(pair: ConformancePair) -> None:
     driver.off()
 
 
-@rule_of("supply")
-def an_impossible_voltage_is_refused_untouched(pair: ConformancePair) -> None:
+@rule_of("supply", _ready_supply)
+def an_impossible_voltage_is_refused_untouched(pair: ConformancePair, driver: Any) -> None:
     """A voltage that is too low, too high or too fine for the model is refused before it is
     sent.
     """
-    driver = _ready_supply(pair)
     for volts in (1.0, 100.3, 1e5, float("nan")):
         must_raise(BadInput, lambda volts=volts: driver.raise_to(volts, rate_v_per_s=50.0))
     assert pair.outputs()["mcp_v"] <= DISCHARGED_V
 
 
-@rule_of("supply")
-def the_supply_itself_refuses_more_than_its_limit(pair: ConformancePair) -> None:
+@rule_of("supply", _supply_at_300_v)
+def the_supply_itself_refuses_more_than_its_limit(pair: ConformancePair, driver: Any) -> None:
     """More than the limit is refused by the instrument too, should a caller ask for it."""
-    driver = _supply_at(880.0, pair)
+    driver.raise_to(880.0, rate_v_per_s=1e6)
     must_raise(InstrumentRejected, lambda: driver.raise_to(_LIMIT_V + 10.0, rate_v_per_s=1e6))
     assert pair.outputs()["mcp_v"] <= _LIMIT_V + 1.0
     driver.off()
 
 
 @rule_of("supply")
-def a_trip_and_a_loss_of_power_are_reported(pair: ConformancePair) -> None:
+def a_trip_and_a_loss_of_power_are_reported(pair: ConformancePair, driver: Any) -> None:
     """A supply that switched itself off, or lost its power while on, is InstrumentTripped, and its
     output falls.
     """
     for fault in ("trip", "power-cycle"):
-        driver = _supply_at(300.0, pair)
+        driver = _supply_at_300_v(pair)
         driver.check_on()
         pair.suffer(fault)
         wait_for(lambda: pair.outputs()["mcp_v"] < 290.0)
@@ -282,34 +283,31 @@ def a_trip_and_a_loss_of_power_are_reported(pair: ConformancePair) -> None:
         pair.driver().off()
 
 
-@rule_of("supply")
-def making_safe_takes_the_voltage_off(pair: ConformancePair) -> None:
+@rule_of("supply", _supply_at_300_v)
+def making_safe_takes_the_voltage_off(pair: ConformancePair, driver: Any) -> None:
     """The safe action takes the voltage off and follows it down."""
-    driver = _supply_at(300.0, pair)
     safety = make_safe(gate=None, supply=driver, record=discard_log)
     assert safety.off_ordered
     assert safety.residual_v is not None and safety.residual_v <= DISCHARGED_V
     assert pair.outputs()["mcp_v"] <= DISCHARGED_V + 1.0
 
 
-@rule_of("supply")
-def making_safe_takes_the_voltage_of_a_mute_supply_off(pair: ConformancePair) -> None:
+@rule_of("supply", _supply_at_300_v)
+def making_safe_takes_the_voltage_of_a_mute_supply_off(pair: ConformancePair, driver: Any) -> None:
     """The safe action takes the voltage off a supply that hears and cannot be heard, and claims
     nothing.
     """
-    driver = _supply_at(300.0, pair)
     pair.suffer("mute")
     assert make_safe(gate=None, supply=driver, record=discard_log).residual_v is None
     wait_for(lambda: pair.outputs()["mcp_v"] <= DISCHARGED_V)
     pair.heal()
 
 
-@rule_of("supply")
-def a_voltage_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
+@rule_of("supply", _supply_at_300_v)
+def a_voltage_changed_at_the_panel_is_reported(pair: ConformancePair, driver: Any) -> None:
     """A voltage that somebody changes at the panel is reported at the next look after the output
     has moved.
     """
-    driver = _supply_at(300.0, pair)
     driver.look()
     pair.suffer("panel", "voltage")
     wait_for(lambda: pair.outputs()["mcp_v"] > 310.0)
@@ -319,31 +317,16 @@ def a_voltage_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
 
 
 @rule_of("supply")
-def a_supply_switched_on_at_the_panel_is_reported(pair: ConformancePair) -> None:
+def a_supply_switched_on_at_the_panel_is_reported(pair: ConformancePair, driver: Any) -> None:
     """A supply that is off and that somebody switches on at the panel is reported; one that nobody
     set is not.
     """
     pair.suffer("panel", "on")
     wait_for(lambda: pair.outputs()["mcp_v"] > 90.0)
-    identify_driver(pair).look()
+    driver.look()
     driver = _ready_supply(pair)
     driver.look()
     pair.suffer("panel", "on")
     wait_for(lambda: pair.outputs()["mcp_v"] > 90.0)
     must_raise(InstrumentRejected, driver.look)
     driver.off()
-
-
-def _ready_supply(pair: ConformancePair) -> Any:
-    driver = identify_driver(pair)
-    driver.prepare(limit_v=_LIMIT_V)
-    driver.off()
-    return driver
-
-
-def _supply_at(volts: float, pair: ConformancePair) -> Any:
-    driver = _ready_supply(pair)
-    driver.switch_on()
-    driver.look()
-    driver.raise_to(volts, rate_v_per_s=1e6)
-    return driver
