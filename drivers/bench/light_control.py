@@ -5,7 +5,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from typing import Any, Protocol
+from typing import Any
 
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import BenchSetup
@@ -172,26 +172,12 @@ class LightControl(ABC):
             self.stations["filter-wheel"].watched = True
 
 
-class LitBench(Protocol):
-    """What a guarded operator needs of its bench; see `LightControl` and `TubeBench`."""
-
-    def check(self) -> None: ...
-    def shut_gate(self) -> None: ...
-    def light_unknown(self) -> bool: ...
-    def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None: ...
-    def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None: ...
-    def darken(self) -> None: ...
-    def shine(
-        self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None
-    ) -> Conditions: ...
-
-
 class GuardedLight:
     """Operator who places targets, behind the interlock of the bench, with its lamp, if it has
-    one.
+    one; `bench` is a `TubeBench`, or a client with its commands.
     """
 
-    def __init__(self, operator: Operator, bench: LitBench) -> None:
+    def __init__(self, operator: Operator, bench: Any) -> None:
         self._operator, self._bench = operator, bench
         self._has_lamp = bench.light_unknown()
         operator.while_waiting = self.while_waiting = bench.check
