@@ -6,7 +6,6 @@ from typing import Any
 from drivers.bench.safe_state import DANGEROUS, Record, SafeStateReport, Warn, make_safe
 from drivers.errors import BenchError
 from drivers.instruments.models import model_of
-from drivers.serial_lines.port import LaterPort, SerialPort
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 
 
@@ -38,14 +37,7 @@ def make_bench_safe(
 def _driver(connection: InstrumentConnection) -> Any:
     """Return a driver on a serial port that is shared with a program that has opened it."""
     model = model_of(connection)
-
-    def open_port(path: str) -> SerialPort:
-        try:
-            return model.open_port(path)
-        except BenchError:
-            return model.open_port(path, exclusive=False)
-
-    port = LaterPort(open_port, name=model.title, path=str(connection.port))
+    port = model.later_port(str(connection.port))
     with suppress(BenchError):
         port.reopen()
     return model.driver(model.line(port, connection.address))

@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, Self
 
 from drivers.bench.connection import (
@@ -45,7 +44,6 @@ from drivers.errors import BenchError, BenchServerLost, BenchStopped
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import FALL_S
 from drivers.interface import FrameLevels, Operator
-from drivers.serial_lines.port import LaterPort
 from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
@@ -302,12 +300,7 @@ class BenchClient:
             instrument for instrument in self._setup.wires.instruments if instrument.role == role
         )
         model = model_of(connection)
-        port = LaterPort(
-            partial(model.open_port, exclusive=False),
-            name=model.title,
-            path=connection.port,
-            descriptor=self._ports[role],
-        )
+        port = model.later_port(str(connection.port), self._ports[role])
         return model.driver(model.line(port, connection.address))
 
     # Closing

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from drivers.errors import InstrumentDisconnected
 from drivers.serial_lines.line import InstrumentLine
-from drivers.serial_lines.port import Port, SerialPort
+from drivers.serial_lines.port import LaterPort, Port, SerialPort
 from labdata.instrument_config import Role
 
 
@@ -64,14 +65,28 @@ class InstrumentModel:
     baud: int = 9600  #: Rate of the serial port, baud
     hardware_handshake: bool = False  #: RTS/CTS
 
-    def open_line(self, port: str, address: int = 0, *, exclusive: bool = True) -> InstrumentLine:
+    def open_line(self, port: str, address: int = 0) -> InstrumentLine:
         """Open a serial port and return the line to the instrument; InstrumentDisconnected if it
         cannot be opened.
-
-        With `exclusive` False the port is opened despite a lock of another program, for the safe
-        action only.
         """
-        return self.line(self.open_port(port, exclusive=exclusive), address)
+        return self.line(self.open_port(port), address)
+
+    def later_port(self, path: str, descriptor: int = -1) -> LaterPort:
+        """Return a port for the safe action, which may begin with an inherited descriptor.
+
+        Its own path is opened despite a lock of another program, and others, at which another
+        instrument of the bench may be spoken to, only where they are free.
+        """
+
+        def open_port(at: str) -> SerialPort:
+            try:
+                return self.open_port(at)
+            except InstrumentDisconnected:
+                if at != path:
+                    raise
+                return self.open_port(at, exclusive=False)
+
+        return LaterPort(open_port, name=self.title, path=path, descriptor=descriptor)
 
     def open_port(self, port: str, *, exclusive: bool = True) -> SerialPort:
         """Open a serial port with the settings of the instrument."""
