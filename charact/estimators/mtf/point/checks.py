@@ -14,7 +14,12 @@ from charact.estimators.mtf.point.blur_models_2d import (
     mtf_of_camera,
     pinhole,
 )
-from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter, WhitenedPixels
+from charact.estimators.mtf.point.model_fit import (
+    BlurModelFit2D,
+    PointFitter,
+    WhitenedPixels,
+    orthonormal,
+)
 from charact.estimators.mtf.point.model_selection import (
     DEPARTURES,
     EvidenceWeightedModels2D,
@@ -277,13 +282,14 @@ def source_findings(
                 f"description"
             )
             out.append(finding("prior-bound", effect))
+    step_px = sites[0].aperture.summed_px
     for window in (site.window for site in sites if site.window.sound):
         frames = window.deviations.reshape(-1, *window.core.shape) + (
             window.core - float(np.median(window.core))
         )
         x, y = window.centre
         parity = window.parity[:: window.x.size]
-        out += motion_findings(frames, window.x - x, window.y - y, parity)
+        out += motion_findings(frames, step_px * (window.x - x), step_px * (window.y - y), parity)
     return out
 
 
@@ -304,7 +310,8 @@ def _gap_to_light(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
         return 0.0
     # Forms take the logarithm of a frequency.
     frequency = np.maximum(FREQUENCY, 1e-6)
-    source, point = pinhole(frequency, diameter), fit.point[None]
+    source = pinhole(frequency, diameter * sites[0].aperture.summed_px)
+    point = fit.point[None]
     for site, spot in ((site, site.spot) for site in sites if site.spot is not None):
         if len(spot.frames) == 1 and site.pulses is not None:
             # What the form leaves is no less than the noise.
@@ -352,39 +359,29 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
     a rotation of the ellipse, and asymmetry in both directions, each to first order with all
     parameters free.
     """
-    bounds = fit.form.bounds
-    moves = np.where(fit.point > bounds.mean(axis=1), -1e-5, 1e-5) * (bounds[:, 1] - bounds[:, 0])
-    nodes = fit.form.nodes(np.concatenate([fit.point[None], fit.point + np.diag(moves)]))
+    described = fit.form.nodes(fit.point[None])[0, : COSINES.size * FREQUENCIES.size]
     ratio = np.log(FREQUENCIES) - fit.point[0]
     bumps = np.exp(-0.5 * ((ratio - np.array(BUMPS)[:, None]) / BUMP_WIDTH) ** 2)
-    described = nodes[0, : COSINES.size * FREQUENCIES.size]
     # cos 4t of an angle t to the rows, whose cos 2t the directions have.
     fourfold = (2.0 * COSINES**2 - 1.0)[:, None] * np.exp(2.0 * ratio)
     shapes = np.concatenate(
         [np.broadcast_to(bumps[:, None], (len(bumps), *fourfold.shape)), fourfold[None]]
     )
     bumped = (described.reshape(1, *fourfold.shape) * shapes).reshape(len(shapes), -1)
-    unit_columns, more, residual = [], [], []
-    for site, whitened, light in zip(sites, fitter.pixels, fit.light, strict=True):
-        matrix = whitened.matrix[:, : nodes.shape[1]]
-        unit, departed = matrix @ nodes[0], matrix[:, : described.size] @ bumped.T
-        unit_columns.append(
-            np.concatenate(
-                [unit[:, None], light * (matrix @ (nodes[1:] - nodes[0]).T) / moves], axis=1
-            )
+    more = [
+        np.concatenate(
+            [
+                whitened.matrix[:, : described.size] @ bumped.T,
+                _asymmetry_columns(site, whitened, described),
+            ],
+            axis=1,
         )
-        more.append(
-            light
-            * np.concatenate([departed, _asymmetry_columns(site, whitened, described)], axis=1)
-        )
-        residual.append(whitened.data - light * unit)
-    gain = _chi2_explained(
-        np.concatenate([_blocks(unit_columns), np.concatenate(more)], axis=1),
-        np.concatenate(residual),
-    )
-    gain -= _chi2_explained(_blocks(unit_columns), np.concatenate(residual))
-    count = more[0].shape[1]
-    return bool(gain > count + LIMITS.max_departure_sd * np.sqrt(2.0 * count))
+        for site, whitened in zip(sites, fitter.pixels, strict=True)
+    ]
+    residual, departed = fitter.beyond(fit, more)
+    gain = float(np.sum((orthonormal(departed).T @ residual) ** 2))
+    count = departed.shape[1]
+    return gain > count + LIMITS.max_departure_sd * np.sqrt(2.0 * count)
 
 
 def _asymmetry_columns(site: SourcePixels, whitened: WhitenedPixels, nodes: Array) -> Array:
@@ -398,25 +395,6 @@ def _asymmetry_columns(site: SourcePixels, whitened: WhitenedPixels, nodes: Arra
     columns = np.stack([tilted, sharp[1], sharp[2]], axis=1)
     columns = np.concatenate([columns, np.zeros((site.window.ring_dn.size, 3))])
     return whitened.whiten(columns[site.value_mask])
-
-
-def _blocks(columns: list[Array]) -> Array:
-    """Return design columns of all sources: separate lights, common model parameters."""
-    lights = np.zeros((sum(len(part) for part in columns), len(columns)))
-    first = 0
-    for index, part in enumerate(columns):
-        lights[first : first + len(part), index] = part[:, 0]
-        first += len(part)
-    return np.concatenate([lights, np.concatenate([part[:, 1:] for part in columns])], axis=1)
-
-
-def _chi2_explained(columns: Array, residual: Array) -> float:
-    """Return the chi squared of a residual that columns explain."""
-    basis, values, _ = np.linalg.svd(
-        columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False
-    )
-    basis = basis[:, values > 1e-6 * values[0]]
-    return float(np.sum((basis.T @ residual) ** 2))
 
 
 def camera_nonlinearity(sites: list[SourcePixels], fit: BlurModelFit2D) -> SpotNonlinearity:

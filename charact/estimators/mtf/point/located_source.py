@@ -1,5 +1,7 @@
 """The source that blur models are fitted to: one, not too bright, with the noise around it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from charact.estimators.mtf.point.parametric_noise import measure_surroundings_noise
@@ -9,15 +11,21 @@ from charact.estimators.mtf.point.source_pixels import SourcePixels
 from charact.estimators.mtf.point.source_window import Window, neighbour_mask, source_window
 from charact.estimators.mtf.point.spot_image_matrix import Aperture
 from charact.estimators.mtf.point.spot_light import SpotLight, light_of_spot
-from charact.estimators.mtf.point.thresholds import LIMITS
+from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.stack import Stack
 from charact.method import Context
 from charact.transfer.video_filter import VideoFilter
 from labdata import FrameStack, has_tube
 
 
-def locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRefusal:
-    """Return the pixels of the one source in frames, or why they show none."""
+def locate_source(
+    part: FrameStack, context: Context, *, is_alone: bool = True, summed_px: int = 1
+) -> SourcePixels | PointRefusal:
+    """Return the pixels of the one source in frames, or why they show none.
+
+    `is_alone`: whether it is the only one that is fitted, so that its pixels may be summed where it
+    is wider than the core; `summed_px`: side of the squares of pixels that the frames are means of.
+    """
     if min(part.shape[1:]) < LIMITS.min_region_px:
         min_region = f"{LIMITS.min_region_px} x {LIMITS.min_region_px} px"
         return PointRefusal(
@@ -39,15 +47,22 @@ def locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRef
     if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
         reason = "the source is too bright: pixels below full scale contain too little of its light"
         return PointRefusal(reason, "saturated")
-    spot = _free_light(part, source, window, context)
+    spot = _free_light(part, source, window, context) if summed_px == 1 else None
     pair = two_sources(spot) if spot is not None else None
     if pair is not None:
         return PointRefusal(pair.reason, "several-targets")
+    step = 1 if spot is None or context.interlaced else _squares_px(spot, full)
+    if is_alone and step > 1:
+        wide = locate_source(_summed(part, step), context, summed_px=step)
+        if isinstance(wide, SourcePixels):
+            return replace(wide, spot=spot)
     rows = 2.0 if context.interlaced else 1.0
     return SourcePixels(
         window=window,
         aperture=Aperture(
-            height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.camera)
+            height_px=rows * context.pitch_ratio,
+            video=VideoFilter.of(context.camera),
+            summed_px=summed_px,
         ),
         dark=measure_surroundings_noise(
             part.data,
@@ -60,6 +75,22 @@ def locate_source(part: FrameStack, context: Context) -> SourcePixels | PointRef
         screen=has_tube(context.camera),
         spot=spot,
     )
+
+
+def _squares_px(spot: SpotLight, ceiling_dn: float | None) -> int:
+    """Return the side of the squares of pixels whose sums show a spot in the core, px; 1 where a
+    pixel of it is at the ceiling.
+    """
+    if ceiling_dn is not None and spot.frames[:, spot.disc].max() >= ceiling_dn:
+        return 1
+    return int(np.ceil(spot.extent_px / ACCURACY.max_extent_px))
+
+
+def _summed(part: FrameStack, step: int) -> FrameStack:
+    """Return frames whose pixels are the means of squares of pixels."""
+    frames, rows, cols = part.shape[0], part.shape[1] // step, part.shape[2] // step
+    data = part.data[:, : rows * step, : cols * step]
+    return replace(part, data=data.reshape(frames, rows, step, cols, step).mean(axis=(2, 4)))
 
 
 def _free_light(

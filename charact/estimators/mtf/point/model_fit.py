@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import erfcx, log_ndtr
 
 from charact.estimators.mtf.point.blur_models_2d import BlurModel2D
@@ -163,10 +164,7 @@ class PointFitter:
 
     def _linearise(self, form: BlurModel2D, point: Array) -> Linearisation:
         """Return cost, gradient and curvature at a point, lights at their optimum."""
-        bounds = form.bounds
-        # Differences point inwards, to stay within the bounds.
-        moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * 1e-5 * np.ptp(bounds, axis=1)
-        nodes = form.nodes(np.concatenate([point[None], point + np.diag(moves)]))
+        nodes, moves = _moved_nodes(form, point)
         sources = [_source(source, nodes, moves) for source in self.pixels]
         mean, precision = form.prior_precision
         off = point - mean
@@ -184,6 +182,27 @@ class PointFitter:
             normal,
             sources,
         )
+
+    def beyond(self, fit: BlurModelFit2D, columns: list[Array]) -> tuple[Array, Array]:
+        """Return the residual, shape (value,), and further columns of unit length, shape (value,
+        column), of all sources without the directions that lights and parameters of a fit take.
+
+        `columns`: of each source at unit light, whitened, shape (value, column).
+        """
+        nodes, moves = _moved_nodes(fit.form, fit.point)
+        lights, slopes, residual = [], [], []
+        for pixels, light in zip(self.pixels, fit.light, strict=True):
+            unit, by_parameter = _unit_and_slopes(pixels.matrix, nodes, moves)
+            lights.append(unit[:, None])
+            slopes.append(light * by_parameter)
+            residual.append(pixels.data - light * unit)
+        fitted = np.concatenate([block_diag(*lights), np.concatenate(slopes)], axis=1)
+        basis = orthonormal(_of_unit_length(fitted))
+        more = _of_unit_length(
+            np.concatenate([light * part for light, part in zip(fit.light, columns, strict=True)])
+        )
+        off = np.concatenate(residual)
+        return off - basis @ (basis.T @ off), more - basis @ (basis.T @ more)
 
     def log_probability(self, form: BlurModel2D, theta: Array) -> Array:
         """Return ln posterior with lights, positions and backgrounds marginalised, shape (n,)."""
@@ -239,6 +258,27 @@ def _source(pixels: WhitenedPixels, nodes: Array, moves: Array) -> _Source:
         chi2=chi2,
         cost=chi2 - 2.0 * float(height),
     )
+
+
+def orthonormal(columns: Array) -> Array:
+    """Return an orthonormal basis of columns of like lengths, (value, column) -> (value,
+    direction).
+    """
+    basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(basis[:, values > 1e-6 * values[0]], np.float64)
+
+
+def _of_unit_length(columns: Array) -> Array:
+    return columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+
+
+def _moved_nodes(form: BlurModel2D, point: Array) -> tuple[Array, Array]:
+    """Return transfers at a point and displaced by each parameter, shape (1 + parameter, node), and
+    the displacements: inwards, to stay within the bounds.
+    """
+    bounds = form.bounds
+    moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * 1e-5 * np.ptp(bounds, axis=1)
+    return form.nodes(np.concatenate([point[None], point + np.diag(moves)])), moves
 
 
 def _unit_and_slopes(matrix: Array, nodes: Array, moves: Array) -> tuple[Array, Array]:

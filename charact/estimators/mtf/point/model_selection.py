@@ -164,11 +164,9 @@ def fit_models(
             likeliest.covariance[1, 1]
         ):
             fits.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
-    likely_cores = _cores_within(fits, 3.0)
     for light in components:
         for core in _cores_within(fits, ACCURACY.candidate_ln_evidence)[:4]:
-            always = core in likely_cores or isinstance(light, HaloComponent)
-            more = _fit_extended(fitter, core, light, -np.inf if always else 4.0)
+            more = _fit_extended(fitter, core, light)
             fits += [] if more is None else [more]
     if any(isinstance(light, HaloComponent) for light in components):
         # A described intensifier has a halo.
@@ -213,24 +211,28 @@ def _weight(fit: BlurModelFit2D) -> float:
 
 
 def _fit_extended(
-    fitter: PointFitter, core: BlurModelFit2D, component: ExtendedComponent, worth: float
+    fitter: PointFitter, core: BlurModelFit2D, component: ExtendedComponent
 ) -> BlurModelFit2D | None:
-    """Fit a core with an extended component from several sizes; None if chi squared gains less than
-    `worth`.
+    """Fit a core with an extended component from the size that the residual asks for most; None if
+    it asks for none: light in it then stands less than `ACCURACY.component_sd` out of the noise.
     """
     form = replace(core.form, wide=component)
     first = form.blur_parameters
     bounds = form.bounds[first : first + len(component.parameters)]
     sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, 6)
-    begun = []
-    for size in sizes:
-        extended_start = [0.05, size, *([0.5] if len(bounds) > 2 else [])]
-        start = np.concatenate([core.point[:first], extended_start, core.point[first:]])
-        begun.append(fitter.fit(form, start, iterations=6))
-    best = min(begun, key=lambda candidate: candidate.cost)
-    if best.cost > core.cost - worth:
+    elastic = [0.5] if len(bounds) > 2 else []
+    starts = np.array(
+        [[*core.point[:first], 0.05, size, *elastic, *core.point[first:]] for size in sizes]
+    )
+    shapes = form.nodes(starts) - core.form.nodes(core.point[None])
+    residual, columns = fitter.beyond(
+        core, [pixels.matrix[:, : shapes.shape[1]] @ shapes.T for pixels in fitter.pixels]
+    )
+    overlap = residual @ columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-6)
+    best = int(np.argmax(overlap))
+    if overlap[best] < ACCURACY.component_sd and not isinstance(component, HaloComponent):
         return None
-    fit = fitter.fit(form, best.point)
+    fit = fitter.fit(form, starts[best])
     # Without light in it the component is the core alone.
     return fit if fit.point[first] > bounds[0, 0] else None
 

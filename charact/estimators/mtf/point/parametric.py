@@ -184,7 +184,7 @@ def measure_points(
         if regions
         else [stack.region(*region) if region else stack]
     ):
-        site = locate_source(part, context)
+        site = locate_source(part, context, is_alone=len(regions or ()) < 2)
         if isinstance(site, PointRefusal):
             return refuse_all(common, *site)
         sites.append(site)
@@ -193,8 +193,14 @@ def measure_points(
     halo_range_px = (
         float(rings[-1 - ACCURACY.empty_rings].max()) if len(rings) > ACCURACY.empty_rings else 0.0
     )
+    step_px = sites[0].aperture.summed_px
+    in_squares = (
+        (pinhole[0] / step_px, pinhole[1] / step_px)
+        if isinstance(pinhole, tuple)
+        else pinhole / step_px
+    )
     cores, components = method.forms(
-        pinhole, all(site.window.holds_halo for site in sites), halo_range_px
+        in_squares, all(site.window.holds_halo for site in sites), halo_range_px
     )
     if any(form.bandwidth_order > 1 for form in cores):
         sites = [
@@ -386,15 +392,15 @@ def _model_figure_data(
     mean, mask = lit + background @ level, site.value_mask
     residual = pixels.root.T @ (pixels.root @ (site.values - mean)[mask])
     mean[mask] += pixels.rounding @ residual
-    window, (x_px, y_px) = site.window, site.position
+    window, (x_px, y_px), step_px = site.window, site.position, site.aperture.summed_px
     core, rings = np.split(mean, [window.core.size])
     core = core.reshape(window.core.shape)
     # The lines through the source's centre.
     row, col = int(np.argmin(np.abs(window.y - y_px))), int(np.argmin(np.abs(window.x - x_px)))
     return {
         "figure": "point-profile",
-        "column_px": (window.x - x_px).tolist(),
-        "row_px": (window.y - y_px).tolist(),
+        "column_px": (step_px * (window.x - x_px)).tolist(),
+        "row_px": (step_px * (window.y - y_px)).tolist(),
         "value_dn": window.core.tolist(),
         "model_dn": core.tolist(),
         "used": window.keep.tolist(),
@@ -402,7 +408,7 @@ def _model_figure_data(
         "along_row_model_dn": core[row].tolist(),
         "along_column_dn": window.core[:, col].tolist(),
         "along_column_model_dn": core[:, col].tolist(),
-        "ring_px": window.ring_px.mean(axis=1).tolist(),
+        "ring_px": (step_px * window.ring_px.mean(axis=1)).tolist(),
         "ring_dn": window.ring_dn.tolist(),
         "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
         "ring_model_dn": rings.tolist(),
@@ -454,6 +460,11 @@ def _notes(
         out.append(
             f"{n_neighbours} neighbours of the source are masked; the light of close ones is "
             f"fitted too."
+        )
+    if (step_px := sites[0].aperture.summed_px) > 1:
+        out.append(
+            f"The spot is wider than the pixels of a fit: squares of {step_px} x {step_px} pixels "
+            "are fitted, in which the parameters of the blur are counted."
         )
     if pinhole == 0.0:
         out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")

@@ -24,9 +24,9 @@ WIDTHS_PX = np.array([0.01, *np.geomspace(0.3, 3.0, 24)])
 # Pulse widths over that of the complete blur.
 WIDTHS = np.geomspace(0.2, 1.0, 24)
 GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
-# Prior of a dark pixel's noise, ln of photoelectrons and its standard deviation: 0.3 to 30, from
-# intensified to ordinary cameras. It matters for the few illuminated pixels of a single frame.
-DARK_LN = (float(np.log(3.0)), 1.2)
+# Prior of a dark pixel's noise, ln of photoelectrons and its standard deviation: 0.7 to 35, from
+# counting to ordinary cameras under a sky. It matters for the few lit pixels of a single frame.
+DARK_LN = (float(np.log(5.0)), 1.0)
 RADII_PX = np.linspace(0.0, 16.0, 80)
 
 

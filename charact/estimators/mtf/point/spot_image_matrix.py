@@ -50,6 +50,8 @@ class Aperture:
 
     height_px: float = 1.0  # Height of a pixel as read, column pitches; its width is one
     video: VideoFilter | None = None  # Video filter along rows, or None
+    # Side of the squares that the pixels of the fit are means of, px: its pitch and unit of length
+    summed_px: int = 1
     orders: int = 1  # Powers of ln bandwidth, from 0, for which matrices have columns
 
     def horizontal(self, frequency: Array, order: int = 0) -> NDArray[np.complex128]:

@@ -77,6 +77,13 @@ class SpotLight:
         return np.hypot(self.x, self.y) < self.radius_px
 
     @cached_property
+    def extent_px(self) -> float:
+        """Square root of the light over its peak, px: 1.8 radii of a disc."""
+        level = median(self.mean[self.background])
+        light = max(float((self.mean[self.disc] - level).sum()), 1e-9)
+        return float(np.sqrt(light * self.pixel_area / max(float(self.mean.max()) - level, 1e-9)))
+
+    @cached_property
     def pixel_area(self) -> float:
         """Area of a pixel, squared column pitches."""
         rows = self.y[:, 0]
@@ -96,8 +103,7 @@ class SpotLight:
         level = median(values)
         light = max(float((self.mean[self.disc] - level).sum()), 1e-9)
         # A wide core reaches further: MTF50 is near the inverse of its width.
-        extent = np.sqrt(light * self.pixel_area / max(float(self.mean.max()) - level, 1e-9))
-        expected = min(WINGS.at_width * extent / self.radius_px, WINGS.max_fraction) * light
+        expected = min(WINGS.at_width * self.extent_px / self.radius_px, WINGS.max_fraction) * light
         variance = self.dark.variance(0.0) * self.dark.correlation_factor / frames
         variance = max(variance, robust_sd(values - level) ** 2 * self.dark.correlation_factor)
         # Quantisation shifts all quiet pixels alike.
