@@ -30,7 +30,8 @@ from charact.inference import importance_sample, sample
 from charact.inference.importance import WANTED
 from charact.method import Context
 from charact.method.registry import single_blas_thread
-from charact.transfer import BlurModel, cores, form
+from charact.transfer import cores, form
+from charact.transfer.blur_model import BlurModel
 from labdata import BadInput, FrameStack, Posterior
 from tests.truth.blur import TrueBlur
 from tests.truth.edge import EdgeScene

@@ -138,18 +138,16 @@ def masked_covariance(
     max_lag
         Largest lag of rows and of columns; the results have shape (2 max_lag + 1, 2 max_lag + 1).
     """
-    from scipy.fft import irfft2, next_fast_len, rfft2
-
     lag = np.arange(-max_lag, max_lag + 1)
     if not valid.any():
         return np.zeros((lag.size, lag.size)), np.zeros((lag.size, lag.size))
     rows, cols = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
     part = np.s_[..., rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
     fields, valid = fields[part], valid[part]
-    size = [int(next_fast_len(length + max_lag, True) or length) for length in valid.shape]
-    spectra = np.asarray(rfft2(np.concatenate([valid[None].astype(fields.dtype), fields]), size))
+    size = [-(-(length + max_lag) // 16) * 16 for length in valid.shape]
+    spectra = np.fft.rfft2(np.concatenate([valid[None].astype(fields.dtype), fields]), size)
     power = np.real(spectra) ** 2 + np.imag(spectra) ** 2
-    lagged = np.asarray(irfft2(np.stack([power[0], power[1:].sum(axis=0)]), size), np.float64)
+    lagged = np.fft.irfft2(np.stack([power[0], power[1:].sum(axis=0)]), size).astype(np.float64)
     pairs, products = lagged[:, lag[:, None], lag]
     pairs = np.rint(pairs)
     return np.where(pairs > 0, products / np.maximum(pairs * len(fields), 1), 0.0), pairs

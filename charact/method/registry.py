@@ -1,6 +1,7 @@
 """Registered methods, and `auto`: the fastest method whose measured error meets the tolerance."""
 
 import json
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -124,16 +125,17 @@ def single_blas_thread() -> Iterator[None]:
     On two cores an edge takes twice as long on two threads as on one, and forty times as long when
     other work runs.
     """
-    with _libraries().limit(limits=1):
+    with _libraries(compiled="numba" in sys.modules).limit(limits=1):
         yield
 
 
-@lru_cache(maxsize=1)
-def _libraries() -> "ThreadpoolController":
-    """Return the BLAS libraries of this process: NumPy's, and SciPy's, which compiled functions
-    call.
+@lru_cache(maxsize=2)
+def _libraries(*, compiled: bool) -> "ThreadpoolController":
+    """Return the BLAS libraries of this process: NumPy's, and SciPy's if compiled functions may
+    call it.
     """
-    import scipy.linalg  # noqa: F401  # loads its own
+    if compiled:
+        import scipy.linalg  # noqa: F401  # loads its own
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")
@@ -320,14 +322,19 @@ def choose(
     BadInput
         If the name is not registered.
     """
-    if name != "auto":
-        load(kind, name)
-        if (kind, name) not in METHODS:
-            raise BadInput(
-                f"`method` must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got "
-                f"{name!r}"
-            )
-        return METHODS[kind, name]
+    if name == "auto":
+        name = automatic(kind, within_percent=within_percent, among=among)
+    load(kind, name)
+    if (kind, name) not in METHODS:
+        raise BadInput(
+            f"`method` must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got "
+            f"{name!r}"
+        )
+    return METHODS[kind, name]
+
+
+def automatic(kind: str, *, within_percent: float = 2.0, among: Sequence[str] | None = None) -> str:
+    """Return the name of the method that `choose` takes for "auto", without its module."""
     if kind not in MODULES:
         raise BadInput(
             f"the kind of target must be one of {', '.join(sorted(MODULES))}, got {kind!r}"
@@ -337,11 +344,11 @@ def choose(
     preferred = among[0] if among else preferred
     rows = [row for row in chart_table(quantity) if row["method"] in names]
     if not rows:
-        return choose(kind, preferred)
+        return preferred
     accurate = [row for row in rows if meets(row, within_percent)]
     best = (
         min(accurate, key=lambda row: row["seconds"])
         if accurate
         else min(rows, key=lambda row: row["error_percent"])
     )
-    return choose(kind, best["method"])
+    return str(best["method"])

@@ -6,7 +6,6 @@ Shapes of frequencies and parameters broadcast.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from charact.transfer.tables import disc
 from labdata import Array
 
 
@@ -68,6 +67,8 @@ def fibres(frequency: Array, pitch: ArrayLike, interface: ArrayLike) -> Array:
     """Return |2 J1(pi p f)/(pi p f)| exp(-(f/f0)^2), a fibre taper of pitch p with its interfaces
     f0; f at the detector.
     """
+    from charact.transfer.tables import disc
+
     return np.abs(disc(np.pi * np.asarray(pitch) * frequency)[0]) * np.exp(
         -((frequency / np.asarray(interface)) ** 2)
     )

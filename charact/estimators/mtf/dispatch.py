@@ -12,7 +12,7 @@ from charact.estimators.mtf.target_detection import find_bar_groups, find_edges,
 from charact.estimators.mtf.thresholds import ACCURACY
 from charact.frames.session_layout import layout_notes, sound_session
 from charact.frames.stack import Stack
-from charact.method import Context, choose
+from charact.method import Context, automatic, choose
 from charact.method.registry import beyond_note
 from charact.verdict import judge
 from labdata import BadInput, FrameStack, Measurement, Result, Session, has_tube
@@ -112,16 +112,21 @@ def measure(
     described = (
         FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and has_tube(context.camera) else None
     )
-    chosen = choose(kind, described or method, within_percent=within_percent)
+    if described or method != "auto":
+        name = described or method
+    else:
+        name = automatic(kind, within_percent=within_percent)
+    # A form that narrows is loaded where there is something to narrow.
+    form = name if method == "auto" and name in FORM_FREE else None
+    chosen = choose(kind, FORM_FREE[name] if form else name)
     counted = drop_duplicate_frames(stack) if stack.shape[0] > 1 else stack
     notes = counted.notes[len(stack.notes) :]
-    of_form = chosen if method == "auto" and chosen.name in FORM_FREE else None
-    if of_form is not None:
-        chosen = choose(kind, FORM_FREE[of_form.name])
     result = chosen.function(counted, region=region, context=context, **target)
-    if of_form is not None and beyond_note(result.measurements[0], within_percent):
+    free = result.measurements[0]
+    if form and free.status == "ok" and beyond_note(free, within_percent):
+        of_form = choose(kind, form)
         narrow = of_form.function(counted, region=region, context=context, **target)
-        if _narrows(result.measurements[0], narrow.measurements[0]):
+        if _narrows(free, narrow.measurements[0]):
             chosen, result, notes = of_form, narrow, (NARROWED, *notes)
     leading = result.find(chosen.quantities[0])
     if (

@@ -1,4 +1,4 @@
-"""Known transfer of a camera along one direction: pixel aperture, video filter, halo prior."""
+"""Known transfer of a camera along one direction: pixel aperture, video filter, size of a halo."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from charact.estimators.mtf.mean_frame import OrientedFrame
 from charact.method import Context
-from charact.transfer.extended import ExtendedComponent, HaloComponent, ScatterComponent
 from charact.transfer.stages import aperture
 from charact.transfer.video_filter import VideoFilter
 from labdata.camera.description import has_tube
@@ -78,24 +77,6 @@ def known_transfer(picture: OrientedFrame, angle_rad: float, context: Context) -
         video=video,
         mirrored=picture.mirrored,
     )
-
-
-def halo_of(
-    picture: OrientedFrame, half_width_px: float, context: Context
-) -> tuple[ExtendedComponent | None, bool]:
-    """Return the prior of a halo that the window contains, and whether the description states a
-    halo.
-
-    The halo is four proximity gaps wide. For a camera without a description only scattered light
-    that ends inside the window can be separated from an illumination gradient.
-    """
-    if not has_tube(context.camera):
-        longest = 0.25 * half_width_px
-        return (ScatterComponent(size_px=(2.0, longest)), False) if longest > 4.0 else (None, False)
-    low, high = halo_diameters_px(context, transposed=picture.transposed)
-    if half_width_px < 0.6 * high:
-        return None, False
-    return HaloComponent(size_px=(low, high), fraction=(0.0, 0.4)), True
 
 
 def halo_diameters_px(context: Context, *, transposed: bool) -> tuple[float, float]:

@@ -6,6 +6,7 @@ Edge roughness has the same effect within a frame
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import lgamma
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,8 +84,6 @@ def measure_line_motion(
     d_line = -[(X'X)^-1 X'(v - m)]_1, X = [m', m, 1]: the least-squares coefficient of -m'(d), m the
     mean profile of all lines, with the line's level and contrast free (lamp flicker).
     """
-    from scipy.ndimage import gaussian_filter1d
-
     if len(frames) < 2 or not valid.any():
         return TargetMotion()
     values = np.stack([frame[valid] for frame in frames]).astype(np.float64)
@@ -97,8 +96,10 @@ def measure_line_motion(
     # The smoothed mean profile of all lines and its slope, at every pixel.
     cell = np.floor((distance - distance.min()) * cells_per_px).astype(np.intp)
     blur = ACCURACY.profile_smoothing_px * cells_per_px
+    reach = int(4.0 * blur)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / blur) ** 2)
     sums, counts = (
-        gaussian_filter1d(np.bincount(cell, values_of), blur)
+        np.convolve(np.bincount(cell, values_of), kernel)[reach:-reach]
         for values_of in (mean, np.ones_like(mean))
     )
     profile = sums / np.maximum(counts, 1e-12)
@@ -142,8 +143,6 @@ def measure_target_motion(positions: Array) -> TargetMotion:
     motion. A two-way analysis of variance compares frame means with the residual (Fisher's F). The
     mean of K frames is blurred by (K - 1)/K of the variance.
     """
-    from scipy.special import fdtrc
-
     frames, lines = positions.shape
     size = min(
         max(lines // ACCURACY.line_groups, ACCURACY.min_group_lines), ACCURACY.max_group_lines
@@ -164,5 +163,21 @@ def measure_target_motion(positions: Array) -> TargetMotion:
         return TargetMotion()
     rms_px = float(np.sqrt((shared - noise) / parts * free_between / frames))
     return TargetMotion(
-        rms_px=rms_px, chance=float(fdtrc(free_between, free_within, shared / max(noise, 1e-300)))
+        rms_px=rms_px, chance=f_tail(free_between, free_within, shared / max(noise, 1e-300))
     )
+
+
+def f_tail(numerator_freedom: float, freedom: float, ratio: float) -> float:
+    """Return the probability that Fisher's F of two degrees of freedom exceeds a ratio.
+
+    Notes
+    -----
+    I_x(a, b) = 2 / B(a, b) int sin(t)^(2a - 1) cos(t)^(2b - 1) dt up to sin^2 t = x, with a and b
+    half the degrees of freedom of denominator and numerator and x = a / (a + b F) (DLMF 8.17.1):
+    without SciPy, which takes longer to load than an edge to measure.
+    """
+    a, b = 0.5 * freedom, 0.5 * numerator_freedom
+    angle = np.linspace(0.0, np.arctan(np.sqrt(a / (b * ratio))), ACCURACY.tail_points)[1:]
+    ln_beta = lgamma(a) + lgamma(b) - lgamma(a + b)
+    ln = (2.0 * a - 1.0) * np.log(np.sin(angle)) + (2.0 * b - 1.0) * np.log(np.cos(angle))
+    return min(2.0 * float(np.trapezoid(np.exp(ln - ln_beta), angle)), 1.0)

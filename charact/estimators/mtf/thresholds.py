@@ -53,6 +53,7 @@ class MtfAccuracy:
     profile_smoothing_px: float = 0.5  # Its smoothing, px
     sharpening_pixels: int = 1000  # Pixels below which no anticorrelation is tested
     sharpening_clip_sd: float = 5.0  # Standardised noise is clipped to this
+    tail_points: int = 20_001  # Points of the integral of Fisher's F: within 1e-6 of it
 
 
 LIMITS = MtfLimits()

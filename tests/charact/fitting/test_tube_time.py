@@ -20,7 +20,7 @@ from charact.fitting import (
     values_of_description,
 )
 from charact.observables import StackLevel, Values
-from charact.transfer import image_tube
+from charact.transfer.stages import image_tube
 from labdata import Camera, FrameStack, Result, load_camera, measurement_from_sd
 from tests.truth.sessions import session_in_memory, stack_in_memory
 

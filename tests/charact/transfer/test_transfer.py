@@ -9,7 +9,9 @@ from scipy.special import gamma, j0, j1, kv, sici
 
 from charact.estimators.mtf.edge.fit import esf_from_mtf
 from charact.estimators.mtf.edge.fit.model_fit import _flat, _linearise, _shift_derivatives
-from charact.transfer import (
+from charact.transfer import spreads
+from charact.transfer.blur_model import BlurModel
+from charact.transfer.cores import (
     AIRY,
     CORES,
     EXPONENTIAL,
@@ -17,21 +19,20 @@ from charact.transfer import (
     MOFFAT,
     ON_BARS,
     ON_POINTS,
-    BlurModel,
-    Core,
+    TwoGaussians,
+)
+from charact.transfer.extended import (
     DiscComponent,
     HaloComponent,
     ScatterComponent,
-    TwoGaussians,
     UnresolvedGlareComponent,
-    VideoFilter,
-    aperture,
     disc,
     halo,
-    powers,
-    pupil,
-    spreads,
 )
+from charact.transfer.form import Core
+from charact.transfer.pupil import pupil
+from charact.transfer.stages import aperture
+from charact.transfer.video_filter import VideoFilter, powers
 from labdata import load_sensor
 
 # Forms of blurs: closed forms, compiled tables, slopes that are theirs, and the transfer of a

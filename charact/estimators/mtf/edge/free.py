@@ -13,7 +13,6 @@ from operator import attrgetter
 import numpy as np
 
 from charact.estimators.mtf.edge.checks import FittedProfile
-from charact.estimators.mtf.edge.fit.model_fit import EdgeFitter
 from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge, fit_refusal
 from charact.estimators.mtf.edge.pixels.profile import (
     EVEN_PER_PX,
@@ -30,9 +29,13 @@ from charact.estimators.mtf.edge.result import (
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.known_transfer import KnownTransfer, known_transfer
 from charact.estimators.mtf.mean_frame import Region
-from charact.inference.gauss_newton import weigh_by_evidence
+from charact.inference.gauss_newton import (
+    Linearisation,
+    least_squares,
+    linearise_residual,
+    weigh_by_evidence,
+)
 from charact.method import Context, register
-from charact.transfer.blur_model import BlurModel
 from labdata import Array, FrameStack, Posterior, Result
 
 METHOD = "edge-free"
@@ -73,9 +76,7 @@ def _fit(edge: PreparedEdge, context: Context) -> Result:
     any.
     """
     known = known_transfer(edge.picture, edge.profile.angle_rad, context)
-    fitter = EdgeFitter(edge.profile, known)
-    start = np.array([0.0, np.log(fitter.guess())])
-    shift_px = float(fitter.fit(BlurModel(core="gaussian"), start, EVEN_PER_PX).point[0])
+    shift_px = edge_position_px(edge.profile)
     spreads = LineSpreads(edge.profile, known, shift_px)
     profile = with_shading(edge.profile, edge.profile.value - spreads.best_profile()[0])
     if profile.shading_sd > 0:
@@ -109,6 +110,34 @@ def _fit(edge: PreparedEdge, context: Context) -> Result:
         notes=(window_normalisation_note(profile),),
         doubt=known.doubt,
     )
+
+
+def edge_position_px(profile: EdgeProfile) -> float:
+    """Return the distance at which a smooth step fits a profile best, px.
+
+    Notes
+    -----
+    level + slopes + step tanh((d - shift) / width), weighted by the noise of the bins; level and
+    slopes of the light and step are linear and follow.
+    """
+    weight = 1.0 / np.sqrt(np.diag(profile.covariance))
+    value, limit = profile.value * weight, ACCURACY.max_shift_px
+
+    def linearise(point: Array) -> Linearisation:
+        scaled = (profile.distance - point[0]) / np.exp(point[1])
+        rise = np.tanh(scaled)
+        linear = np.concatenate([rise[None], profile.levels.T]) * weight
+        amplitude = np.linalg.lstsq(linear.T, value, rcond=None)[0]
+        slope = -amplitude[0] * weight * (1.0 - rise**2)
+        residual = value - amplitude @ linear
+        jacobian = np.stack([slope / np.exp(point[1]), slope * scaled, *linear])
+        return linearise_residual(residual, jacobian)
+
+    optima = [
+        least_squares(linearise, [0.0, ln_width], [[-limit, limit], [-3.0, 4.0]], iterations=12)
+        for ln_width in (0.0, 1.6)
+    ]
+    return float(min(optima, key=lambda optimum: optimum.at.cost).point[0])
 
 
 # Lines and data with levels and slopes projected out under one prior of the slopes: matrix, right

@@ -10,7 +10,7 @@ import numpy as np
 
 from charact.estimators.mtf.curve import FINE, crossing_frequency
 from charact.estimators.mtf.edge.checks import misfit_finding, window_finding
-from charact.estimators.mtf.edge.fit.edge_form import EdgeForm
+from charact.estimators.mtf.edge.fit.edge_form import EdgeForm, halo_of
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFit, EdgeFitter
 from charact.estimators.mtf.edge.fit.model_selection import (
     EvidenceWeightedModels,
@@ -34,7 +34,7 @@ from charact.estimators.mtf.edge.result import (
     window_normalisation_note,
 )
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.estimators.mtf.known_transfer import KnownTransfer, halo_of, known_transfer
+from charact.estimators.mtf.known_transfer import KnownTransfer, known_transfer
 from charact.estimators.mtf.mean_frame import Region
 from charact.inference import importance_sample, laplace, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound

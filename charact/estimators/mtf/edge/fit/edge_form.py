@@ -12,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.mtf.edge.thresholds import ACCURACY
-from charact.estimators.mtf.known_transfer import KnownTransfer
+from charact.estimators.mtf.known_transfer import KnownTransfer, halo_diameters_px
+from charact.estimators.mtf.mean_frame import OrientedFrame
+from charact.method import Context
 from charact.transfer.blur_model import BlurModel
+from charact.transfer.extended import ExtendedComponent, HaloComponent, ScatterComponent
 from charact.transfer.form import table_of
 from charact.transfer.video_filter import VideoFilter, powers
+from labdata.camera.description import has_tube
 
 Array = NDArray[np.float64]
 
@@ -181,3 +185,21 @@ def _bend_at(known: KnownTransfer, grid: bytes) -> NDArray[np.complex128]:
     bend = known.bend(np.frombuffer(grid))
     assert bend is not None, "an uncertain bandwidth bends the transfer"
     return bend
+
+
+def halo_of(
+    picture: OrientedFrame, half_width_px: float, context: Context
+) -> tuple[ExtendedComponent | None, bool]:
+    """Return the prior of a halo that the window contains, and whether the description states a
+    halo.
+
+    The halo is four proximity gaps wide. For a camera without a description only scattered light
+    that ends inside the window can be separated from an illumination gradient.
+    """
+    if not has_tube(context.camera):
+        longest = 0.25 * half_width_px
+        return (ScatterComponent(size_px=(2.0, longest)), False) if longest > 4.0 else (None, False)
+    low, high = halo_diameters_px(context, transposed=picture.transposed)
+    if half_width_px < 0.6 * high:
+        return None, False
+    return HaloComponent(size_px=(low, high), fraction=(0.0, 0.4)), True

@@ -145,8 +145,6 @@ def correlation_of(
     field_axis
         Axis along which two fields alternate; None: there are none.
     """
-    from scipy.ndimage import uniform_filter
-
     # In single precision: a correlation is known to a thousandth at best.
     product, pairs = masked_covariance(standard[None].astype(np.float32), valid, MAX_LAG_PX)
     correlation = np.where(pairs > 50, product, 0.0)
@@ -163,16 +161,14 @@ def correlation_of(
     # Bartlett: errors of a correlation are tied over lags as the noise itself is.
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
     short = np.maximum.outer(np.abs(lag), np.abs(lag)) <= ACCURACY.correlation_near_px
-    tied_error = np.sqrt(
-        np.sum(uniform_filter(form, 3, mode="constant") ** 2) / np.maximum(pairs, 1)
-    )
+    tied_error = np.sqrt(np.sum(_mean_of_nine(form) ** 2) / np.maximum(pairs, 1))
     formless = np.mean((residual / error)[short] ** 2) > THRESHOLDS.correlation_misfit
     # Where the model is not that of this noise, what is significant counts as it is.
     tested = correlation - loss if formless else residual
     min_significance = (
         THRESHOLDS.correlation_sd if formless else THRESHOLDS.correlation_departure_sd
     )
-    keep = np.abs(uniform_filter(tested, 3, mode="constant")) > min_significance * tied_error
+    keep = np.abs(_mean_of_nine(tested)) > min_significance * tied_error
     keep[MAX_LAG_PX, MAX_LAG_PX] = False
     # 1 up to half the largest lag, then a cosine down to 0.
     falloff = np.clip((np.abs(lag) - MAX_LAG_PX / 2) / (MAX_LAG_PX / 2 + 1), 0.0, 1.0)
@@ -184,6 +180,12 @@ def correlation_of(
     # frequencies, and one lag of chance would take all of it there.
     spectrum = np.fft.fft2(np.fft.ifftshift(departure)).real
     return form + np.fft.fftshift(np.fft.ifft2(np.maximum(spectrum, 0.0)).real)
+
+
+def _mean_of_nine(value: Array) -> Array:
+    """Return the mean of each value and its eight neighbours, beyond the border 0."""
+    rows = np.pad(value, 1)[:-2] + np.pad(value, 1)[1:-1] + np.pad(value, 1)[2:]
+    return (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0
 
 
 def bin_covariance(

@@ -7,7 +7,7 @@ from charact.estimators.mtf.edge.pixels.line import displacement_weights, steepn
 from charact.estimators.mtf.edge.pixels.profile import EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY
 from charact.estimators.mtf.mean_frame import OrientedFrame
-from charact.estimators.mtf.target_motion import TargetMotion
+from charact.estimators.mtf.target_motion import TargetMotion, f_tail
 from charact.frames.rounding import QUANTISATION_DN2
 
 Array = NDArray[np.float64]
@@ -29,8 +29,6 @@ def measure_roughness(picture: OrientedFrame, profile: EdgeProfile) -> TargetMot
     the mean of both sides', as that of light and of read-out are. The mean squares of displacements
     at the edge and on the plateaus are compared as Fisher's F.
     """
-    from scipy.special import fdtrc
-
     reach_px = _reach_px(profile)
     displacements, squares = _row_positions(picture.value, profile, reach_px)
     edge = displacements[:, 0]
@@ -58,7 +56,7 @@ def measure_roughness(picture: OrientedFrame, profile: EdgeProfile) -> TargetMot
     freedom = (
         2.0 * noise**2 / sum(plateau[0] ** 2 * variance_factor / plateau[1] for plateau in plateaus)
     )
-    chance = float(fdtrc(valid.size / variance_factor, freedom, square / noise))
+    chance = f_tail(valid.size / variance_factor, freedom, square / noise)
     return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
 
 

@@ -21,7 +21,7 @@ from charact.estimators.mtf.edge.fit import model_fit
 from charact.estimators.mtf.edge.fit import model_selection as edge_beyond
 from charact.estimators.mtf.edge.pixels import profile
 from charact.method import Context
-from charact.transfer import BlurModel
+from charact.transfer.blur_model import BlurModel
 from labdata import measurement_from_draws
 from tests.truth import EdgeScene, TrueBlur
 

@@ -12,7 +12,7 @@ from charact.estimators.mtf import crossing_frequency
 from charact.estimators.mtf.noise_spectrum import model, pooled_spectrum
 from charact.estimators.mtf.noise_spectrum import result as of_spectrum
 from charact.method import Context
-from charact.transfer import BlurModel
+from charact.transfer.blur_model import BlurModel
 from labdata import BadInput
 from tests.truth.counted_pulses import errors
 from tests.truth.scintillating_flats import ScintillatingFlats
