@@ -82,6 +82,11 @@ class StackStatistics:
         return np.zeros((0, *self.size)) if self.entry is None else self.entry.read().data
 
     @property
+    def is_digitised(self) -> bool:
+        """Whether the values are integers, not means."""
+        return self.entry is not None and open_lazy_stack(self.entry).dtype.kind in "ui"
+
+    @property
     def mean_sd_dn(self) -> float:
         """Standard error of the mean by the scatter of frames, DN, at least that of white noise."""
         return self.mean_sd_above(1e-12)

@@ -144,6 +144,19 @@ def test_four_amplifiers(tmp_path):
     holds(one(result, "prnu"), 0.5, 0.15)
 
 
+def test_steps_between_amplifiers_are_no_image_lag(tmp_path):
+    """They are a pattern whose variance has a part linear in the signal, as lag of two frames."""
+    right = np.arange(160) >= 80
+    gains = np.array([0.40, 0.46])
+    chip = {"gain": gains[right * 1], "offset": np.array([100.0, 106.0])[right * 1]}
+    result = measured(drawn(tmp_path / "s", **chip))
+    gain = one(result, "system_gain")
+    holds(gain, gains.mean(), 0.02)
+    of_amplifiers = [one(result, "system_gain", amplifier=number).value for number in (1, 2)]
+    assert gain.value == pytest.approx(np.mean(of_amplifiers), rel=1e-9)
+    holds(one(result, "read_noise", "e-"), 5.0, 0.02)
+
+
 @pytest.mark.parametrize("slope", [0.0, 0.4])
 def test_gains_that_differ_by_three_percent_are_seen_in_even_and_tilted_light(tmp_path, slope):
     size = (128, 160)

@@ -158,12 +158,13 @@ def test_half_a_percent_of_stuck_and_blinking_pixels_moves_nothing(tmp_path, see
 
 
 @pytest.mark.parametrize("frames", [2, 4])
-def test_hits_in_single_frames_move_nothing(tmp_path, seed, frames):
+@pytest.mark.parametrize("rate", [1e-4, 7e-4])
+def test_hits_in_single_frames_move_nothing(tmp_path, seed, frames, rate):
     rng = np.random.default_rng(seed)
 
     def wrong(data):
-        struck = rng.random(data.shape) < 1e-4
-        return data + struck * rng.exponential(800.0, data.shape)
+        struck = rng.random(data.shape) < rate
+        return data + struck * rng.uniform(200.0, 2000.0, data.shape)
 
     result = measured(
         written(tmp_path, rng, wrong=lambda data: np.rint(wrong(data)), frames=frames)
@@ -207,6 +208,31 @@ def test_a_register_that_is_stated_counts(tmp_path, seed, em):
         gain=0.2,
     )
     holds(one(measured(folder), "system_gain"), 0.2 * em, 0.05)
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.5])
+def test_the_covariance_gain_of_white_noise_is_that_of_its_variance(tmp_path, seed, depth):
+    rows, cols = np.meshgrid(np.linspace(-1, 1, 96), np.linspace(-1, 1, 112), indexing="ij")
+    vignette = 1.0 - 0.5 * depth * (rows**2 + cols**2)
+    levels = [level * vignette for level in (1000.0, 3000.0, 5000.0, 8000.0)]
+    rng = np.random.default_rng(seed)
+    result = measured(written(tmp_path, rng, frames=4, size=(96, 112), levels=levels))
+    gain = one(result, "covariance_gain")
+    assert gain.status == "ok" and gain.value == pytest.approx(0.4, rel=0.03)
+    low, high = gain.interval95
+    # 4.5 standard errors hold it for any seed; the interval is narrow for it.
+    assert abs(gain.value - 0.4) < 4.5 * (high - low) / 3.92
+    assert high - low < 0.08 * gain.value
+
+
+@pytest.mark.parametrize("read_dn", [0.15, 0.25])
+def test_read_noise_below_the_step_is_bounded_in_electrons_too(tmp_path, seed, read_dn):
+    """Of noise far below the step the frames show one or two codes, whatever the noise is."""
+    camera = {"gain": 0.05, "read_e": read_dn / 0.05, "black": 100.47, "frames": 4}
+    result = measured(written(tmp_path, np.random.default_rng(seed), **camera))
+    read = one(result, "read_noise", "e-")
+    low, high = read.interval95
+    assert read.status == "ok" and low <= camera["read_e"] <= high
 
 
 def test_excess_noise_of_a_register_lies_between_one_and_two():

@@ -12,7 +12,7 @@ from charact.estimators.noise.findings import finding, judged, scaled
 from charact.estimators.noise.gain.series import FlatSeries
 from charact.estimators.noise.linear_fit import linear_fit
 from charact.estimators.noise.thresholds import AGREEMENT, CHECKS, SURVEY
-from charact.frames.rounding import rounding_step
+from charact.frames.rounding import QUANTISED_DN2, rounding_step
 from charact.frames.stack_statistics import StackStatistics
 from charact.frames.temporal import LevelChange, level_change
 from charact.observables.photon_transfer import variance_errors
@@ -99,6 +99,8 @@ def dark_noise_findings(series: FlatSeries) -> list[Finding]:
     darks = list({dark.label: dark for dark in series.darks}.values())
     if intercept is None or any(dark.low_fraction > CHECKS.max_clipped_fraction for dark in darks):
         return []
+    if any(dark.variance_dn2 < QUANTISED_DN2 and dark.is_digitised for dark in darks):
+        return []  # steps add to little noise what they do not to the flats
     excess, sd = intercept
     of_darks = float(np.mean([dark.variance_dn2 for dark in darks]))
     if abs(excess) <= max(
