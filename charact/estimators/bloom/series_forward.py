@@ -17,7 +17,7 @@ from charact.estimators.bloom.findings import DIAMETERS, finding
 from charact.estimators.bloom.point_stack import DETECTED, PointStack, read_point_stacks
 from charact.estimators.bloom.series.extent_comparison import compare_extents
 from charact.estimators.bloom.series.halo_edge_step import Rim, rim_of
-from charact.estimators.bloom.series.likelihood import select_levels
+from charact.estimators.bloom.series.likelihood import RingSeries, select_levels
 from charact.estimators.bloom.series.model_selection import (
     MISFIT_SHARE,
     FittedHaloModel,
@@ -183,7 +183,7 @@ def series_forward(session: Session, *, context: Context) -> Result:
         measured += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
         evidence = profile_evidence(fit) | forms_evidence(fit.forms, quick=context.quick)
         # Measured extents are compared with the fitted signal, or flagged where the fit is poor.
-        if misfit := misfit_findings(fit.best):
+        if misfit := [check for check in fit.findings if check.flag == "model-misfit"]:
             labels = {spot.label for spot in fit.group}
             extents = [
                 judge(extent, misfit)
@@ -235,18 +235,19 @@ def _fit_series(
     )
     context.progress("posterior of the series", 0.95)
     posterior = _posterior(forms[0], context)
-    core_px = forms[0].peak.point[forms[0].form.names.index("core_sd")]
-    findings = _findings(forms[0], posterior, rim)
+    of_edge = _edge_findings(series, rim)
     if is_quantised(min(group, key=lambda spot: spot.full_scale_dn - spot.dark_dn)):
-        findings.append(finding("quantised"))
+        of_edge.append(finding("quantised"))
+    of_posterior = [finding(flag) for flag in posterior.flags if flag != "prior-bound"]
     return FittedSeries(
         forms=forms,
         rim=rim,
-        no_edge=None if rim is None else rim.why_no_edge(core_px),
+        no_edge=None if rim is None else rim.why_no_edge(),
         no_disc=halo_refusal_reason(forms),
         posterior=posterior,
         group=group,
-        findings=findings,
+        edge_findings=of_edge,
+        findings=[*of_edge, *of_posterior, *misfit_findings(forms[0])],
         notes=_notes(context, group, spots),
         fields=fields,
     )
@@ -285,18 +286,17 @@ def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
 
 
 def misfit_findings(best: FittedHaloModel) -> list[Finding]:
-    """Return the finding of rings that no round source has, or that no model describes."""
-    if best.problem.misfit.outer <= MISFIT_SHARE and not is_uneven(best.problem.series):
+    """Return the finding of rings that no model describes."""
+    if best.problem.misfit.outer <= MISFIT_SHARE:
         return []
     deviation = f"rings deviate by {100.0 * best.problem.misfit.outer:.2g} % of their signal"
     return [finding("model-misfit", deviation)]
 
 
-def _findings(best: FittedHaloModel, posterior: Posterior, rim: Rim | None) -> list[Finding]:
-    """Findings of the series; bounds of nuisance parameters are ignored."""
-    findings = [finding(flag) for flag in posterior.flags if flag != "prior-bound"]
-    findings += misfit_findings(best)
-    if rim is not None and rim.diameter_px / 2.0 > 0.92 * best.problem.series.radius_px[-1]:
+def _edge_findings(series: RingSeries, rim: Rim | None) -> list[Finding]:
+    """Findings of the rings themselves, whatever the model."""
+    findings = [finding("model-misfit")] if is_uneven(series) else []
+    if rim is not None and rim.diameter_px / 2.0 > 0.92 * series.radius_px[-1]:
         findings.append(finding("window-too-small"))
     return findings
 

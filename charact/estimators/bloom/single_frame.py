@@ -258,7 +258,7 @@ def _halo(
         series, _ = build_ring_series(session, (spot,), context=context)
         # One frame does not show whether its camera has a tube.
         rim = rim_of(series, pitch_ratio=context.pitch_ratio, has_tube=True)
-        no_edge = NO_RINGS if rim is None else rim.why_no_edge(0.0)
+        no_edge = NO_RINGS if rim is None else rim.why_no_edge()
         if rim is not None and no_edge is None:
             draws = rim.draws(DRAWS, context.seed)
             notes = ("the clearest step of the rings; only a series distinguishes it from others",)

@@ -14,6 +14,7 @@ from charact.estimators.bloom.column_artefacts import (
 )
 from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import DETECTED, PointStack
+from charact.estimators.bloom.series.halo_edge_step import between_variance
 from charact.estimators.bloom.thresholds import Unmeasurable
 from charact.frames.robust import robust_sd
 from charact.method import Context
@@ -257,7 +258,8 @@ def _fraction(smears: list[Smear], core: Core, rows: int, **fields: Any) -> Meas
     weight = 1.0 / (sd**2 + (LIGHT_SD * float(np.average(fraction, weights=sd**-2))) ** 2)
     weight /= weight.sum()
     mean = float(weight @ fraction)
-    scatter_sd = max(LIGHT_SD, min(_between(fraction[is_visible], sd[is_visible]), 0.3)) * mean
+    between = between_variance(fraction[is_visible], sd[is_visible]) ** 0.5
+    scatter_sd = max(LIGHT_SD * mean, min(between, 0.3 * mean))
     # The light of the unsaturated stack has the same uncertainty.
     known = float(np.hypot(mean * core.light_sd_dn / core.light_dn, scatter_sd))
     total = float(np.sqrt(weight**2 @ (sd**2 + scatter_sd**2) + known**2))
@@ -279,19 +281,6 @@ def _fraction(smears: list[Smear], core: Core, rows: int, **fields: Any) -> Meas
     )
     number = measurement_from_sd("smear_fraction", "1", mean, total, **fields)
     return judge(number, [finding(flag, effect) for flag, raised, effect in checks if raised])
-
-
-def _between(fraction: Array, sd: Array) -> float:
-    """Relative scatter of stacks beyond their errors (DerSimonian and Laird, Control. Clin. Trials
-    7, 177, 1986).
-    """
-    if len(fraction) < 2:
-        return 0.0
-    weight = 1.0 / sd**2
-    mean = float(weight @ fraction / weight.sum())
-    excess = float(weight @ (fraction - mean) ** 2) - (len(fraction) - 1)
-    variance = max(0.0, excess / float(weight.sum() - (weight**2).sum() / weight.sum()))
-    return float(np.sqrt(variance)) / abs(mean)
 
 
 def _bends(light: Array, fraction: Array, sd: Array) -> bool:

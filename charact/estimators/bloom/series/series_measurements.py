@@ -190,7 +190,7 @@ class FittedSeries:
 
     `rim`: edge of its halo; `no_edge`: why it has none, or None; `no_disc`: why the halo's light is
     not reported, or None; `posterior`: draws of the best model's parameters; `group`: the stacks;
-    `findings`, `notes`, `fields`: of its measurements.
+    `edge_findings`: of the halo's edge; `findings`, `notes`, `fields`: of the other measurements.
     """
 
     forms: list[FittedHaloModel]
@@ -199,6 +199,7 @@ class FittedSeries:
     no_disc: str | None
     posterior: Posterior
     group: tuple[PointStack, ...]
+    edge_findings: list[Finding]
     findings: list[Finding]
     notes: tuple[str, ...]
     fields: dict[str, Any]
@@ -229,18 +230,14 @@ def halo_measurements(fit: FittedSeries) -> list[Measurement]:
     best, posterior, group, rim = fit.best, fit.posterior, fit.group, fit.rim
     if rim is None or fit.no_edge is not None:
         return refuse_halo(fit.no_edge or NO_RINGS, OF_THE_HALO, fit.fields)
-    count = len(posterior.draws)
-    # The noise is estimated from few frames: Student's t.
-    few = max(min(spot.frames for spot in group) - 1, 3)
-    spread = np.random.default_rng(posterior.seed).chisquare(few, count)
-    middle = rim.diameter_px
-    diameter = middle + np.sqrt(few / spread) * (rim.draws(count, posterior.seed or 0) - middle)
+    count, middle = len(posterior.draws), rim.diameter_px
+    diameter = rim.draws(count, posterior.seed or 0)
     if nearest_px(group) < middle:
         rng = np.random.default_rng([posterior.seed or 0, 1])
         diameter += 0.005 * middle * rng.standard_normal(count)
     common = {"notes": fit.notes, "posterior": posterior, **fit.fields}
     number = measurement_from_draws("halo_diameter", "px", diameter, **common)
-    out = [judge(number, fit.findings)]
+    out = [judge(number, fit.edge_findings)]
     if fit.no_disc is not None:
         return out + refuse_halo(fit.no_disc, OF_THE_HALO[1:], fit.fields)
     plateau, edge = halo_of(best.form, posterior.draws[:DERIVED])
