@@ -317,19 +317,11 @@ def test_noise_decides_what_asymmetry_means(seed):
     assert sum(notes[2:]) == 1
 
 
-def test_a_form_narrows_only_what_it_agrees_with(seed):
-    """Where noise leaves more than the tolerance, a form that fits narrows the interval; it is
-    taken only inside the answer without a form.
-    """
-    narrowed = 0
+def test_in_much_noise_the_answer_is_the_one_without_a_form(seed):
     for number in range(4):
         stack, truth = drawn(
             gaussian(0.9), np.random.default_rng([seed, 8, number]), snr=18.0, shape=(90, 90)
         )
-        found, free = mtf50(stack), mtf50(stack, "edge-free")
+        found = mtf50(stack)
         assert found.status == "ok" and off_by(found, truth) < 2.0
-        width, free_width = (one.interval95[1] - one.interval95[0] for one in (found, free))
-        assert width <= free_width
-        assert abs(found.value - free.value) <= 0.25 * free_width
-        narrowed += found.method == "edge-parametric"
-    assert narrowed >= 1
+        assert found.method == "edge-free"

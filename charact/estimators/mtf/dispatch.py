@@ -22,10 +22,10 @@ from labdata import BadInput, FrameStack, Measurement, Result, Session, has_tube
 # erred by 1.6 standard uncertainties (rms) with parametric models alone and by 0.7 with model
 # departures and a free video bandwidth.
 FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
-# What `auto` measures first in place of a method that fits blur models: on edges drawn by other
-# programs the answer without a form is closer and holds more often; a form only narrows it.
+# What `auto` measures with in place of a method that fits blur models: on edges drawn by other
+# programs the answer without a form is closer and holds more often, also where a form that agrees
+# with it has the narrower interval.
 FORM_FREE = {"edge-parametric": "edge-free"}
-NARROWED = "Measured without a form of the blur first; a form that the edge accepts narrows it."
 # Fallback of `auto` where the data reject every blur model of the first method.
 WITHOUT_MODEL = {"point-parametric": "point-spread"}
 NO_MODEL = "No blur model fits this {kind}; it was measured without one, with a wider interval."
@@ -112,22 +112,14 @@ def measure(
     described = (
         FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and has_tube(context.camera) else None
     )
-    if described or method != "auto":
-        name = described or method
-    else:
+    name = described or method
+    if name == "auto":
         name = automatic(kind, within_percent=within_percent)
-    # A form that narrows is loaded where there is something to narrow.
-    form = name if method == "auto" and name in FORM_FREE else None
-    chosen = choose(kind, FORM_FREE[name] if form else name)
+        name = FORM_FREE.get(name, name)
+    chosen = choose(kind, name)
     counted = drop_duplicate_frames(stack) if stack.shape[0] > 1 else stack
     notes = counted.notes[len(stack.notes) :]
     result = chosen.function(counted, region=region, context=context, **target)
-    free = result.measurements[0]
-    if form and free.status == "ok" and beyond_note(free, within_percent):
-        of_form = choose(kind, form)
-        narrow = of_form.function(counted, region=region, context=context, **target)
-        if _narrows(free, narrow.measurements[0]):
-            chosen, result, notes = of_form, narrow, (NARROWED, *notes)
     leading = result.find(chosen.quantities[0])
     if (
         method == "auto"
@@ -154,18 +146,6 @@ def measure(
             changes["provenance"] = replace(provenance, settings=settings)
         finished.append(measurement.with_(**changes) if changes else measurement)
     return replace(result, measurements=tuple(finished))
-
-
-def _narrows(free: Measurement, of_form: Measurement) -> bool:
-    """Return whether the answer of a form replaces the one without: ok, narrower, and in the middle
-    half of the other's 68 % interval, so that the data contradict neither.
-    """
-    if not free.status == of_form.status == "ok" or of_form.value is None or free.value is None:
-        return False
-    assert free.interval68 is not None and of_form.interval68 is not None, "an ok number has both"
-    (low, high), (form_low, form_high) = free.interval68, of_form.interval68
-    apart = abs(of_form.value - free.value)
-    return form_high - form_low < high - low and apart < 0.25 * (high - low)
 
 
 def measure_flats(

@@ -65,7 +65,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     l^2)) with the envelope w(d) = 1/(1 + (d/a)^2) or exp(-sqrt(1 + (d/a)^2)), its odd part smaller
     by a factor; envelope, a, l and factor on a grid by marginal likelihood, in even light and in
     light that slopes, s by the step. Regularisation by evidence: MacKay, Neural Computation 4,
-    1992, 415. Light beyond the region is taken to lie anywhere between none and twice what the
+    1992, 415. Light beyond the region is taken to lie anywhere between none and 1.4 times what the
     outer half of the region holds.
     """
     return measure_by_fit(METHOD, _fit, stack, region, context)
@@ -108,7 +108,7 @@ def _fit(edge: PreparedEdge, context: Context) -> Result:
             "smooth_over_px": round(best.smooth_px, 3),
         },
         notes=(window_normalisation_note(profile),),
-        doubt=known.doubt,
+        doubt=lambda frequency: np.hypot(known.doubt(frequency), ACCURACY.line_spread_doubt),
     )
 
 

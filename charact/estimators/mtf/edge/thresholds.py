@@ -163,8 +163,11 @@ class EdgeAccuracy:
     node_spacing_px: float = 0.2  # Spacing of the line spread's nodes near the edge, px
     node_spacing: float = 0.09  # Spacing farther out, fraction of the distance
     # Light beyond the region, times that of its outer half: a tube's tail holds 0.9, and plateau
-    # levels hide as much.
-    max_light_beyond: float = 2.0
+    # levels hide half as much.
+    max_light_beyond: float = 1.4
+    # Relative standard uncertainty of an MTF by line spreads with sharper rims than those that are
+    # likely before the data, as of discs and coma: 240 edges drawn by other programs
+    line_spread_doubt: float = 0.0015
     line_spread_draws: int = 600  # Draws of the line spread
     quick_draws: int = 500  # Draws of a quick posterior
     chain_steps: int = 3000  # Steps of a Markov chain
