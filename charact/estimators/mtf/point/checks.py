@@ -8,37 +8,31 @@ from dataclasses import replace
 import numpy as np
 
 from charact.estimators.mtf.curve import FINE, CurveFinding, Undo, crossing_frequency
-from charact.estimators.mtf.point.blur_models_2d import (
-    BUMP_WIDTH,
-    BUMPS,
-    mtf_of_camera,
-    pinhole,
-)
+from charact.estimators.mtf.point.blur_models_2d import mtf_of_camera, pinhole
 from charact.estimators.mtf.point.model_fit import (
     BlurModelFit2D,
     PointFitter,
     WhitenedPixels,
     orthonormal,
 )
-from charact.estimators.mtf.point.model_selection import (
-    DEPARTURES,
-    EvidenceWeightedModels2D,
-    start_from,
-)
+from charact.estimators.mtf.point.model_selection import EvidenceWeightedModels2D
 from charact.estimators.mtf.point.nonlinearity import (
     SpotNonlinearity,
+    chance_of_less_noise,
     fit_nonlinearity,
     power_log_likelihoods,
 )
 from charact.estimators.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, pictures
-from charact.estimators.mtf.point.spot_light import FREQUENCY
+from charact.estimators.mtf.point.spot_light import FREQUENCY, SpotLight
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.verdict import judge
 from labdata import Array, Mask
 from labdata.measurement import Measurement
 
+# Centres of the departure bumps in ln of frequency over half frequency, and their width.
+BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
 REMEDIES = {
     "clipped": "an offset that keeps the noise of dark pixels above 0 DN",
     "saturated": "less light or a shorter exposure, so that no pixel approaches full scale",
@@ -130,6 +124,17 @@ def motion_findings(
         effect = f"the source moves by {rms_px:.2g} px rms"
         out.append(finding("drift", effect, TargetMotion(rms_px=rms_px).undo))
     return out
+
+
+def noise_findings(spot: SpotLight) -> list[CurveFinding]:
+    """Return `gamma` for a spot whose lit pixels are quieter than light allows."""
+    if chance_of_less_noise(spot) >= LIMITS.min_noise_chance:
+        return []
+    effect = (
+        "lit pixels are quieter than dark ones, as behind a compressive response; one of exponent g "
+        "changes MTF50 by about the root of g"
+    )
+    return [finding("gamma", effect)]
 
 
 def _field_offset_px(frames: Array, x: Array, y: Array, parity: Mask, radius_px: float) -> float:
@@ -248,7 +253,11 @@ def source_findings(
     if fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(
         2.0 / fit.free
     ) or has_departures(sites, fitter, fit):
-        out.append(finding("model-misfit", _misfit_effect(fitter, fit)))
+        effect = (
+            f"residuals are {np.sqrt(fit.chi2 / fit.free):.2g} times the noise, or of a pattern "
+            "that noise does not have"
+        )
+        out.append(finding("model-misfit", effect))
     elif (gap := _gap_to_light(sites, fit)) > LIMITS.max_gap_sd:
         effect = (
             f"the MTF of the form lies {gap:.1f} standard uncertainties from that of the light "
@@ -282,6 +291,8 @@ def source_findings(
                 f"description"
             )
             out.append(finding("prior-bound", effect))
+    for spot in (site.spot for site in sites if site.spot is not None):
+        out += noise_findings(spot)
     step_px = sites[0].aperture.summed_px
     for window in (site.window for site in sites if site.window.sound):
         frames = window.deviations.reshape(-1, *window.core.shape) + (
@@ -324,21 +335,6 @@ def _gap_to_light(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
             at = [int(np.argmax(form[0] < level)) for level in LIMITS.compared_levels]
             gaps += (np.abs(form[0] - light.modulus)[at] / np.maximum(light.sd[at], 1e-12)).tolist()
     return max(gaps)
-
-
-def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
-    """Return the effect of a misfit: the change of MTF50 by fitted model departures."""
-    form = replace(fit.form, departures=max(DEPARTURES))
-    free = fitter.fit(form, start_from(fit, form))
-    moves = [
-        abs(b / a - 1.0)
-        for a, b in zip(_half_frequencies(fit), _half_frequencies(free), strict=True)
-    ]
-    residual_ratio = np.sqrt(fit.chi2 / fit.free)
-    return (
-        f"residuals are {residual_ratio:.2g} times the noise; model departures change MTF50 by "
-        f"{100 * max(moves):.2g} %"
-    )
 
 
 def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:

@@ -23,12 +23,8 @@ from labdata import Array
 # Prior odds of each extended component of a camera without a description, of a Gaussian with an
 # exponential, and of an ellipse: a parameter that the data do not ask for biases the others.
 WIDE_ODDS, LENS_ODDS, ELLIPSE_ODDS = 0.25, 0.2, 0.5
-# Prior odds of separable blurs.
-SEPARABLE_ODDS = 0.2
 # Cores of a described tube.
 TUBES = ("gaussian", "exponential", "moffat")
-# Model departures, fraction of the transfer, and their prior odds.
-DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
 
 
 class EvidenceWeightedModels2D(NamedTuple):
@@ -156,14 +152,6 @@ def fit_models(
         for candidate in _cores_within(fits, ACCURACY.candidate_ln_evidence)
         if candidate.form.round and (form := replace(candidate.form, round=False))
     ]
-    tubes = [candidate for candidate in fits if candidate.form.core == "exponential"]
-    likeliest = max(tubes, key=lambda candidate: candidate.log_evidence)
-    if likeliest in _cores_within(fits, ACCURACY.candidate_ln_evidence):
-        fits.append(_fit_two_blurs(fitter, likeliest))
-        if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(
-            likeliest.covariance[1, 1]
-        ):
-            fits.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
     for light in components:
         for core in _cores_within(fits, ACCURACY.candidate_ln_evidence)[:4]:
             more = _fit_extended(fitter, core, light)
@@ -171,12 +159,6 @@ def fit_models(
     if any(isinstance(light, HaloComponent) for light in components):
         # A described intensifier has a halo.
         fits = [candidate for candidate in fits if candidate.form.wide is not None] or fits
-    best = max(fits, key=_weight)
-    fits += [
-        fitter.fit(form, start_from(best, form))
-        for size in DEPARTURES
-        if (form := replace(best.form, departures=size))
-    ]
     return _rank_by_evidence(fits)
 
 
@@ -189,25 +171,13 @@ def _cores_within(fits: list[BlurModelFit2D], distance: float) -> list[BlurModel
     return [candidate for candidate in cores if _weight(candidate) > _weight(cores[0]) - distance]
 
 
-def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
-    """Fit a tube model times a Gaussian, from two widths."""
-    form = replace(tube.form, lens=True)
-    begun = []
-    for blur in (0.3, 0.7):
-        start = start_from(tube, form)
-        start[0] += np.log(1.3)
-        start[form.names.index("blur_px")] = blur
-        begun.append(fitter.fit(form, start))
-    return min(begun, key=lambda fit: fit.cost)
-
-
 def _weight(fit: BlurModelFit2D) -> float:
     """Return ln evidence plus ln prior probability of a model."""
     form = fit.form
-    odds = ON_POINTS[form.core][1] * (SEPARABLE_ODDS if form.separable else 1.0)
-    odds *= (LENS_ODDS if form.lens else 1.0) * (1.0 if form.round else ELLIPSE_ODDS)
+    odds = ON_POINTS[form.core][1] * (1.0 if form.round else ELLIPSE_ODDS)
+    odds *= LENS_ODDS if form.lens else 1.0
     odds *= 1.0 if form.wide is None or isinstance(form.wide, HaloComponent) else WIDE_ODDS
-    return fit.log_evidence + float(np.log(odds * (DEPARTURES_ODDS if form.departures else 1.0)))
+    return fit.log_evidence + float(np.log(odds))
 
 
 def _fit_extended(

@@ -4,11 +4,12 @@ A response S = c L^g gives a variance of S proportional to S^(2 - 1/g): an extra
 the light.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from charact.estimators.mtf.point.spot_light import SpotLight
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from labdata import Array
 
@@ -69,6 +70,32 @@ def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
         power=float(FINE_POWERS[best]),
         exponents=(1.0 / (1.0 - float(likely_powers[0])), 1.0 / (1.0 - float(likely_powers[-1]))),
     )
+
+
+def chance_of_less_noise(spot: SpotLight) -> float:
+    """Return the probability that a linear camera shows as little temporal noise under light as a
+    spot; 1 where its frames cannot tell.
+
+    Notes
+    -----
+    Photons only add noise: of n lit pixels and K frames, the sum of squares over the variance
+    d + g L is chi squared of n (K - 1) degrees of freedom at most, d the dark variance and g at
+    least that of a dark noise of `LIMITS.max_dark_e` electrons.
+    """
+    from scipy.special import chdtr
+
+    dark, free = spot.dark, len(spot.frames) - 1
+    if not free or dark.correlation.size > 1 or dark.read_dn**2 < LIMITS.min_variance_dn2:
+        return 1.0
+    light = (spot.mean - spot.level)[spot.disc]
+    law = replace(dark, gain_dn=dark.read_dn / LIMITS.max_dark_e)
+    variance = spot.frames[:, spot.disc].var(axis=0, ddof=1, dtype=np.float64)
+    parts = [light > level * light.max() for level in LIMITS.lit_levels]
+    chances = [
+        chdtr(free * np.count_nonzero(lit), free * np.sum((variance / law.variance(light))[lit]))
+        for lit in parts
+    ]
+    return len(chances) * float(min(chances))
 
 
 def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Array) -> Array:

@@ -10,17 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import charact
-from charact.estimators.mtf.curve import (
-    FINE,
-    LEVELS,
-    PINNED,
-    REPORTED,
-    crossing_frequency,
-    crossing_measurement,
-    curve_of,
-    flag_filter_uncertainty,
-    widen_by,
-)
+from charact.estimators.mtf.curve import FINE, mtf_measurements, widen_by
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.point.blur_models_2d import (
@@ -50,7 +40,7 @@ from charact.estimators.mtf.point.source import (
 from charact.estimators.mtf.point.source_pixels import SourcePixels
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.thresholds import CLIPPING
-from charact.inference import has_several_peaks, importance_sample, laplace
+from charact.inference import importance_sample, laplace
 from charact.method import Context, register
 from charact.transfer.extended import (
     DiscComponent,
@@ -68,7 +58,6 @@ from labdata import (
     Provenance,
     Result,
     has_tube,
-    measurement_from_draws,
 )
 
 METHOD = "point-parametric"
@@ -286,11 +275,12 @@ def _result(
     total = sum(model.weight for model in models)
     wanted = ACCURACY.quick_draws if context.quick else ACCURACY.draws
     counts = [max(1, round(wanted * model.weight / total)) for model in models]
-    measured: list[tuple[list[Measurement], Array, Curve]] = []
-    aperture = sites[0].aperture
-    frequency = np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)])
-    for vertical, angle in ((False, 0.0), (True, 90.0)):
-        draws = np.concatenate(
+    measured: list[tuple[list[Measurement], Curve, Array]] = []
+    aperture, best = sites[0].aperture, models[0].fit
+
+    def curves_of(frequency: Array, vertical: bool) -> Array:
+        """Return the curves that are drawn of all models, shape (draw, frequency)."""
+        return np.concatenate(
             [
                 mtf_of_camera(
                     model.fit.form, posterior.draws[:count], frequency, aperture, vertical=vertical
@@ -298,33 +288,25 @@ def _result(
                 for model, posterior, count in zip(models, drawn, counts, strict=True)
             ]
         )
-        fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
-        direction_settings = {**common, "orientation_deg": angle}
-        numbers = [
-            _note_several_peaks(
-                crossing_measurement(quantity, fine, drawn[0], direction_settings),
-                crossing_frequency(FINE, fine, at),
-            )
-            for quantity, at in LEVELS.items()
-        ]
-        for values, at in zip(pinned.T, PINNED, strict=True) if "mtf" in method.quantities else ():
-            number = measurement_from_draws(
-                "mtf", "1", values, frequency_cy_per_px=float(at), **direction_settings
-            )
-            numbers.append(_note_several_peaks(number, values))
-        exact = aperture.video is None or vertical or models[0].fit.form.bandwidth_order > 1
-        doubt = None if exact or aperture.video is None else aperture.video.doubt
-        numbers = [
-            flag_filter_uncertainty(number, doubt, partial(_crossing, fine)) for number in numbers
-        ]
-        measured.append((numbers, np.median(fine, axis=0), curve_of(REPORTED, reported)))
+
+    for vertical, angle in ((False, 0.0), (True, 90.0)):
+        exact = aperture.video is None or vertical or best.form.bandwidth_order > 1
+        numbers, curve, _ = mtf_measurements(
+            partial(curves_of, vertical=vertical),
+            {**common, "orientation_deg": angle},
+            posterior=drawn[0],
+            doubt=None if exact or aperture.video is None else aperture.video.doubt,
+            names=method.quantities,
+        )
+        modulus = mtf_of_camera(best.form, best.point[None], FINE, aperture, vertical=vertical)
+        measured.append((numbers, curve, modulus[0]))
     every = [number for numbers, _, _ in measured for number in numbers]
     window = sites[0].window
     steps_px = (float(np.diff(at[:2])[0]) for at in (window.x, window.y))
     aliased = undersampled(every, dict(zip((0.0, 90.0), steps_px, strict=True)))
     measurements: list[Measurement] = []
     curves: dict[str, Curve] = {}
-    for name, angle, (numbers, modulus, curve) in zip(
+    for name, angle, (numbers, curve, modulus) in zip(
         ("mtf", "mtf_vertical"), (0.0, 90.0), measured, strict=True
     ):
         checks = [*findings, aliased[angle]] if aliased else findings
@@ -418,24 +400,6 @@ def _model_figure_data(
         "chi_squared": fit.chi2,
         "degrees_of_freedom": fit.free,
     }
-
-
-def _crossing(fine: Array, level: float) -> float:
-    return float(np.nanmedian(crossing_frequency(FINE, fine, level)))
-
-
-def _note_several_peaks(measurement: Measurement, draws: Array) -> Measurement:
-    """Add a note where the draws have several peaks, which the interval spans."""
-    finite = draws[np.isfinite(draws)]
-    if measurement.value is None or not has_several_peaks(finite[:, None]):
-        return measurement
-    low, high = np.quantile(finite, (0.16, 0.84))
-    return measurement.with_(
-        notes=(
-            *measurement.notes,
-            f"Blur models of similar evidence give {low:.3g} and {high:.3g}.",
-        )
-    )
 
 
 def _notes(

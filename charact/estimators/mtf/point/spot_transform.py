@@ -20,6 +20,7 @@ from charact.estimators.mtf.point.checks import (
     finding,
     judge_by,
     motion_findings,
+    noise_findings,
     undersampled,
 )
 from charact.estimators.mtf.point.source import (
@@ -185,5 +186,6 @@ def _findings(spot: SpotLight, tube: bool) -> list[CurveFinding]:
     parity = np.arange(spot.x.shape[0])[row] % 2 == 1
     return [
         *(finding(flag, EFFECTS[flag]) for flag, is_raised in raised if is_raised),
+        *noise_findings(spot),
         *motion_findings(height[:, row, col], spot.x[0, col], spot.y[row, 0], parity, radius_px),
     ]

@@ -54,6 +54,11 @@ class PointLimits:
     # Significance of a nonlinear response; few pulses scatter more than a Gaussian
     nonlinear_sd: float = 4.0
     min_nonlinear_power: float = 0.1  # Power of the light in the noise
+    # Chance of the noise of a linear camera below which its response is not linear, the pixels that
+    # tell, fractions of the peak, and the largest dark noise, electrons: that of 90,000 of a sky
+    min_noise_chance: float = 1e-3
+    lit_levels: tuple[float, ...] = (0.05, 0.3)
+    max_dark_e: float = 300.0
     min_height_sd: float = 9.0  # Height of a source, standard deviations of the smoothed background
     min_steadiness_sd: float = 4.0  # Light over the frames, standard uncertainties
     # Height of another source over the first, outside the inner halo
