@@ -247,8 +247,8 @@ def camera(rng: np.random.Generator, peak_sd: float | None = None) -> Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One number of a spot: status, flags, value, half interval and truth; its bound where it was
-    worked out.
+    """One number of a spot: status, flags, value, interval and truth; its bounds where they were
+    worked out, of a fit of its form and of one whose shape is known.
     """
 
     kind: str
@@ -259,6 +259,7 @@ class Row:
     high: float
     truth: float
     bound: float = np.nan
+    bound_of_size: float = np.nan
 
     @property
     def holds(self) -> bool:
@@ -280,7 +281,11 @@ def measured(
     result = measure_all("point", stack, context=Context(quick=True, seed=seed))
     rows = []
     for angle in (0.0, 90.0):
-        truth, limit = one.mtf50(angle), cramer_rao(one, by, angle) if bound else np.nan
+        truth = one.mtf50(angle)
+        limit, limit_of_size = (
+            cramer_rao(one, by, angle, is_shape_free=is_free) if bound else np.nan
+            for is_free in (True, False)
+        )
         found = result.find("mtf50", orientation_deg=angle)[0]
         low, high = found.interval95 or (np.nan, np.nan)
         value = np.nan if found.value is None else float(found.value)
@@ -294,19 +299,22 @@ def measured(
                 high=high,
                 truth=truth,
                 bound=limit,
+                bound_of_size=limit_of_size,
             )
         )
     return rows
 
 
-def cramer_rao(one: Spot, by: Camera, angle_deg: float) -> float:
+def cramer_rao(one: Spot, by: Camera, angle_deg: float, *, is_shape_free: bool = True) -> float:
     """Return the least standard error of MTF50 by a fit of the spot's own form to one frame, cy/px.
 
-    Free are light, level, place, the form's parameters and, where the spot is drawn with one, its
-    shear.
+    Free are light, level, place, the first of the form's parameters, which is its size, and with
+    `is_shape_free` the others and, where the spot is drawn with one, its shear.
     """
     own = [*one.shape, one.shear]
-    free = [index for index, value in enumerate(own) if value != 0.0]
+    free = [index for index, value in enumerate(own) if value != 0.0][
+        : None if is_shape_free else 1
+    ]
 
     def moved(index: int, by_: float) -> Spot:
         parameters = own.copy()
@@ -396,13 +404,14 @@ def main() -> None:
             if row.status != "ok" or not row.holds:
                 print(index // 2, row)
     faint = [row for row in at_the_bound(asked.bound, asked.seed) if np.isfinite(row.value)]
-    ratios = np.array([(row.value - row.truth) / row.bound for row in faint])
-    rms = np.sqrt(np.mean(ratios**2))
-    print(f"peak {FAINT:g} sd, one frame: {len(faint)} numbers err {rms:.2f} times the bound (rms)")
-    for kind in KINDS:
-        own = ratios[[row.kind == kind for row in faint]]
-        if own.size:
-            print(f"  {kind:18s} {np.sqrt(np.mean(own**2)):.2f}")
+    print(f"peak {FAINT:g} sd, one frame: rms error over the bound, shape free and known")
+    for kind in (*KINDS, "all"):
+        rows = [row for row in faint if kind in (row.kind, "all")]
+        if rows:
+            errors = np.array([row.value - row.truth for row in rows])
+            ratios = errors / np.array([[row.bound, row.bound_of_size] for row in rows]).T
+            free, known = np.sqrt(np.mean(ratios**2, axis=1))
+            print(f"  {kind:18s} {len(rows):3d} numbers  {free:.2f}  {known:.2f}")
 
 
 if __name__ == "__main__":

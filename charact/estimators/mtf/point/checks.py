@@ -15,8 +15,8 @@ from charact.estimators.mtf.point.model_fit import (
     WhitenedPixels,
     orthonormal,
 )
-from charact.estimators.mtf.point.model_selection import EvidenceWeightedModels2D
 from charact.estimators.mtf.point.nonlinearity import (
+    POWERS,
     SpotNonlinearity,
     chance_of_less_noise,
     fit_nonlinearity,
@@ -131,8 +131,8 @@ def noise_findings(spot: SpotLight) -> list[CurveFinding]:
     if chance_of_less_noise(spot) >= LIMITS.min_noise_chance:
         return []
     effect = (
-        "lit pixels are quieter than dark ones, as behind a compressive response; one of exponent g "
-        "changes MTF50 by about the root of g"
+        "lit pixels are quieter than dark ones, as behind a compressive response; one of exponent "
+        "g changes MTF50 by about the root of g"
     )
     return [finding("gamma", effect)]
 
@@ -233,17 +233,17 @@ def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
 
 
 def source_findings(
-    sites: list[SourcePixels], fitter: PointFitter, models: list[EvidenceWeightedModels2D]
+    site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D
 ) -> list[CurveFinding]:
-    """Return the findings of fitted sources."""
-    fit, out = models[0].fit, []
-    if any(site.window.clipped for site in sites):
+    """Return the findings of a fitted source."""
+    window, out = site.window, []
+    if window.clipped:
         out.append(
             finding(
                 "clipped", "noise is clipped at black; MTF50 is half a standard uncertainty high"
             )
         )
-    stands = float((fit.light / light_sd(fitter, fit)).min())
+    stands = fit.light / light_sd(fitter, fit)
     if stands < LIMITS.low_light_sd:
         effect = (
             f"light {stands:.1f} standard uncertainties; intervals are validated from "
@@ -252,13 +252,13 @@ def source_findings(
         out.append(finding("low-signal", effect))
     if fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(
         2.0 / fit.free
-    ) or has_departures(sites, fitter, fit):
+    ) or has_departures(site, fitter, fit):
         effect = (
             f"residuals are {np.sqrt(fit.chi2 / fit.free):.2g} times the noise, or of a pattern "
             "that noise does not have"
         )
         out.append(finding("model-misfit", effect))
-    elif (gap := _gap_to_light(sites, fit)) > LIMITS.max_gap_sd:
+    elif (gap := _gap_to_light(site, fit)) > LIMITS.max_gap_sd:
         effect = (
             f"the MTF of the form lies {gap:.1f} standard uncertainties from that of the light "
             "itself"
@@ -266,14 +266,13 @@ def source_findings(
         out.append(finding("model-misfit", effect))
     along, down = _half_frequencies(fit)
     # Where the light itself shows no second source, an ellipse is one of an aberrated pupil.
-    counted = all(site.spot is not None for site in sites)
-    if not counted and max(along / down, down / along) > LIMITS.max_elongation:
+    if site.spot is None and max(along / down, down / along) > LIMITS.max_elongation:
         effect = (
             f"MTF50 along rows is {along / down:.2f} times that along columns; light next to "
             f"the source has this effect"
         )
         out.append(finding("several-targets", effect))
-    if any(site.window.cut or (site.screen and not site.window.holds_halo) for site in sites):
+    if window.cut or (site.screen and not window.holds_halo):
         effect = "light beyond the region is not included; MTF50 may be high by its fraction"
         out.append(finding("window-too-small", effect))
     at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)
@@ -291,14 +290,13 @@ def source_findings(
                 f"description"
             )
             out.append(finding("prior-bound", effect))
-    for spot in (site.spot for site in sites if site.spot is not None):
-        out += noise_findings(spot)
-    step_px = sites[0].aperture.summed_px
-    for window in (site.window for site in sites if site.window.sound):
+    if site.spot is not None:
+        out += noise_findings(site.spot)
+    if window.sound:
         frames = window.deviations.reshape(-1, *window.core.shape) + (
             window.core - float(np.median(window.core))
         )
-        x, y = window.centre
+        step_px, (x, y) = site.aperture.summed_px, window.centre
         parity = window.parity[:: window.x.size]
         out += motion_findings(frames, step_px * (window.x - x), step_px * (window.y - y), parity)
     return out
@@ -312,43 +310,37 @@ def _half_frequencies(fit: BlurModelFit2D) -> tuple[float, float]:
     return float(along), float(down)
 
 
-def _gap_to_light(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
+def _gap_to_light(site: SourcePixels, fit: BlurModelFit2D) -> float:
     """Return the largest difference of a form's MTF from that of the light without a form, standard
     uncertainties of the latter.
     """
-    gaps, diameter = [0.0], fit.form.pinhole_px
-    if isinstance(diameter, tuple):
+    gaps, diameter, spot = [0.0], fit.form.pinhole_px, site.spot
+    if isinstance(diameter, tuple) or spot is None:
         return 0.0
     # Forms take the logarithm of a frequency.
-    frequency = np.maximum(FREQUENCY, 1e-6)
-    source = pinhole(frequency, diameter * sites[0].aperture.summed_px)
-    point = fit.point[None]
-    for site, spot in ((site, site.spot) for site in sites if site.spot is not None):
-        if len(spot.frames) == 1 and site.pulses is not None:
-            # What the form leaves is no less than the noise.
-            spot = replace(spot, light_gain_dn=min(site.pulses.gain, spot.gain_dn))
-        for vertical in (False, True):
-            form = source * mtf_of_camera(
-                fit.form, point, frequency, site.aperture, vertical=vertical
-            )
-            light = spot.transform(vertical=vertical)
-            at = [int(np.argmax(form[0] < level)) for level in LIMITS.compared_levels]
-            gaps += (np.abs(form[0] - light.modulus)[at] / np.maximum(light.sd[at], 1e-12)).tolist()
+    frequency, step_px = np.maximum(FREQUENCY, 1e-6), site.aperture.summed_px
+    source = pinhole(frequency, diameter * step_px)
+    if len(spot.frames) == 1 and site.pulses is not None:
+        # What the form leaves is no less than the noise.
+        gain_dn = min(site.pulses.gain * step_px**2, spot.gain_dn)
+        spot = replace(spot, light_gain_dn=gain_dn)
+    for vertical in (False, True):
+        form = source * mtf_of_camera(
+            fit.form, fit.point[None], frequency, site.aperture, vertical=vertical
+        )
+        light = spot.transform(vertical=vertical)
+        at = [int(np.argmax(form[0] < level)) for level in LIMITS.compared_levels]
+        gaps += (np.abs(form[0] - light.modulus)[at] / np.maximum(light.sd[at], 1e-12)).tolist()
     return max(gaps)
 
 
-def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:
-    """Return the standard uncertainty of each light for a fixed model, DN px^2."""
-    nodes = fit.form.nodes(fit.point[None])
-    return np.array(
-        [
-            np.sum((whitened.matrix[:, : nodes.size] @ nodes[0]) ** 2) ** -0.5
-            for whitened in fitter.pixels
-        ]
-    )
+def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> float:
+    """Return the standard uncertainty of the light for a fixed model, DN px^2."""
+    nodes = fit.form.nodes(fit.point[None])[0]
+    return float(np.linalg.norm(fitter.pixels.matrix[:, : nodes.size] @ nodes)) ** -1.0
 
 
-def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurModelFit2D) -> bool:
+def has_departures(site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D) -> bool:
     """Return whether model departures reduce chi squared beyond noise.
 
     Departures are bumps of the transfer along frequency, a fourfold direction as of a square pupil,
@@ -364,17 +356,11 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
         [np.broadcast_to(bumps[:, None], (len(bumps), *fourfold.shape)), fourfold[None]]
     )
     bumped = (described.reshape(1, *fourfold.shape) * shapes).reshape(len(shapes), -1)
-    more = [
-        np.concatenate(
-            [
-                whitened.matrix[:, : described.size] @ bumped.T,
-                _asymmetry_columns(site, whitened, described),
-            ],
-            axis=1,
-        )
-        for site, whitened in zip(sites, fitter.pixels, strict=True)
+    columns = [
+        fitter.pixels.matrix[:, : described.size] @ bumped.T,
+        _asymmetry_columns(site, fitter.pixels, described),
     ]
-    residual, departed = fitter.beyond(fit, more)
+    residual, departed = fitter.beyond(fit, np.concatenate(columns, axis=1))
     gain = float(np.sum((orthonormal(departed).T @ residual) ** 2))
     count = departed.shape[1]
     return gain > count + LIMITS.max_departure_sd * np.sqrt(2.0 * count)
@@ -393,28 +379,19 @@ def _asymmetry_columns(site: SourcePixels, whitened: WhitenedPixels, nodes: Arra
     return whitened.whiten(columns[site.value_mask])
 
 
-def camera_nonlinearity(sites: list[SourcePixels], fit: BlurModelFit2D) -> SpotNonlinearity:
-    """Return the nonlinearity from the frames' noise of sources."""
-    transfer = fit.form.transfer(fit.point[None])[0]
-    profiles = []
-    for site, light in zip(sites, fit.light, strict=True):
-        if site.window.frames < 2 or site.pulses is None or not site.window.sound:
-            continue
-        mean = light * pictures(site.aperture, transfer, *site.axes)[0]
-        pulses, dark = (
-            site.pulses.covariance * site.memory.between_rows(site.window.parity),
-            dark_noise(site),
+def camera_nonlinearity(site: SourcePixels, fit: BlurModelFit2D) -> SpotNonlinearity:
+    """Return the nonlinearity from the frames' noise of a source."""
+    if site.window.frames < 2 or site.pulses is None or not site.window.sound:
+        return fit_nonlinearity(np.zeros(POWERS.size))
+    mean = fit.light * pictures(site.aperture, fit.form.transfer(fit.point[None])[0], *site.axes)[0]
+    pulses = site.pulses.covariance * site.memory.between_rows(site.window.parity)
+    dark = dark_noise(site)
+    # Larger noise than that makes quantisation add its own only.
+    plain = (np.diag(pulses + dark) > LIMITS.min_variance_dn2) | np.isinf(site.window.quiet_sd)
+    pixels = site.near[plain[site.near]]
+    pairs = np.ix_(pixels, pixels)
+    return fit_nonlinearity(
+        power_log_likelihoods(
+            site.window.contrasts[:, pixels], mean[pixels], pulses[pairs], dark[pairs]
         )
-        # Larger noise than that makes quantisation add its own only.
-        plain = (np.diag(pulses + dark) > LIMITS.min_variance_dn2) | np.isinf(site.window.quiet_sd)
-        near_pixels = site.near[plain[site.near]]
-        near_pairs = np.ix_(near_pixels, near_pixels)
-        profiles.append(
-            power_log_likelihoods(
-                site.window.contrasts[:, near_pixels],
-                mean[near_pixels],
-                pulses[near_pairs],
-                dark[near_pairs],
-            )
-        )
-    return fit_nonlinearity(profiles)
+    )

@@ -10,7 +10,7 @@ from charact.estimators.mtf.curve import LEVELS
 from charact.estimators.mtf.known_transfer import halo_diameters_px
 from charact.estimators.mtf.mean_frame import Region
 from charact.estimators.mtf.point.blur_models_2d import BANDWIDTH, BlurModel2D
-from charact.estimators.mtf.point.parametric import PointMethod, measure_points
+from charact.estimators.mtf.point.parametric import PointMethod, measure_point
 from charact.estimators.mtf.point.thresholds import PRIORS
 from charact.estimators.mtf.session.stage_transfers import prior_sd_of
 from charact.method import Context, register
@@ -26,7 +26,6 @@ def point_forward(
     stack: FrameStack,
     *,
     region: Region | None = None,
-    regions: tuple[Region, ...] | None = None,
     pinhole_px: float | tuple[float, float] | None = None,
     context: Context,
 ) -> Result:
@@ -35,7 +34,7 @@ def point_forward(
 
     Parameters
     ----------
-    stack, region, regions, pinhole_px, context
+    stack, region, pinhole_px, context
         As for "point-parametric".
 
     Returns
@@ -57,7 +56,7 @@ def point_forward(
         return [replace(tube, core="gaussian"), tube, replace(tube, lens=True)], None
 
     method = PointMethod(name=METHOD, quantities=tuple(LEVELS), forms=forms)
-    return measure_points(method, stack, region, regions, pinhole_px, context)
+    return measure_point(method, stack, region, pinhole_px, context)
 
 
 def tube_of_description(

@@ -19,12 +19,12 @@ from labdata import FrameStack, has_tube
 
 
 def locate_source(
-    part: FrameStack, context: Context, *, is_alone: bool = True, summed_px: int = 1
+    part: FrameStack, context: Context, *, summed_px: int = 1
 ) -> SourcePixels | PointRefusal:
     """Return the pixels of the one source in frames, or why they show none.
 
-    `is_alone`: whether it is the only one that is fitted, so that its pixels may be summed where it
-    is wider than the core; `summed_px`: side of the squares of pixels that the frames are means of.
+    `summed_px`: side of the squares of pixels that the frames are means of: pixels are summed where
+    the source is wider than the core.
     """
     if min(part.shape[1:]) < LIMITS.min_region_px:
         min_region = f"{LIMITS.min_region_px} x {LIMITS.min_region_px} px"
@@ -52,7 +52,7 @@ def locate_source(
     if pair is not None:
         return PointRefusal(pair.reason, "several-targets")
     step = 1 if spot is None or context.interlaced else _squares_px(spot, full)
-    if is_alone and step > 1:
+    if step > 1:
         wide = locate_source(_summed(part, step), context, summed_px=step)
         if isinstance(wide, SourcePixels):
             return replace(wide, spot=spot)

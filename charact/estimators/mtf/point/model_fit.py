@@ -1,14 +1,19 @@
-"""Fit of blur models to one or several points, with their evidence."""
+"""Fit of blur models to a point, with their evidence."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.special import erfcx, log_ndtr
 
 from charact.estimators.mtf.point.blur_models_2d import BlurModel2D
-from charact.inference.gauss_newton import Linearisation, covariance_at, least_squares, ln_evidence
+from charact.inference.gauss_newton import (
+    Linearisation,
+    covariance_at,
+    least_squares,
+    linearise_residual,
+    ln_evidence,
+)
 from labdata import Array
 
 
@@ -97,14 +102,14 @@ class WhitenedPixels:
 
 @dataclass(frozen=True, kw_only=True)
 class BlurModelFit2D:
-    """A blur model fitted to points."""
+    """A blur model fitted to a point."""
 
     form: BlurModel2D  # The blur model
     # point, covariance: optimum of the posterior and the inverse curvature there; light, position
     # and background marginalised
     point: Array
     covariance: Array
-    light: Array  # Light of each source, DN px^2
+    light: float  # Light of the source, DN px^2
     # ln evidence by Laplace's approximation, up to a constant common to all models
     log_evidence: float
     cost: float  # -2 ln of likelihood and Gaussian priors at the optimum
@@ -129,9 +134,9 @@ class _Source(NamedTuple):
 
 
 class PointFitter:
-    """Fits blur models to the pixels of one or several points of one camera."""
+    """Fits blur models to the pixels of a point."""
 
-    def __init__(self, pixels: list[WhitenedPixels]) -> None:
+    def __init__(self, pixels: WhitenedPixels) -> None:
         self.pixels = pixels
 
     def fit(self, form: BlurModel2D, start: Array, *, iterations: int = 40) -> BlurModelFit2D:
@@ -144,75 +149,45 @@ class PointFitter:
             iterations=iterations,
             relative_tolerance=1e-8,
         )
-        sources: list[_Source] = optimum.model
+        source: _Source = optimum.model
         covariance = covariance_at(optimum.normal, bounds)
-        height = (
-            -0.5 * optimum.cost
-            + form.ln_volume
-            - 0.5 * sum(float(np.log(source.curvature)) for source in sources)
-        )
+        height = -0.5 * optimum.cost + form.ln_volume - 0.5 * float(np.log(source.curvature))
         return BlurModelFit2D(
             form=form,
             point=point,
             covariance=covariance,
-            light=np.array([source.light for source in sources]),
+            light=source.light,
             log_evidence=ln_evidence(height, covariance, point, bounds, optimum.gradient),
             cost=optimum.cost,
-            chi2=sum(source.chi2 for source in sources),
-            free=max(sum(source.free for source in self.pixels) - point.size - len(self.pixels), 1),
+            chi2=source.chi2,
+            free=max(self.pixels.free - point.size - 1, 1),
         )
 
     def _linearise(self, form: BlurModel2D, point: Array) -> Linearisation:
-        """Return cost, gradient and curvature at a point, lights at their optimum."""
-        nodes, moves = _moved_nodes(form, point)
-        sources = [_source(source, nodes, moves) for source in self.pixels]
+        """Return cost, gradient and curvature at a point, the light at its optimum."""
+        source = _source(self.pixels, *_moved_nodes(form, point))
         mean, precision = form.prior_precision
-        off = point - mean
-        gradient, normal = -off * precision, np.diag(precision)
-        for source in sources:
-            design = source.light * (
-                source.slopes
-                - np.outer(source.unit, source.unit @ source.slopes) / source.curvature
-            )
-            gradient = gradient + design.T @ source.residual
-            normal = normal + design.T @ design
-        return Linearisation(
-            float(off**2 @ precision) + sum(source.cost for source in sources),
-            gradient,
-            normal,
-            sources,
-        )
+        fitted = np.outer(source.unit, source.unit @ source.slopes) / source.curvature
+        design = source.light * (source.slopes - fitted)
+        model = linearise_residual(source.residual, design.T, mean - point, precision, source)
+        pull = float((point - mean) ** 2 @ precision)
+        return model._replace(cost=pull + source.cost)
 
-    def beyond(self, fit: BlurModelFit2D, columns: list[Array]) -> tuple[Array, Array]:
-        """Return the residual, shape (value,), and further columns of unit length, shape (value,
-        column), of all sources without the directions that lights and parameters of a fit take.
-
-        `columns`: of each source at unit light, whitened, shape (value, column).
+    def beyond(self, fit: BlurModelFit2D, columns: Array) -> tuple[Array, Array]:
+        """Return the residual, shape (value,), and further whitened columns of unit length, shape
+        (value, column), without the directions that light and parameters of a fit take.
         """
-        nodes, moves = _moved_nodes(fit.form, fit.point)
-        lights, slopes, residual = [], [], []
-        for pixels, light in zip(self.pixels, fit.light, strict=True):
-            unit, by_parameter = _unit_and_slopes(pixels.matrix, nodes, moves)
-            lights.append(unit[:, None])
-            slopes.append(light * by_parameter)
-            residual.append(pixels.data - light * unit)
-        fitted = np.concatenate([block_diag(*lights), np.concatenate(slopes)], axis=1)
-        basis = orthonormal(_of_unit_length(fitted))
-        more = _of_unit_length(
-            np.concatenate([light * part for light, part in zip(fit.light, columns, strict=True)])
-        )
-        off = np.concatenate(residual)
-        return off - basis @ (basis.T @ off), more - basis @ (basis.T @ more)
+        unit, slopes = _unit_and_slopes(self.pixels.matrix, *_moved_nodes(fit.form, fit.point))
+        basis = orthonormal(_of_unit_length(np.concatenate([unit[:, None], slopes], axis=1)))
+        residual, more = self.pixels.data - fit.light * unit, _of_unit_length(columns)
+        return residual - basis @ (basis.T @ residual), more - basis @ (basis.T @ more)
 
     def log_probability(self, form: BlurModel2D, theta: Array) -> Array:
-        """Return ln posterior with lights, positions and backgrounds marginalised, shape (n,)."""
+        """Return ln posterior with light, position and background marginalised, shape (n,)."""
         value = form.log_prior(theta)
         in_bounds = np.isfinite(value)
         if in_bounds.any():
-            nodes = form.nodes(theta[in_bounds])
-            value[in_bounds] += sum(
-                _log_likelihood(source_pixels, nodes) for source_pixels in self.pixels
-            )
+            value[in_bounds] += _log_likelihood(self.pixels, form.nodes(theta[in_bounds]))
         return value
 
 

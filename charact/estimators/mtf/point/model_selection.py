@@ -42,44 +42,44 @@ def candidate_cores(pinhole: float | tuple[float, float], *, described: bool) ->
     ]
 
 
-def fit_sources(
-    sites: list[SourcePixels],
+def fit_source(
+    site: SourcePixels,
     cores: list[BlurModel2D],
     components: tuple[ExtendedComponent, ...] | None,
-) -> tuple[list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]]:
-    """Fit sources of one camera: positions, noise and blur models in turn; the most probable model
-    comes first.
+) -> tuple[SourcePixels, PointFitter, list[EvidenceWeightedModels2D]]:
+    """Fit position, noise and blur models of a source in turn; the most probable model comes first.
 
     There are no models where none has a finite evidence.
 
     `components` are the extended components to be tried with refined cores; None: the cores are the
     only models.
     """
-    begun = [position_source(site) for site in sites]
-    sites = [site for site, _ in begun]
-    half = float(np.median([guess for _, guess in begun]))
+    site, half = position_source(site)
     first = next(form for form in cores if form.core == "exponential")
-    fitter = _fitter_for(sites, first, first.start(np.log(half)), None)
+    fitter = _fitter_for(site, first, first.start(np.log(half)), _light_of_core(site))
     starts = {form: form.start(np.log(half)) for form in cores}
     for lower in ACCURACY.noise_factors:
         fits = [_fit_pupil(fitter, form, starts[form]) for form in cores]
         starts = {fit.form: fit.point for fit in fits}
-        best = max(fits, key=lambda fit: _likelihood(sites, fit))
-        sites, fitter = _update_sources(sites, best, lower)
+        best = max(fits, key=lambda fit: _likelihood(site, fit))
+        site = add_noise(site, best, lower=lower)
+        fitter = _fitter_for(site, best.form, best.point, best.light)
     models = fit_models(fitter, starts, components)
     if models and models[0].fit.form != best.form:
-        # Positions and noise were those of a simpler model.
-        sites, fitter = _update_sources(sites, models[0].fit)
+        # Position and noise were those of a simpler model.
+        best = models[0].fit
+        site = add_noise(site, best)
+        fitter = _fitter_for(site, best.form, best.point, best.light)
         models = fit_models(fitter, starts, components)
-    return sites, fitter, models
+    return site, fitter, models
 
 
-def _likelihood(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
+def _likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
     """Return the score by which models are compared before the noise is known."""
-    if sites[0].window.frames > 1:
+    if site.window.frames > 1:
         return fit.log_evidence
     # A parameter gains half a unit of ln likelihood by chance (Akaike).
-    return sum(noise_likelihood(site, fit) for site in sites) - fit.point.size
+    return noise_likelihood(site, fit) - fit.point.size
 
 
 def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurModelFit2D:
@@ -95,30 +95,9 @@ def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurMode
     return min(near_focus, fitter.fit(form, defocused), key=lambda fit: fit.cost)
 
 
-def _update_sources(
-    sites: list[SourcePixels], fit: BlurModelFit2D, lower: float = 1.0
-) -> tuple[list[SourcePixels], PointFitter]:
-    """Return sources with the position and noise of a fitted model, and their fitter."""
-    sites = [
-        add_noise(site, fit, float(light), lower=lower)
-        for site, light in zip(sites, fit.light, strict=True)
-    ]
-    return sites, _fitter_for(sites, fit.form, fit.point, fit.light)
-
-
-def _fitter_for(
-    sites: list[SourcePixels], form: BlurModel2D, point: Array, light: Array | None
-) -> PointFitter:
+def _fitter_for(site: SourcePixels, form: BlurModel2D, point: Array, light: float) -> PointFitter:
     """Return a fitter whose weights and slopes are those of a model."""
-    transfer = form.transfer(point[None])[0]
-    if light is None:
-        light = np.array([_light_of_core(site) for site in sites])
-    return PointFitter(
-        [
-            whiten_source(site, transfer, float(source_light))
-            for site, source_light in zip(sites, light, strict=True)
-        ]
-    )
+    return PointFitter(whiten_source(site, form.transfer(point[None])[0], light))
 
 
 def _light_of_core(site: SourcePixels) -> float:
@@ -195,9 +174,7 @@ def _fit_extended(
         [[*core.point[:first], 0.05, size, *elastic, *core.point[first:]] for size in sizes]
     )
     shapes = form.nodes(starts) - core.form.nodes(core.point[None])
-    residual, columns = fitter.beyond(
-        core, [pixels.matrix[:, : shapes.shape[1]] @ shapes.T for pixels in fitter.pixels]
-    )
+    residual, columns = fitter.beyond(core, fitter.pixels.matrix[:, : shapes.shape[1]] @ shapes.T)
     overlap = residual @ columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-6)
     best = int(np.argmax(overlap))
     if overlap[best] < ACCURACY.component_sd and not isinstance(component, HaloComponent):

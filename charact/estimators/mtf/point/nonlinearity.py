@@ -57,11 +57,9 @@ class SpotNonlinearity:
         )
 
 
-def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
-    """Return the combined nonlinearity of sources of one camera; without sources no exponent is
-    excluded.
-    """
-    fine = CubicSpline(POWERS, np.sum([np.zeros(POWERS.size), *profiles], axis=0))(FINE_POWERS)
+def fit_nonlinearity(profile: Array) -> SpotNonlinearity:
+    """Return the nonlinearity from ln likelihood at `POWERS`; if all are equal none is excluded."""
+    fine = CubicSpline(POWERS, profile)(FINE_POWERS)
     best = int(np.argmax(fine))
     gain = 2.0 * (fine[best] - np.interp(0.0, FINE_POWERS, fine))
     likely_powers = FINE_POWERS[fine > fine[best] - 0.5 * LIMITS.nonlinear_sd**2]

@@ -31,7 +31,7 @@ from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.estimators.mtf.point.model_selection import (
     EvidenceWeightedModels2D,
     candidate_cores,
-    fit_sources,
+    fit_source,
 )
 from charact.estimators.mtf.point.source import (
     PointRefusal,
@@ -68,20 +68,17 @@ def point_parametric(
     stack: FrameStack,
     *,
     region: Region | None = None,
-    regions: tuple[Region, ...] | None = None,
     pinhole_px: float | tuple[float, float] | None = None,
     context: Context,
 ) -> Result:
-    """Measure the horizontal and vertical MTF of a camera from the image of one or several points.
+    """Measure the horizontal and vertical MTF of a camera from the image of a point.
 
     Parameters
     ----------
     stack
-        Frames of the sources; they are averaged, and their differences give the noise.
+        Frames of the source; they are averaged, and their differences give the noise.
     region
         ROW, COL, HEIGHT, WIDTH that contains the source; None: the whole frame.
-    regions
-        Regions of several sources of one size, fitted with one transfer; they replace `region`.
     pinhole_px
         Diameter of the source's image, column pitches, whose transfer is divided out, or its bounds
         if unknown. None: a point.
@@ -97,8 +94,7 @@ def point_parametric(
     Raises
     ------
     BadInput
-        If the pinhole's diameter is negative or its bounds are no interval, or if there are no
-        regions.
+        If the pinhole's diameter is negative or its bounds are no interval.
 
     Notes
     -----
@@ -113,7 +109,7 @@ def point_parametric(
         return cores(pinhole), _widen_components(context, holds_halo, reach_px)
 
     method = PointMethod(name=METHOD, quantities=("mtf50", "mtf10", "mtf"), forms=forms)
-    return measure_points(method, stack, region, regions, pinhole_px, context)
+    return measure_point(method, stack, region, pinhole_px, context)
 
 
 def _widen_components(
@@ -146,18 +142,15 @@ class PointMethod(NamedTuple):
     forms: Callable[..., tuple[list[BlurModel2D], tuple[ExtendedComponent, ...] | None]]
 
 
-def measure_points(
+def measure_point(
     method: PointMethod,
     stack: FrameStack,
     region: Region | None,
-    regions: tuple[Region, ...] | None,
     pinhole_px: float | tuple[float, float] | None,
     context: Context,
 ) -> Result:
-    """Measure the MTF from points by the blur models of a method."""
+    """Measure the MTF from a point by the blur models of a method."""
     pinhole = _pinhole(pinhole_px)
-    if regions is not None and not regions:
-        raise BadInput("several sources require at least one region, got none")
     common = {
         "method": method.name,
         "region": region or (0, 0, *stack.shape[1:]),
@@ -167,36 +160,23 @@ def measure_points(
             settings={"quick": context.quick, "pinhole_px": pinhole},
         ),
     }
-    sites: list[SourcePixels] = []
-    for part in (
-        [stack.region(*roi) for roi in regions]
-        if regions
-        else [stack.region(*region) if region else stack]
-    ):
-        site = locate_source(part, context, is_alone=len(regions or ()) < 2)
-        if isinstance(site, PointRefusal):
-            return refuse_all(common, *site)
-        sites.append(site)
+    site = locate_source(stack.region(*region) if region else stack, context)
+    if isinstance(site, PointRefusal):
+        return refuse_all(common, *site)
     # Rings beyond the light are needed to separate it from the background.
-    rings = min((site.window.ring_px for site in sites), key=len)
-    halo_range_px = (
-        float(rings[-1 - ACCURACY.empty_rings].max()) if len(rings) > ACCURACY.empty_rings else 0.0
-    )
-    step_px = sites[0].aperture.summed_px
+    outer = site.window.ring_px[: -ACCURACY.empty_rings]
+    step_px = site.aperture.summed_px
     in_squares = (
         (pinhole[0] / step_px, pinhole[1] / step_px)
         if isinstance(pinhole, tuple)
         else pinhole / step_px
     )
     cores, components = method.forms(
-        in_squares, all(site.window.holds_halo for site in sites), halo_range_px
+        in_squares, site.window.holds_halo, float(outer[-1].max()) if len(outer) else 0.0
     )
     if any(form.bandwidth_order > 1 for form in cores):
-        sites = [
-            replace(site, aperture=replace(site.aperture, orders=BANDWIDTH_ORDERS))
-            for site in sites
-        ]
-    sites, fitter, models = fit_sources(sites, cores, components)
+        site = replace(site, aperture=replace(site.aperture, orders=BANDWIDTH_ORDERS))
+    site, fitter, models = fit_source(site, cores, components)
     if not models or not models[0].fit.cost < LIMITS.max_cost * models[0].fit.free:
         reason = (
             "no blur model describes the source: it may be light of another shape, or far "
@@ -205,9 +185,9 @@ def measure_points(
         return refuse_all(common, reason, "model-misfit")
     best = models[0].fit
     # The noise of a single frame's light is poorly known; there the detection decides.
-    weak = best.light < LIMITS.min_light_sd * light_sd(fitter, best)
-    if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
-        n_neighbours = sum(len(site.window.neighbours) for site in sites)
+    is_weak = best.light < LIMITS.min_light_sd * light_sd(fitter, best)
+    if (is_weak and site.window.frames > 1) or best.light <= 0:
+        n_neighbours = len(site.window.neighbours)
         crowd = (
             f"; {n_neighbours} neighbours interfere, use `roi` around an isolated one"
             if n_neighbours
@@ -218,9 +198,7 @@ def measure_points(
             f"uncertainties{crowd}"
         )
         return refuse_all(common, required)
-    return _result(
-        method, sites, fitter, models, {**common, "notes": stack.notes}, pinhole, context
-    )
+    return _result(method, site, fitter, models, {**common, "notes": stack.notes}, pinhole, context)
 
 
 def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
@@ -241,16 +219,17 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
 
 def _result(
     method: PointMethod,
-    sites: list[SourcePixels],
+    site: SourcePixels,
     fitter: PointFitter,
     models: list[EvidenceWeightedModels2D],
     common: dict[str, Any],
     pinhole: float | tuple[float, float],
     context: Context,
 ) -> Result:
-    """Return measurements, curves and figure data of fitted sources."""
-    response = camera_nonlinearity(sites, models[0].fit)
-    findings = source_findings(sites, fitter, models)
+    """Return measurements, curves and figure data of a fitted source."""
+    best, aperture = models[0].fit, site.aperture
+    response = camera_nonlinearity(site, best)
+    findings = source_findings(site, fitter, best)
     # Draws of a rejected form are of no use.
     rejected = any(check.flag == "model-misfit" for check in findings)
     drawn = [
@@ -259,10 +238,10 @@ def _result(
     ]
     # Of a described tube the pulse widths are tried coarsely, so that noise may appear to grow
     # faster than the light.
-    known = bool(models[0].fit.form.known)
-    if response.is_nonlinear and (response.power < -LIMITS.max_negative_power or not known):
+    is_clear = response.power < -LIMITS.max_negative_power or not best.form.known
+    if response.is_nonlinear and is_clear:
         findings.append(finding("gamma", response.effect))
-    if has_tube(context.camera) and any(site.cut.any() for site in sites):
+    if has_tube(context.camera) and site.cut.any():
         findings.append(
             finding(
                 "saturated",
@@ -271,12 +250,11 @@ def _result(
         )
     if any("not-converged" in posterior.flags for posterior in drawn):
         findings.append(finding("not-converged", "draws of a form are too few for its interval"))
-    common["notes"] = (*common["notes"], *_notes(sites, models, pinhole, context), response.note)
+    common["notes"] = (*common["notes"], *_notes(site, models, pinhole, context), response.note)
     total = sum(model.weight for model in models)
     wanted = ACCURACY.quick_draws if context.quick else ACCURACY.draws
     counts = [max(1, round(wanted * model.weight / total)) for model in models]
     measured: list[tuple[list[Measurement], Curve, Array]] = []
-    aperture, best = sites[0].aperture, models[0].fit
 
     def curves_of(frequency: Array, vertical: bool) -> Array:
         """Return the curves that are drawn of all models, shape (draw, frequency)."""
@@ -301,8 +279,7 @@ def _result(
         modulus = mtf_of_camera(best.form, best.point[None], FINE, aperture, vertical=vertical)
         measured.append((numbers, curve, modulus[0]))
     every = [number for numbers, _, _ in measured for number in numbers]
-    window = sites[0].window
-    steps_px = (float(np.diff(at[:2])[0]) for at in (window.x, window.y))
+    steps_px = (float(np.diff(at[:2])[0]) for at in (site.window.x, site.window.y))
     aliased = undersampled(every, dict(zip((0.0, 90.0), steps_px, strict=True)))
     measurements: list[Measurement] = []
     curves: dict[str, Curve] = {}
@@ -315,7 +292,7 @@ def _result(
     return Result(
         measurements=tuple(measurements),
         curves=curves,
-        evidence={"point-profile": _model_figure_data(sites[0], fitter, models[0].fit)},
+        evidence={"point-profile": _model_figure_data(site, fitter, best)},
     )
 
 
@@ -361,10 +338,10 @@ def _posterior(
 def _model_figure_data(
     site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D
 ) -> dict[str, Any]:
-    """Return the figure data of the most probable model for the first source, with the estimated
+    """Return the figure data of the most probable model, with the estimated
     quantisation shift.
     """
-    pixels, light, background = fitter.pixels[0], float(fit.light[0]), site.background()
+    pixels, light, background = fitter.pixels, fit.light, site.background()
     nodes = fit.form.nodes(fit.point[None])[0]
     lit = light * (site.matrix()[:, : nodes.size] @ nodes)
     white = pixels.root @ background[site.value_mask]
@@ -395,7 +372,7 @@ def _model_figure_data(
         "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
         "ring_model_dn": rings.tolist(),
         "light_dn_px2": light,
-        "light_sd_dn_px2": float(light_sd(fitter, fit)[0]),
+        "light_sd_dn_px2": light_sd(fitter, fit),
         "pedestal_dn": float(level[0]),
         "chi_squared": fit.chi2,
         "degrees_of_freedom": fit.free,
@@ -403,7 +380,7 @@ def _model_figure_data(
 
 
 def _notes(
-    sites: list[SourcePixels],
+    site: SourcePixels,
     models: list[EvidenceWeightedModels2D],
     pinhole: float | tuple[float, float],
     context: Context,
@@ -411,21 +388,21 @@ def _notes(
     """Return notes that do not affect validity."""
     parts = ", ".join(f"{model.fit.form.name} {100 * model.weight:.0f} %" for model in models)
     out = [f"Blur models by evidence: {parts}."]
-    cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)
+    cut = int(np.count_nonzero(site.cut.any(axis=0)))
     if cut:
         out.append(f"{cut} pixels at full scale are treated as lower limits.")
         if has_tube(context.camera):
             out.append("Wells may fill before the digitiser clips; use less light.")
-            lost = sum(int(np.count_nonzero(~site.window.keep)) for site in sites) - cut
+            lost = int(np.count_nonzero(~site.window.keep)) - cut
             out.append(
                 f"{lost} pixels after full scale, which the video filter affects, are excluded."
             )
-    if n_neighbours := sum(len(site.window.neighbours) for site in sites):
+    if n_neighbours := len(site.window.neighbours):
         out.append(
             f"{n_neighbours} neighbours of the source are masked; the light of close ones is "
             f"fitted too."
         )
-    if (step_px := sites[0].aperture.summed_px) > 1:
+    if (step_px := site.aperture.summed_px) > 1:
         out.append(
             f"The spot is wider than the pixels of a fit: squares of {step_px} x {step_px} pixels "
             "are fitted, in which the parameters of the blur are counted."
@@ -434,11 +411,9 @@ def _notes(
         out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")
     if all(model.fit.form.wide is None for model in models):
         out.append("MTF normalised to the core; any halo is not included.")
-    if any(site.dark.correlation.size > 1 for site in sites):
+    if site.dark.correlation.size > 1:
         out.append("Noise is correlated between pixels; accounted for.")
-    shift_dn = float(
-        np.exp(-2.0 * np.pi**2 * min(site.window.quiet_sd for site in sites) ** 2) / np.pi
-    )
+    shift_dn = float(np.exp(-2.0 * np.pi**2 * site.window.quiet_sd**2) / np.pi)
     if shift_dn >= CLIPPING.min_rounding_shift_dn:
         out.append(
             f"Quantisation may shift faint light and its level by up to {shift_dn:.2f} DN; the fit "

@@ -19,9 +19,6 @@ class DetectedSource:
     # row, col: brightest smoothed pixel
     row: int
     col: int
-    # Height above the background in standard deviations of the smoothed background
-    significance: float
-    has_others: bool  # Whether other sources are detected too
     neighbours: tuple[
         tuple[int, int], ...
     ] = ()  # Rows and columns of the other peaks in the region, px
@@ -94,25 +91,17 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | PointRe
         return PointRefusal(f"no target: the brightest spot is {stands}{crowd}")
     min_height_dn = max(LIMITS.min_height_sd * spread, LIMITS.min_other_height * height)
     (row, col), *peaks = _peaks(steady, level, min_height_dn)
-    significance = (float(steady[row, col]) - level) / spread
     steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
     if steadiness < LIMITS.min_steadiness_sd:
         needed = f"at least {LIMITS.min_steadiness_sd:g} are required"
         stands = f"{round_down(steadiness):.1f} standard uncertainties over the frames; {needed}"
         return PointRefusal(f"no target: the brightest spot is {stands}")
-    high = _surroundings(steady.shape, row, col, pitch_ratio) & (steady - level > min_height_dn)
-    has_others = bool(
-        high.any()
-        and _steadiness(smooth[:, high] - level, spread).max() >= LIMITS.min_steadiness_sd
-    )
     steady_ones = tuple(
         at
         for at in peaks
         if _steadiness(smooth[:, *at] - level, spread) >= LIMITS.min_steadiness_sd
     )
-    return DetectedSource(
-        row=row, col=col, significance=significance, has_others=has_others, neighbours=steady_ones
-    )
+    return DetectedSource(row=row, col=col, neighbours=steady_ones)
 
 
 def _peaks(steady: Array, level: float, min_height_dn: float) -> list[tuple[int, int]]:

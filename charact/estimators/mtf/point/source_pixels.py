@@ -216,9 +216,7 @@ def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
     )
 
 
-def add_noise(
-    site: SourcePixels, fit: BlurModelFit2D, light: float, *, lower: float = 1.0
-) -> SourcePixels:
+def add_noise(site: SourcePixels, fit: BlurModelFit2D, *, lower: float = 1.0) -> SourcePixels:
     """Return a source at the position of a fitted model, with the noise of its light.
 
     The noise is estimated from frame differences, or in a single frame from the residuals, reduced
@@ -227,7 +225,7 @@ def add_noise(
     transfer = fit.form.transfer(fit.point[None])[0]
     site, _ = _reposition(site, transfer, _sd(site))
     x, y = site.axes
-    mean = light * pictures(site.aperture, transfer, x, y)[0]
+    mean = fit.light * pictures(site.aperture, transfer, x, y)[0]
     near_pixels = site.near
     if near_pixels.size < 9:
         return site

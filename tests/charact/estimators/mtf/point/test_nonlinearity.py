@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from charact.estimators import mtf
 from charact.estimators.mtf import point_forward, point_parametric
 from charact.estimators.mtf.point import nonlinearity, thresholds
 from charact.method import Context
+from labdata import FrameStack
 from tests.truth.blur import TrueBlur
 from tests.truth.photon_spots import Spot, SpotCamera
 from tests.truth.point import PointScene
@@ -31,16 +33,35 @@ def noise(power, samples, rng):
     return rng.multivariate_normal(np.zeros(mean.size), whole, size=samples), mean, pulses, dark
 
 
-def test_sources_of_one_camera_say_together_what_each_says_less_surely(seed):
+def test_more_samples_say_more_surely_how_the_noise_grows(seed):
     rng = np.random.default_rng(seed)
     profiles = [nonlinearity.power_log_likelihoods(*noise(-0.3, 8, rng)) for _ in range(6)]
-    together, alone = (
-        nonlinearity.fit_nonlinearity(profiles),
-        [nonlinearity.fit_nonlinearity([one]) for one in profiles],
-    )
+    together = nonlinearity.fit_nonlinearity(np.sum(profiles, axis=0))
+    alone = [nonlinearity.fit_nonlinearity(profile) for profile in profiles]
     assert together.is_nonlinear
-    assert together.significance > max(one.significance for one in alone)
-    assert np.ptp(together.exponents) < min(np.ptp(one.exponents) for one in alone)
+    assert together.significance > max(part.significance for part in alone)
+    assert np.ptp(together.exponents) < min(np.ptp(part.exponents) for part in alone)
+
+
+def codes(rng, gamma, width, frames):
+    """Frames of a spot of 60 standard deviations, 100 e- of black and 30 e- of noise, 8 bits."""
+    y, x = np.mgrid[:48, :48] - 23.6
+    mean = 1800.0 * np.exp(-0.5 * (x**2 + y**2) / width**2)
+    electrons = rng.poisson(mean, (frames, 48, 48)) + rng.normal(0.0, 30.0, (frames, 48, 48))
+    signal = np.clip((electrons + 100.0) / 2400.0, 0.0, 1.0)
+    return FrameStack(data=np.rint(255.0 * signal**gamma).astype(np.uint8), full_scale_dn=255.0)
+
+
+@pytest.mark.parametrize("method", ["point-parametric", "point-spread"])
+@pytest.mark.parametrize(("width", "frames"), [(1.0, 16), (1.6, 8)])
+def test_light_that_is_quieter_than_darkness_tells_a_compressive_response(
+    seed, method, width, frames
+):
+    rng = np.random.default_rng(seed)
+    for gamma in (1.0 / 2.2, 1.0):
+        stack = codes(rng, gamma, width, frames)
+        found = mtf.measure("point", stack, method=method, context=QUICK).measurements[0]
+        assert ("gamma" in found.flags) == (gamma < 1.0), (gamma, found.flags)
 
 
 @pytest.mark.parametrize("method", [point_parametric, point_forward])

@@ -122,17 +122,21 @@ def test_an_unknown_pinhole_widens_the_interval_to_hold_the_camera_alone(seed):
     assert np.diff(bounded.interval95) > np.diff(told.interval95)
 
 
-def test_several_pinholes_fitted_together_say_more_than_one(seed):
-    rng = np.random.default_rng(seed)
-    spots = [Spot(row_px=rng.uniform(-0.5, 0.5), col_px=rng.uniform(-0.5, 0.5)) for _ in range(4)]
-    frames = np.concatenate(
-        [SpotCamera(snr=20.0, frames=4).taken(spot, rng).data for spot in spots], axis=2
-    )
-    regions = tuple((0, 72 * number, 72, 72) for number in range(4))
-    together = level(point_parametric(FrameStack(data=frames), regions=regions, context=QUICK))
-    alone = level(point_parametric(FrameStack(data=frames), region=regions[0], context=QUICK))
-    assert abs(errors(together, spots[0].level(0.5))) < 4.5
-    assert np.diff(together.interval68) < 0.75 * np.diff(alone.interval68)
+def test_a_gaussian_is_likeliest_a_gaussian_and_without_bias(seed):
+    """A form with more parameters that wins by chance moved MTF50 by -2.9 %: mean of errors within
+    4.5 standard errors, and half of a per cent.
+    """
+    away, relative, gaussians = [], [], 0
+    for trial in range(4):
+        rng = np.random.default_rng([seed, trial])
+        spot = Spot(width=float(rng.uniform(0.9, 1.6)), col_px=rng.uniform(-0.5, 0.5))
+        found = level(point_parametric(SpotCamera(snr=150.0).taken(spot, rng), context=QUICK))
+        away.append(errors(found, spot.level(0.5)))
+        relative.append(found.value / spot.level(0.5) - 1.0)
+        gaussians += any("evidence: round gaussian" in note for note in found.notes)
+    assert gaussians >= 3
+    assert abs(np.mean(away)) < 4.5 / 2.0
+    assert abs(np.mean(relative)) < 0.005
 
 
 def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
