@@ -159,15 +159,20 @@ def test_defocus_discs_have_their_mtf50(radius_px, frames, seed):
 
 @pytest.mark.parametrize(("cut_off", "frames"), [(0.28, 1), (0.42, 1), (0.35, 4)])
 def test_a_faint_spot_far_out_of_focus_is_fitted_in_squares_of_pixels(cut_off, frames, seed):
-    """A ring of 8 to 13 px radius and 0.25 waves rms, 30 standard deviations high."""
+    """A ring of 8 to 13 px radius and 0.25 waves rms, 30 standard deviations high: within 2 %, of
+    which 0.4 % are the drawn pupil's rim.
+    """
     rng = np.random.default_rng([seed, frames])
     transfer, step = transfer_of_pupil(cut_off, {(2, 0): 0.25})
     image = image_of(transfer, step, 81, *rng.uniform(-0.5, 0.5, 2))
     mean = 300.0 + 30.0 * 20.0 * image / image.max()
     data = np.rint(mean + rng.normal(0.0, 20.0, (frames, *image.shape))).astype(np.uint16)
     result = measured(FrameStack(data=data, full_scale_dn=65535.0))
-    holds(result, mtf50_of(transfer, step), 0.04)
-    assert any("squares of" in note for note in both(result)[0].notes)
+    for number, truth in zip(both(result), mtf50_of(transfer, step), strict=True):
+        assert number.status == "ok", number.flags
+        assert number.value == pytest.approx(truth, rel=0.02)
+        assert np.ptp(number.interval95) < 0.08 * truth
+        assert any("squares of" in note for note in number.notes)
 
 
 def test_a_clipped_spot_of_one_frame_has_lower_limits():
