@@ -171,8 +171,8 @@ def mtf_of_camera(
     """Return the MTF of draws along rows or columns, aperture and video filter included, shape
     (draw, frequency).
     """
-    summed = frequency * aperture.summed_px
-    blur = np.abs(form.camera(draws, summed, np.array([-1.0 if vertical else 1.0]))[:, 0])
+    direction = np.array([-1.0 if vertical else 1.0])
+    blur = np.abs(form.camera(draws, frequency * aperture.summed_px, direction)[:, 0])
     if vertical:
         return blur * np.abs(aperture.vertical(frequency))
     bandwidth = form.ln_bandwidth(draws)

@@ -18,13 +18,12 @@ from charact.estimators.mtf.point.model_fit import (
 from charact.estimators.mtf.point.nonlinearity import (
     POWERS,
     SpotNonlinearity,
-    chance_of_less_noise,
     fit_nonlinearity,
     power_log_likelihoods,
 )
 from charact.estimators.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.estimators.mtf.point.spot_image_matrix import COSINES, FREQUENCIES, pictures
-from charact.estimators.mtf.point.spot_light import FREQUENCY, SpotLight
+from charact.estimators.mtf.point.spot_light import FREQUENCY
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.verdict import judge
@@ -119,16 +118,16 @@ def motion_findings(
         effect = f"the fields are displaced by {field_offset_px:.2g} px"
         fields = TargetMotion(rms_px=0.5 * field_offset_px)
         out.append(finding("interlace-motion", effect, fields.undo))
-    rms_px = _drift_rms_px(frames, x, y) or _shake_rms_px(frames, x, y)
+    rms_px = _motion_rms_px(frames, x, y)
     if rms_px > 0.0:
         effect = f"the source moves by {rms_px:.2g} px rms"
         out.append(finding("drift", effect, TargetMotion(rms_px=rms_px).undo))
     return out
 
 
-def noise_findings(spot: SpotLight) -> list[CurveFinding]:
-    """Return `gamma` for a spot whose lit pixels are quieter than light allows."""
-    if chance_of_less_noise(spot) >= LIMITS.min_noise_chance:
+def noise_findings(chance: float) -> list[CurveFinding]:
+    """Return `gamma` where a linear camera has such quiet lit pixels by this chance only."""
+    if chance >= LIMITS.min_noise_chance:
         return []
     effect = (
         "lit pixels are quieter than dark ones, as behind a compressive response; one of exponent "
@@ -156,27 +155,14 @@ def _field_offset_px(frames: Array, x: Array, y: Array, parity: Mask, radius_px:
     return offset_px if offset_px > least_px else 0.0
 
 
-def _drift_rms_px(frames: Array, x: Array, y: Array) -> float:
-    """Return by how much the source moves steadily along rows or columns, px rms; 0: it does
-    not.
-    """
-    time, travels_px = np.linspace(-0.5, 0.5, len(frames)), [0.0]
-    for position, _ in _places(frames, x, y):
-        travel = float(time @ position / (time @ time))
-        residual = position - position.mean() - travel * time
-        error = float(np.sqrt(residual @ residual / (len(frames) - 2) / (time @ time)))
-        if abs(travel) > max(LIMITS.motion_sd * error, LIMITS.max_drift_px):
-            travels_px.append(abs(travel))
-    # Positions spread evenly over a travel t have the standard deviation t / sqrt(12).
-    return max(travels_px) / 12.0**0.5
-
-
-def _shake_rms_px(frames: Array, x: Array, y: Array) -> float:
-    """Return by how much the source moves between frames beyond photon noise, px rms; 0: not
-    enough to matter.
+def _motion_rms_px(frames: Array, x: Array, y: Array) -> float:
+    """Return by how much the source moves steadily, or between frames beyond photon noise, along
+    rows or columns, px rms; 0: not enough to matter.
 
     Notes
     -----
+    Positions spread evenly over a travel t have the standard deviation t / sqrt(12).
+
     Photons of a spot S scatter its position by at most a sum(w^2 S) / sum(w^2)^2, w its slope and a
     the variance of the total light over that light. Pulses wider than a pixel scatter it less
     (Jensen); lamp flicker raises the bound. The mean frame is blurred by the mean square
@@ -184,12 +170,10 @@ def _shake_rms_px(frames: Array, x: Array, y: Array) -> float:
     """
     from scipy.special import fdtrc
 
-    mean = frames.mean(axis=0)
+    mean, time = frames.mean(axis=0), np.linspace(-0.5, 0.5, len(frames))
     spot_area = np.hypot(x[None, :], y[:, None]) < 10.0
     light, freedom = frames[:, spot_area].sum(axis=1), len(frames) - 1
-    if not light.mean() > 0:
-        return 0.0
-    per_light = light.var(ddof=1) / light.mean()
+    per_light = light.var(ddof=1) / max(float(light.mean()), 1e-300)
     # The median of chi squared of one degree of freedom is 0.455.
     dark = (
         0.5 * float(np.median(np.diff(frames[:, ~spot_area], axis=0) ** 2)) / 0.455
@@ -201,8 +185,13 @@ def _shake_rms_px(frames: Array, x: Array, y: Array) -> float:
     )
     squares = [0.0]
     for position, rise in _places(frames, x, y):
+        travel = float(time @ position / (time @ time))
+        residual = position - position.mean() - travel * time
+        error = float(np.sqrt(residual @ residual / (freedom - 1) / (time @ time)))
+        if abs(travel) > max(LIMITS.motion_sd * error, LIMITS.max_drift_px):
+            squares.append(travel**2 / 12.0)
         power = float(np.sum(rise**2))
-        if not power > 0:
+        if not power > 0 or not light.mean() > 0:
             # Light in a single pixel: its position is undefined.
             continue
         noise = per_light * float(np.sum(rise**2 * np.maximum(mean, 0.0))) / power**2 + dark / power
@@ -290,8 +279,7 @@ def source_findings(
                 f"description"
             )
             out.append(finding("prior-bound", effect))
-    if site.spot is not None:
-        out += noise_findings(site.spot)
+    out += noise_findings(site.noise_chance)
     if window.sound:
         frames = window.deviations.reshape(-1, *window.core.shape) + (
             window.core - float(np.median(window.core))

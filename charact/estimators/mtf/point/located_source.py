@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from charact.estimators.mtf.point.nonlinearity import chance_of_less_noise
 from charact.estimators.mtf.point.parametric_noise import measure_surroundings_noise
-from charact.estimators.mtf.point.source import DetectedSource, PointRefusal, detect_source
+from charact.estimators.mtf.point.source import PointRefusal, detect_source
 from charact.estimators.mtf.point.source_count import two_sources
 from charact.estimators.mtf.point.source_pixels import SourcePixels
-from charact.estimators.mtf.point.source_window import Window, neighbour_mask, source_window
+from charact.estimators.mtf.point.source_window import neighbour_mask, source_window
 from charact.estimators.mtf.point.spot_image_matrix import Aperture
 from charact.estimators.mtf.point.spot_light import SpotLight, light_of_spot
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
@@ -47,7 +48,17 @@ def locate_source(
     if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
         reason = "the source is too bright: pixels below full scale contain too little of its light"
         return PointRefusal(reason, "saturated")
-    spot = _free_light(part, source, window, context) if summed_px == 1 else None
+    is_plain = not has_tube(context.camera) and summed_px == 1
+    light = (
+        light_of_spot(part.data, source, context.pitch_ratio, has_tube=False) if is_plain else None
+    )
+    noise_chance = 1.0 if light is None else chance_of_less_noise(light, full)
+    spot = light
+    if light is not None and (
+        window.cut or not window.sound or light.has_neighbours or light.is_cut
+    ):
+        # The light that the forms must agree with is that of the blur alone.
+        spot = None
     pair = two_sources(spot) if spot is not None else None
     if pair is not None:
         return PointRefusal(pair.reason, "several-targets")
@@ -55,7 +66,7 @@ def locate_source(
     if step > 1:
         wide = locate_source(_summed(part, step), context, summed_px=step)
         if isinstance(wide, SourcePixels):
-            return replace(wide, spot=spot)
+            return replace(wide, spot=spot, noise_chance=noise_chance)
     rows = 2.0 if context.interlaced else 1.0
     return SourcePixels(
         window=window,
@@ -74,6 +85,7 @@ def locate_source(
         full_scale_dn=full,
         screen=has_tube(context.camera),
         spot=spot,
+        noise_chance=noise_chance,
     )
 
 
@@ -91,15 +103,3 @@ def _summed(part: FrameStack, step: int) -> FrameStack:
     frames, rows, cols = part.shape[0], part.shape[1] // step, part.shape[2] // step
     data = part.data[:, : rows * step, : cols * step]
     return replace(part, data=data.reshape(frames, rows, step, cols, step).mean(axis=(2, 4)))
-
-
-def _free_light(
-    part: FrameStack, source: DetectedSource, window: Window, context: Context
-) -> SpotLight | None:
-    """Return the light that the forms must agree with; None where it is not that of the blur
-    alone: clipped, cut, near other sources, or of a tube, whose halo is described.
-    """
-    if has_tube(context.camera) or window.cut or not window.sound:
-        return None
-    spot = light_of_spot(part.data, source, context.pitch_ratio, has_tube=False)
-    return None if spot is None or spot.has_neighbours or spot.is_cut else spot

@@ -23,8 +23,6 @@ from labdata import Array
 # Prior odds of each extended component of a camera without a description, of a Gaussian with an
 # exponential, and of an ellipse: a parameter that the data do not ask for biases the others.
 WIDE_ODDS, LENS_ODDS, ELLIPSE_ODDS = 0.25, 0.2, 0.5
-# Cores of a described tube.
-TUBES = ("gaussian", "exponential", "moffat")
 
 
 class EvidenceWeightedModels2D(NamedTuple):
@@ -32,14 +30,6 @@ class EvidenceWeightedModels2D(NamedTuple):
 
     fit: BlurModelFit2D
     weight: float
-
-
-def candidate_cores(pinhole: float | tuple[float, float], *, described: bool) -> list[BlurModel2D]:
-    """Return the cores of any camera, or of a described tube."""
-    return [
-        BlurModel2D(core=core, round=not described, pinhole_px=pinhole)
-        for core in (TUBES if described else ON_POINTS)
-    ]
 
 
 def fit_source(

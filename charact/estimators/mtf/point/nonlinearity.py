@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from charact.estimators.mtf.point.spot_light import SpotLight
 from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
+from charact.frames.thresholds import CLIPPING
 from labdata import Array
 
 # Extra powers of the light in the noise: response exponents from 0.4 to 2.5.
@@ -70,7 +71,7 @@ def fit_nonlinearity(profile: Array) -> SpotNonlinearity:
     )
 
 
-def chance_of_less_noise(spot: SpotLight) -> float:
+def chance_of_less_noise(spot: SpotLight, ceiling_dn: float | None) -> float:
     """Return the probability that a linear camera shows as little temporal noise under light as a
     spot; 1 where its frames cannot tell.
 
@@ -85,9 +86,11 @@ def chance_of_less_noise(spot: SpotLight) -> float:
     dark, free = spot.dark, len(spot.frames) - 1
     if not free or dark.correlation.size > 1 or dark.read_dn**2 < LIMITS.min_variance_dn2:
         return 1.0
-    light = (spot.mean - spot.level)[spot.disc]
+    frames, full_dn = spot.frames[:, spot.disc], np.inf if ceiling_dn is None else ceiling_dn
+    is_whole = frames.max(axis=0) < CLIPPING.full_fraction * full_dn
+    light = np.where(is_whole, (spot.mean - spot.level)[spot.disc], 0.0)
     law = replace(dark, gain_dn=dark.read_dn / LIMITS.max_dark_e)
-    variance = spot.frames[:, spot.disc].var(axis=0, ddof=1, dtype=np.float64)
+    variance = frames.var(axis=0, ddof=1, dtype=np.float64)
     parts = [light > level * light.max() for level in LIMITS.lit_levels]
     chances = [
         chdtr(free * np.count_nonzero(lit), free * np.sum((variance / law.variance(light))[lit]))

@@ -30,7 +30,6 @@ from charact.estimators.mtf.point.located_source import locate_source
 from charact.estimators.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.estimators.mtf.point.model_selection import (
     EvidenceWeightedModels2D,
-    candidate_cores,
     fit_source,
 )
 from charact.estimators.mtf.point.source import (
@@ -42,6 +41,7 @@ from charact.estimators.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.frames.thresholds import CLIPPING
 from charact.inference import importance_sample, laplace
 from charact.method import Context, register
+from charact.transfer.cores import ON_POINTS
 from charact.transfer.extended import (
     DiscComponent,
     ExtendedComponent,
@@ -61,6 +61,8 @@ from labdata import (
 )
 
 METHOD = "point-parametric"
+# Cores of a described tube.
+TUBES = ("gaussian", "exponential", "moffat")
 
 
 @register("point", METHOD)
@@ -103,10 +105,14 @@ def point_parametric(
     pixels at full scale enter by the probability of at least that value. The draws are those of
     every blur model in proportion to its evidence.
     """
-    cores = partial(candidate_cores, described=has_tube(context.camera))
+    described = has_tube(context.camera)
 
     def forms(pinhole: float | tuple[float, float], holds_halo: bool, reach_px: float):
-        return cores(pinhole), _widen_components(context, holds_halo, reach_px)
+        cores = [
+            BlurModel2D(core=core, round=not described, pinhole_px=pinhole)
+            for core in (TUBES if described else ON_POINTS)
+        ]
+        return cores, _widen_components(context, holds_halo, reach_px)
 
     method = PointMethod(name=METHOD, quantities=("mtf50", "mtf10", "mtf"), forms=forms)
     return measure_point(method, stack, region, pinhole_px, context)
@@ -419,6 +425,4 @@ def _notes(
             f"Quantisation may shift faint light and its level by up to {shift_dn:.2f} DN; the fit "
             "includes this, and the plotted model the estimated shift."
         )
-    if not has_tube(context.camera):
-        out.append("Pixels taken as square.")
     return tuple(out)

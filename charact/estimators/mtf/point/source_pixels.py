@@ -49,6 +49,8 @@ class SourcePixels:
     pulses: Pulses | None = None  # Noise of its light; None before it is estimated
     # Its light without a form of the blur; None where it is not that of the blur alone
     spot: SpotLight | None = None
+    # Chance that a linear camera has lit pixels as quiet as these
+    noise_chance: float = 1.0
 
     @property
     def axes(self) -> tuple[Array, Array]:

@@ -206,16 +206,13 @@ class SpotLight:
             count = len(self.frames)
             deviations = self.frames[:, disc] - self.mean[disc]
             # Student's t of so many frames has this variance.
+            lag = ACCURACY.lag_factor if self.dark.correlation.size > 1 else 1.0
             scale = (count - 1.0) / max(count - 3.0, 1.0) / (count * (count - 1.0))
-            errors[0] = rise @ deviations.T * np.sqrt(scale) * self._lag
+            errors[0] = rise @ deviations.T * np.sqrt(scale) * lag
         spread = Transform(modulus, np.concatenate(errors, axis=1))
         # The modulus of a sum with noise is larger than that of the sum.
         plain = np.sqrt(np.maximum(modulus**2 - np.where(modulus < 0.5, spread.sd**2, 0.0), 0.0))
         return spread._replace(modulus=plain)
-
-    @property
-    def _lag(self) -> float:
-        return ACCURACY.lag_factor if self.dark.correlation.size > 1 else 1.0
 
     def pixel_sd(self, light: Array) -> Array:
         """Return standard deviations of the mean frame's pixels, shape (pixel,), DN."""

@@ -23,6 +23,7 @@ from charact.estimators.mtf.point.checks import (
     noise_findings,
     undersampled,
 )
+from charact.estimators.mtf.point.nonlinearity import chance_of_less_noise
 from charact.estimators.mtf.point.source import (
     PointRefusal,
     detect_source,
@@ -125,7 +126,7 @@ def point_spread(
     pair = two_sources(spot)
     if pair is not None:
         return refuse_all(common, pair.reason, "several-targets")
-    findings = _findings(spot, tube)
+    findings = _findings(spot, tube, full)
     passed = pinhole(FREQUENCY, pinhole_px or 0.0)
     measured, curves = [], {}
     rng = np.random.default_rng([context.seed, 1])
@@ -168,7 +169,7 @@ def _crossing(quantity: str, curves: Array, passed: Array, common: dict[str, Any
     return measurement_from_draws(quantity, "cy/px", finite, **common)
 
 
-def _findings(spot: SpotLight, tube: bool) -> list[CurveFinding]:
+def _findings(spot: SpotLight, tube: bool, full_dn: float | None) -> list[CurveFinding]:
     """Return the findings of a spot's light."""
     light, wings = spot.light
     # The halo of an intensifier extends beyond the disc: its light is missing from the
@@ -186,6 +187,6 @@ def _findings(spot: SpotLight, tube: bool) -> list[CurveFinding]:
     parity = np.arange(spot.x.shape[0])[row] % 2 == 1
     return [
         *(finding(flag, EFFECTS[flag]) for flag, is_raised in raised if is_raised),
-        *noise_findings(spot),
+        *noise_findings(chance_of_less_noise(spot, full_dn)),
         *motion_findings(height[:, row, col], spot.x[0, col], spot.y[row, 0], parity, radius_px),
     ]
