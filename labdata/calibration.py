@@ -228,13 +228,12 @@ class LampCalibration:
         ]
 
     def _table(self) -> RisingTable:
-        columns = {
-            "first": self.current_a,
-            "second": self.illuminance_lux,
-            "relative_sd": self.relative_sd,
-        }
         return RisingTable(
-            of="calibration of the lamp", names=("current_a", "illuminance_lux"), **columns
+            of="calibration of the lamp",
+            names=("current_a", "illuminance_lux"),
+            first=self.current_a,
+            second=self.illuminance_lux,
+            relative_sd=self.relative_sd,
         )
 
 
@@ -280,9 +279,10 @@ class GainTable:
         return self._table().first_for(luminous_gain)
 
     def _table(self) -> RisingTable:
-        columns = {
-            "first": self.mcp_v,
-            "second": self.luminous_gain,
-            "relative_sd": self.relative_sd,
-        }
-        return RisingTable(of="gain table", names=("mcp_v", "luminous_gain"), **columns)
+        return RisingTable(
+            of="gain table",
+            names=("mcp_v", "luminous_gain"),
+            first=self.mcp_v,
+            second=self.luminous_gain,
+            relative_sd=self.relative_sd,
+        )

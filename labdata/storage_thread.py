@@ -51,7 +51,7 @@ class Storage:
     ) -> None:
         self._writer, self._capacity, self._patience_s = writer, capacity_bytes, patience_s
         self._jobs: deque[_Job] = deque()
-        self._waiting_bytes = 0
+        self.waiting_bytes = 0  # Queued bytes of frames
         self._open_stack: StackWriter | None = None
         self._turn = threading.Condition()
         self._in_hand: list[_Job] = []
@@ -75,11 +75,6 @@ class Storage:
             raise self.failure
         if self.failure is not None and error is not None and error is not self.failure:
             error.add_note(str(self.failure))
-
-    @property
-    def waiting_bytes(self) -> int:
-        """Queued bytes of frames."""
-        return self._waiting_bytes
 
     @property
     def stall_s(self) -> float:
@@ -124,7 +119,7 @@ class Storage:
             room = self._turn.wait_for(
                 lambda: (
                     self.failure is not None
-                    or self._waiting_bytes + size <= max(self._capacity, size)
+                    or self.waiting_bytes + size <= max(self._capacity, size)
                 ),
                 self._patience_s,
             )
@@ -144,7 +139,7 @@ class Storage:
             if self._idle:
                 self._idle, self._progress_s = False, time.monotonic()
             self._jobs.append(job)
-            self._waiting_bytes += job.bytes
+            self.waiting_bytes += job.bytes
             self._turn.notify_all()
 
     def _raise_failure(self) -> None:
@@ -175,7 +170,7 @@ class Storage:
             except Exception as error:  # raised again where frames are queued
                 self._fail(error, jobs)
             with self._turn:
-                self._waiting_bytes -= sum(job.bytes for job in jobs)
+                self.waiting_bytes -= sum(job.bytes for job in jobs)
                 self._in_hand, self._progress_s = [], time.monotonic()
                 self._idle = not self._jobs
                 self._turn.notify_all()

@@ -32,20 +32,12 @@ METER_TOLERANCE = 1.25
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """A rule to refuse commands: breach(state, command, limits, now_s) returns a sentence "rule,
-    got value".
+    """A rule to refuse commands, breach(state, command, limits, now_s), or one for the safe state,
+    breach(state, limits, now_s); it returns a sentence "rule, got value".
     """
 
     name: str
-    breach: Callable[[TubeState, Command, LimitsInForce, float], str | None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reaction:
-    """A rule for the safe state: reason(state, limits, now_s) returns a sentence."""
-
-    name: str
-    reason: Callable[[TubeState, LimitsInForce, float], str | None]
+    breach: Callable[..., str | None]
 
 
 def _voltage(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
@@ -255,10 +247,10 @@ def _saturation(state: TubeState, limits: LimitsInForce, now_s: float) -> str | 
 
 # All rules that force the safe state
 REACTIONS = (
-    Reaction(name="silence makes safe", reason=_silent),
-    Reaction(name="too much current makes safe", reason=_overload),
-    Reaction(name="too bright a light makes safe", reason=_too_bright),
-    Reaction(name="a saturated frame makes safe", reason=_saturation),
+    Rule(name="silence makes safe", breach=_silent),
+    Rule(name="too much current makes safe", breach=_overload),
+    Rule(name="too bright a light makes safe", breach=_too_bright),
+    Rule(name="a saturated frame makes safe", breach=_saturation),
 )
 
 
@@ -279,13 +271,13 @@ def alarm(
     state: TubeState,
     limits: LimitsInForce,
     now_s: float,
-    reactions: tuple[Reaction, ...] = REACTIONS,
+    reactions: tuple[Rule, ...] = REACTIONS,
 ) -> str | None:
     """Return the sentence of the first reaction that requires the safe state; None if there is
     none.
     """
     return next(
-        (why for reaction in reactions if (why := reaction.reason(state, limits, now_s))), None
+        (why for reaction in reactions if (why := reaction.breach(state, limits, now_s))), None
     )
 
 
@@ -304,7 +296,7 @@ class Interlock:
         limits: LimitsInForce,
         *,
         rules: tuple[Rule, ...] = RULES,
-        reactions: tuple[Reaction, ...] = REACTIONS,
+        reactions: tuple[Rule, ...] = REACTIONS,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.limits = limits

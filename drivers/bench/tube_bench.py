@@ -109,7 +109,7 @@ class TubeBench(LightControl):
         No instrument waits for another: both are ordered before one is asked, and each is watched
         as soon as it was read back.
         """
-        gate, supply = self._gate.driver, self._supply.driver
+        gate, supply = self.stations["gate"].driver, self.stations["supply"].driver
         orders: dict[Role, tuple[str, ...]] = {
             "gate": gate.shut_commands,
             "supply": supply.off_commands,
@@ -121,11 +121,11 @@ class TubeBench(LightControl):
         with self._using("gate"):
             gate.identify()
             self.shut_gate()
-            self._gate.watched = True
+            self.stations["gate"].watched = True
         with self._using("supply"):
             supply.identify()
             supply.prepare(limit_v=self.interlock.limits.mcp_v)
-            self._supply.watched = True
+            self.stations["supply"].watched = True
             self._read_gain(supply.read_voltage_v())
         with self._using("light-source", "filter-wheel"):
             self._prepare_lamp()
@@ -160,12 +160,12 @@ class TubeBench(LightControl):
         """Shut the gate and read it back."""
         self.interlock.tell(SafeOrdered())
         with self._using("gate"):
-            self._gate.driver.shut()
+            self.stations["gate"].driver.shut()
         self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
 
     def _gain_move(self, volts: float) -> RaiseGain | LowerGain | None:
         """Return the command for a voltage; None if it is off or unchanged."""
-        supply = self._supply.driver
+        supply = self.stations["supply"].driver
         present_v = supply.read_voltage_v() if supply.is_on else 0.0
         if not volts or math.isclose(
             volts, present_v, abs_tol=0.5
@@ -179,10 +179,10 @@ class TubeBench(LightControl):
         """Check the commands of a change before any is sent."""
         commands: list[Command] = [] if move is None else [move]
         if volts:
-            self._supply.driver.check_voltage(volts)
+            self.stations["supply"].driver.check_voltage(volts)
         if width_ns:
             commands.append(OpenGate(width_ns=width_ns, rate_hz=self._most_hz))
-            self._gate.driver.check_pulse(width_ns=width_ns, **self._pulse)
+            self.stations["gate"].driver.check_pulse(width_ns=width_ns, **self._pulse)
         self.interlock.foresee(*commands, state=replace(self.interlock.state, duty=0.0))
 
     @property
@@ -192,7 +192,7 @@ class TubeBench(LightControl):
         return {"rate_hz": self._gate_hz, "delay_ns": gating.delay_ns, "sync": gating.sync}
 
     def _move_gain(self, move: RaiseGain | LowerGain | None, volts: float) -> float:
-        supply = self._supply.driver
+        supply = self.stations["supply"].driver
         if not volts:
             self.interlock.tell(SafeOrdered())
             return self._read_gain(supply.off())
@@ -212,7 +212,7 @@ class TubeBench(LightControl):
         self.check()
         with self._using("gate"):
             self._permit(OpenGate(width_ns=width_ns, rate_hz=self._most_hz))
-            read_ns = self._gate.driver.open(width_ns=width_ns, **self._pulse)
+            read_ns = self.stations["gate"].driver.open(width_ns=width_ns, **self._pulse)
         self.interlock.tell(GateRead(width_ns=read_ns, rate_hz=self._most_hz))
         return read_ns
 
@@ -432,14 +432,6 @@ class TubeBench(LightControl):
             return None
         self.interlock.tell(SafeOrdered())
         return self._dose.close(2.0)  # Longest wait for the last dose to be written, s
-
-    @property
-    def _gate(self) -> Station:
-        return self.stations["gate"]
-
-    @property
-    def _supply(self) -> Station:
-        return self.stations["supply"]
 
     @contextmanager
     def _using(self, *roles: Role) -> Iterator[None]:
