@@ -117,7 +117,7 @@ class Client:
         silence_s: float,
         prompts: bool = False,
     ) -> None:
-        self.began_s = time.monotonic()
+        self.began_s, self.session = time.monotonic(), session
         self.disk, self.camera = Hang(), Hang()
         self.terminal, self._marks = StoppablePipe(*os.pipe()), StoppablePipe(*os.pipe())
         keyboard, self._typed = os.pipe()

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from labdata import Conditions, Gating, Plan, Step
+from labdata.store.journal import JOURNAL
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import Outputs
 from tests.faults.campaign.client import Client
@@ -391,6 +392,40 @@ def _fill_disk(full: bool) -> Act:
 FULL: tuple[Act, Act] = (_fill_disk(True), _fill_disk(False))
 
 
+def _light_below_the_top_code(rng: np.random.Generator) -> Fault:
+    """Room light on a camera that clips below its top code."""
+
+    def strike(rig: CampaignRig, client: Client) -> None:
+        rig.provoke("camera", Faults(ceiling_dn=ceiling_dn))
+        rig.provoke("surroundings", Faults(room_light_lux=ROOM_LUX))
+
+    def heal(rig: CampaignRig, client: Client) -> None:
+        for place in ("camera", "surroundings"):
+            rig.provoke(place, Faults())
+
+    ceiling_dn = int(rng.integers(220, 255))
+    # A frame that shows the light must be drawn and sent first.
+    return Fault(strike=strike, heal=heal, ends_run=True, limit_s=2.0)
+
+
+def _journal_lost(*, is_cut: bool) -> Draw:
+    """Draw a journal that somebody removes or cuts while its stack grows."""
+
+    def strike(rig: CampaignRig, client: Client) -> float:
+        sizes: dict[Path, int] = {}
+        until_s = time.monotonic() + 5.0
+        while time.monotonic() < until_s:
+            for path in client.session.glob(f"frames/*.zarr/{JOURNAL}"):
+                size = path.stat().st_size
+                if size > sizes.setdefault(path, size):
+                    os.truncate(path, size // 2) if is_cut else path.unlink()
+                    return time.monotonic()
+            time.sleep(0.001)
+        return time.monotonic()
+
+    return lambda rng: Fault(strike=strike, ends_run=True, limit_s=2.0)
+
+
 def _prompt(rng: np.random.Generator) -> Fault:
     """A person at the bench takes their time: until then gate or voltage are down, and nothing is
     held against them.
@@ -497,6 +532,9 @@ KINDS: dict[str, Draw] = {
     "terminal blocks": _blocked(*TERMINAL, terminal_lives=False),
     "terminal blocks, SIGTERM": _blocked(*TERMINAL, ENDED, terminal_lives=False),
     "a person takes 3 s at the prompt": _prompt,
+    "room light below the top code": _light_below_the_top_code,
+    "journal of frames removed": _journal_lost(is_cut=False),
+    "journal of frames cut": _journal_lost(is_cut=True),
     # The last: a camera takes seconds to come up, or minutes where another bench on the machine
     # took its wire.
     "camera gone": _camera_gone,
