@@ -41,15 +41,10 @@ class Parameter:
 
     def times(self, factor: float, words: str = "") -> "Parameter":
         """Return the parameter times a positive factor, derived, with words added to its source."""
-        ends = (
-            None
-            if self.low is None or self.high is None
-            else (self.low * factor, self.high * factor)
-        )
         return Parameter(
             value=self.value * factor,
-            low=ends[0] if ends else None,
-            high=ends[1] if ends else None,
+            low=None if self.low is None else self.low * factor,
+            high=None if self.high is None else self.high * factor,
             standing="derived",
             source=self.source + words,
         )

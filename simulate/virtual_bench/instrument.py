@@ -73,6 +73,10 @@ class VirtualInstrument(ABC):
         """Advance the physics to a time, s; by default there is none."""
         return None
 
+    @abstractmethod
+    def power_cycle(self) -> None:
+        """Lose power and get it back."""
+
     def publish(self, folder: Path) -> None:
         """Publish the outputs that changed."""
         if (now := self.outputs()) != self._published:
@@ -139,10 +143,6 @@ class BusInstrument(VirtualInstrument):
     def clear(self) -> None:
         """Device clear: empty both buffers."""
         self._input = self._output = b""
-
-    @abstractmethod
-    def power_cycle(self) -> None:
-        """Lose power and get it back."""
 
     @abstractmethod
     def _overrun(self) -> None: ...

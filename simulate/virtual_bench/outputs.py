@@ -36,15 +36,10 @@ class GateOutput:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outputs:
+class Outputs(GateOutput):
     """Present inputs of the tube."""
 
     mcp_v: float  #: Voltage across the microchannel plate, V
-    gate_open: bool  #: See `GateOutput`
-    gate_ns: float  #: See `GateOutput`
-    gate_hz: float  #: See `GateOutput`
-    gate_trigger: Trigger = "clock"  #: See `GateOutput`
-    gate_delay_ns: float = 0.0  #: See `GateOutput`
     lamp_a: float | None = None  #: Current through the lamp of the bench, A; None: it has no lamp
     #: Position of the wheel before the lamp; None: it turns, or there is none
     filter_position: int | None = None
@@ -74,7 +69,7 @@ def read_outputs(folder: Path) -> Outputs:
     """Read the outputs of the instruments of a bench; an instrument without a file has no
     output.
     """
-    gate = _read(Path(folder) / GATE_FILE) or vars(GateOutput())
+    gate = _read(Path(folder) / GATE_FILE) or {}
     voltage = _read(Path(folder) / VOLTAGE_FILE) or {"mcp_v": 0.0}
     warm = _read(Path(folder) / THERMOMETER_FILE)
     lamp, wheel = _read(Path(folder) / LAMP_FILE), _read(Path(folder) / WHEEL_FILE)
