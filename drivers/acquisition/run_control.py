@@ -37,6 +37,7 @@ class RunControl:
         # end
         self.last_words: Callable[[], str] = lambda: ""
         self._running = self._leaving = False
+        self._urgent: int | None = None  # Signal at which the tube was made safe
         self._ended = threading.Event()
 
     @contextmanager
@@ -78,6 +79,7 @@ class RunControl:
                 for number in numbers:
                     interrupts += number == signal.SIGINT
                     if number in URGENT or interrupts > 1:
+                        self._urgent = number
                         self.make_safe_at_once()
                         self._end_if_stuck(number)
 
@@ -100,16 +102,18 @@ class RunControl:
     def running(self) -> Iterator[None]:
         """Mark the time in which steps run; in the safe action that follows Ctrl-C is ignored.
 
-        Two Ctrl-C that come while the main thread hangs are one to it, and only the bench, made
-        safe by the second, ends its steps.
+        A bench that was made safe at once by a signal says so wherever it is looked at, and may be
+        the first to end the steps: two Ctrl-C that come while the main thread hangs are one to it.
         """
         self._running = True
         try:
             yield
         except BenchStopped as stopped:
-            if not self.stop:
+            if self._urgent is None:
                 raise
-            raise KeyboardInterrupt from stopped
+            if self._urgent == signal.SIGINT:
+                raise KeyboardInterrupt from stopped
+            raise SystemExit(128 + self._urgent) from stopped
         finally:
             self._running, self._leaving = False, True
 

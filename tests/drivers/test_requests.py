@@ -95,6 +95,20 @@ def test_two_interrupts_that_a_hanging_main_thread_sees_as_one_leave_no_dark_fra
     assert "doubt" not in (tmp_path / "s" / "session.toml").read_text()
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_camera_whose_stop_looks_at_the_bench_leaves_the_signal_to_end_the_run(tmp_path, number):
+    def happens(event: str):
+        if event == "frame" and rig.diary.count("frame") == 6:
+            os.kill(os.getpid(), number)
+        return rig.bench.fault if event == "capture stops" else None
+
+    rig = fake_rig.FakeRig(fail=happens)
+    with pytest.raises(SystemExit) as end:
+        take(rig, tmp_path / "s")
+    assert end.value.code == 128 + number
+    assert read_events(tmp_path / "s" / "log.jsonl")[-1]["kind"] == "SystemExit"
+
+
 def test_an_interrupt_while_the_tube_is_made_safe_does_not_keep_that_up(tmp_path):
     rig = fake_rig.FakeRig(
         fail=lambda event: os.kill(os.getpid(), signal.SIGINT) if event == "bench closes" else None
