@@ -121,18 +121,19 @@ def conditions(path: Path, extension: str | None = None) -> Stated:
     first = FIRST.search(section.header)
     if first is None:
         return NOTHING
-    version, temperature_c, mode = int(first[1]), number_of(first[2]), first[3][6]
     # Older versions have fewer fields; what is no number is unknown.
-    fields: list[float] = [math.nan] * 71
-    for at, word in enumerate(first[4].split(b" ")[:60], 11):
-        fields[at] = math.nan if (number := number_of(word)) is None else number
-    gain, gate_ps, register = fields[21], fields[23], fields[50] == 1 and fields[42] == 0
-    values: dict[str, float | None] = {"exposure_s": fields[12]}
-    values["temperature_c"] = fields[47] if temperature_c == -999 else temperature_c
-    if first[5].startswith(INTENSIFIED):
-        newer = INTENSIFIER.search(section.header)
-        gate_ps = float(newer[1]) if newer else gate_ps
-        values |= {"gain_control": gain, "gate_ns": 1e-3 * gate_ps}
-    elif version >= WITH_REAL_GAIN and register:
-        values["em_gain"] = gain
-    return stated(fields[15] if mode in (ACCUMULATE, KINETICS) else 1.0, **values)
+    fields = dict(enumerate(map(number_of, first[4].split(b" ")[:60]), 11))
+    temperature_c, gain, gate_ps = number_of(first[2]), fields.get(21), fields.get(23)
+    is_intensified = first[5].startswith(INTENSIFIED)
+    if is_intensified and (newer := INTENSIFIER.search(section.header)):
+        gate_ps = float(newer[1])
+    is_real = int(first[1]) >= WITH_REAL_GAIN and fields.get(50) == 1 and fields.get(42) == 0
+    is_sum = first[3][6] in (ACCUMULATE, KINETICS)
+    return stated(
+        fields.get(15) or 1.0 if is_sum else 1.0,
+        exposure_s=fields.get(12),
+        temperature_c=fields.get(47) if temperature_c == -999 else temperature_c,
+        gain_control=gain if is_intensified else None,
+        gate_ns=1e-3 * gate_ps if is_intensified and gate_ps is not None else None,
+        em_gain=gain if is_real and not is_intensified else None,
+    )
