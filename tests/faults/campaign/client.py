@@ -210,7 +210,8 @@ class Client:
 def _acknowledged(line: str) -> tuple[str, int]:
     """Label and count of a line "label: n of m frames ..."; an empty label of any other."""
     words = line.split()
-    return (words[0].rstrip(":"), int(words[1])) if words[2:3] == ["of"] else ("", 0)
+    is_count = words[2:3] == ["of"] and words[1].isdigit()
+    return (words[0].rstrip(":"), int(words[1])) if is_count else ("", 0)
 
 
 def _acquire(
