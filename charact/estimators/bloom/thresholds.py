@@ -37,7 +37,7 @@ class RimThresholds:
     # Error of a mixture of Gaussians about the core, over that of noise: cores that are none give
     # steps of 5 standard errors on drawn smooth halos, small discs of 10 and more.
     about_core: float = 1.6
-    # Significance of an edge beside the clearest one: the sides of a step have up to 3 % of it.
+    # Significance of an edge other than the clearest one: the sides of a step have up to 3 % of it.
     other_edge: float = 0.25
     # Rings on either side of the edge that a step needs.
     rings_per_side: int = 3

@@ -81,7 +81,7 @@ class BarLimits:
     # Overshoot of both sides of a step that is sharpening, fraction of the step: forms fitted to
     # rays of lenses overshoot by up to 0.022, unsharp masks of amount 0.8 by 0.03
     min_overshoot: float = 0.025
-    overshoot_sd: float = 2.0  # Its significance, beside so large a size, standard uncertainties
+    overshoot_sd: float = 2.0  # Its significance for so large a size, standard uncertainties
     max_even_height: float = 0.02  # Height of pixels without structure over that of the bars
     # Match of a strip, standard uncertainties; noise alone does not reach it
     min_strip_match_sd: float = 6.0

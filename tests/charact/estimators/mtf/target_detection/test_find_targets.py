@@ -373,7 +373,7 @@ def test_flashes_beside_a_point_are_no_other_points() -> None:
     frames[2:] += spot(60.0, (40, 150))
     steady = source.detect_source(frames, 1.0)
     assert isinstance(flashed, source.DetectedSource) and isinstance(steady, source.DetectedSource)
-    assert not flashed.has_others and steady.has_others
+    assert not flashed.neighbours and steady.neighbours
 
 
 # Which targets of a frame are measured where there are more than may be.
