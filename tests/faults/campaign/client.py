@@ -312,7 +312,7 @@ class _Person(PromptingOperator):
 
 class _MarkingCamera(AravisCamera):
     """A camera whose client marks when frames are asked for, when one comes, and when one is
-    saturated.
+    saturated, at its own ceiling where that is below the camera's.
     """
 
     def __init__(self, client: Client, rig: CampaignRig, *, silence_s: float) -> None:
@@ -351,7 +351,8 @@ class _MarkingCapture:
     def __iter__(self) -> Iterator[Frame]:
         for frame in self._capture:
             self._client.camera.call()
-            if np.count_nonzero(frame.pixels >= self._full_dn) > SATURATED * frame.pixels.size:
+            ceiling_dn = min(self._full_dn, frame.pixels.max())
+            if np.count_nonzero(frame.pixels >= ceiling_dn) > SATURATED * frame.pixels.size:
                 self._client.mark("saturated")
             self._client.mark("frame")
             yield frame

@@ -404,8 +404,7 @@ def _light_below_the_top_code(rng: np.random.Generator) -> Fault:
             rig.provoke(place, Faults())
 
     ceiling_dn = int(rng.integers(220, 255))
-    # A frame that shows the light must be drawn and sent first.
-    return Fault(strike=strike, heal=heal, ends_run=True, limit_s=2.0)
+    return Fault(strike=strike, heal=heal, since="saturation", ends_run=True)
 
 
 def _journal_lost(*, is_cut: bool) -> Draw:

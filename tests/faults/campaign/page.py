@@ -15,12 +15,12 @@ and instruments on real wires, and strikes each fault at random moments; this pa
 printed. Times are taken from the outputs of the virtual instruments: until the gate was last seen
 open, and until the voltage was last seen not falling; median and worst. They count from the fault,
 with these exceptions: for a camera that stalls or is gone, from the first frames asked for after
-it; for room light, from the first frame with more than 5 % of its pixels saturated; for a port that
-comes back, from its return; for a log, ledger or terminal that blocks, from the last frame that
-came; where a signal or a kill follows, from that. A run that endures a fault which passes is not
-timed. *Frames* are those acknowledged before the run ended, and those of them found whole
-afterwards, by SHA-256. *Resume* counts the sessions that an undisturbed run completed, with each
-frame of the flat showing the light of the others.
+it; for room light, from the first frame with more than 5 % of its pixels at their ceiling; for a
+port that comes back, from its return; for a log, ledger or terminal that blocks, from the last
+frame that came; where a signal or a kill follows, from that. A run that endures a fault which
+passes is not timed. *Frames* are those acknowledged before the run ended, and those of them found
+whole afterwards, by SHA-256. *Resume* counts the sessions that an undisturbed run completed, with
+each frame of the flat showing the light of the others.
 """
 
 HEAD = (
