@@ -167,31 +167,40 @@ def profiles_of(mean_frame: NDArray) -> Profiles:
 
 
 def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
-    """Return the rows (frame, row, col) that hold one value where noise cannot.
+    """Return the rows (frame, row, col) that hold one value where noise cannot, from an end of the
+    row over at least an eighth of it.
 
-    `start`: number of the first frame. Where a fraction f of the pixels of the same row in another
-    frame, else of an adjacent row, has its commonest value, a complete row of n pixels has one
-    value with probability f^n.
+    `start`: number of the first frame. Where a fraction f of the same pixels in another frame, else
+    of an adjacent row, has its commonest value, n pixels have one value with probability f^n.
     """
-    head = frames[:, :, : LAYOUT.bands]
-    is_even = np.all(head == head[:, :, :1], axis=2)
-    for frame, row in np.argwhere(is_even):
-        is_even[frame, row] = np.all(frames[frame, row] == frames[frame, row, 0])
+    ends = frames[:, :, : LAYOUT.bands], frames[:, :, -LAYOUT.bands :]
+    is_even = np.any([np.all(end == end[:, :, :1], axis=2) for end in ends], axis=0)
+    cols = frames.shape[2]
+    pixels = {}  # of the rows that hold one value
+    for frame, row in np.argwhere(is_even).tolist():
+        values = frames[frame, row]
+        first, last = (
+            np.argmax(np.append(part != part[0], True)) for part in (values, values[::-1])
+        )
+        is_even[frame, row] = max(first, last) >= max(cols // 8, LAYOUT.bands)
+        pixels[frame, row] = np.s_[:first] if first >= last else np.s_[cols - last :]
     lost = []
-    for frame in np.flatnonzero(is_even.any(axis=1)):
-        ends = np.flatnonzero(np.diff(is_even[frame], prepend=False, append=False))
-        for first, stop in ends.reshape(-1, 2).tolist():
+    for frame in np.flatnonzero(is_even.any(axis=1)).tolist():
+        starts = np.flatnonzero(np.diff(is_even[frame], prepend=False, append=False))
+        for first, stop in starts.reshape(-1, 2).tolist():
+            held = pixels[frame, first]
             sound = np.flatnonzero(~is_even[:, first])
             if len(sound):
-                normal = frames[sound[np.abs(sound - frame).argmin()], first]
+                normal = frames[sound[np.abs(sound - frame).argmin()], first, held]
             else:
-                normal = frames[frame, first - 1 if first else stop % frames.shape[1]]
-            value, middle = float(frames[frame, first, 0]), float(np.median(normal))
+                normal = frames[frame, first - 1 if first else stop % frames.shape[1], held]
+            value, middle = float(frames[frame, first, held][0]), float(np.median(normal))
             chance = normal.size * np.log(max(np.mean(normal == middle), 1.0 / normal.size))
             departs = len(sound) and abs(value - middle) > LAYOUT.lost_sd * normal.std() > 0.0
             if chance < LAYOUT.lost_chance or departs:
-                rows = {"axis": 1, "first": first, "stop": stop, "seen": f"{value:g} DN"}
-                lost.append(Part(name=LOST, frame=start + int(frame), **rows))
+                seen = f"{value:g} DN" + f" in {normal.size} columns" * (normal.size < cols)
+                rows = {"axis": 1, "first": first, "stop": stop, "seen": seen}
+                lost.append(Part(name=LOST, frame=start + frame, **rows))
     return tuple(lost)
 
 

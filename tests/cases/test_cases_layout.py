@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 import charact
 from charact.cli.application import app
 from charact.estimators import noise
+from charact.frames.layout import lost_rows
 from charact.reporting.report_images import representative
 from charact.session_measurement import method_context
 from labdata import BadInput, open_session
@@ -204,7 +205,7 @@ def test_rows_of_a_flat_that_were_lost_cost_its_frame_or_these_rows(tmp_path, fr
         data[1, 97, :40] = 0
 
     result = measured(drawn(tmp_path / "s", flat_2=lose, frames=frames))
-    assert "rows 90 to 96 of frame 1 of flat-2 are 0 DN" in said(result)
+    assert "rows 90 to 97 of frame 1 of flat-2 are 0 DN" in said(result)
     holds(one(result, "system_gain"), 0.40, 0.02)
     holds(one(result, "prnu"), 0.5, 0.2)
 
@@ -290,6 +291,25 @@ def test_view_outlines_the_parts_and_the_report_shows_them(tmp_path):
         (0, 0, 64, 150): "ok",
         (64, 0, 64, 150): "ok",
     }
+
+
+@pytest.mark.parametrize("lost", [np.s_[2, 40:52, 80:], np.s_[2, 40:52, :30]], ids=str)
+def test_rows_lost_in_part_cost_their_frame(tmp_path, lost):
+    def lose(frames):
+        frames[lost] = 0
+
+    result = measured(drawn(tmp_path / "s", frames=4, flat_2=lose))
+    width = 160 - 80 if lost[2].start else 30
+    assert f"rows 40 to 51 of frame 2 of flat-2 are 0 DN in {width} columns" in said(result)
+    holds(one(result, "system_gain"), 0.40, 0.01)
+
+
+def test_columns_of_one_value_in_every_frame_are_no_lost_rows():
+    frames = np.random.default_rng(5).poisson(500.0, (4, 64, 160))
+    frames[:, :, 130:] = 100
+    assert not lost_rows(frames)
+    frames[1, 30, 140] = 101
+    assert not lost_rows(frames)
 
 
 def test_rows_that_one_frame_of_an_edge_lost_are_named():
