@@ -210,6 +210,20 @@ def test_a_register_that_is_stated_counts(tmp_path, seed, em):
     holds(one(measured(folder), "system_gain"), 0.2 * em, 0.05)
 
 
+def test_read_noise_includes_that_of_columns_and_names_both(tmp_path, seed):
+    rng, columns_dn = np.random.default_rng(seed), 1.5
+
+    def wrong(data):
+        return data + columns_dn * rng.standard_normal((len(data), 1, data.shape[2]))
+
+    read = one(measured(written(tmp_path, rng, frames=16, wrong=wrong)), "read_noise", "DN")
+    white_dn = np.hypot(2.0, 12.0**-0.5)
+    assert read.value == pytest.approx(np.hypot(white_dn, columns_dn), rel=0.03)
+    (note,) = (note for note in read.notes if "without it" in note)
+    assert "complete columns" in note
+    assert float(note.split()[-2]) == pytest.approx(white_dn, rel=0.02)
+
+
 @pytest.mark.parametrize("depth", [0.0, 0.5])
 def test_the_covariance_gain_of_white_noise_is_that_of_its_variance(tmp_path, seed, depth):
     rows, cols = np.meshgrid(np.linspace(-1, 1, 96), np.linspace(-1, 1, 112), indexing="ij")

@@ -136,12 +136,31 @@ def _dark_remarks(dark: StackStatistics, kind: str) -> Remarks:
     raised, lowered = clipping_effects(dark.low_fraction, noise_dn, dark.mean_dn)
     bound, sign = {"level": (raised, 1), "noise": (lowered, -1)}.get(kind, (None, 0))
     rounded = [] if kind == "level" else rounding_findings(dark.variance_dn2)
-    of_kind = {"level": dark_level_findings(dark), "noise": averaging_notes([dark])}
+    of_kind = {
+        "level": dark_level_findings(dark),
+        "noise": [*averaging_notes([dark]), *_line_notes(dark)],
+    }
     return [
         *dark_clipping(dark, bound, sign),
         *(rounded if kind == "noise" else bounded(rounded)),
         *of_kind.get(kind, []),
     ]
+
+
+def _line_notes(dark: StackStatistics) -> list[str]:
+    """Return notes on noise in time of complete rows and columns, which that of a pixel includes,
+    with the noise of a pixel without it.
+    """
+    notes = []
+    for name, lines in (("tv", "rows"), ("th", "columns")):
+        of_lines = 0.0 if dark.cube is None else dark.cube.components[name].variance_dn2
+        if of_lines > CHECKS.line_fraction * dark.variance_dn2:
+            without = max(dark.variance_dn2 - of_lines, 0.0) ** 0.5
+            notes.append(
+                f"temporal noise of a pixel, that of complete {lines} included (noise_{name}, "
+                f"{of_lines**0.5:.3g} DN); without it {without:.3g} DN"
+            )
+    return notes
 
 
 def _pattern_remarks(shown: Stacks[StackStatistics]) -> Remarks:

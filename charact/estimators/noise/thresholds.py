@@ -29,6 +29,7 @@ class CheckLimits:
     min_levels: int = 3  # fewest levels that test a line of two parameters
     exposure_tolerance: float = 0.1  # relative difference of the exposures of flat and dark
     min_light_ratio: float = 1.3  # smallest ratio of light that tests the camera response
+    line_fraction: float = 0.02  # of the variance: noise of rows or columns of 1 % of the noise
     max_clipped_fraction: float = 0.01  # clipped values of a dark with unbiased noise
     # fraction of clipped values from which nothing bounds the noise beneath
     unbounded_clipping: float = 0.5
