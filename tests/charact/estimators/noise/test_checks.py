@@ -250,7 +250,7 @@ def test_the_bound_of_a_dark_clipped_at_zero_is_in_the_interval(seed):
 
 
 def test_dead_pixels_of_a_dark_are_no_noise_cut_off(seed):
-    """A bar of dead pixels inside rows, not lost ones: noise far above 0 DN explains no value there."""
+    """Dead pixels inside rows, not lost ones: noise far above 0 DN explains no value there."""
     session = flat_series(Pulses(shape=SMALL), np.random.default_rng(seed), LEVELS, frames=4)
     (dark,) = session.of_kind("dark")
     data = dark.read().data.copy()
