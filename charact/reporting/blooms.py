@@ -240,8 +240,7 @@ def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, predicted: Any)
 def plot_spread_models(data: Data) -> Any:
     """Plot the BIC of every halo model above that of the best one, the best at the top.
 
-    Reads `table`, a list of rows with `form`, `parameters`, `bic_over_best` and, if
-    cross-validated, `foretold_chi2_per_ring`.
+    Reads `table`, a list of rows with `form`, `parameters` and `bic_over_best`.
     """
     table = data["table"]
     figure, axes = panel((5.8, 0.9 + 0.34 * len(table)))
@@ -255,9 +254,6 @@ def plot_spread_models(data: Data) -> Any:
     axes.grid(axis="y", alpha=0)
     criteria = axes.secondary_yaxis("right")
     labels = [f"{row['bic_over_best']:.0f}; parameters: {row['parameters']}" for row in table]
-    for number, row in enumerate(table):
-        if (cross := row.get("foretold_chi2_per_ring")) is not None:
-            labels[number] += f"\ncross-validation: χ² {cross:.3g} per ring"
     criteria.set_yticks(positions, labels, fontsize=7.0)
     criteria.tick_params(length=0)
     return figure

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import j1
 
 from charact.estimators import bloom
 from charact.method import Context
@@ -18,9 +19,10 @@ CASES = ROOT.parent / "shared" / "cases"
 SIDE, FINE = 160, 4
 
 
-def light_of(profile, diameter_px, fraction, core_px, wing=0.0, beta=2.4):
+def light_of(profile, diameter_px, fraction, core_px, wing=0.0, beta=2.4, pupil=0.0):
     """Light of a source in pixels, its highest 1: a halo of any profile of the radius over that of
-    the edge, a Gaussian core with a Moffat wing of 3 px, both blurring it.
+    the edge, a Gaussian core with a Moffat wing of 3 px, both blurring it; or the core of a clear
+    pupil whose transfer ends at `pupil` cycles per pixel, and a Gaussian blur of the halo.
     """
     count = FINE * SIDE
     at = np.fft.fftfreq(count, 1.0 / count) / FINE
@@ -31,6 +33,13 @@ def light_of(profile, diameter_px, fraction, core_px, wing=0.0, beta=2.4):
     x = np.hypot(places[:, None] - 79.375, places[None, :] - 80.125)
     halo = profile(2.0 * x / diameter_px, np.clip(0.5 + FINE * (0.5 * diameter_px - x), 0.0, 1.0))
     source = fraction * halo / halo.sum()
+    if pupil:
+        z = np.pi * pupil * np.maximum(x, 1e-6)
+        airy = (2.0 * j1(z) / z) ** 2 * (x < 38.0)
+        seen = np.fft.irfft2(np.fft.rfft2(source) * np.fft.rfft2(core / core.sum()), (count, count))
+        seen += (1.0 - fraction) * airy / airy.sum()
+        light = seen.reshape(SIDE, FINE, SIDE, FINE).sum(axis=(1, 3))
+        return light / light.max()
     source[round(FINE * 79.375 + 1.5), round(FINE * 80.125 + 1.5)] += 1.0 - fraction
     seen = np.fft.irfft2(np.fft.rfft2(source) * np.fft.rfft2(core / core.sum()), (count, count))
     light = seen.reshape(SIDE, FINE, SIDE, FINE).sum(axis=(1, 3))
@@ -74,6 +83,27 @@ def test_a_disc_under_any_wing_is_as_wide_as_drawn(
     # Twice the half width at 95 %: 4 standard errors.
     assert abs(halo.value - diameter_px) < high - low
     assert high - low < 0.05 * diameter_px
+
+
+@pytest.mark.parametrize(
+    "profile, diameter_px, core_px, pupil",
+    [
+        (lambda x, disc: disc, 15.0, 1.2, 0.0),
+        (lambda x, disc: disc * (x > 0.45), 46.0, 1.1, 0.0),
+        (lambda x, disc: disc * (1.0 + (x > 0.78)), 37.0, 1.4, 0.0),
+        (lambda x, disc: disc, 42.0, 1.2, 0.45),
+    ],
+    ids=["small disc", "annulus", "ring", "clear pupil"],
+)
+def test_small_discs_holes_rims_and_the_rings_of_a_pupil_hide_no_edge(
+    profile, diameter_px, core_px, pupil, seed
+):
+    light = light_of(profile, diameter_px, 0.1, core_px, pupil=pupil)
+    halo = halo_of(session_of(light, np.random.default_rng(seed)))
+    assert halo.status == "ok"
+    low, high = halo.interval95
+    assert abs(halo.value - diameter_px) < high - low
+    assert high - low < 1.0 + 0.03 * diameter_px
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,4 @@
-"""Column artefacts: streaks of overflowing wells, smear, and the noise of the mean frame around
-them.
-"""
+"""Column artefacts: streaks of overflowing wells, and smear."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,9 +8,9 @@ from numpy.typing import NDArray
 
 from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import PointStack
+from charact.estimators.bloom.source_view import polar_of
 from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
-from charact.frames.rounding import QUANTISATION_DN2
 from charact.method import Context
 from charact.verdict import judge
 from labdata import Array, Mask
@@ -93,17 +91,16 @@ def compare_columns(
     `half_width_px`: columns on either side of the source; None: those that may overflow or smear.
     """
     rows, cols = spot.image.shape
-    dy = (np.arange(rows) - spot.row) * context.pitch_ratio
-    dx = np.arange(cols) - spot.col
+    polar = polar_of((rows, cols), spot.row, spot.col, context.pitch_ratio)
+    dx, dy, radius = polar.dx[0], polar.dy[:, 0], polar.radius
     half = _half_width(spot) if half_width_px is None else half_width_px
     first, last = max(0, round(spot.col) - half), min(cols, round(spot.col) + half + 1)
-    radius = np.hypot(dx[None, :], dy[:, None])
     mean, sd = _horizontal_profile(spot.image, dx, dy, radius)
     column_radius = radius[:, first:last]
     grid = np.arange(len(mean), dtype=float)
     light, noise = np.interp(column_radius, grid, mean), np.interp(column_radius, grid, sd)
     floor = float(mean.min())
-    far_cols = np.abs(dx) > max(2.0 * _half_width(spot), 0.3 * cols)
+    # Noise correlated over an area is correlated along a line by its square root.
     # Cameras may deviate from rotational symmetry by 5 % of the source's signal.
     return ColumnArtefacts(
         first_col=first,
@@ -111,7 +108,7 @@ def compare_columns(
         round_dn=light - floor,
         excess_dn=spot.image[:, first:last] - light,
         sd_dn=np.hypot(noise, 0.05 * (light - floor)),
-        block_factor=_block_factor(spot.image[:, far_cols]),
+        block_factor=float(min(spot.noise.correlation_factor**0.5, BLOCK_ROWS)),
     )
 
 
@@ -161,20 +158,6 @@ def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tu
     )
 
 
-def _block_factor(image: Array) -> float:
-    """Variance of the mean of neighbouring rows over that of independent rows."""
-    rows = image.shape[0] // BLOCK_ROWS * BLOCK_ROWS
-    if rows < 4 * BLOCK_ROWS or image.shape[1] < 4:
-        return 2.0
-    # Columns are compared within a row, since common variations, such as a gradient, are not noise.
-    row_residuals = image[:rows] - np.median(image[:rows], axis=1, keepdims=True)
-    blocks = row_residuals.reshape(-1, BLOCK_ROWS, image.shape[1]).mean(axis=1)
-    single, block = (
-        float(np.median(np.abs(values - np.median(values)))) for values in (row_residuals, blocks)
-    )
-    return float(np.clip(BLOCK_ROWS * block**2 / single**2, 1.0, BLOCK_ROWS)) if single > 0 else 2.0
-
-
 def _reach(columns: ColumnArtefacts, side: int) -> tuple[Array, Array]:
     """Distance over which each column stays brighter than its surroundings on one side, px, and its
     significance.
@@ -220,40 +203,6 @@ def run_through(bright: Mask, position: int) -> Mask:
     return labels == labels[candidates[0]] if candidates else np.zeros(bright.shape, bool)
 
 
-# Side of the patches whose means have the same noise with or without blur after the gain, px.
-PATCH_PX = 6
-
-
-def mean_frame_noise(image: Array, col: float, dark_dn: float) -> tuple[NoiseLaw, float]:
-    """Return the noise law of a pixel of a mean frame, and the background far from a source above
-    dark, DN.
-
-    `image`: mean frame, shape (row, col), DN; `col`: column of the source, px; `dark_dn`: black
-    level, DN. The scatter of patches includes temporal noise and fixed pattern, since both affect a
-    single mean frame.
-    """
-    rows, cols = (n // PATCH_PX * PATCH_PX for n in image.shape)
-    tiles = image[:rows, :cols].reshape(rows // PATCH_PX, PATCH_PX, cols // PATCH_PX, PATCH_PX)
-    patches = tiles.mean(axis=(1, 3))
-    along = np.abs(PATCH_PX * (np.arange(patches.shape[1]) + 0.5) - col)
-    # The 60 % of columns closest to the source contain its halo and its column.
-    far_patches = np.flatnonzero(along >= np.quantile(along, 0.6))
-    # Differences of adjacent patches exclude gradients, medians exclude other sources.
-    pairs = far_patches[:-1][np.diff(far_patches) == 1]
-    patch_differences = np.abs(patches[:, pairs + 1] - patches[:, pairs])
-    patch = 0.5 * robust_sd(patch_differences, 0.0) ** 2 if patch_differences.size else 0.0
-    single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far_patches])) + patch
-    floor = max(single, 0.1 * QUANTISATION_DN2)
-    background = float(np.median(patches[:, far_patches])) - dark_dn
-    # Below 0.5 DN the noise is not photon noise.
-    measurable = background > 0.5
-    return NoiseLaw(
-        gain_dn=floor / background if measurable else 0.0,
-        read_dn=0.0 if measurable else floor**0.5,
-        correlation_factor=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)),
-    ), max(background, 0.0)
-
-
 LEAST_ROWS = 3
 # A uniform column above this fraction of full scale is a streak of full wells, not smear.
 FULL_SHARE = 0.5
@@ -290,7 +239,7 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     every second row counts near the ends.
     """
     columns = compare_columns(spot, context)
-    noise, _ = mean_frame_noise(spot.image, spot.col, spot.dark_dn)
+    noise = spot.noise
     length, sd = _rows_above(spot, noise, round(spot.col))
     other = round(spot.col) + (1 if spot.col > round(spot.col) else -1)
     # Near the middle between two columns either may be the source's.

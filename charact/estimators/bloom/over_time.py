@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.bloom.point_stack import PointStack
+from charact.estimators.bloom.source_view import SECTORS, Polar, polar_of
 from charact.frames.robust import robust_sd
 from charact.frames.thresholds import CLIPPING
 from labdata import Array, FrameStack, Mask, Measurement, make_refusal, measurement_from_draws
 
 # Side of the tiles whose means form the background, px.
 TILE_PX = 6
-SECTORS = 12
 # Minimum motion of a source, px, and relative change of light or background, through a stack.
 LEAST_TRAVEL_PX, LEAST_CHANGE = 0.3, 0.05
 # Fractions of the signal at which recovery is measured, by quantity.
@@ -53,15 +53,13 @@ def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> Frame
     """Analyse one stack frame by frame."""
     data = np.asarray(stack.data)
     mean = data.mean(axis=0, dtype=np.float64)
-    rows, cols = np.indices(mean.shape, sparse=True)
-    down, along = (rows - spot.row) * row_pitch, cols - spot.col
-    radius = np.hypot(down, along)
-    tiles = _far_tiles(mean, radius, np.broadcast_to(np.abs(along), mean.shape))
+    polar = polar_of((mean.shape[0], mean.shape[1]), spot.row, spot.col, row_pitch)
+    tiles = _far_tiles(mean, polar.radius, np.abs(polar.dx))
     by_frame = _tiles(data)[:, tiles].mean(axis=1) - spot.dark_dn
     level = _tiles(mean)[tiles] - spot.dark_dn
     scatter = float(by_frame.std(ddof=1)) / np.sqrt(len(by_frame)) if len(by_frame) > 1 else 0.0
     variance = data.var(axis=0, ddof=1, dtype=np.float64) if len(data) > 1 else np.zeros(mean.shape)
-    light, noise = _light(data, mean, radius, by_frame, tiles, spot)
+    light, noise = _light(data, mean, polar.radius, by_frame, tiles, spot)
     return FrameSeries(
         spot=spot,
         time_s=np.asarray(stack.time_s, np.float64),
@@ -71,7 +69,7 @@ def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> Frame
         centre_px=_centres(data, mean, float(np.sqrt(np.median(_tiles(variance)[tiles]))), spot),
         light_by_frame=light,
         light_noise=noise,
-        noise=_noise(data, mean, variance, radius, np.arctan2(down, along), tiles, spot),
+        noise=_noise(data, mean, variance, polar, tiles, spot),
     )
 
 
@@ -163,15 +161,14 @@ def _noise(
     data: NDArray,
     mean: Array,
     variance: Array,
-    radius: Array,
-    angle: Array,
+    polar: Polar,
     tiles: Mask,
     spot: PointStack,
 ) -> Array:
     """Signal, temporal variance and its standard error of the background and of groups of rings,
     shape (3, level).
     """
-    ring = radius.astype(int)
+    ring, sector = polar.ring, polar.sector
     count = np.maximum(np.bincount(ring.ravel()), 1)
     # Rings are selected by their mean, since selection by the pixel's own value would be biased.
     by_ring = np.bincount(ring.ravel(), mean.ravel()) / count - spot.dark_dn
@@ -185,14 +182,11 @@ def _noise(
     cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
     # Blur spreads variance less far than signal, so that variance is too small near a steep edge.
     cut |= (np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - floor))[ring]
-    ring_height, sector = (
-        (by_ring - floor)[ring],
-        ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS,
-    )
+    ring_height = (by_ring - floor)[ring]
     for low, high in pairwise((3.0, 6.0, 12.0, 24.0, 48.0)):
-        take = (ring_height >= low) & (ring_height < high) & (radius > 8.0) & ~cut
+        take = (ring_height >= low) & (ring_height < high) & (polar.radius > 8.0) & ~cut
         sector_counts = np.bincount(sector[take], minlength=SECTORS)
-        full = sector_counts >= 6
+        full = sector_counts >= 3
         if full.sum() < SECTORS // 2:
             continue
         by_sector = (

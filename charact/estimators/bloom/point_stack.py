@@ -6,6 +6,7 @@ import numpy as np
 
 from charact.estimators.bloom.extent import Extent, contour_at, extent_at
 from charact.estimators.bloom.source_view import Background, SourceView, background_of, view_of
+from charact.frames.noise_law import NoiseLaw
 from charact.frames.robust import robust_sd
 from charact.frames.stack import Stack
 from charact.frames.thresholds import CLIPPING
@@ -189,7 +190,8 @@ class PointStack:
     `frames`: number of frames; `dark_dn`, `full_scale_dn`: black level and full scale;
     `dark_known`: whether the black level was measured or recorded; `row`, `col`: centre, px;
     `significance`: height of the smoothed source above its surroundings in standard deviations;
-    `frame_streak_px`: streak length of single frames, shape (frame,), px; `row_pitch`: row pitch
+    `frame_streak_px`: streak length of single frames, shape (frame,), px; `noise`: noise of a pixel
+    of the mean frame; `row_pitch`: row pitch
     over column pitch; `half`, `background`, `clip`: region at or above half of full scale, twice
     the background above dark, and full scale; None where the source stays below the threshold or
     the background is not measurable; `light`: the background; `other_sources`: further sources in
@@ -207,6 +209,7 @@ class PointStack:
     col: float
     significance: float
     frame_streak_px: Array
+    noise: NoiseLaw
     row_pitch: float = 1.0
     half: Extent | None = None
     background: Extent | None = None
@@ -392,6 +395,7 @@ def spot_of(
         col=position.col,
         significance=position.significance,
         frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
+        noise=view.noise.scaled(1.0 / len(stack)),
         row_pitch=context.pitch_ratio,
         half=extents["half"],
         background=extents["background"],

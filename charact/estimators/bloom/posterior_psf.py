@@ -171,8 +171,7 @@ def spread_of(
 
     The draws have the names of `NAMES`, or `core_sd`, the core before the pixel aperture, as fitted
     to point series; `pitch_ratio`, row pitch over column pitch, is for that aperture. `known` are
-    fields that the posterior lacks. Raises BadInput if a required parameter is missing, or the halo
-    model has no edge.
+    fields that the posterior lacks. Raises BadInput if a required parameter is missing.
     """
     fitted = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
     if "core_sd" in posterior.names:
@@ -181,8 +180,6 @@ def spread_of(
         fitted["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
     if "even_share" in posterior.names:
         fitted["flat_share"] = 1.0 - np.sum([posterior[name] for name in spreads.PROFILE], axis=0)
-    if "halo_sd" in posterior.names:
-        raise BadInput("the PSF needs a halo with an edge; the fitted halo is Gaussian")
     fields = {**({} if "core_frequency" in posterior.names else GAUSSIAN), **known, **fitted}
     if not {"halo_diameter_px", "halo_fraction"} & fields.keys():
         fields = {**fields, **NO_HALO}

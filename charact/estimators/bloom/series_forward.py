@@ -2,7 +2,6 @@
 model.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,8 @@ from charact.estimators.bloom.extent_measurements import (
 )
 from charact.estimators.bloom.findings import DIAMETERS, finding
 from charact.estimators.bloom.point_stack import DETECTED, PointStack, read_point_stacks
-from charact.estimators.bloom.series.extent_comparison import compare_extents
 from charact.estimators.bloom.series.halo_edge_step import Rim, rim_of
-from charact.estimators.bloom.series.likelihood import RingSeries, select_levels
+from charact.estimators.bloom.series.likelihood import RingSeries
 from charact.estimators.bloom.series.model_selection import (
     MISFIT_SHARE,
     FittedHaloModel,
@@ -25,7 +23,6 @@ from charact.estimators.bloom.series.model_selection import (
     halo_refusal_reason,
     is_uneven,
 )
-from charact.estimators.bloom.series.optimum import optimise
 from charact.estimators.bloom.series.ring_series import build_ring_series
 from charact.estimators.bloom.series.series_measurements import (
     OF_THE_HALO,
@@ -39,8 +36,8 @@ from charact.estimators.bloom.series.series_measurements import (
 )
 from charact.estimators.bloom.series_consistency import check_consistency
 from charact.estimators.bloom.smear import smear_measurement
-from charact.estimators.bloom.thresholds import CUT_SD, RIM, Unmeasurable
-from charact.inference import importance_sample, laplace
+from charact.estimators.bloom.thresholds import RIM, Unmeasurable
+from charact.inference import importance_sample
 from charact.method import Context, register
 from charact.verdict import Finding, judge
 from labdata import Posterior, Result, Session, has_tube
@@ -100,54 +97,25 @@ def profile_evidence(fit: FittedSeries) -> dict[str, Any]:
     return {"point-profile": data, "halo-constancy": uniformity}
 
 
-def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, Any]:
-    """Information criterion of every fitted model, and its cross-validation."""
-    foretold = (
-        [None] * len(forms)
-        if quick
-        else [cross_validate(model) for model in forms[:3]] + [None] * len(forms)
-    )
-    least_bic = forms[0].bic
+def forms_evidence(forms: list[FittedHaloModel]) -> dict[str, Any]:
+    """Information criterion of every fitted model."""
     rows = [
         {
             "form": model.name,
             "parameters": len(model.form.names),
             "log_likelihood": model.log_likelihood,
-            "bic_over_best": model.bic - least_bic,
+            "bic_over_best": model.bic - forms[0].bic,
             "off_percent": 100.0 * model.problem.misfit.outer,
             "core_off_percent": 100.0 * model.problem.misfit.core,
-            "foretold_chi2_per_ring": value,
         }
-        for model, value in zip(forms, foretold, strict=False)
+        for model in forms
     ]
     return {"bloom-forms": {"table": rows}}
 
 
-def cross_validate(candidate: FittedHaloModel) -> float | None:
-    """Reduced chi squared of stacks that a model was not fitted to; None with one stack.
-
-    Every second stack is excluded in turn: core and halo come from one half, each stack's
-    amplitudes from itself.
-    """
-    series = candidate.problem.series
-    count = len(series.labels)
-    if count < 2:
-        return None
-    total = 0.0
-    for fold in (0, 1):
-        in_fold = np.arange(count) % 2 == fold
-        peak = optimise(
-            replace(candidate.problem, series=select_levels(series, in_fold)), candidate.peak.point
-        )
-        total += float(
-            replace(candidate.problem, series=select_levels(series, ~in_fold))
-            .solve_amplitudes(peak.point[None])
-            .chi2.sum()
-        )
-    return total / series.data.size
-
-
 METHOD = "series-forward"
+# Densities added to the proposal of the posterior: more would take longer than all else.
+MOST_ADDED = 12
 
 
 @register("bloom", METHOD)
@@ -163,9 +131,9 @@ def series_forward(session: Session, *, context: Context) -> Result:
 
     Notes
     -----
-    Cores (Gaussian, image tube, Gaussian with a Moffat wing) and halos (none, a disc of
-    backscattered electrons, Gaussian) are fitted to the ring means of all stacks together and
-    selected by the Bayesian information criterion. Each stack has its own source signal and
+    Cores (Gaussian, image tube, Gaussian with a Moffat wing), without a halo and with a disc of
+    backscattered electrons, are fitted to the ring means of all stacks together and selected by the
+    Bayesian information criterion. Each stack has its own signal and
     background. The halo's diameter is that of the step that the rings show under any smooth curve,
     whatever the models of core and wings; its light is reported if a disc is clearly the best
     model.
@@ -181,18 +149,15 @@ def series_forward(session: Session, *, context: Context) -> Result:
         measured = halo_measurements(fit)
         measured += energy_radius_measurements(fit) + glare_measurements(fit)
         measured += mcp_saturation_measurements(fit) if _has_tube(fit.group, context) else []
-        evidence = profile_evidence(fit) | forms_evidence(fit.forms, quick=context.quick)
-        # Measured extents are compared with the fitted signal, or flagged where the fit is poor.
-        if misfit := [check for check in fit.findings if check.flag == "model-misfit"]:
-            labels = {spot.label for spot in fit.group}
-            extents = [
-                judge(extent, misfit)
-                if extent.quantity in DIAMETERS and extent.stack in labels
-                else extent
-                for extent in extents
-            ]
-        else:
-            extents = compare_extents(fit.best, fit.group, extents)
+        evidence = profile_evidence(fit) | forms_evidence(fit.forms)
+        labels = {spot.label for spot in fit.group}
+        misfit = [check for check in fit.findings if check.flag == "model-misfit"]
+        extents = [
+            judge(extent, misfit)
+            if extent.quantity in DIAMETERS and extent.stack in labels
+            else extent
+            for extent in extents
+        ]
     except Unmeasurable as refusal:
         measured = refuse_halo(str(refusal), OF_THE_HALO, fields)
     smear, of_smear = smear_measurement(spots, context, **fields)
@@ -255,34 +220,18 @@ def _fit_series(
 
 def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
     """Posterior draws of the selected model's parameters."""
-    arguments: dict[str, Any] = {
-        "names": best.form.names,
-        "units": best.form.units,
-        "start": best.peak.point,
-        "covariance": best.peak.covariance,
-        "seed": context.seed,
-        "bounds": best.form.bounds,
-    }
-    if context.quick:
-        gaussian = laplace(best.problem.log_probability, **arguments)
-        if not _is_cut(best, gaussian):
-            return gaussian
-    enough = 100.0 if context.quick else 1000.0
     return importance_sample(
-        best.problem.log_probability, enough=enough, first_draws=2000, **arguments
+        best.problem.log_probability,
+        names=best.form.names,
+        units=best.form.units,
+        start=best.peak.point,
+        covariance=best.peak.covariance,
+        seed=context.seed,
+        bounds=best.form.bounds,
+        enough=100.0 if context.quick else 1000.0,
+        first_draws=500 if context.quick else 2000,
+        max_added=MOST_ADDED,
     )
-
-
-def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
-    """Whether bounds or a bent ridge make the Gaussian approximation unreliable."""
-    if best.form.halo != "disc":
-        loss = best.peak.log_probability - best.problem.log_probability(gaussian.draws[:100])
-        return float(np.median(loss)) > 2.0 * len(best.form.names)
-    diameter = gaussian["halo_diameter"]
-    diameter_offset = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(
-        np.median(diameter)
-    )
-    return abs(diameter_offset) > CUT_SD * float(np.std(diameter))
 
 
 def misfit_findings(best: FittedHaloModel) -> list[Finding]:

@@ -10,7 +10,6 @@ from charact.estimators.bloom.column_artefacts import (
     ROUNDED_DN,
     ColumnArtefacts,
     compare_columns,
-    mean_frame_noise,
 )
 from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import DETECTED, PointStack
@@ -124,10 +123,10 @@ def _core_of(spots: list[PointStack], context: Context) -> Core:
     over = np.flatnonzero(column_excess > 0.25 * column_excess.max())
     half = int(np.clip(np.abs(over - min(6, col)).max(), 1, 6))
     value, sd = _contrast(spot.image, near_rows, half, col)
-    law, _ = mean_frame_noise(spot.image, spot.col, spot.dark_dn)
     light, value = spot.exposure_lux_ns or 1.0, value * near_rows.sum()
     noise = np.hypot(
-        sd * near_rows.sum(), np.sqrt(law.sum_variance((2 * half + 1) * value)) / (2 * half + 1)
+        sd * near_rows.sum(),
+        np.sqrt(spot.noise.sum_variance((2 * half + 1) * value)) / (2 * half + 1),
     )
     if not value > 0 or noise > 0.25 * value:
         raise Unmeasurable(
@@ -187,8 +186,7 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear:
     # The round profile is subtracted first, since its curvature resembles a faint column.
     columns = compare_columns(spot, context, half_width_px=spot.image.shape[1])
     middle = slice(max(0, col - half), col + half + 1)
-    law, background_dn = mean_frame_noise(spot.image, spot.col, spot.dark_dn)
-    far_rows = _far_rows(columns, middle, float(law.sd(background_dn)))
+    far_rows = _far_rows(columns, middle, float(spot.noise.sd(spot.light.level_dn)))
     far_above, far_below = far_rows & (columns.row_offset < 0), far_rows & (columns.row_offset > 0)
     if far_rows.sum() < 16:
         raise Unmeasurable(

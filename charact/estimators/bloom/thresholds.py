@@ -22,9 +22,6 @@ LIT_NEIGHBOURS, NEIGHBOUR_SD = 0.15, 9.0
 # Fraction of single bright pixels above which they are noise: twice the defects of commercial
 # sensors.
 MOST_DEFECTS = 0.01
-# Distance of a Gaussian's optimum from the median of its draws, over their standard deviation,
-# above which bounds truncate it: half of the 1.1 of a bound through the optimum.
-CUT_SD = 0.5
 
 
 @dataclass(frozen=True)

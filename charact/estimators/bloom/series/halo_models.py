@@ -19,7 +19,7 @@ Core = Literal["gaussian", "tube", "moffat", "matern"]
 # Cores tried: of any camera, and of cameras with a tube.
 CORES: tuple[Core, ...] = ("gaussian", "matern", "moffat")
 CORES_OF_TUBES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
-Halo = Literal["none", "disc", "gaussian"]
+Halo = Literal["none", "disc"]
 
 
 CORE_SD = Parameter(name="core_sd", unit="px", low=0.35, high=8.0, start=1.2)
@@ -45,7 +45,6 @@ PROFILE = tuple(
         spreads.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True
     )
 )
-HALO_SD = Parameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0)
 HALO_FRACTION = Parameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
 
 
@@ -76,12 +75,7 @@ class HaloModel(Parametric):
             high=1.7 * self.reach_px,
             start=0.8 * self.reach_px,
         )
-        halo = {
-            "none": (),
-            "gaussian": (HALO_SD, HALO_FRACTION),
-            "disc": (widest, *PROFILE, HALO_FRACTION),
-        }
-        return core + halo[self.halo]
+        return core + ((widest, *PROFILE, HALO_FRACTION) if self.halo == "disc" else ())
 
     def at(self, points: Array) -> dict[str, Array]:
         """Map parameter names to the columns of points."""
@@ -120,12 +114,10 @@ class HaloModel(Parametric):
 
     def halo_transform(self, points: Array) -> Array | None:
         """Transfer function of the halo alone, shape (draw, frequency); None without a halo."""
+        if self.halo == "none":
+            return None
         of = self.at(points)
-        if self.halo == "disc":
-            return spreads.halo_disc(FREQUENCIES, of["halo_diameter"], profile_of(of))
-        return (
-            spreads.gaussian(FREQUENCIES, of["halo_sd"] ** 2) if self.halo == "gaussian" else None
-        )
+        return spreads.halo_disc(FREQUENCIES, of["halo_diameter"], profile_of(of))
 
 
 def profile_of(of: Mapping[str, Array]) -> Array:

@@ -1,21 +1,13 @@
 """Likelihood of a ring series under a halo model, with clipping at full scale."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.estimators.bloom.series.halo_models import HaloModel, onto_nodes
-from charact.estimators.bloom.series.ring_loops import (
-    best_step,
-    lost_at_top,
-    residuals_and_slopes,
-    ring_means,
-    whiten_rings,
-)
 from charact.estimators.bloom.series.rings import HARDLY_CUT, LevelRings, RingNoise
-from charact.estimators.bloom.source_view import NEAR_TOP, clipped_mean
+from charact.estimators.bloom.source_view import clipped_mean
 from labdata import Array, Mask
 
 # Trial values of the relative model error.
@@ -42,31 +34,6 @@ class Misfit:
 def about_core(radius_px: Array) -> Mask:
     """Return which rings are near the core, shape (ring,)."""
     return radius_px < 4.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Modes:
-    """Eigenmodes of the relative noise of some rings.
-
-    `variance`: variance of each mode, shape (level, mode); `modes`: shape (level, ring, mode).
-    """
-
-    variance: Array
-    modes: Array
-
-    def log_likelihoods(self, residual: Array) -> Array:
-        """Log-likelihood of relative residuals, (level, ring), for each trial model error, shape
-        (trial,).
-        """
-        squares = (self.modes.transpose(0, 2, 1) @ residual[..., None])[..., 0] ** 2
-        total = self.variance + SHARES[:, None, None] ** 2
-        return -0.5 * (squares / total + np.log(total)).sum(axis=(1, 2))
-
-
-def modes_of(covariance: Array) -> Modes:
-    """Decompose a relative covariance, shape (level, ring, ring)."""
-    variance, modes = np.linalg.eigh(covariance)
-    return Modes(variance=np.maximum(variance, 0.0), modes=modes)
 
 
 # Standard error of a ring whose pixels are excluded, DN.
@@ -124,54 +91,16 @@ class RingSeries:
         return out
 
     @cached_property
-    def own_modes(self) -> tuple[Modes, Modes]:
-        """Eigenmodes of the relative noise of the rings near the core, and of those beyond."""
-        light = np.maximum(self.light, LEAST_LIGHT_DN)
-        relative = self.own_covariance / (light[:, :, None] * light[:, None, :])
-        is_core = about_core(self.radius_px)
-        return modes_of(relative[:, is_core][:, :, is_core]), modes_of(
-            relative[:, ~is_core][:, :, ~is_core]
-        )
-
-    @cached_property
-    def parts_of_rings(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """First node with a weight in each ring, and the one after the last, shape (level,
-        ring).
-        """
-        has = self.averages != 0
-        return has.argmax(axis=2), has.shape[2] - has[..., ::-1].argmax(axis=2)
-
-    def ring_means(self, light: Array) -> Array:
-        """Average values at the nodes over rings, shape (level, ring, column)."""
-        return ring_means(np.ascontiguousarray(light), self.averages, *self.parts_of_rings)
-
-    @cached_property
     def onto_nodes(self) -> Array:
         """Matrix from transfer functions to signal at the nodes, shape (frequency, node)."""
         return onto_nodes(self.node_px)
 
 
-PER_LEVEL = ("data", "cut", "own_covariance", "node_sd", "sector_sd", "averages")
-
-
-def select_levels(series: RingSeries, which: Mask) -> RingSeries:
-    """Return some stacks of a series."""
-    labels = tuple(
-        label for label, is_selected in zip(series.labels, which, strict=True) if is_selected
-    )
-    return replace(
-        series, labels=labels, **{name: getattr(series, name)[which] for name in PER_LEVEL}
-    )
-
-
-def series_of(
-    levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: float, rings: int
-) -> RingSeries:
-    """Combine the innermost rings of all stacks into a series."""
-    inner_geometries = {id(level.geometry): level.geometry.within(rings) for level in levels}
-    geometries = [inner_geometries[id(level.geometry)] for level in levels]
+def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: float) -> RingSeries:
+    """Combine the rings of all stacks into a series."""
+    geometries = [level.geometry for level in levels]
     first = geometries[0]
-    data = np.array([level.mean_dn[:rings] for level in levels])
+    data = np.array([level.mean_dn for level in levels])
     covariances = [
         noise.covariance(means, of.count, level.frames)
         + np.diag(np.where(of.lost, LOST_DN**2, 0.0))
@@ -181,10 +110,10 @@ def series_of(
     return RingSeries(
         labels=tuple(level.label for level in levels),
         data=data,
-        cut=np.array([level.cut_share[:rings] > HARDLY_CUT for level in levels]),
+        cut=np.array([level.cut_share > HARDLY_CUT for level in levels]),
         own_covariance=np.array(covariances),
         node_sd=noise.pixel_sd(nodes),
-        sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
+        sector_sd=np.array([level.sector_sd for level in levels]),
         averages=np.array([geometry.averages for geometry in geometries]),
         node_px=first.node_px,
         radius_px=first.radius_px,
@@ -224,6 +153,29 @@ class ModelParts:
     unclipped: Array
     white: Array
     uncut: Array
+
+
+def best_step(slopes: Array, residual: Array) -> tuple[Array, float]:
+    """Least-squares step of source and background, shape (level, amplitude, point), and the largest
+    predicted fall of any level's chi squared.
+
+    `slopes`: derivatives of whitened rings, shape (amplitude, level, ring, point); `residual`:
+    shape (level, ring, point).
+    """
+    source, background = slopes
+    aa, ab, bb, ar, br = (
+        np.einsum("lrp,lrp->lp", first, second)
+        for first, second in (
+            (source, source),
+            (source, background),
+            (background, background),
+            (source, residual),
+            (background, residual),
+        )
+    )
+    determinant = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb + 1e-300)
+    first, second = (bb * ar - ab * br) / determinant, (aa * br - ab * ar) / determinant
+    return np.stack([first, second], axis=1), float((first * ar + second * br).max())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,11 +234,9 @@ class SeriesLikelihood:
 
     def unclipped_parts(self, unclipped: Array) -> dict[str, Array]:
         """Average signal at the nodes, shape (node, point), over rings."""
-        rings = self.series.ring_means(
-            np.broadcast_to(unclipped, (len(self.series.labels), *unclipped.shape))
-        )
-        white, uncut = whiten_rings(rings, self.whitener), self.uncut_weight[..., None] * rings
-        return {"unclipped": unclipped, "white": white, "uncut": uncut}
+        rings = self.series.averages @ unclipped
+        uncut = self.uncut_weight[..., None] * rings
+        return {"unclipped": unclipped, "white": self.whitener @ rings, "uncut": uncut}
 
     def solve_amplitudes(self, points: Array) -> AmplitudeSolution:
         """Find the optimum amplitudes of all stacks at points."""
@@ -298,10 +248,10 @@ class SeriesLikelihood:
         data, even = (
             np.broadcast_to(rings[..., None], parts.uncut.shape) for rings in self.weighted_rings[1]
         )
-        amplitudes = best_step(parts.uncut, even, data)[0]
+        amplitudes = best_step(np.stack([parts.uncut, even]), data)[0]
         residual, slopes = self.whiten(parts, amplitudes)
         for _ in range(self.steps):
-            step, promise = best_step(slopes[0], slopes[1], residual)
+            step, promise = best_step(slopes, residual)
             if promise < 1e-4:
                 break
             amplitudes = amplitudes + step
@@ -313,20 +263,27 @@ class SeriesLikelihood:
         ring, point).
         """
         lost = self.lost(parts, amplitudes)
-        levels, nodes, parts_lost, points = lost.shape
-        of_rings = self.series.ring_means(lost.reshape(levels, nodes, parts_lost * points))
-        lost = of_rings.reshape(levels, of_rings.shape[1], parts_lost, points)
-        data, even = self.weighted_rings[0]
-        return residuals_and_slopes(parts.white, even, data, amplitudes, lost, self.whitener)
+        levels, nodes, columns, points = lost.shape
+        averages = self.series.averages[:, :, :nodes]
+        rings = int(averages.any(axis=(0, 2)).sum())
+        of_rings = averages[:, :rings] @ lost.reshape(levels, nodes, columns * points)
+        white = self.whitener[:, :, :rings] @ of_rings
+        loss, *falls = np.moveaxis(white.reshape(levels, -1, columns, points), 2, 0)
+        data, even = (means[..., None] for means in self.weighted_rings[0])
+        residual = data - parts.white * amplitudes[:, :1] - even * amplitudes[:, 1:] + loss
+        return residual, np.stack([parts.white - falls[0], even - falls[1]])
 
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point).
 
         The nodes end beyond the last clipped one.
         """
-        return lost_at_top(
-            parts.unclipped, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP
-        )
+        light = self.light(parts, amplitudes)
+        read, slope = clipped_mean(light, self.series.node_sd[..., None], self.series.full_dn)
+        nodes = int(np.flatnonzero((slope < 1.0).any(axis=(0, 2))).max(initial=0)) + 1
+        cut = 1.0 - slope[:, :nodes]
+        lost = light[:, :nodes] - read[:, :nodes]
+        return np.stack([lost, cut * parts.unclipped[:nodes], cut], axis=2)
 
     def light(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Signal at the nodes, shape (level, node, point), DN."""
@@ -345,14 +302,27 @@ class SeriesLikelihood:
 
     def likeliest_misfit(self, point: Array) -> tuple[Misfit, float]:
         """Return the most likely relative model errors at a point, and the log-likelihood."""
-        light = np.maximum(self.series.light, LEAST_LIGHT_DN)
-        residual = (self.series.data - self.rings(point[None])[..., 0]) / light
+        residual = self.series.data - self.rings(point[None])[..., 0]
         is_core = about_core(self.series.radius_px)
-        core_modes, outer_modes = self.series.own_modes
-        of_core = core_modes.log_likelihoods(residual[:, is_core])
-        of_outer = outer_modes.log_likelihoods(residual[:, ~is_core])
+        of_core, of_outer = (
+            self._log_likelihoods(residual, rings) for rings in (is_core, ~is_core)
+        )
         outer = int(np.argmax(of_outer))
         # Few rings near the core, to which the core was fitted, would underestimate the error.
         core = outer + int(np.argmax(of_core[outer:]))
-        value = float(of_outer[outer] + of_core[core]) - float(np.log(light).sum())
-        return Misfit(outer=float(SHARES[outer]), core=float(SHARES[core])), value
+        misfit = Misfit(outer=float(SHARES[outer]), core=float(SHARES[core]))
+        return misfit, float(of_outer[outer] + of_core[core])
+
+    def _log_likelihoods(self, residual: Array, rings: Mask) -> Array:
+        """Log-likelihood of the residuals of some rings for each trial model error, shape
+        (trial,).
+        """
+        at, own = residual[:, rings, None], self.series.own_covariance[:, rings][:, :, rings]
+        light = np.maximum(self.series.light[:, rings], LEAST_LIGHT_DN)
+        error = (SHARES[:, None, None] * light) ** 2
+        covariance = own + error[..., None] * np.eye(light.shape[1])
+        chi2 = np.sum(
+            at * np.linalg.solve(covariance, np.broadcast_to(at, error[..., None].shape)),
+            axis=(1, 2, 3),
+        )
+        return -0.5 * (chi2 + np.linalg.slogdet(covariance)[1].sum(axis=1))

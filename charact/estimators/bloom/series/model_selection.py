@@ -7,7 +7,6 @@ import numpy as np
 from charact.estimators.bloom.series.halo_models import (
     CORES,
     CORES_OF_TUBES,
-    LEAST_DIAMETER_PX,
     WINGS,
     Core,
     Halo,
@@ -49,7 +48,7 @@ class FittedHaloModel:
     @property
     def name(self) -> str:
         """Name in reports."""
-        halo = {"none": "no halo", "disc": "disc", "gaussian": "Gaussian halo"}[self.form.halo]
+        halo = {"none": "no halo", "disc": "disc"}[self.form.halo]
         return f"{self.form.core} core, {halo}" + (
             ", saturating MCP" if isinstance(self.form, SaturatingHaloModel) else ""
         )
@@ -67,36 +66,25 @@ def candidates(
 
     `series`: ring means of all levels; `pitch_ratio`, `sensor`: row pitch over column pitch; sensor
     description, None if unknown; `has_tube`: whether the camera has a tube, whose MCP may saturate;
-    `first_diameter_px`: diameter of the clearest step of the rings; NaN where there is none.
+    `first_diameter_px`: diameter of the halo's edge; NaN where the rings show none.
     """
-    reach_px = float(series.radius_px[-1])
 
     def form(core: Core, halo: Halo) -> HaloModel:
         return HaloModel(
-            core=core, halo=halo, reach_px=reach_px, pitch_ratio=pitch_ratio, sensor=sensor
+            core=core,
+            halo=halo,
+            reach_px=float(series.radius_px[-1]),
+            pitch_ratio=pitch_ratio,
+            sensor=sensor,
         )
 
     out: list[FittedHaloModel] = []
     for core in CORES_OF_TUBES if has_tube else CORES:
-        bare = fit_model(series, form(core, "none"), [])
+        out.append(bare := fit_model(series, form(core, "none"), []))
         disc_models = [model for model in out if model.form.halo == "disc"]
-        out += [
-            bare,
-            fit_model(
-                series,
-                form(core, "disc"),
-                _discs(form(core, "disc"), first_diameter_px, bare, disc_models),
-            ),
-        ]
-    likeliest = min(out, key=lambda model: model.bic)
-    out.append(fit_model(series, form(likeliest.form.core, "gaussian"), []))
+        starts = _discs(form(core, "disc"), first_diameter_px, bare, disc_models)
+        out.append(fit_model(series, form(core, "disc"), starts))
     least_bic = min(model.bic for model in out)
-    out = [
-        refit_from_other_profiles(model)
-        if model.form.halo == "disc" and model.bic < least_bic + WORTHWHILE
-        else model
-        for model in out
-    ]
     out = sorted(
         (
             refit_with_misfit(model) if model.bic < least_bic + WORTHWHILE else model
@@ -139,27 +127,25 @@ def _saturating_candidates(best: FittedHaloModel, least_bic: float) -> list[Fitt
 
 def _discs(
     form: HaloModel,
-    first_diameter_px: float,
+    diameter_px: float,
     bare: FittedHaloModel,
     disc_models: list[FittedHaloModel],
 ) -> list[Array]:
-    """Start points of a disc: those of other cores, the observed step, and a range of diameters.
+    """Start points of a disc: those of other cores, and the edge or any diameter, some profiles.
 
-    A wing fitted without a halo takes the halo's place, so that wings also start with a Gaussian
-    core and its disc.
+    A wing fitted without a halo takes the halo's place, so that wings also start with the first
+    core, and with a Gaussian one and its disc.
     """
     low, high = form.bounds[form.names.index("halo_diameter")]
-    diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, 24)
-    if np.isfinite(first_diameter_px):
-        diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
+    diameters = np.linspace(low + 2.0, high - 2.0, 24)
+    if np.isfinite(diameter_px):
+        diameters = np.clip([diameter_px], low + 1.0, high - 1.0)
     halos = [
         *(model.peak.point[-HALO:] for model in disc_models),
-        *([diameter, *(0.3, 0.3, 0.0, 0.0, 0.08)] for diameter in diameters),
+        *([d, elastic, 0.3, 0.0, 0.0, 0.08] for d in diameters for elastic in (0.15, 0.3, 0.6)),
     ]
     cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
-    out = [
-        np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(disc_models) else 1]
-    ]
+    out = [np.array([*core, *halo]) for halo in halos for core in cores]
     if form.core in WINGS:
         plain = disc_models[0].peak.point
         out.append(np.array([plain[0], *cores[1][1:], *plain[-HALO:]]))
@@ -175,28 +161,6 @@ def fit_model(series: RingSeries, form: HaloModel, starts: list[Array]) -> Fitte
         optimise(problem, tried[index], iterations=FIRST_STEPS, tolerance=0.2) for index in order
     ]
     return _candidate(problem, max(peaks, key=lambda peak: peak.log_probability))
-
-
-def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
-    """Fit again from other halo profiles, with the fitted and the initial core."""
-    form, point = candidate.form, candidate.peak.point
-    at, core = form.names.index("elastic_share"), len(point) - HALO
-    starts = [point]
-    for elastic_fraction in (0.15, 0.6):
-        for first in (point[:core], form.first[:core]):
-            start = np.concatenate([first, point[core:]])
-            start[at] = elastic_fraction
-            starts.append(start)
-    as_it_is, *peaks = [
-        optimise(candidate.problem, start, iterations=FIRST_STEPS, tolerance=0.2)
-        for start in starts
-    ]
-    best = max(peaks, key=lambda peak: peak.log_probability)
-    return (
-        _candidate(candidate.problem, best)
-        if best.log_probability > as_it_is.log_probability + 1.0
-        else candidate
-    )
 
 
 def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:

@@ -90,7 +90,7 @@ def _step(
     return float(np.clip(across, -1.0, 1.0)), float(np.clip(down, -1.0, 1.0))
 
 
-# Minimum number of rings of a series; halos of up to 1.1 mm at the photocathode fit into 64.
+# Minimum number of rings of a series.
 LEAST_RINGS = 14
 
 
@@ -142,7 +142,7 @@ def build_ring_series(
             f"the source must lie {LEAST_RINGS} px or more inside the frame, got {ring_count}"
         )
     noise = noise_of(levels, dark_dn=min(spot.dark_dn for spot in group))
-    series = series_of(levels, noise, full_dn=full, rings=min(64, ring_count))
+    series = series_of(levels, noise, full_dn=full)
     return series, tuple(replace(spot, row=row, col=col) for spot in group)
 
 

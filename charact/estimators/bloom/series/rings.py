@@ -6,11 +6,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.estimators.bloom.source_view import polar_of
 from charact.frames.noise_law import NoiseLaw
 from labdata import Array, Mask
 
-# Outermost ring, column pitches.
-REACH_PX = 90
+# Outermost ring, column pitches; halos of up to 1.1 mm at the photocathode fit into it.
+REACH_PX = 64
 INNERMOST = 3
 # Node spacing, column pitches: fine within the core, coarser beyond.
 COARSE_PX, FINE_TO_PX = 0.4, 8.0
@@ -45,22 +46,6 @@ class Geometry:
         """Matrix from values at the nodes to ring means, shape (ring, node)."""
         ring = np.repeat(np.arange(len(self.count)), self.count.astype(int))
         return _averages(self.pixel_radius_px, ring, self.node_px, len(self.count))
-
-    def within(self, rings: int) -> "Geometry":
-        """Return the innermost rings."""
-        size = int(self.count[:rings].sum())
-        nodes = self.node_px < self.radius_px[:rings][-1] + 4 * COARSE_PX
-        return replace(
-            self,
-            order=self.order[:size],
-            first=self.first[:rings],
-            radius_px=self.radius_px[:rings],
-            count=self.count[:rings],
-            lost=self.lost[:rings],
-            node_px=self.node_px[nodes],
-            pixel_radius_px=self.pixel_radius_px[:size],
-            pixel_angle=self.pixel_angle[:size],
-        )
 
     def pixels(self, frames: NDArray) -> Array:
         """Return the pixels of the rings in order, shape (frame, row, col) -> (frame, pixel)."""
@@ -105,10 +90,9 @@ def geometry_of(
     up = int(np.ceil(reach_px / pitch_ratio))
     rows = slice(max(0, int(row) - up), min(shape[0], int(row) + up + 2))
     cols = slice(max(0, int(col) - reach_px), min(shape[1], int(col) + reach_px + 2))
-    dy = (np.arange(rows.start, rows.stop) - row)[:, None] * pitch_ratio
-    dx = (np.arange(cols.start, cols.stop) - col)[None, :]
-    radius = np.hypot(dx, dy).ravel()
-    ring = radius.astype(np.int64)
+    window = rows.stop - rows.start, cols.stop - cols.start
+    polar = polar_of(window, row - rows.start, col - cols.start, pitch_ratio)
+    radius, ring = polar.radius.ravel(), polar.ring.ravel()
     within_reach = ring < reach_px
     full_ring_area = np.pi * (2 * np.arange(reach_px) + 1) / pitch_ratio
     enough = np.bincount(ring[within_reach], minlength=reach_px) > 0.34 * full_ring_area
@@ -127,7 +111,6 @@ def geometry_of(
     order = np.flatnonzero(used_pixels)
     order = order[np.argsort(ring[order], kind="stable")]
     _, first, count = np.unique(ring[order], return_index=True, return_counts=True)
-    down, across = (np.broadcast_to(way, (dy.size, dx.size)).ravel()[order] for way in (dy, dx))
     return Geometry(
         rows=rows,
         cols=cols,
@@ -138,7 +121,7 @@ def geometry_of(
         lost=lost,
         node_px=_nodes(ring_count + 1.0),
         pixel_radius_px=radius[order],
-        pixel_angle=np.arctan2(down, across),
+        pixel_angle=np.arctan2(polar.dy, polar.dx).ravel()[order],
     )
 
 
@@ -162,7 +145,6 @@ def _averages(radius: Array, ring: NDArray[np.int64], nodes: Array, rings: int) 
     return out / np.bincount(ring, minlength=rings)[:, None]
 
 
-SMOOTHED = 7
 # Innermost rings, of few pixels, are less correlated.
 FIRST_CORRELATED_RING = 4
 # Fraction of clipped samples above which a ring's scatter is no measure of its noise.
@@ -237,14 +219,14 @@ class RingNoise:
     """Noise of a series, estimated from its frames.
 
     `law`: noise of a pixel against its signal above the black level `dark_dn`, DN; `sharing`:
-    variance of a ring's mean over that of independent pixels, shape (ring,); `correlation`:
+    variance of a ring's mean over that of independent pixels, dimensionless; `correlation`:
     correlation of ring means by distance 0, 1, 2, .., shape (lag,); `fewer`: frames per independent
     frame.
     """
 
     law: NoiseLaw
     dark_dn: float
-    sharing: Array
+    sharing: float
     correlation: Array
     fewer: float
 
@@ -256,23 +238,17 @@ class RingNoise:
         """Return the covariance of a stack's ring means at given signals, shape (ring, ring),
         DN^2.
         """
-        sd = self.pixel_sd(level_dn) * np.sqrt(
-            self.sharing[: len(count)] / count * min(self.fewer / frames, 1.0)
-        )
+        sd = self.pixel_sd(level_dn) * np.sqrt(self.sharing / count * min(self.fewer / frames, 1.0))
         # Rounding shifts a mean by at most exp(-2 pi^2 s^2)/pi for noise of s DN. Rare pulses do
         # not dither the values between them: below 1 DN only the dark noise counts.
         rounding_sd = np.exp(-2.0 * np.pi**2 * self.pixel_sd(level_dn - 1.0) ** 2) / np.pi
         rounding = np.diag(rounding_sd**2 + 0.01**2)
-        return self._matrix[: len(count), : len(count)] * np.outer(sd, sd) + rounding
-
-    @cached_property
-    def _matrix(self) -> Array:
-        """Correlation of all rings, with its eigenvalues bounded from below."""
-        size = len(self.sharing)
-        ring_separation = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
-        padded = np.concatenate([self.correlation, np.zeros(max(1, size - len(self.correlation)))])
-        values, vectors = np.linalg.eigh(padded[ring_separation])
-        return (vectors * np.maximum(values, 0.05)) @ vectors.T
+        ring = np.arange(len(count))
+        padded = np.concatenate([self.correlation, np.zeros(max(1, len(ring)))])
+        # Eigenvalues are bounded from below.
+        values, vectors = np.linalg.eigh(padded[np.abs(np.subtract.outer(ring, ring))])
+        correlation = (vectors * np.maximum(values, 0.05)) @ vectors.T
+        return correlation * np.outer(sd, sd) + rounding
 
 
 def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
@@ -282,7 +258,7 @@ def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
     bare = RingNoise(
         law=law,
         dark_dn=dark_dn,
-        sharing=np.ones(1),
+        sharing=1.0,
         correlation=np.ones(1),
         fewer=1.0,
     )
@@ -295,8 +271,8 @@ def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
         for level, usable in zip(levels, free, strict=True)
     ]
     freedom = np.array([max(level.frames - 1, 1) for level in levels])
-    square = np.sum([np.nansum(scatter**2, axis=0) for scatter in scaled], axis=0)
-    sharing = _smooth_over_rings(square, freedom @ free)
+    square = sum(float(np.nansum(scatter**2)) for scatter in scaled)
+    sharing = max(square / max(float((freedom @ free).sum()), 1.0), 0.3)
     normalised = [scatter / np.sqrt(sharing) for scatter in scaled]
     return RingNoise(
         law=law,
@@ -328,19 +304,6 @@ def _noise_law(levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_dn:
         floor, slope = np.linalg.lstsq(design * weight[:, None], variance * weight, rcond=None)[0]
         fitted = np.maximum(design @ [max(floor, 1e-3), max(slope, 0.0)], 1e-3)
     return NoiseLaw(gain_dn=float(max(slope, 0.0)), read_dn=float(max(floor, 1e-3)) ** 0.5)
-
-
-def _smooth_over_rings(square: Array, number_per_ring: Array) -> Array:
-    """Mean squares over neighbouring rings; the mean of all where none is usable."""
-    kernel = np.ones(SMOOTHED)
-    total, number = (
-        np.convolve(np.pad(values, SMOOTHED // 2), kernel, mode="valid")
-        for values in (square, number_per_ring)
-    )
-    overall_mean = square.sum() / max(number_per_ring.sum(), 1)
-    return np.maximum(
-        np.where(number > 20, total / np.maximum(number, 1), max(overall_mean, 0.3)), 0.1
-    )
 
 
 def _correlation(normalised: list[Array]) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from charact.estimators.bloom.findings import finding
 from charact.estimators.bloom.point_stack import PointStack
 from charact.estimators.bloom.series.halo_edge_step import Rim
-from charact.estimators.bloom.series.halo_models import HaloModel, onto_nodes, pixel_of, profile_of
+from charact.estimators.bloom.series.halo_models import HaloModel, onto_nodes, pixel_of
 from charact.estimators.bloom.series.mcp_saturation import SaturatingSeriesLikelihood
 from charact.estimators.bloom.series.model_selection import FittedHaloModel
 from charact.frames.robust import robust_sd
@@ -73,7 +73,8 @@ def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
     return median, max(1.2533 * 2.0 * spread / float(np.sqrt(values.size)), 1e-6)
 
 
-RIM = (0.75, 1.1)
+# Radii of plateau and rim over that of the disc.
+PLATEAU, RIM = (0.3, 0.7), (0.75, 1.1)
 STEP_PX = 0.1
 
 
@@ -84,28 +85,16 @@ def halo_of(form: HaloModel, points: Array) -> tuple[Array, Array]:
     rim: maximum light of the rim, blurred by the core without its wing, over the plateau.
     """
     of = form.at(points)
-    radius, profile = of["halo_diameter"] / 2.0, profile_of(of)
-    inner, outer = (0.3, 0.7)
-    annulus_fraction = _within(outer) - _within(inner)
-    light_fraction = (
-        profile @ annulus_fraction[:-1] + (1.0 - profile.sum(axis=1)) * annulus_fraction[-1]
-    )
-    per_px2 = light_fraction / (np.pi * radius**2 * (outer**2 - inner**2))
-    at = np.arange(RIM[0] * radius.min(), RIM[1] * radius.max(), 0.2)
+    radius = of["halo_diameter"][:, None] / 2.0
+    at = np.arange(PLATEAU[0] * radius.min(), RIM[1] * radius.max(), 2.0 * STEP_PX)
     halo = form.halo_transform(points)
     assert halo is not None
     light = (form.blur_transform(points) * pixel_of(form.pitch_ratio) * halo) @ onto_nodes(at)
-    within_rim = (at > RIM[0] * radius[:, None]) & (at < RIM[1] * radius[:, None])
+    area = at * ((at > PLATEAU[0] * radius) & (at < PLATEAU[1] * radius))
+    per_px2 = (light * area).sum(axis=1) / area.sum(axis=1)
+    within_rim = (at > RIM[0] * radius) & (at < RIM[1] * radius)
     rim = np.where(within_rim, light, -np.inf).max(axis=1)
     return of["halo_fraction"] * per_px2, rim / per_px2
-
-
-def _within(x: float) -> Array:
-    """Fractions of the light within x of the disc's radius for each density of `spreads.PROFILE`
-    and a flat one.
-    """
-    root = float(np.sqrt(1.0 - x**2))
-    return np.array([1.0 - root, x * np.arccos(x) - root + 1.0, x**4, x**14, x**2])
 
 
 def energy_radii(

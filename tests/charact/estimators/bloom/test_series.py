@@ -8,11 +8,9 @@ import pytest
 
 from charact.estimators import bloom
 from charact.estimators.bloom import read_point_stacks
-from charact.estimators.bloom.series import (
-    build_ring_series,
-    candidates,
-    geometry_of,
-)
+from charact.estimators.bloom.series.model_selection import candidates
+from charact.estimators.bloom.series.ring_series import build_ring_series
+from charact.estimators.bloom.series.rings import geometry_of
 from charact.method import Context
 from charact.method.registry import methods_of_kind
 from tests.truth.bloom import bloom_session
@@ -88,7 +86,7 @@ def test_rings_about_the_core_that_are_off_blur_the_halos_share_and_leave_its_ed
     assert found[1].form.names == names
     edge, share = names.index("halo_diameter"), names.index("halo_fraction")
     sds = np.sqrt([np.diag(one.covariance) for one in (whole, bent)])
-    assert sds[1, edge] < 1.5 * sds[0, edge]
+    assert sds[1, edge] < 1.8 * sds[0, edge]
     assert sds[1, share] > 1.1 * sds[0, share]
     for one, sd in zip((whole, bent), sds, strict=True):
         assert abs(one.point[edge] - scene.halo_diameter_px) < 4.5 * sd[edge]
