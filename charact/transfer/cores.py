@@ -178,23 +178,17 @@ class ExactPupil(Core):
         )
         yield from self.differences(theta, frequency)
 
+    def attenuation(self, x: Array, shape: Sequence[float]) -> Array:
+        """As of `Core`, x = f over the cut-off, up to the first zero of the transfer."""
+        free = dict(zip(self.shape, np.sqrt(np.maximum(shape, 0.0)), strict=True))
+        hole, defocus = (float(free.get(part, 0.0)) for part in (HOLE, DEFOCUS))
+        transfer = np.interp(x, PUPIL_NODES, _pupil_at_nodes(hole, defocus))
+        return -np.log(np.maximum(transfer, np.exp(MIN_LN)))
+
 
 @lru_cache(maxsize=16)
-def _pupil_at_nodes(square: float) -> Array:
-    return pupil(PUPIL_NODES, 1.0, 0.0, float(np.sqrt(max(square, 0.0))))[0]
-
-
-class DefocusedPupil(Core):
-    """A round pupil out of focus up to the zero of its transfer, by integration at `PUPIL_NODES`:
-    `pupil`.
-    """
-
-    name, shape = "defocused pupil", (DEFOCUS,)
-
-    def attenuation(self, x: Array, shape: Sequence[float]) -> Array:
-        """As of `Core`, x = f over the cut-off."""
-        transfer = np.interp(x, PUPIL_NODES, _pupil_at_nodes(shape[0]))
-        return -np.log(np.maximum(transfer, np.exp(MIN_LN)))
+def _pupil_at_nodes(hole: float, defocus: float) -> Array:
+    return pupil(PUPIL_NODES, 1.0, hole, defocus)[0]
 
 
 class TwoGaussians(Core):
@@ -275,7 +269,7 @@ ON_BARS = (
     ),
     BarForm(
         name="a lens",
-        core=DefocusedPupil(),
+        core=ExactPupil("defocus", DEFOCUS),
         first=Parameter(
             name="gaussian_share", unit="1", low=0.0, high=0.95, mean=0.2, sd=0.4, start=0.1
         ),

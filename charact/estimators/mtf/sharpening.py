@@ -32,9 +32,10 @@ def noise_gain(noise: Array, flat: NDArray[np.bool_], absorbed: float = 0.0) -> 
     pixels = int(np.count_nonzero(flat))
     if pixels < ACCURACY.sharpening_pixels:
         return 1.0
-    clip_sd = ACCURACY.sharpening_clip_sd
-    clipped = np.where(flat, np.clip(noise, -clip_sd, clip_sd), 0.0)
-    covariance, _ = masked_covariance(clipped[None], flat, REACH_PX)
+    largest = np.array([-1.0, 1.0]) * ACCURACY.sharpening_clip_sd
+    covariance, _ = masked_covariance(
+        np.where(flat, np.clip(noise, *largest), 0.0)[None], flat, REACH_PX
+    )
     variance = float(covariance[REACH_PX, REACH_PX])
     # A variance below 1 is the residual of the means, not noise.
     total = (float(covariance.sum()) - variance) / max(variance, 1.0)

@@ -71,12 +71,11 @@ def _chi2_of_count(fit: BarFit, problem: BarLikelihood, bars: int) -> tuple[floa
 
 def _fit_count(fit: BarFit, problem: BarLikelihood, bars: int, shift_px: float) -> BarFit:
     """Return a rough fit of another number of bars."""
-    start = initial_parameters(problem, fit.target)
-    start |= {"angle_rad": fit["angle_rad"], "across_px": shift_px}
+    moved = {"angle_rad": fit["angle_rad"], "across_px": shift_px}
     return fit_bars(
         problem,
         replace(fit.target, bars=bars),
-        start,
+        initial_parameters(problem, fit.target) | moved,
         fit.noise,
         tolerance=ACCURACY.rough_tolerance,
     )

@@ -119,10 +119,8 @@ class Table:
         )
 
 
-def table_of(
-    shape: BarShape, half_across_px: float, half_along_px: float, *, slopes: bool = True
-) -> Table:
-    """Return the table of an image up to a distance from its centre, with its derivatives or not.
+def table_of(shape: BarShape, half_across_px: float, half_along_px: float) -> Table:
+    """Return the table of an image up to a distance from its centre.
 
     Notes
     -----
@@ -163,7 +161,7 @@ def table_of(
         ]
     )
     values = (
-        np.asarray(irfft(spectra if slopes else spectra[:1], int(period / step), axis=-1))[
+        np.asarray(irfft(spectra, int(period / step), axis=-1))[
             ..., : int(half_across_px / step) + 2
         ]
         / step
@@ -374,40 +372,29 @@ class BarImageModel:
             angle_rad=self.target.angle_rad,
         )
 
-    def mean(self, theta: dict[str, float]) -> Array:
-        """Return the image, shape (pixel,)."""
-        return self._mean(theta, *self._look_up(theta, slopes=False))
-
-    def _look_up(self, theta: dict[str, float], *, slopes: bool) -> tuple[Array, Array, Array]:
-        """Return distances across and along the bars, and the table there."""
+    def __call__(self, theta: dict[str, float]) -> tuple[Array, Array]:
+        """Return the image, shape (pixel,), and its derivatives, shape (parameter, pixel)."""
         across, along = self.places(
             theta["angle_rad"], theta.get("across_px", 0.0), theta.get("along_px", 0.0)
         )
-        table = table_of(self.shape(theta), *self.reach, slopes=slopes)
-        return across, along, table.at(across, along)
-
-    def _mean(self, theta: dict[str, float], across: Array, along: Array, table: Array) -> Array:
-        return (
-            theta["pedestal_dn"]
-            + theta["level_dn"] * table[0]
-            + theta["slope_across"] * across / (2.0 * self.reach[0])
-            + theta["slope_along"] * along / (2.0 * self.reach[1])
-        )
-
-    def __call__(self, theta: dict[str, float]) -> tuple[Array, Array]:
-        """Return the image, shape (pixel,), and its derivatives, shape (parameter, pixel)."""
-        across, along, table = self._look_up(theta, slopes=True)
+        looked_up = table_of(self.shape(theta), *self.reach).at(across, along)
         level = theta["level_dn"]
-        slopes = level * table[-2], level * table[-1]
+        slopes = level * looked_up[-2], level * looked_up[-1]
+        scale = (2.0 * self.reach[0], 2.0 * self.reach[1])
+        image = (
+            theta["pedestal_dn"]
+            + level * looked_up[0]
+            + theta["slope_across"] * across / scale[0]
+            + theta["slope_along"] * along / scale[1]
+        )
         derivative = {
-            **dict(zip(SHAPES, level * table[1:9], strict=True)),
+            **dict(zip(SHAPES, level * looked_up[1:9], strict=True)),
             "across_px": -slopes[0],
             "along_px": -slopes[1],
             "angle_rad": slopes[0] * along - slopes[1] * across,
-            "level_dn": table[0],
+            "level_dn": looked_up[0],
             "pedestal_dn": np.ones_like(across),
-            "slope_across": across / (2.0 * self.reach[0]),
-            "slope_along": along / (2.0 * self.reach[1]),
+            "slope_across": across / scale[0],
+            "slope_along": along / scale[1],
         }
-        mean = self._mean(theta, across, along, table)
-        return mean, np.stack([derivative[name] for name in self.problem.names])
+        return image, np.stack([derivative[name] for name in self.problem.names])

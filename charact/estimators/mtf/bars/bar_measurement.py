@@ -15,6 +15,7 @@ from charact.estimators.mtf.bars.amplitudes import (
 from charact.estimators.mtf.bars.bar_image_model import BarLikelihood
 from charact.estimators.mtf.bars.checks import (
     clipping_findings,
+    finding,
     findings_of_fit,
     findings_of_sums,
     fundamental_in_standard_errors,
@@ -42,7 +43,6 @@ from charact.estimators.mtf.bars.target import (
 from charact.estimators.mtf.bars.thresholds import LIMITS
 from charact.frames.stack import Stack
 from charact.method import Context
-from charact.transfer.cores import ON_BARS
 from charact.verdict import Finding
 from labdata import Array, Mask, Posterior, has_tube
 
@@ -131,9 +131,7 @@ def _measure_strip(
     across, _ = fit.target.coordinates(mean.shape)
     # Of the region around the bars, on the nearer side.
     margin = float(min(-across.min(), across.max()) - fit.target.width_px / 2.0)
-    return _sample_measurement(
-        stack, fit, problem, context, asked, margin, window_findings(margin, LIMITS.min_margin_px)
-    )
+    return _sample_measurement(stack, fit, problem, context, asked, margin, [])
 
 
 def _refuse_faint(standard_errors: float) -> BarRefusal:
@@ -190,6 +188,11 @@ def _sample_measurement(
         kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
         notes.append(f"Found {fit.target.bars} {kind} background.")
     forms = fit_all_models(fit, problem)
+    _, likeliest, likeliest_problem = forms[0]
+    if len(stack.data) == 1 and likeliest.cost < LIMITS.max_cost_ratio * fit.cost:
+        # The noise of one frame held what the first form left over.
+        refitted = fit_frames(stack.data, likeliest_problem, likeliest.target, first=likeliest)
+        forms = fit_all_models(*refitted)
     _, fit, problem = forms[0]
     # Blur models that fit alike have about the same bias; the full posterior is that of the
     # preferred one.
@@ -202,9 +205,7 @@ def _sample_measurement(
         context.seed,
     )
     notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
-    notes.append(
-        "Bar width assumed to be half a period; a width error of 1 % biases the MTF by −1 %."
-    )
+    notes.append("The width of the bars is fitted: half a period within 1 % before the data.")
     if not has_tube(context.camera):
         notes.append("Pixels taken as square.")
     lit = np.zeros(problem.window.shape, bool)
@@ -214,7 +215,8 @@ def _sample_measurement(
         posterior=posterior,
         mtf=mtf,
         findings=(
-            *_bound_lost_light(target_findings, [model for _, model, _ in forms], margin),
+            *target_findings,
+            *_extrapolation_findings([model for _, model, _ in forms], margin),
             *findings_of_fit(fit, problem),
             *response_findings(response, float(np.mean(mtf))),
             # White clips where there is light, black mostly where there is none.
@@ -225,61 +227,47 @@ def _sample_measurement(
     )
 
 
-def _bound_lost_light(
-    findings: Iterable[Finding], fits: Iterable[BarFit], margin_px: float
-) -> list[Finding]:
-    """Return findings with the bound of a small window: the light that the widest of the blur
-    models has beyond it.
+def _extrapolation_findings(fits: Iterable[BarFit], margin_px: float) -> list[Finding]:
+    """Return the finding of light that blur models have where no pixel shows it, beyond the window.
 
     For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df, lost on
-    both pairs of sides.
+    both pairs of sides. If it is not there, the MTF is too low by its fraction.
     """
     f = (np.arange(4096) + 0.5) / 2048.0
     kernel = np.sin(2.0 * np.pi * f * margin_px) / f / 2048.0
-    bound = 0.0
+    most, bound = 0.0, 0.0
     for fit in fits:
         shape = fit.shape
         parameters = float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two
         core = np.exp(shape.form.ln(np.log(f / shape.reference), *parameters))
-        lost = 2.0 * (1.0 - 2.0 / np.pi * float(core @ kernel))
-        bound = max(bound, lost * shape.mtf)
-    return [
-        replace(doubt, bound=bound, sign=1) if doubt.flag == "window-too-small" else doubt
-        for doubt in findings
-    ]
+        fraction = 2.0 * (1.0 - 2.0 / np.pi * float(core @ kernel))
+        if fraction > max(most, LIMITS.max_extrapolated_light):
+            most, bound = fraction, (fraction - LIMITS.max_extrapolated_light) * shape.mtf
+    if bound == 0.0:
+        return []
+    effect = (
+        f"of the light, {100.0 * most:.0f} % is further than {margin_px:.0f} px from the bars, by "
+        "blur models alone"
+    )
+    return [replace(finding("window-too-small", effect), bound=bound, sign=-1)]
 
 
 def _average_models(
     forms: list[tuple[float, BarFit, BarLikelihood]], drawn: Array, context: Context, bias: float
 ) -> Array:
-    """Return draws over all blur models, given those of the first.
-
-    If the tube model is first, the scatter of the other models is a systematic uncertainty;
-    otherwise the draws are mixed in proportion to the weights.
+    """Return draws over all blur models in proportion to their weights, given those of the
+    first.
     """
-    (fraction, fit, _), alternatives = forms[0], forms[1:]
-    if fit.shape.form is ON_BARS[0]:
-        doubt = float(
-            np.sqrt(
-                sum(
-                    part * (alternative.shape.mtf - fit.shape.mtf) ** 2
-                    for part, alternative, _ in alternatives
-                )
-            )
-        )
-        return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
-    quick = replace(context, quick=True)
-    parts = [(fraction, drawn)]
+    parts = [(forms[0][0], drawn)]
     parts += [
-        (part, mtf_of(sample_fit(alternative, its, quick, bias), alternative, quick))
-        for part, alternative, its in alternatives
-    ]
-    picks = [
-        np.linspace(0, samples.size - 1, round(part * drawn.size)).astype(np.intp)
-        for part, samples in parts
+        (weight, mtf_of(sample_fit(fit, problem, context, bias), fit, context))
+        for weight, fit, problem in forms[1:]
     ]
     return np.concatenate(
-        [samples[which] for (_, samples), which in zip(parts, picks, strict=True)]
+        [
+            samples[np.linspace(0, samples.size - 1, round(weight * drawn.size)).astype(np.intp)]
+            for weight, samples in parts
+        ]
     )
 
 
@@ -330,7 +318,7 @@ def _measure_complete_target(
     )
     target_findings = findings_of_sums(target, amplitudes, second)
     target_findings += window_findings(
-        margin, LIMITS.min_margin_px if cut else 0.0, crowded=crowded
+        margin, LIMITS.min_margin_px if cut and has_tube(context.camera) else 0.0, crowded=crowded
     )
     if has_tube(context.camera):
         box = target.box(mean.shape, 1.0)

@@ -41,13 +41,6 @@ POSTERIOR_FINDINGS = {
         "the posterior has two modes, separated by the width of the interval",
         "`bars` and `frequency_cy_per_px`",
     ),
-    "model-misfit": (
-        (
-            "the full posterior differs from the fit by more than two standard deviations: MTF "
-            "error up to that"
-        ),
-        "`sensor`, to include its halo; or `quick`, for the fit only",
-    ),
 }
 
 

@@ -12,6 +12,7 @@ from charact.estimators.mtf.bars.target import (
     detect_bars,
     ground_level,
     refine_target,
+    vertex_shift,
 )
 from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.transfer.cores import ON_BARS
@@ -205,19 +206,10 @@ def _waves(
     rows, cols = np.nonzero(top)
     for position in np.argsort(-height[rows, cols])[:8]:
         row, col = int(rows[position]), int(cols[position])
-        down = (row + _vertex(height[:, col], row) + size[0] / 2) % size[0] - size[0] / 2
-        right = col + _vertex(height[row], col)
+        down = (row + vertex_shift(height[:, col], row) + size[0] / 2) % size[0] - size[0] / 2
+        right = col + vertex_shift(height[row], col)
         wave = np.array([right / size[1], down / size[0] / pitch_ratio])
         yield float(frequency or np.hypot(*wave)), float(np.arctan2(wave[1], wave[0]))
-
-
-def _vertex(values: Array, peak: int) -> float:
-    """Return the vertex of the parabola through a peak and its cyclic neighbours, relative to the
-    peak.
-    """
-    before, at, after = (float(values[(peak + step) % values.size]) for step in (-1, 0, 1))
-    bend = before - 2.0 * at + after
-    return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0
 
 
 def _patch(image: Array, wave: BarTarget) -> Mask:
@@ -342,7 +334,7 @@ def _match_profile(
     total = max(float(residual @ residual), 1e-300)
     grid = gain.reshape(FREQUENCIES.size, -1)[:, best % (middles.size * len(ACCURACY.trial_blurs))]
     row = best // (middles.size * len(ACCURACY.trial_blurs))
-    finer = _vertex(grid, row) if 0 < row < FREQUENCIES.size - 1 else 0.0
+    finer = vertex_shift(grid, row) if 0 < row < FREQUENCIES.size - 1 else 0.0
     fitted_ratio = float(ratio[best] + finer * (FREQUENCIES[1] - FREQUENCIES[0]))
     return (
         float(gain[best]) / total,

@@ -13,7 +13,7 @@ from charact.estimators.mtf.bars.bar_image_model import (
 )
 from charact.estimators.mtf.bars.noise import WindowCovariance, noise_of, noise_of_one
 from charact.estimators.mtf.bars.target import BarTarget
-from charact.estimators.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.estimators.mtf.bars.thresholds import ACCURACY
 from charact.frames.rounding import rounding_shifts
 from charact.inference.gauss_newton import (
     Linearisation,
@@ -23,7 +23,6 @@ from charact.inference.gauss_newton import (
 )
 from charact.inference.laplace_approximation import covariance_root
 from charact.transfer.cores import ON_BARS
-from charact.transfer.form import BarForm
 from labdata import Array, Mask
 
 
@@ -59,6 +58,12 @@ class BarFit:
     def values(self) -> dict[str, float]:
         """Parameters by name."""
         return dict(zip(self.names, self.value.tolist(), strict=True))
+
+    @property
+    def start(self) -> dict[str, float]:
+        """Parameters from which another fit begins where this one has put the target."""
+        at_target = {name: 0.0 for name in ("across_px", "along_px") if name in self.names}
+        return {**self.values, **at_target}
 
     def sd(self, name: str) -> float:
         """Standard deviation of a parameter."""
@@ -156,16 +161,20 @@ def fit_bars(
 
 
 def fit_frames(
-    frames: Array, problem: BarLikelihood, target: BarTarget, *, inflation: float = 1.0
+    frames: Array,
+    problem: BarLikelihood,
+    target: BarTarget,
+    *,
+    inflation: float = 1.0,
+    first: BarFit | None = None,
 ) -> tuple[BarFit, BarLikelihood]:
     """Fit the mean of frames with its noise; return the likelihood with each pixel's variance too.
 
     `frames`: shape (frame, row, col); for one frame the noise is estimated from the residuals of a
     first fit; `inflation`: variance factor of the mean by image lag.
     """
-    first = fit_bars(
-        problem, target, initial_parameters(problem, target), tolerance=ACCURACY.rough_tolerance
-    )
+    start, tolerance = initial_parameters(problem, target), ACCURACY.first_tolerance
+    first = first or fit_bars(problem, target, start, tolerance=tolerance)
     window, background = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
         noise = noise_of(frames, first.model_dn, window, ground_dn=background, inflation=inflation)
@@ -185,13 +194,13 @@ def fit_frames(
     # into the second.
     min_variance = max(float(noise.variance.mean()), ACCURACY.min_variance * first["level_dn"] ** 2)
     likelihood = replace(problem, variance=np.maximum(noise.variance, min_variance))
-    return fit_bars(likelihood, target, first.values, noise), likelihood
+    return fit_bars(likelihood, first.target, first.start, noise), likelihood
 
 
 def fit_all_models(
     fit: BarFit, problem: BarLikelihood
 ) -> list[tuple[float, BarFit, BarLikelihood]]:
-    """Fit all blur models; return weight, fit and likelihood of those that count, the preferred one
+    """Fit all blur models; return weight, fit and likelihood of those that count, the likeliest
     first.
 
     `fit`: fit of one blur model; `problem`: its likelihood; the reported frequency may differ from
@@ -200,71 +209,28 @@ def fit_all_models(
     Notes
     -----
     Weights are evidences by Laplace's approximation: exp(-chi^2 / 2), chi^2 divided by the
-    correlation sum, times the posterior-to-prior widths of the model's two parameters. The tube
-    model, which approximates almost any blur to first order, stays first unless the data clearly
-    prefer another.
+    correlation sum, times the posterior-to-prior widths of the model's two parameters. Each begins
+    with its own typical shape and the transfer of the given fit at the reported frequency.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
-    positions = np.log(
-        np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], 40) * ratio
+    ln_transfer = shape.form.ln(
+        np.log([ratio]), float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two
     )
-    now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
-    core = np.exp(shape.form.ln(positions, *now))
-    attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
     fits = []
     for form in ON_BARS:
         likelihood = replace(problem, form=form)
         if form is shape.form and ratio == 1.0:
             fits.append((fit, likelihood))
             continue
-        scale, (log_attenuation, first_shape, second_shape) = _nearest(
-            form, positions - np.log(ratio), core, attenuation
-        )
-        start = {
-            **fit.values,
-            "across_px": 0.0,
-            "along_px": 0.0,
-            "level_dn": scale * fit["level_dn"],
-        }
-        start |= {
-            "log_attenuation": float(log_attenuation),
-            "form_one": float(first_shape),
-            "form_two": float(second_shape),
+        start = fit.start | {
+            "log_attenuation": float(np.log(-ln_transfer[0])),
+            "form_one": form.first.start,
+            "form_two": form.second.start,
         }
         fits.append((fit_bars(likelihood, fit.target, start, fit.noise), likelihood))
-    gain = fits[0][0].cost - min(candidate.cost for candidate, _ in fits[1:])
-    weights = dict(weigh_by_evidence([_ln_evidence(*candidate) for candidate in fits]))
-    order = [index for index, weight in weights.items() if weight > ACCURACY.min_model_weight]
-    if gain <= LIMITS.min_model_preference_sd**2 * fit.noise.correlation_sum:
-        order = [0, *(index for index in sorted(order) if index)]
-    return [(weights.get(index, 0.0), *fits[index]) for index in order]
-
-
-def _nearest(
-    form: BarForm, ln_ratio: Array, transfer: Array, attenuation: float
-) -> tuple[float, Array]:
-    """Return scale and parameters (ln A and both of the form) that approximate a transfer at
-    ln(r/f), shape (point,).
-
-    One prior standard deviation costs as much as an error of 0.001 in the transfer.
-    """
-    first, second = form.first, form.second
-    mean = np.array([0.0, first.mean, second.mean, 0.0])
-    precision = np.array([0.0, first.sd**-2.0, second.sd**-2.0, 0.0])
-
-    def linearise(theta: Array) -> Linearisation:
-        table = form.table(ln_ratio, float(np.exp(theta[0])), theta[1], theta[2])
-        modelled = np.exp(table[0])
-        scale = float(modelled @ transfer) / float(modelled @ modelled)
-        jacobian = np.vstack([scale * modelled * table[1:], modelled])
-        off = mean - np.append(theta, 0.0)
-        return linearise_residual(
-            1e3 * (transfer - scale * modelled), 1e3 * jacobian, off, precision, scale
-        )
-
-    start, bounds = [np.log(attenuation), first.start, second.start], [(-9.0, 2.3), *form.bounds]
-    optimum = least_squares(linearise, start, bounds, iterations=12)
-    return optimum.at.model, optimum.point
+    ln_evidences = [_ln_evidence(*candidate) for candidate in fits]
+    weights = weigh_by_evidence(ln_evidences, min_weight=ACCURACY.min_model_weight)
+    return [(weight, *fits[index]) for index, weight in weights]
 
 
 def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
@@ -325,9 +291,7 @@ def rounding_sd(fit: BarFit) -> float:
     rounding = fit.noise.rounding
     if rounding is None or not len(rounding):
         return 0.0
-    mtf_indices = [fit.names.index("log_attenuation"), fit.names.index("departure")]
-    mtf_shift = rounding @ fit.estimator[mtf_indices].T @ _mtf_slopes(fit)[0]
-    return float(np.sqrt(np.mean(mtf_shift**2))) / fit.shape.mtf
+    return float(np.sqrt(np.mean((rounding @ fit.estimator.T @ fit.ln_mtf_slope) ** 2)))
 
 
 def _mtf_slopes(fit: BarFit) -> tuple[Array, Array]:
@@ -345,11 +309,7 @@ def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
 
     Level, pedestal and departure enter linearly: they have mixed derivatives only.
     """
-    image, index = BarImageModel(problem, fit.target), fit.names.index
-    optimum = {
-        **fit.values,
-        **{name: 0.0 for name in ("across_px", "along_px") if name in fit.names},
-    }
+    image, index, optimum = BarImageModel(problem, fit.target), fit.names.index, fit.start
     bends: dict[tuple[int, int], Array] = {}
     for name, step in _steps(fit, image).items():
         up, down = (

@@ -73,14 +73,13 @@ def bar_profile(stack: Stack, target: BarTarget, mtf: float) -> dict:
 
 def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
     """Return N blurred bars at distances from their centre, 1 on a wide bar."""
-    frequency = target.frequency
-    pixel = float(aperture(np.array([frequency]), target.angle_rad)[0])
+    pixel = float(aperture(np.array([target.frequency]), target.angle_rad)[0])
     core = float(np.clip(mtf / pixel, 1e-3, 0.999))
     shape = BarShape(
         bars=target.bars,
-        frequency=frequency,
+        frequency=target.frequency,
         length_px=np.inf,
-        reference=frequency,
+        reference=target.frequency,
         form=ON_BARS[0],
         log_attenuation=float(np.log(-np.log(core))),
         form_one=float(np.log(1.2)),

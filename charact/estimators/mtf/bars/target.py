@@ -221,13 +221,19 @@ def _fit_length(image: Array, target: BarTarget) -> BarTarget:
     )
 
 
+def vertex_shift(values: Array, peak: int) -> float:
+    """Return the vertex of the parabola through a peak and its cyclic neighbours, relative to the
+    peak.
+    """
+    before, at, after = (float(values[(peak + step) % values.size]) for step in (-1, 0, 1))
+    bend = before - 2.0 * at + after
+    return float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0)) if bend < 0 else 0.0
+
+
 def _vertex(x: Array, y: Array) -> float:
     """Return the vertex of the parabola through the highest point and its neighbours."""
     peak = int(np.clip(np.argmax(y), 1, len(x) - 2))
-    before, at, after = y[peak - 1 : peak + 2]
-    bend = before - 2.0 * at + after
-    shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float(x[peak] + np.clip(shift, -1.0, 1.0) * (x[1] - x[0]))
+    return float(x[peak] + vertex_shift(y, peak) * (x[1] - x[0]))
 
 
 def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> float:

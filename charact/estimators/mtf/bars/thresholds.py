@@ -30,6 +30,9 @@ class BarLimits:
     min_frequency_signal_sd: float = 30.0
     frequency_tolerance: float = 0.01  # Relative change of the frequency that is reported
     min_margin_px: float = 5.0  # A smaller margin cuts off the core's blur, not only a halo, px
+    # Light that blur models may have beyond the window: lenses leave up to 0.06 further than 6 px,
+    # and scatter tails of 18 % further than 11 px
+    max_extrapolated_light: float = 0.06
     # Relative uncertainty of the MTF by quantisation; more is beyond first order
     max_rounding_sd: float = 0.1
     max_other_light: float = 0.04  # Other light over the target's height
@@ -58,12 +61,9 @@ class BarLimits:
     min_mtf_sd: float = 3.0
     # Other light above the smoothed background, robust standard deviations
     max_other_sd: float = 6.0
-    # Preference for another model than the tube; it widens the intervals
-    min_model_preference_sd: float = 3.0
     max_mtf: float = 1.5  # Upper bound of a sampled MTF
     # Larger values are refused: the MTF is at most 1, and sharpening cameras reach this at most
     max_reported_mtf: float = 1.1
-    max_posterior_offset_sd: float = 2.0  # Distance of the draws from the fit, standard deviations
     min_group_p_value: float = 0.001  # p-value of chi squared of the groups
     max_direction_spread_deg: float = 15.0  # Directions of one curve, deg
     max_axis_angle_deg: float = 30.0  # Angle to the rows or columns of their curve, deg
@@ -87,6 +87,9 @@ class BarLimits:
     min_strip_match_sd: float = 6.0
     # Light at both ends of a region over that in its centre, of bars that cross it
     min_end_light: float = 0.6
+    # Chi squared of the likeliest form over that of the first, below which the noise of a single
+    # frame, read off the first one's residuals, is read again
+    max_cost_ratio: float = 0.95
     # Background beyond the last gap that counting needs, periods
     min_background_periods: float = 0.0
     max_flat_height: float = 0.1  # Height of background pixels over that of the bars
@@ -117,10 +120,10 @@ class BarAccuracy:
     min_lag_frames: int = 7  # Frames from which image lag is estimated
     other_margin_px: int = 8  # Margin excluded around other light, px
     shape_step: float = 0.1  # Finite difference of the shape parameters
-    rough_tolerance: float = 0.1  # The same for a rough fit
+    rough_tolerance: float = 0.1  # Gain of chi squared that ends a rough fit
+    # The same of a first fit, in variances of the image: the noise is read off its residuals
+    first_tolerance: float = 3e-4
     min_model_weight: float = 0.01  # A model of less weight changes no interval
-    # Frequencies over the bar frequency at which models are matched
-    matched_range: tuple[float, float] = 0.02, 3.0
     # Variance over the squared bar height that corresponds to the error of the image's table.
     min_variance: float = 1e-8
     # Highest frequencies of the image's spectrum across and along the bars, cy/px: of a blur whose
@@ -128,9 +131,6 @@ class BarAccuracy:
     negligible_transfer: float = 0.01
     highest_cy_per_px: tuple[float, float] = 1.5, 1.0
     highest_sharp_cy_per_px: tuple[float, float] = 4.0, 3.0
-    table_range_sd: float = 4.0  # Tabulated range of attenuation and exponent, standard deviations
-    table_points: int = 7  # Points of the table along either
-    table_degree: int = 4  # Degree of the interpolating polynomial
     image_table_sd: float = 3e-4  # Relative error of the MTF by interpolation in the image's table
     row_step_px: float = 0.18  # Distance of the table's rows at the bars' ends, px
     row_step_growth: float = 0.08  # Growth of that distance per px from the ends
