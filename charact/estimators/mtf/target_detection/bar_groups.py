@@ -16,6 +16,8 @@ from labdata import BadInput, FrameStack
 
 # Periods looked at outside the bars, and those that must be there.
 BEYOND, LEAST_BEYOND = 0.8, 0.2
+# Frequencies tried, over that of the filter.
+RATIOS = np.linspace(0.88, 1.12, 25)
 
 
 def matches_bars(
@@ -32,9 +34,7 @@ def matches_bars(
     """
     value = rows.mean(axis=0)
     noise = float(np.mean(np.var(rows, axis=0, ddof=1))) / len(rows) * value.size
-    tried = np.array(
-        np.meshgrid(np.linspace(0.92, 1.08, 17) * frequency, np.linspace(-0.6, 0.6, 21))
-    ).reshape(2, -1)
+    tried = np.array(np.meshgrid(RATIOS * frequency, np.linspace(-0.6, 0.6, 21))).reshape(2, -1)
     design = _design((position - (tried[1] / frequency)[:, None]) * tried[0][:, None], bars)
     ground = np.stack([np.ones_like(position), position * frequency], axis=1)
     design = np.concatenate([np.broadcast_to(ground, (*design.shape[:2], 2)), design], axis=2)
@@ -47,8 +47,10 @@ def matches_bars(
     sign = -1.0 if coefficient[best, 3] < 0.0 else 1.0
     box, wave = sign * coefficient[best, 2:]
     unexplained = float(residual[best]) - min(2.0 * noise, THRESHOLDS.max_bar_noise * variance)
+    # Filters of neighbouring frequencies are closer than the ends: what fits best there is no bars.
     if (
-        not wave > THRESHOLDS.modulation_sd * np.sqrt(2.0 * noise) / value.size
+        tried[0, best] in (tried[0].min(), tried[0].max())
+        or not wave > THRESHOLDS.modulation_sd * np.sqrt(2.0 * noise) / value.size
         or box < THRESHOLDS.min_box_over_wave * wave
     ):
         return None
