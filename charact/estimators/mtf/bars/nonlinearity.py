@@ -87,7 +87,10 @@ def response_findings(response: BarNonlinearity, mtf: float) -> list[Finding]:
         )
         largest = abs(response.lifts) * (abs(response.curvature) + 2.0 * response.sd)
         causes[cause] = (
-            mtf * float(np.expm1(largest)) if largest < LIMITS.max_curvature_lift else None
+            mtf * float(np.expm1(largest))
+            if largest < LIMITS.max_curvature_lift
+            and abs(response.curvature) < LIMITS.max_curvature
+            else None
         )
     if shared and abs(shared.exponent - 1.0) > LIMITS.neighbour_power[0] * float(
         np.hypot(shared.sd, LIMITS.neighbour_power[1])
@@ -200,7 +203,7 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
     uncorrelated = [_products(noise, light, lag) for lag in (8, 9, 10)]
     common = np.concatenate(
         [
-            products[np.abs(mid_light - background) < LIMITS.max_flat_height * height]
+            products[np.abs(mid_light - background) < LIMITS.max_background_height * height]
             for mid_light, products in uncorrelated
         ]
     )

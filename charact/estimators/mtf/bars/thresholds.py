@@ -92,7 +92,6 @@ class BarLimits:
     max_cost_ratio: float = 0.95
     # Background beyond the last gap that counting needs, periods
     min_background_periods: float = 0.0
-    max_flat_height: float = 0.1  # Height of background pixels over that of the bars
     # Exponent of the covariance: standard uncertainties (stated a fifth too large) and tolerance.
     neighbour_power: tuple[float, float] = (2.3, 0.02)
     # Exponent of the variance, which read-out noise and PRNU change, likewise.
@@ -101,6 +100,8 @@ class BarLimits:
     max_single_frame_snr: float = 30.0  # Light over noise of single frames beyond which PRNU shows
     min_noise_dn: float = 0.5  # Noise that quantisation leaves unchanged, DN
     max_curvature_sd: float = 3.5  # Significance of a curvature, standard uncertainties
+    # Curvature up to which that series holds: a response of one is no longer rising
+    max_curvature: float = 0.5
     # Change of ln MTF by a curvature up to which its series of first order holds: within a seventh
     # at 0.2 (test_nonlinearity); one wide bar taken for four has more
     max_curvature_lift: float = 0.25
