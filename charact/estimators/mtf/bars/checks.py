@@ -58,8 +58,15 @@ def sharpening_findings(fit: BarFit) -> list[Finding]:
     height[fit.window] = np.abs((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"])
     gain = noise_gain(noise, height < LIMITS.max_even_height)
     overshoot, sd = _overshoot(fit)
-    overshoots = overshoot > max(LIMITS.min_overshoot, LIMITS.overshoot_sd * sd)
-    if not (gain > 1.0 or overshoots):
+    # An image sharper than that of the pixels alone leaves residuals that are no noise.
+    if not (
+        gain > 1.0
+        or overshoot > max(LIMITS.min_overshoot, LIMITS.overshoot_sd * sd)
+        or (
+            np.exp(fit["log_attenuation"]) < LIMITS.min_attenuation
+            and fit.noise.correlation_sum > LIMITS.max_correlation_sum
+        )
+    ):
         return []
     effect = (
         f"sharpened: overshoot of {100.0 * overshoot:.1f} % of a step, and noise is "

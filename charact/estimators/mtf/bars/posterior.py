@@ -41,14 +41,15 @@ def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: floa
 
 
 def mtf_of(posterior: Posterior, fit: BarFit, context: Context) -> Array:
-    """Return the MTF of each draw at the reference frequency, pixel included, with the error of the
-    image's table.
+    """Return the MTF of each draw at the reference frequency, pixel included, with the error of
+    the forms.
     """
-    core = np.exp(-posterior["attenuation"])
-    table = 1.0 + ACCURACY.image_table_sd * np.random.default_rng(
-        [context.seed, len(core)]
-    ).standard_normal(len(core))
-    return fit.shape.pixel * core * (1.0 + posterior["departure"]) * table
+    table = 1.0 + ACCURACY.form_sd * np.random.default_rng(
+        [context.seed, len(posterior.draws)]
+    ).standard_normal(len(posterior.draws))
+    return (
+        fit.shape.pixel * np.exp(-posterior["attenuation"]) * (1.0 + posterior["departure"]) * table
+    )
 
 
 def sample_sums(amplitudes: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:

@@ -81,6 +81,10 @@ class BarLimits:
     # Overshoot of both sides of a step that is sharpening, fraction of the step: forms fitted to
     # rays of lenses overshoot by up to 0.022, unsharp masks of amount 0.8 by 0.03
     min_overshoot: float = 0.025
+    # Attenuation at the bars of hardly any blur: lenses and filters of 0.2 px have 0.005 and more.
+    # Summed correlation of residuals that are no noise: of pixels alone up to 1.2
+    min_attenuation: float = 1e-3
+    max_correlation_sum: float = 3.0
     overshoot_sd: float = 2.0  # Its significance for so large a size, standard uncertainties
     max_even_height: float = 0.02  # Height of pixels without structure over that of the bars
     # Match of a strip, standard uncertainties; noise alone does not reach it
@@ -132,7 +136,9 @@ class BarAccuracy:
     negligible_transfer: float = 0.01
     highest_cy_per_px: tuple[float, float] = 1.5, 1.0
     highest_sharp_cy_per_px: tuple[float, float] = 4.0, 3.0
-    image_table_sd: float = 3e-4  # Relative error of the MTF by interpolation in the image's table
+    # Relative error of the MTF by forms that are not quite the blur: 0.0015 rms of the pictures of
+    # outside programs whose noise leaves less; the image's table errs by 0.0003
+    form_sd: float = 1e-3
     row_step_px: float = 0.18  # Distance of the table's rows at the bars' ends, px
     row_step_growth: float = 0.08  # Growth of that distance per px from the ends
     correlation_px: int = 2  # Range of the noise correlation, px
