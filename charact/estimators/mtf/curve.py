@@ -65,6 +65,11 @@ class CurveFinding:
         )
 
 
+def stretched(fraction: float) -> Undo:
+    """Return what makes an MTF one whose frequencies are higher by a fraction."""
+    return lambda frequency, modulus: np.interp(frequency / (1.0 + fraction), frequency, modulus)
+
+
 def widen_by(
     findings: Iterable[CurveFinding], curve: Curve, frequency: Array, modulus: Array
 ) -> Curve:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from charact.estimators.mtf.curve import FINE, CurveFinding, Undo
+from charact.estimators.mtf.curve import FINE, CurveFinding, Undo, stretched
 from charact.estimators.mtf.edge.pixels.bow import bow_of, rms_of
 from charact.estimators.mtf.edge.pixels.line import field_displacement, is_significant
 from charact.estimators.mtf.edge.pixels.plateau_noise import noise_flags
@@ -13,6 +13,7 @@ from charact.estimators.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.estimators.mtf.edge.pixels.profile import DEFECT_SD, EdgeProfile
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.mean_frame import OrientedFrame
+from charact.estimators.mtf.noise_spectrum.processed import processing_findings
 from charact.estimators.mtf.sharpening import REACH_PX, noise_gain
 from charact.estimators.mtf.target_motion import TargetMotion
 from charact.estimators.mtf.thresholds import LIMITS
@@ -47,11 +48,6 @@ class EdgeFinding(CurveFinding):
     def finding_of(self, measurement: Measurement, modulus: Array) -> Finding:
         """Return the finding of MTF50, MTF10 or an MTF; `modulus`: the MTF at `FINE`."""
         return self.of_number(measurement, FINE, modulus, REMEDIES[self.flag])
-
-
-def stretched(fraction: float) -> Undo:
-    """Return what makes an MTF one whose frequencies are higher by a fraction."""
-    return lambda frequency, modulus: np.interp(frequency / (1.0 + fraction), frequency, modulus)
 
 
 def scaled(factor: float) -> Undo:
@@ -106,6 +102,10 @@ def edge_findings(
     ) and noise_flags(edge.noise_growth):
         yield plain("gamma")
     yield from map(plain, edge.flags)
+    expected, _, areas = edge.expected
+    signs = tuple(processing_findings(picture.upright_frames[0], expected, areas))
+    for sign in signs if picture.stack.holds_codes else ():
+        yield EdgeFinding(flag=sign.flag, effect=sign.effect, undo=sign.undo)
     gain, overshoot = noise_gain_of(picture, profile), overshoot_of(profile, half)
     if gain > 1.0 or overshoot > 0.0:
         effect = (

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 import charact
-from charact.estimators.mtf.curve import FINE, mtf_measurements, widen_by
+from charact.estimators.mtf.curve import FINE, mtf_measurements, stretched, widen_by
 from charact.estimators.mtf.edge.checks import (
     EdgeFinding,
     FittedProfile,
     edge_findings,
     fit_findings,
     plain,
-    stretched,
 )
 from charact.estimators.mtf.edge.nonlinearity import CurvatureEstimate, response_bias
 from charact.estimators.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge

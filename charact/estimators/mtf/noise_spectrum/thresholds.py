@@ -67,5 +67,28 @@ class SpectrumAccuracy:
     derivative_step_sd: float = 0.05  # step of parameters for derivatives, standard deviations
 
 
+@dataclass(frozen=True)
+class ProcessedThresholds:
+    """Decide what even areas say of processing; fair ones are 208 edges drawn by other programs."""
+
+    min_pairs: int = 800  # Pairs of neighbours along an axis below which nothing is tested
+    # Squared differences at one of 8 places over the others: JPEG of quality 60 leaves 2.7 to 9.9,
+    # pictures interpolated to twice the samples up to 1.7, fair ones up to 1.2
+    block_ratio: float = 2.1
+    parity_ratio: float = 1.7  # The same of even and odd pixels: 2.9 to 3.8, fair ones up to 1.12
+    # Squared differences over those of independent pixels: medians and interpolation leave .1 to .4
+    smoothed_ratio: float = 0.6
+    # Excess of equal neighbours, fraction: medians leave .1 to .4
+    equal_neighbours: float = 0.07
+    common_code: int = 15  # Pixels of a code whose neighbour is missed
+    min_gaps: int = 2  # Codes left out: fair frames have none
+    max_codes: int = 4096  # Codes of an area beyond which none is common
+    # Relative changes of MTF50 at most: by the kernels of interpolation, and by a median of nine
+    # pixels of noise, which leaves a straight edge without noise as it is (30 edges: 3.2 %)
+    interpolation_bias: float = 0.01
+    rank_bias: float = 0.035
+
+
+PROCESSED = ProcessedThresholds()
 THRESHOLDS = SpectrumThresholds()
 ACCURACY = SpectrumAccuracy()
