@@ -5,7 +5,7 @@ A new form is a class here and its place in `ON_EDGES`, `ON_BARS` and `ON_POINTS
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import exp, log
 
 import numpy as np
@@ -27,6 +27,8 @@ from labdata import Array
 # Frequencies over the cut-off at which a pupil is integrated: 16 in each period of a defocus of
 # 1.5 waves, within 2e-4.
 PUPIL_NODES = np.linspace(0.0, 1.0, 97)
+# Values of a hole or a defocus between which a transfer is cubic, within 2e-4.
+PLACES = 129
 # Half frequency of a clear pupil in focus over its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
 AIRY_HALF = 0.40397275
 
@@ -156,19 +158,34 @@ DEFOCUS = Parameter(name="defocus_square", unit="waves^2", low=0.0, high=2.25, s
 class ExactPupil(Core):
     """A round pupil with a hole, out of focus, or both, by integration: `pupil`.
 
-    Scaled by the half frequency of a clear pupil in focus with the same cut-off. Each hole and
-    defocus is integrated at `PUPIL_NODES` once, and interpolated by cubic polynomials.
+    Scaled by the half frequency of a clear pupil in focus with the same cut-off. It is integrated
+    at `PUPIL_NODES`, once for each hole and defocus, or at `PLACES` values of one of them, and
+    interpolated by cubic polynomials.
     """
 
     def __init__(self, name: str, *shape: Parameter) -> None:
         self.name, self.shape = name, shape
 
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        """Values of a single parameter, and transfers there at `PUPIL_NODES`."""
+        places = np.linspace(self.shape[0].low, self.shape[0].high, PLACES)
+        return places, self._at_nodes(places[:, None])
+
+    def _at_nodes(self, shapes: Array) -> Array:
+        free = dict(zip(self.shape, np.sqrt(np.maximum(shapes, 0.0)).T, strict=True))
+        hole, defocus = (free.get(part, np.zeros(len(shapes))) for part in (HOLE, DEFOCUS))
+        return pupil(PUPIL_NODES, 1.0, hole, defocus)
+
     def terms(self, theta: Array, frequency: Array) -> Iterator[Array]:
         """As of `Core`."""
         shapes, index = np.unique(theta[:, 1:], axis=0, return_inverse=True)
-        free = dict(zip(self.shape, np.sqrt(np.maximum(shapes, 0.0)).T, strict=True))
-        hole, defocus = (free.get(part, np.zeros(len(shapes))) for part in (HOLE, DEFOCUS))
-        table = pupil(PUPIL_NODES, 1.0, hole, defocus)
+        if len(self.shape) > 1:
+            table = self._at_nodes(shapes)
+        else:
+            places, transfers = self._table
+            first, weight = cubic_weights(places, shapes[:, 0])
+            table = np.einsum("nk,nkf->nf", weight, transfers[first])
         ratio = AIRY_HALF * np.broadcast_to(frequency, (len(theta), np.shape(frequency)[-1]))
         ratio = np.minimum(ratio / np.exp(theta[:, :1]), 1.0)
         nodes, weights = cubic_weights(PUPIL_NODES, ratio)

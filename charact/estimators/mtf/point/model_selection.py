@@ -22,7 +22,7 @@ from labdata import Array
 
 # Prior odds of each extended component of a camera without a description, of a Gaussian with an
 # exponential, and of an ellipse: a parameter that the data do not ask for biases the others.
-WIDE_ODDS, LENS_ODDS, ELLIPSE_ODDS = 0.25, 0.2, 0.5
+WIDE_ODDS, LENS_ODDS, ELLIPSE_ODDS = 0.1, 0.2, 0.5
 
 
 class EvidenceWeightedModels2D(NamedTuple):

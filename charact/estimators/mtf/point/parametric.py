@@ -326,7 +326,7 @@ def _posterior(
     log_probability = partial(fitter.log_probability, fit.form)
     if quick:
         return laplace(log_probability, **arguments)
-    effort = max(model.weight, 0.25)
+    effort = max(model.weight, 0.15)
     enough, first = ACCURACY.quick_effective if context.quick else ACCURACY.effective
     posterior = importance_sample(
         log_probability,

@@ -92,7 +92,7 @@ class PointAccuracy:
     min_model_weight: float = 0.02  # A model of less weight contributes no draws
     candidate_ln_evidence: float = 8.0  # Models within this of the best ln evidence are refined
     # Light that the residual shows in an extended component, standard uncertainties
-    component_sd: float = 1.0
+    component_sd: float = 1.5
     # Root of the light over its peak to which the core holds a spot, px: that of a Gaussian of 2.2
     # px; a ring out of focus reaches twice as far from its centre as a Gaussian
     max_extent_px: float = 5.5
