@@ -18,6 +18,8 @@ from charact.transfer.tables import disc
 from charact.transfer.video_filter import powers
 from labdata import Array
 
+# Centres of the departure bumps in ln of frequency over half frequency, and their width.
+BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
 # Parameters of a tube that a Gaussian blur multiplies: half frequencies at which that blur is
 # distinguishable, ln of cycles per column pitch, and the exponent of its tails.
 OF_LENS: dict[str, dict[str, float]] = {
@@ -45,6 +47,8 @@ class BlurModel2D(ProperPrior):
     wide: ExtendedComponent | None = None  # Extended component, round; None: none
     # Diameter of the source, column pitches, or its bounds if unknown
     pinhole_px: float | tuple[float, float] = 0.0
+    # Prior standard deviation of model departures, fraction of the transfer; 0: none
+    departures: float = 0.0
     # Described parameters: name, mean and standard deviation. "ln_video_bandwidth", ln of the video
     # bandwidth over the described one, is a parameter only if it is among them
     known: tuple[tuple[str, float, float], ...] = ()
@@ -54,7 +58,8 @@ class BlurModel2D(ProperPrior):
         """Printed name."""
         core = f"{self.core} x gaussian" if self.lens else self.core
         core = f"round {core}" if self.round else core
-        return core if self.wide is None else f"{core} + {self.wide.name}"
+        core = core if self.wide is None else f"{core} + {self.wide.name}"
+        return f"{core} and departures" if self.departures else core
 
     @property
     def blur_parameters(self) -> int:
@@ -68,9 +73,11 @@ class BlurModel2D(ProperPrior):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the core, lens, stretch, extended component, video and pinhole."""
+        """Parameters of the core, lens, stretch, extended component, departures, video and
+        pinhole.
+        """
         core = ON_POINTS[self.core][0].parameters
-        lens, stretch, bandwidth, pinhole = (), (), (), ()
+        lens, stretch, departures, bandwidth, pinhole = (), (), (), (), ()
         if self.lens:
             core = tuple(replace(part, **OF_LENS.get(part.name, {})) for part in core)
             low, high = PRIORS.blur_px
@@ -82,13 +89,19 @@ class BlurModel2D(ProperPrior):
         extended = flat_parameters(self.wide.parameters) if self.wide else ()
         if extended:
             extended = (replace(extended[0], sd=PRIORS.wide_share_sd), *extended[1:])
+        if self.departures:
+            bound, sd = 4.0 * self.departures, self.departures
+            departures = tuple(
+                Parameter(name=f"departure_{number}", unit="1", low=-bound, high=bound, sd=sd)
+                for number in range(len(BUMPS))
+            )
         known = {name: {"mean": mean, "sd": sd, "start": mean} for name, mean, sd in self.known}
         if BANDWIDTH in known:
             bound = 6.0 * known[BANDWIDTH]["sd"]
             bandwidth = (Parameter(name=BANDWIDTH, unit="1", low=-bound, high=bound),)
         if isinstance(self.pinhole_px, tuple):
             pinhole = flat_parameters({"pinhole_px": ("px", self.pinhole_px)})
-        every = (*core, *lens, *stretch, *extended, *bandwidth, *pinhole)
+        every = (*core, *lens, *stretch, *extended, *departures, *bandwidth, *pinhole)
         return tuple(replace(part, **known.get(part.name, {})) for part in every)
 
     def start(self, first: float) -> Array:
@@ -114,6 +127,13 @@ class BlurModel2D(ProperPrior):
         lens = self._core(theta, p.get("stretch"), frequency, cosine)
         if self.lens:
             lens = lens * np.exp(-2.0 * (np.pi * p["blur_px"][:, None] * frequency) ** 2)[:, None]
+        if self.departures:
+            amplitudes = np.stack(
+                [p[f"departure_{number}"] for number in range(len(BUMPS))], axis=1
+            )
+            off = np.log(np.maximum(frequency, 1e-12)) - theta[:, :1]
+            bumps = np.exp(-0.5 * ((off[:, None] - np.array(BUMPS)[:, None]) / BUMP_WIDTH) ** 2)
+            lens = lens * (1.0 + np.einsum("nk,nkf->nf", amplitudes, bumps))[:, None]
         if self.wide is None:
             return lens
         first, *shape = (p[name] for name in self.wide.parameters)

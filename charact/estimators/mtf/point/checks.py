@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from charact.estimators.mtf.curve import FINE, CurveFinding, Undo, crossing_frequency
-from charact.estimators.mtf.point.blur_models_2d import mtf_of_camera, pinhole
+from charact.estimators.mtf.point.blur_models_2d import (
+    BUMP_WIDTH,
+    BUMPS,
+    mtf_of_camera,
+    pinhole,
+)
 from charact.estimators.mtf.point.model_fit import (
     BlurModelFit2D,
     PointFitter,
@@ -30,8 +35,6 @@ from charact.verdict import judge
 from labdata import Array, Mask
 from labdata.measurement import Measurement
 
-# Centres of the departure bumps in ln of frequency over half frequency, and their width.
-BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
 REMEDIES = {
     "clipped": "an offset that keeps the noise of dark pixels above 0 DN",
     "saturated": "less light or a shorter exposure, so that no pixel approaches full scale",
@@ -239,9 +242,11 @@ def source_findings(
             f"{LIMITS.low_light_sd:g}"
         )
         out.append(finding("low-signal", effect))
-    if fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(
-        2.0 / fit.free
-    ) or has_departures(site, fitter, fit):
+    if (
+        fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(2.0 / fit.free)
+        or has_departures(site, fitter, fit)
+        or _is_noise_of_misfit(site)
+    ):
         effect = (
             f"residuals are {np.sqrt(fit.chi2 / fit.free):.2g} times the noise, or of a pattern "
             "that noise does not have"
@@ -290,6 +295,16 @@ def source_findings(
     return out
 
 
+def _is_noise_of_misfit(site: SourcePixels) -> bool:
+    """Return whether the residuals of one frame, taken for noise of its light, exceed the scatter
+    of neighbouring pixels.
+    """
+    if site.spot is None or site.pulses is None or site.window.frames > 1:
+        return False
+    gain_dn = site.pulses.gain * site.aperture.summed_px**2
+    return gain_dn > LIMITS.max_noise_ratio * site.spot.gain_dn
+
+
 def _half_frequencies(fit: BlurModelFit2D) -> tuple[float, float]:
     """Return MTF50 along rows and along columns, cycles per column pitch, without aperture."""
     along, down = crossing_frequency(
@@ -325,7 +340,7 @@ def _gap_to_light(site: SourcePixels, fit: BlurModelFit2D) -> float:
 def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> float:
     """Return the standard uncertainty of the light for a fixed model, DN px^2."""
     nodes = fit.form.nodes(fit.point[None])[0]
-    return float(np.linalg.norm(fitter.pixels.matrix[:, : nodes.size] @ nodes)) ** -1.0
+    return 1.0 / max(float(np.linalg.norm(fitter.pixels.matrix[:, : nodes.size] @ nodes)), 1e-300)
 
 
 def has_departures(site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D) -> bool:

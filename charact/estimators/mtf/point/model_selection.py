@@ -23,6 +23,8 @@ from labdata import Array
 # Prior odds of each extended component of a camera without a description, of a Gaussian with an
 # exponential, and of an ellipse: a parameter that the data do not ask for biases the others.
 WIDE_ODDS, LENS_ODDS, ELLIPSE_ODDS = 0.1, 0.2, 0.5
+# Model departures, fraction of the transfer, and their prior odds.
+DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
 
 
 class EvidenceWeightedModels2D(NamedTuple):
@@ -128,6 +130,12 @@ def fit_models(
     if any(isinstance(light, HaloComponent) for light in components):
         # A described intensifier has a halo.
         fits = [candidate for candidate in fits if candidate.form.wide is not None] or fits
+    best = max(fits, key=_weight)
+    fits += [
+        fitter.fit(form, start_from(best, form))
+        for size in DEPARTURES
+        if (form := replace(best.form, departures=size))
+    ]
     return _rank_by_evidence(fits)
 
 
@@ -146,6 +154,7 @@ def _weight(fit: BlurModelFit2D) -> float:
     odds = ON_POINTS[form.core][1] * (1.0 if form.round else ELLIPSE_ODDS)
     odds *= LENS_ODDS if form.lens else 1.0
     odds *= 1.0 if form.wide is None or isinstance(form.wide, HaloComponent) else WIDE_ODDS
+    odds *= DEPARTURES_ODDS if form.departures else 1.0
     return fit.log_evidence + float(np.log(odds))
 
 

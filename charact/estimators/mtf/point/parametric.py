@@ -282,8 +282,7 @@ def _result(
             doubt=None if exact or aperture.video is None else aperture.video.doubt,
             names=method.quantities,
         )
-        modulus = mtf_of_camera(best.form, best.point[None], FINE, aperture, vertical=vertical)
-        measured.append((numbers, curve, modulus[0]))
+        measured.append((numbers, curve, np.median(curves_of(FINE, vertical), axis=0)))
     every = [number for numbers, _, _ in measured for number in numbers]
     steps_px = (float(np.diff(at[:2])[0]) for at in (site.window.x, site.window.y))
     aliased = undersampled(every, dict(zip((0.0, 90.0), steps_px, strict=True)))

@@ -49,6 +49,10 @@ from labdata import (
 )
 
 METHOD = "point-spread"
+ASSUMED = (
+    "The camera response is assumed linear: one frame shows no gamma, and several do where the "
+    "read noise outweighs that of the light only."
+)
 EFFECTS = {
     "several-targets": "light of another source in the region is included",
     "window-too-small": "light beyond the region is not included; MTF50 is high by its fraction",
@@ -88,7 +92,7 @@ def point_spread(
     common: dict[str, Any] = {
         "method": METHOD,
         "region": region or (0, 0, *cut_stack.shape[1:]),
-        "notes": stack.notes,
+        "notes": (*stack.notes, ASSUMED),
     }
     settings = {"pinhole_px": pinhole_px}
     common["provenance"] = Provenance(
