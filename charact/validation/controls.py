@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from charact.frames.image_lag import SLOWEST_DECAY
 from charact.validation.frames import Camera, MatchedStacks
+from charact.validation.likely_causes import Statistic
+from charact.validation.thresholds import VALIDATION
+from charact.validation.validation_result import ValidationControl
 
 Frames = NDArray[np.floating]
 
@@ -126,6 +129,26 @@ FAULTS: dict[str, tuple[str, Callable[[Frames, np.random.Generator], Frames]]] =
     "lamp flicker of 1 %": ("flat", _flicker),
     "lowest bit left out": ("flat", _missing_bit),
 }
+
+
+def null_control(title: str, of_next_set: Callable[[], tuple[Statistic, ...]]) -> ValidationControl:
+    """Return the control that frames of the fitted camera itself pass, with the statistics of the
+    last set.
+
+    Notes
+    -----
+    A right camera fails now and then, and a set of its posterior may be an extreme one. So sets
+    are compared until the share that fails is that of sound or of useless statistics, by the
+    likelihood ratio of both (sequential test; Wald 1945): mostly one set decides.
+    """
+    ratio = 1.0
+    while True:
+        control = ValidationControl(name="null", title=title, statistics=of_next_set())
+        shares = VALIDATION.useless_share, VALIDATION.sound_share
+        useless, sound = (1.0 - share if control.passed else share for share in shares)
+        ratio *= useless / sound
+        if not 1.0 <= ratio < VALIDATION.useless_ratio:
+            return control
 
 
 def put_fault(

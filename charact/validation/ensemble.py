@@ -43,14 +43,16 @@ class Ensemble:
         """Return the root of chi-squared over the number of terms; 1 is usual."""
         return float(np.sqrt(self._deviations(measured[None])[0, 0] / self.values.shape[1]))
 
-    def p_value(self, measured: Array) -> float:
-        """Return the probability of at least this deviation, at least 1/(replicates + 1).
+    def p_value(self, measured: Array, least: float = 1.0) -> float:
+        """Return the probability of at least this deviation.
 
         Parameters
         ----------
         measured
             Numbers of a set, shape (number,), or of several parts of its frames, (part, number);
             the most deviating part counts.
+        least
+            Level to which the value is compared: repetitions are sufficient for half of it.
 
         Notes
         -----
@@ -62,11 +64,15 @@ class Ensemble:
         against the same sets.
         """
         part_values = np.atleast_2d(measured)
-        null = self.null if len(part_values) == 1 else self._repeat(len(part_values))
-        at_least = np.sum(
-            self._ranked(null).max(axis=1) >= self._ranked(self._deviations(part_values)).max()
-        )
-        return float((1 + at_least) / (len(null) + 1))
+        furthest = self._ranked(self._deviations(part_values)).max()
+        at_least, count, most = 0, 0, VALIDATION.most_replicates(least)
+        while at_least < VALIDATION.exceedances and count < most:
+            run = count // VALIDATION.replicates
+            single = run == 0 and len(part_values) == 1
+            null = self.null if single else self._repeat(len(part_values), run)
+            at_least += int(np.sum(self._ranked(null).max(axis=1) >= furthest))
+            count += len(null)
+        return (1 + at_least) / (count + 1)
 
     def detects(self, shifts: Array, level: float) -> float:
         """Return the fraction of sets, moved by shifts (number,), whose p-value is below a
@@ -105,11 +111,11 @@ class Ensemble:
         """Deviations where the simulation is right, shape (replicate, 1, 2)."""
         return self._repeat(1)
 
-    def _repeat(self, parts: int) -> Array:
+    def _repeat(self, parts: int, run: int = 0) -> Array:
         """Return deviations of several sets from the same ensemble where it is right, shape
         (replicate, place, 2).
         """
-        rng = np.random.default_rng([self.seed, 1])
+        rng = np.random.default_rng([self.seed, 1, run])
         count, size = self.values.shape
         root = np.linalg.cholesky(self.covariance)
         deviations = []

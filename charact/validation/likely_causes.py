@@ -39,7 +39,8 @@ class Statistic:
         Distance of the measured value from the simulated ones, about 1 if they agree.
     p_value, level
         Probability of a distance at least as large if the camera is right, and that below which it
-        fails, corrected for several comparisons; dimensionless.
+        fails, corrected for several comparisons; dimensionless. The probability of a number that
+        cannot be measured is 0.
     least_p
         Least p-value that the number of repetitions can give.
     labels, measured, low95, high95
@@ -178,7 +179,7 @@ def _number_of(signature: Signature, statistic: Statistic) -> str | None:
     rows = [
         index for index, label in enumerate(statistic.labels) if label.startswith(signature.numbers)
     ]
-    if not rows or statistic.worst == "not measurable":
+    if not rows or statistic.p_value == 0.0:
         return None
     measured, low, high = (
         np.array(getattr(statistic, name))[rows] for name in ("measured", "low95", "high95")

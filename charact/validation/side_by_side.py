@@ -16,6 +16,7 @@ from charact.validation.controls import (
     PARAMETERS,
     ParameterControl,
     change_parameter,
+    null_control,
     put_fault,
 )
 from charact.validation.figure_data import FigureCurves, curves_of, figures_of
@@ -27,6 +28,7 @@ from charact.validation.frames import (
     point_levels,
     simulate_frames,
 )
+from charact.validation.likely_causes import Statistic
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
 from charact.validation.validation_test import ParameterChange, ValidationTest
@@ -35,7 +37,7 @@ from labdata import Camera, Session
 Frames = Mapping[str, NDArray]
 Progress = Callable[[str, float], None]
 
-NULL = "Frames of one more posterior draw in place of the measured ones"
+NULL = "Frames of further posterior draws in place of the measured ones"
 HALVES = "Every second measured frame against the others"
 NO_DRAWS = "the camera has no posterior draws: simulated at its values"
 
@@ -174,7 +176,7 @@ class _Bench:
         """Return a simulated set of frames by label; `further` are stacks besides the compared
         ones.
         """
-        self._progress("simulating sets of frames", self._done / self._steps)
+        self._progress("simulating sets of frames", min(1.0, self._done / self._steps))
         self._done += 1
         return simulate_frames(
             camera, (*self.chosen.compared, *further), seed=seed, like=self._sensor
@@ -253,17 +255,20 @@ def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _Simulat
 def _null_controls(
     bench: _Bench, test: ValidationTest, sets: _SimulatedSets, seed: int
 ) -> tuple[ValidationControl, ...]:
-    """Return the controls that must pass: one more draw, and the halves of long stacks against each
+    """Return the controls that must pass: further draws, and the halves of long stacks against each
     other.
     """
-    camera = bench.draw_camera()
-    again = bench.features(bench.simulate(camera, bench.draw_seed()))
-    controls = [
-        ValidationControl(name="null", title=NULL, statistics=test.statistics(again.groups))
-    ]
+
+    def of_next_draw() -> tuple[Statistic, ...]:
+        frames = bench.simulate(bench.draw_camera(), bench.draw_seed())
+        return test.statistics(bench.features(frames).groups)
+
+    controls = [null_control(NULL, of_next_draw)]
     if sets.halves[0]:
         halves_test = ValidationTest(list(sets.halves), seed=seed)
-        statistics = halves_test.statistics(bench.difference_of_halves(bench.chosen.measured))
+        statistics = halves_test.statistics(
+            bench.difference_of_halves(bench.chosen.measured), level=VALIDATION.halves_level
+        )
         controls.append(ValidationControl(name="null", title=HALVES, statistics=statistics))
     return tuple(controls)
 
@@ -278,12 +283,12 @@ def _change_parameters(
         assert altered is not None
         camera, change = altered
         # The same random numbers: the difference has hardly any noise.
-        other = bench.features(bench.simulate(camera, sets.base_seed)).groups
+        frames = bench.simulate(camera, sets.base_seed)
         changes.append(
             ParameterChange(
                 title=control.title,
                 plain=sets.features[0].groups,
-                changed=other,
+                changed=bench.features(frames).groups,
                 change=change,
                 in_quadrature=control.in_quadrature,
             )

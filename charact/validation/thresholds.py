@@ -1,5 +1,6 @@
 """Thresholds of the validation: how many sets are simulated, and when a statistic fails."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -10,10 +11,21 @@ class ValidationThresholds:
     # Simulated sets of frames, each from its own posterior draw: with fewer the tails of the tests
     # grow, with more the time.
     draws: int = 20
-    # Repetitions of the parametric bootstrap; the least p-value is one over them.
+    # Repetitions of the parametric bootstrap in one run. Runs follow until as many repetitions
+    # deviate as far as the measured set that p is known to a factor of 1.4 (Besag and Clifford
+    # 1991), or p is half of the level.
     replicates: int = 4000
-    # Family-wise level of all statistics: a right sensor fails once in 100 sessions.
+    exceedances: int = 10
+    # Family-wise level of all statistics: a right sensor fails once in 100 sessions. Of the halves
+    # of the measured frames, a control, once in 2000.
     level: float = 0.01
+    halves_level: float = 0.0005
+    # Sequential test (Wald 1945) of the share of further posterior draws that fail: that of sound
+    # statistics, well above `level`, that of useless ones, and the likelihood ratio at which they
+    # count as useless.
+    sound_share: float = 0.05
+    useless_share: float = 0.5
+    useless_ratio: float = 1000.0
     # Relative change of a parameter in its negative control, and probability with which an error
     # must be found.
     control_change: float = 0.3
@@ -27,6 +39,10 @@ class ValidationThresholds:
     # pixels, of a flat and of a ring about a point source.
     highest_share: float = 0.8
     most_clipped: float = 1e-3
+
+    def most_replicates(self, level: float) -> int:
+        """Return the repetitions, whole runs, whose least p-value is half of a level at most."""
+        return self.replicates * math.ceil(2.0 / level / self.replicates)
 
 
 VALIDATION = ValidationThresholds()

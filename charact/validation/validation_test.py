@@ -17,8 +17,6 @@ from labdata import Array
 
 Groups = Mapping[str, Numbers]
 
-# Least p-value that the repetitions can give.
-LEAST_P = 1.0 / (VALIDATION.replicates + 1)
 SCORES = "parameters"
 SCORES_TITLE = "Relative errors of parameters, each as if only it were wrong"
 SCORES_CAUSE = "the named parameter, or one that changes the frames alike"
@@ -93,18 +91,23 @@ class ValidationTest:
         self._count = len(self._ensembles) + (self._scores is not None)
 
     def statistics(
-        self, numbers: Groups, elsewhere: Mapping[str, Groups] | None = None
+        self,
+        numbers: Groups,
+        elsewhere: Mapping[str, Groups] | None = None,
+        *,
+        level: float = VALIDATION.level,
     ) -> tuple[Statistic, ...]:
         """Return the statistics of a set of numbers; one that it lacks, or that is not finite,
         fails.
 
         `elsewhere` are numbers of some groups from other parts of the same frames by place; of such
-        a group the most deviating part counts.
+        a group the most deviating part counts. `level`: of all statistics together.
         """
-        fields = list(self._compare(numbers, elsewhere or {}))
+        least = level / max(1, self._count)
+        fields = list(self._compare(numbers, elsewhere or {}, least))
         if self._scores is not None:
             fields.append(self._score(self._scores, numbers))
-        levels = holm_levels([statistic["p_value"] for statistic in fields], VALIDATION.level)
+        levels = holm_levels([statistic["p_value"] for statistic in fields], level)
         return tuple(
             Statistic(**statistic, level=level)
             for statistic, level in zip(fields, levels, strict=True)
@@ -136,7 +139,9 @@ class ValidationTest:
             statistic=finder,
         )
 
-    def _compare(self, numbers: Groups, elsewhere: Mapping[str, Groups]) -> Iterator[dict]:
+    def _compare(
+        self, numbers: Groups, elsewhere: Mapping[str, Groups], least: float
+    ) -> Iterator[dict]:
         """Yield the fields of the statistic of each group."""
         for name, (labels, ensemble) in self._ensembles.items():
             groups_by_place = {"": numbers.get(name, {})} | {
@@ -162,8 +167,8 @@ class ValidationTest:
                 "cause": GROUPS[name].cause,
                 "worst": worst,
                 "distance": float(min(distances[at], 1e6)),
-                "p_value": ensemble.p_value(rows) if known else LEAST_P,
-                "least_p": LEAST_P,
+                "p_value": ensemble.p_value(rows, least) if known else 0.0,
+                "least_p": 1.0 / (VALIDATION.most_replicates(least) + 1),
                 "labels": labels,
                 "measured": tuple(np.nan_to_num(measured).tolist()),
                 "low95": tuple((centre - 1.96 * ensemble.sd).tolist()),
@@ -216,7 +221,7 @@ class ValidationTest:
             "cause": SCORES_CAUSE,
             "worst": scores.titles[int(np.argmax(pulls))] if known else "not measurable",
             "distance": float(min(np.sqrt(np.mean(pulls**2)), 1e6)),
-            "p_value": scores.p_value(measured) if known else LEAST_P,
+            "p_value": scores.p_value(measured) if known else 0.0,
             "labels": scores.titles,
             "measured": tuple(np.nan_to_num(estimates, posinf=0.0).tolist()),
             "low95": tuple((-1.96 * scores.sd).tolist()),
