@@ -186,6 +186,14 @@ class _Bench:
         """Return the numbers of a set of frames."""
         return features_of(frames, self.chosen, context=self.context)
 
+    def leaves_range(self, frames: Frames) -> bool:
+        """Return whether more pixels of a flat or an edge clip than of a stack that is compared."""
+        shots = (*self.chosen.flats, *filter(None, [self.chosen.edge]))
+        full = self.context.full_scale_dn
+        return any(
+            float(np.mean(frames[shot.label] >= full)) > VALIDATION.most_clipped for shot in shots
+        )
+
     def difference_of_halves(self, frames: Frames) -> dict[str, dict[str, float]]:
         """Return the numbers of every second frame less those of the others; empty where stacks are
         too short.
@@ -279,11 +287,15 @@ def _change_parameters(
     """Return the changes of the first set, its draw and seed, by a change of each parameter."""
     changes = []
     for control in controls:
-        altered = change_parameter(sets.base, control, VALIDATION.control_change)
-        assert altered is not None
-        camera, change = altered
-        # The same random numbers: the difference has hardly any noise.
-        frames = bench.simulate(camera, sets.base_seed)
+        # The same random numbers: the difference has hardly any noise. Where frames would leave the
+        # range of the digitiser, whose end hides the effect, the parameter becomes smaller.
+        for change in (VALIDATION.control_change, -VALIDATION.control_change):
+            altered = change_parameter(sets.base, control, change)
+            assert altered is not None
+            camera, change = altered
+            frames = bench.simulate(camera, sets.base_seed)
+            if not bench.leaves_range(frames):
+                break
         changes.append(
             ParameterChange(
                 title=control.title,
