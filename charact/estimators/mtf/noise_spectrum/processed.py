@@ -56,8 +56,8 @@ def processing_findings(
         if np.count_nonzero(even) < PROCESSED.min_pairs:
             return
         square, place = ((ahead[0] - behind[0]) ** 2)[even], np.nonzero(even)[0]
-        blocks.append(_unevenness(square, place % BLOCK_PX))
-        parities.append(_unevenness(square, place % 2))
+        blocks.append(_variation(square, place % BLOCK_PX))
+        parities.append(_variation(square, place % 2))
         squares.append(float(square.mean()) / step**2)
         equals.append(float(np.mean((ahead[1] == behind[1])[even])))
     difference = float(np.mean(squares)) - 2.0 * QUANTISATION_DN2
@@ -82,7 +82,7 @@ def processing_findings(
             yield CurveFinding(flag="processed", effect=effect, undo=undo)
 
 
-def _unevenness(square: Array, place: NDArray[np.integer]) -> float:
+def _variation(square: Array, place: NDArray[np.integer]) -> float:
     """Return the largest mean of places over that of all others."""
     count = np.maximum(np.bincount(place), 1)
     means = np.bincount(place, square) / count
