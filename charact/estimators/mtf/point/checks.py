@@ -246,6 +246,7 @@ def source_findings(
         fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(2.0 / fit.free)
         or has_departures(site, fitter, fit)
         or _is_noise_of_misfit(site)
+        or (fit.form.departures > 0.0 and _largest_departure(fit) > LIMITS.max_departure)
     ):
         effect = (
             f"residuals are {np.sqrt(fit.chi2 / fit.free):.2g} times the noise, or of a pattern "
@@ -293,6 +294,12 @@ def source_findings(
         parity = window.parity[:: window.x.size]
         out += motion_findings(frames, step_px * (window.x - x), step_px * (window.y - y), parity)
     return out
+
+
+def _largest_departure(fit: BlurModelFit2D) -> float:
+    """Return the largest amplitude of model departures, fraction of the transfer."""
+    parameters = zip(fit.form.names, fit.point, strict=True)
+    return float(max(abs(value) for name, value in parameters if name.startswith("departure_")))
 
 
 def _is_noise_of_misfit(site: SourcePixels) -> bool:

@@ -34,6 +34,8 @@ class PointLimits:
     min_rounding_shift_dn: float = 0.02  # Quantisation shift of faint light that is reported, DN
     # Chi squared of model departures, standard deviations of its noise
     max_departure_sd: float = 4.5
+    # Largest departure of a form, fraction of the transfer: the prior's; a disc needs 0.19
+    max_departure: float = 0.1
     # Noise over light of the residuals of one frame over that of neighbouring pixels, at most
     # that of 2 electrons of dark noise: counting cameras have 0.2
     max_noise_ratio: float = 10.0
