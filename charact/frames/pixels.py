@@ -127,7 +127,10 @@ def window_ratio(sums: PixelSums, bins: Bins) -> float:
         return 1.0
     of_image, under_window = (
         np.outer(*(_block_weights(weight, cut) for weight, cut in zip(weights, cuts, strict=True)))
-        for weights in ([np.ones(length) for length in sums.size], [f**2 for f in bins.fades])
+        for weights in (
+            [np.ones(length) for length in sums.size],
+            [f.astype(np.float64) ** 2 for f in bins.fades],
+        )
     )
     of_image, under_window = (
         float(np.average(sums.power, weights=weights.ravel()))
@@ -144,9 +147,11 @@ def _block_weights(weight: Array, cuts: Whole) -> Array:
     at = np.arange(len(weight))
     block = np.clip(np.searchsorted(middle, at) - 1, 0, len(middle) - 2)
     part = (at - middle[block]) / (middle[block + 1] - middle[block])
-    return np.bincount(block, weight * (1.0 - part), len(middle)) + np.bincount(
-        block + 1, weight * part, len(middle)
-    )
+    sums = [
+        np.bincount(index, weights=weight * portion, minlength=len(middle))
+        for index, portion in ((block, 1.0 - part), (block + 1, part))
+    ]
+    return np.asarray(sums[0] + sums[1], np.float64)
 
 
 class _Pass:

@@ -80,7 +80,7 @@ def find_layout(
     }
     means = {"dark": [], "flat": []}
     for shown in known:
-        frames = sound.get(shown.label, ())
+        frames = sound.get(shown.label, np.zeros(0, np.int64))
         means[shown.kind].append(
             profiles_of(_mean_frame(session, shown, frames)) if len(frames) else shown.profiles
         )

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from charact.estimators.bloom.series.halo_models import FREQUENCIES, onto_nodes, pixel_of
@@ -167,7 +168,9 @@ class EdgeShapes:
         )
 
 
-def whitener_of(series: RingSeries, level: int, usable: Array, height_dn: float) -> Array:
+def whitener_of(
+    series: RingSeries, level: int, usable: NDArray[np.bool_], height_dn: float
+) -> Array:
     """Return what makes the errors of usable rings independent and of unit variance: noise, and the
     error of pixels and centre, in proportion to their light and to that of a height, DN.
     """

@@ -86,7 +86,7 @@ def _overshoot(fit: BarFit) -> tuple[float, float]:
     u = (np.arange(4000) + 0.5) / 100.0
     x = np.arange(1.0, 100.0) / 50.0
     kernel = np.sin(2.0 * np.pi * np.outer(x, u)) / (100.0 * np.pi * u)
-    pixel = aperture(u * fit.target.frequency, shape.angle_rad)
+    pixel = aperture(np.asarray(u * fit.target.frequency, np.float64), shape.angle_rad)
     ratio = np.log(u * fit.target.frequency / shape.reference)
 
     low, high = np.array([BOUNDS["log_attenuation"], *shape.form.bounds]).T
