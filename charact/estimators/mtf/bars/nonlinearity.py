@@ -41,6 +41,8 @@ class BarNonlinearity(NamedTuple):
         Of the bars and their background.
     lifts
         Change of ln MTF by a curvature of one.
+    width
+        Fitted width of the bars over half a period, its logarithm.
     shared, per_pixel
         Powers of the light with which the covariance of neighbours and the variance of pixels grow;
         None: unknown.
@@ -50,6 +52,7 @@ class BarNonlinearity(NamedTuple):
     sd: float
     contrast: float
     lifts: float
+    width: float
     shared: Power | None
     per_pixel: Power | None
 
@@ -61,7 +64,8 @@ def response_of(stack: Stack, fit: BarFit) -> BarNonlinearity:
     black_dn = usable_black_level(stack.frames.black_level_dn, dark, bright)
     powers = (None, None) if black_dn is None else noise_powers(stack.data, fit, black_dn)
     curvature, sd, lifts = _curvature(fit)
-    return BarNonlinearity(curvature, sd, contrast_of(dark, bright, black_dn), lifts, *powers)
+    contrast = contrast_of(dark, bright, black_dn)
+    return BarNonlinearity(curvature, sd, contrast, lifts, fit["log_width"], *powers)
 
 
 def response_findings(response: BarNonlinearity, mtf: float) -> list[Finding]:
@@ -70,8 +74,9 @@ def response_findings(response: BarNonlinearity, mtf: float) -> list[Finding]:
     Notes
     -----
     A curvature c of the image, of standard uncertainty s, is taken off the MTF. It may be that of
-    unequal bars and gaps: the bound is M exp(lifts (|c| + 2 s)) - M, where that is small enough for
-    a series of first order. What the noise contradicts has none.
+    unequal bars and gaps, and their fitted width w may be a curvature, and then moves the MTF by
+    its own size: the bound is M exp(lifts (|c| + 2 s) + |w|) - M, where that is small enough for a
+    series of first order. What the noise contradicts has none.
 
     Light pulses correlate neighbours, read-out and quantisation do not. Under a response of
     exponent g the covariance of neighbours grows as the level above black to the power 2 - 1/g,
@@ -85,7 +90,9 @@ def response_findings(response: BarNonlinearity, mtf: float) -> list[Finding]:
             f"the image indicates a response of curvature {response.curvature:.2g} +- "
             f"{response.sd:.1g} (linear: 0); unequal bars and gaps have the same effect"
         )
-        largest = abs(response.lifts) * (abs(response.curvature) + 2.0 * response.sd)
+        largest = abs(response.width) + abs(response.lifts) * (
+            abs(response.curvature) + 2.0 * response.sd
+        )
         causes[cause] = (
             mtf * float(np.expm1(largest))
             if largest < LIMITS.max_curvature_lift
