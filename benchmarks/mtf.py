@@ -80,7 +80,7 @@ def most_probable_form(stack: "FrameStack") -> "EvidenceWeightedModels":
     from charact.method import Context
 
     context = Context(quick=True)
-    edge = prepare_edge(stack, None, context, fields_apart=True)
+    edge = prepare_edge(stack, None, context, quickly=True, fields_apart=True)
     if isinstance(edge, EdgeRefusal):
         raise AssertionError(edge.reason)
     return fit_edge_models(

@@ -329,7 +329,7 @@ def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Poste
     where it is flagged.
     """
     context = Context(seed=seed)
-    edge = prepare_edge(stack, None, context)
+    edge = prepare_edge(stack, None, context, quickly=True)
     if isinstance(edge, EdgeRefusal):
         raise BadInput(f"every frame of this study holds an edge, got: {edge.reason}")
     known = known_transfer(edge.picture, edge.profile.angle_rad, context)

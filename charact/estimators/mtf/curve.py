@@ -212,6 +212,17 @@ def mtf_measurements(
     return measurements, curve_of(REPORTED, reported), halves
 
 
+def crossing_measurement(
+    quantity: str, curves: Array, posterior: Posterior, common: dict[str, Any]
+) -> Measurement:
+    """Return MTF50 or MTF10 of drawn curves at `FINE`; refused where over 2 % of them do not fall
+    to the level.
+    """
+    return _crossing_measurement(
+        quantity, crossing_frequency(FINE, curves, LEVELS[quantity]), posterior, common
+    )
+
+
 def _crossing_measurement(
     quantity: str, draws: Array, posterior: Posterior, common: dict[str, Any]
 ) -> Measurement:

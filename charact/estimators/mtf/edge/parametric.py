@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from charact.estimators.mtf.curve import FINE, crossing_frequency
 from charact.estimators.mtf.edge.checks import misfit_finding, window_finding
 from charact.estimators.mtf.edge.fit.edge_form import EdgeForm, halo_of
 from charact.estimators.mtf.edge.fit.model_fit import EdgeFit, EdgeFitter
@@ -35,7 +36,7 @@ from charact.estimators.mtf.edge.result import (
 from charact.estimators.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.estimators.mtf.known_transfer import KnownTransfer, known_transfer
 from charact.estimators.mtf.mean_frame import Region
-from charact.inference import importance_sample, sample_posterior
+from charact.inference import importance_sample, laplace, sample_posterior
 from charact.inference.diagnostics import crowds_at_bound
 from charact.method import Context, register
 from charact.transfer.blur_model import BlurModel
@@ -76,7 +77,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     Mean of a pixel at distance d: level + step (E(d - shift) - 1/2) + slopes, E the edge spread of
     aperture x video x blur model. Step, level and slopes are marginalised in closed form.
     """
-    return measure_by_fit(PARAMETRIC, _average_models, stack, region, context)
+    return measure_by_fit(PARAMETRIC, _average_models, stack, region, context, quickly=True)
 
 
 @register("edge", FORWARD)
@@ -142,7 +143,9 @@ def _average_models(edge: PreparedEdge, context: Context) -> Result:
     refused = fit_refusal(edge, best.chi2, fitter.maps.level_power(), best.free, half)
     if refused:
         return refuse_edge(PARAMETRIC, refused, context.seed)
-    drawn = _draw_models(fitter, fits, context)
+    drawn = _draw_models(fitter, fits, context, parabolic=context.quick)
+    if context.quick and _is_uncertain(drawn[0], known):
+        drawn = _draw_models(fitter, fits, context, parabolic=False)
     names = dict.fromkeys(model.fit.family.name for model in fits)
     weights = {
         name: round(sum(model.weight for model in fits if model.fit.family.name == name), 4)
@@ -198,22 +201,26 @@ def fit_edge_models(
 
 
 def _draw_models(
-    fitter: EdgeFitter, fits: list[EvidenceWeightedModels], context: Context
+    fitter: EdgeFitter, fits: list[EvidenceWeightedModels], context: Context, *, parabolic: bool
 ) -> list[_Draws]:
-    """Return draws of every model."""
+    """Return draws of every model, from the curvature where a parabola serves."""
     total, scale = sum(model.weight for model in fits), fits[0].fit.noise_scale
+    wanted = ACCURACY.quick_draws if parabolic else DRAWS
     out = []
     for number, model in enumerate(fits):
-        fit, count = model.fit, max(1, round(DRAWS * model.weight / total))
+        fit, count = model.fit, max(1, round(wanted * model.weight / total))
         # Of all but the most probable model only the draws that count are needed.
-        draws = count if context.quick and number else DRAWS
-        effort = max(draws / DRAWS, ACCURACY.min_effort)
-        quick = {
-            "enough": ACCURACY.quick_ess * effort,
-            "first_draws": round(ACCURACY.quick_first_draws * effort),
-        }
+        draws = count if context.quick and number else wanted
         asked = {"seed": context.seed + number, "draws": draws}
-        posterior = _sample(fitter, fit, scale, context, asked, quick, ACCURACY.chain_steps)
+        if parabolic and np.exp(fit.point[1]) < THRESHOLDS.sharp_half_frequency:
+            posterior = _laplace_draws(fit, scale, asked)
+        else:
+            effort = max(draws / DRAWS, ACCURACY.min_effort)
+            quick = {
+                "enough": ACCURACY.quick_ess * effort,
+                "first_draws": round(ACCURACY.quick_first_draws * effort),
+            }
+            posterior = _sample(fitter, fit, scale, context, asked, quick, ACCURACY.chain_steps)
         chosen = np.array([name in CHOSEN_BOUNDS for name in fit.form.parameters])
         leaning = crowds_at_bound(posterior.draws, fit.form.bounds)[chosen].any()
         flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
@@ -225,6 +232,26 @@ def _names(form: EdgeForm) -> dict:
     """Return names, units and bounds of a form's parameters as samplers take them."""
     units = tuple(unit for unit, _ in form.parameters.values())
     return {"names": tuple(form.parameters), "units": units, "bounds": form.bounds}
+
+
+def _laplace_draws(fit: EdgeFit, noise_scale: float, asked: dict) -> Posterior:
+    """Return Gaussian draws whose errors are even in the width of the blur, 1/f2, not in ln f2.
+
+    Posteriors along these ridges are skewed that way: the data constrain a wider blur better than a
+    sharper one.
+    """
+    posterior = laplace(
+        lambda theta: np.zeros(len(theta)),
+        start=fit.point,
+        covariance=fit.covariance * noise_scale,
+        **_names(fit.form),
+        **asked,
+    )
+    draws = posterior.draws.copy()
+    draws[:, 1] = fit.point[1] - np.log1p(
+        -np.minimum(draws[:, 1] - fit.point[1], ACCURACY.max_ln_error)
+    )
+    return replace(posterior, draws=draws)
 
 
 def _sample(
@@ -249,6 +276,16 @@ def _sample(
     if context.quick:
         return importance_sample(lambda theta: known(theta) / noise_scale, **asked, **quick)
     return sample_posterior(lambda theta: known(theta) / noise_scale, **asked, max_steps=steps)
+
+
+def _is_uncertain(drawn: _Draws, known: KnownTransfer) -> bool:
+    """Tell whether MTF50 is so uncertain that parabolas about the optimum do not tell its tails."""
+    modulus = drawn.form.modulus(drawn.posterior.draws[: ACCURACY.skew_draws], FINE)
+    half = crossing_frequency(FINE, np.abs(known(FINE)) * modulus, 0.5)
+    half = half[np.isfinite(half)]
+    return half.size > 0 and bool(
+        THRESHOLDS.skewed_sd < np.std(np.log(half)) < THRESHOLDS.uninformative_sd
+    )
 
 
 def _exceeds_window(fit: EdgeFit) -> bool:

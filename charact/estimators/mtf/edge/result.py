@@ -48,9 +48,17 @@ def measure_by_fit(
     stack: FrameStack,
     region: Region | None,
     context: Context,
+    *,
+    quickly: bool = False,
 ) -> Result:
-    """Find the edge of a region and return what its fit makes of it, or the refusal."""
-    edge = prepare_edge(stack, region, context, fields_apart=True, closed=True)
+    """Find the edge of a region and return what its fit makes of it, or the refusal.
+
+    Parameters
+    ----------
+    quickly
+        Whether wider bins serve where noise hides what narrow ones would show.
+    """
+    edge = prepare_edge(stack, region, context, quickly=quickly, fields_apart=True, closed=True)
     if isinstance(edge, EdgeRefusal):
         return refuse_edge(method, edge, context.seed)
     return fit(edge, context)

@@ -85,6 +85,11 @@ class EdgeThresholds:
     unresolved_glare_weight: float = 0.65
     # Fraction of a component's sizes that a window does not separate from unresolved glare
     widest_sizes: float = 0.15
+    # Half frequency of a core that the pixel aperture hides: its posterior is not Gaussian, cy/px.
+    sharp_half_frequency: float = 0.5
+    # Relative uncertainty of MTF50 from which on the posterior is not Gaussian
+    skewed_sd: float = 0.1
+    uninformative_sd: float = 0.15  # That from which on no interval is reliable, whatever its tails
     # Displacement of fields that counts, standard errors of few rows
     field_displacement_sd: float = 3.5
     field_displacement_px: float = 0.04  # Displacement of fields that matters, px
@@ -102,6 +107,7 @@ class EdgeThresholds:
     no_edge_reduced_chi2: float = 1.5  # Reduced chi squared of what is not an edge
     # And the fraction of chi squared that the best step leaves unexplained
     no_edge_fraction: float = 0.2
+    noisy_step_sd: float = 8.0  # Step over the noise of a pixel below which wider bins lose nothing
     min_defect: float = 0.02  # Deviation of a defective pixel that matters, fraction of the step
     # Fraction of a bin's pixels from which on they are no defects: those are single pixels (a
     # judgement)
@@ -163,7 +169,11 @@ class EdgeAccuracy:
     # likely before the data, as of discs and coma: 240 edges drawn by other programs
     line_spread_doubt: float = 0.0015
     line_spread_draws: int = 600  # Draws of the line spread
+    quick_draws: int = 500  # Draws of a quick posterior
     chain_steps: int = 3000  # Steps of a Markov chain
+    skew_draws: int = 100  # Draws that estimate it
+    # Error of ln of the half frequency up to which a width's error is taken for it
+    max_ln_error: float = 0.5
     quick_ess: float = 300.0  # Effective draws of a quick posterior
     quick_first_draws: int = 1000  # Draws that it begins with
     min_effort: float = 0.55  # Fraction of both for a model of low weight

@@ -1,6 +1,6 @@
 """Pixels of a band along an edge, in bins by their distance from its line."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -105,14 +105,30 @@ def bin_pixels(
     )
 
 
-def _borders(dark_px: float, bright_px: float) -> Array:
+def coarsen(gathered: BinnedPixels) -> BinnedPixels:
+    """Return the band with bins twice as wide, which hold the narrower ones whole; pixels beyond
+    the last are left.
+    """
+    borders = _borders(-gathered.borders[0], gathered.borders[-1], wider=2)
+    middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
+    into = np.searchsorted(borders, middle) - 1
+    in_band = (into >= 0) & (into < borders.size - 1)
+    return replace(
+        gathered,
+        borders=borders,
+        valid=gathered.valid & in_band[gathered.bin_index],
+        bin_index=np.clip(into, 0, borders.size - 2)[gathered.bin_index],
+    )
+
+
+def _borders(dark_px: float, bright_px: float, wider: int = 1) -> Array:
     """Return the borders of bins on both sides, which widen with the distance from the edge."""
     sides = []
     for limit in (dark_px, bright_px):
         begin, parts = 0.0, []
         for end, width in WIDTHS_PX:
             stop = min(limit, end)
-            parts.append(np.arange(begin + width, stop + 1e-9, width))
+            parts.append(np.arange(begin + wider * width, stop + 1e-9, wider * width))
             begin = end
         sides.append(np.concatenate(parts))
     return np.concatenate([-sides[0][::-1], [0.0], sides[1]])

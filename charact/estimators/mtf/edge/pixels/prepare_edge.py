@@ -160,6 +160,7 @@ def prepare_edge(
     region: Region | None,
     context: Context,
     *,
+    quickly: bool = False,
     fields_apart: bool = False,
     closed: bool = False,
 ) -> PreparedEdge | EdgeRefusal:
@@ -167,6 +168,8 @@ def prepare_edge(
 
     Parameters
     ----------
+    quickly
+        As of `charact.estimators.mtf.edge.pixels.profile.profile_of`.
     fields_apart
         Whether the two fields of an interlaced frame are taken each at its own position, where the
         edge moved between them; else that is left to be flagged.
@@ -198,7 +201,7 @@ def prepare_edge(
         )
         height, width = part[2:]
     if rim is not None:
-        profile = profile_of(picture, rim, WIDEST_PX)
+        profile = profile_of(picture, rim, WIDEST_PX, quickly=quickly)
         apart = np.full(picture.value.shape[0], np.nan)
         note = (
             f"The edge is a closed curve of {rim.radii[0]:.1f} px mean radius: the MTF is that of "
@@ -218,7 +221,7 @@ def prepare_edge(
     if min(sides) < THRESHOLDS.min_side_pixels:
         return no_step
     edge = centre_line(picture, rows.line)
-    profile = profile_of(picture, edge, WIDEST_PX)
+    profile = profile_of(picture, edge, WIDEST_PX, quickly=quickly)
     if not profile.step > 0 or profile.gathered.half_width_px < THRESHOLDS.min_half_width_px:
         return no_step
     notes, black = [], stack.frames.black_level_dn

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.mtf.edge.pixels.bins import BinnedPixels, bin_pixels
+from charact.estimators.mtf.edge.pixels.bins import BinnedPixels, bin_pixels, coarsen
 from charact.estimators.mtf.edge.pixels.line import EdgeLine, steepness
 from charact.estimators.mtf.edge.pixels.noise_model import (
     bin_covariance,
@@ -220,13 +220,18 @@ class EdgeProfile:
         return np.array(sd) * max(abs(self.step), 1e-300)
 
 
-def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float) -> EdgeProfile:
+def profile_of(
+    picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, quickly: bool = False
+) -> EdgeProfile:
     """Bin the pixels of an edge and estimate its noise from the residuals of its profile.
 
     Parameters
     ----------
     half_width_px
         Half width of the band wanted.
+    quickly
+        Whether bins may be twice as wide where noise hides what narrow ones would show: a fit costs
+        as their square.
     """
     gathered = bin_pixels(picture, line, half_width_px)
     # Light that changes along the edge makes a slope in a tilted window.
@@ -258,6 +263,8 @@ def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float) -> 
         gathered = bin_pixels(picture, line, half_width_px, masked)
         residual, level, lost, _ = _residual_of(value, gathered)
         residual = residual * lost
+    if quickly and step < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.valid]):
+        gathered = coarsen(gathered)
     mean, count = gathered.means(value)
     distance, (square, _) = gathered.mean_distance, gathered.means(gathered.distance**2)
     keep = count >= 1

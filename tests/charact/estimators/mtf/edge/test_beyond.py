@@ -330,7 +330,7 @@ def test_motion_of_lines_along_the_edge_is_told_in_every_drawing(angle_deg, seed
         _, stack = drawn(
             angle_deg, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px
         )
-        edge = prepare_edge(stack, None, Context(quick=True))
+        edge = prepare_edge(stack, None, Context(quick=True), quickly=True)
         assert isinstance(edge, PreparedEdge)
         apart_px, error_px = checks.displacement_of_fields(edge)
         # The mean profile is smeared over both places, and its slope a fifth off.
@@ -346,7 +346,7 @@ def test_lines_along_an_edge_at_rest_scatter_as_noise_lets_them(angle_deg, seed)
     for number in range(30):
         offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
         _, stack = drawn(angle_deg, 0.0, 100 * seed + number, snr=20.0, offset_px=offset_px)
-        edge = prepare_edge(stack, None, Context(quick=True))
+        edge = prepare_edge(stack, None, Context(quick=True), quickly=True)
         assert isinstance(edge, PreparedEdge)
         apart_px, error_px = checks.displacement_of_fields(edge)
         away.append(apart_px / error_px)

@@ -2,6 +2,8 @@
 honest intervals.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from benchmarks.studies.cramer_rao import least_relative_sd
 from benchmarks.studies.edge_coverage import measure_mixed_scene
 from benchmarks.studies.edge_peers import answers, row, scene_of
 from charact.estimators import mtf
+from charact.estimators.mtf.edge import parametric as edge_parametric
+from charact.estimators.mtf.edge import thresholds
 from charact.method import Context
 from labdata import FrameStack
 from tests.truth import EdgeScene, TrueBlur
@@ -172,6 +176,32 @@ def test_an_uncertain_edge_has_the_skewed_interval_of_the_chain_quickly_too(seed
         )
     quick, full = np.log(skew).mean(axis=0)
     assert quick == pytest.approx(full, abs=3 * 0.13)
+
+
+def test_a_surer_edge_has_the_skew_of_its_posterior_from_the_curvature_alone(seed, monkeypatch):
+    """A step of seven standard deviations, MTF50 known to 5 %: errors are even in the blur's width,
+    not in ln MTF50.
+    """
+    frame = frame_of(gaussian(0.5), 120, 100, angle_deg=6.0)
+    skew = []
+    for one in range(4):
+        noisy = frame + 300.0 * np.random.default_rng([seed, one]).standard_normal(frame.shape)
+        both = []
+        for unsure in (thresholds.THRESHOLDS.skewed_sd, 0.005):
+            monkeypatch.setattr(
+                edge_parametric, "THRESHOLDS", replace(thresholds.THRESHOLDS, skewed_sd=unsure)
+            )
+            both.append(measured(noisy, "edge-parametric").find("mtf50")[0])
+        assert [found.posterior.sampler for found in both] == ["laplace", "importance"]
+        skew.append(
+            [
+                (found.interval95[1] - found.value) / (found.value - found.interval95[0])
+                for found in both
+            ]
+        )
+        monkeypatch.undo()
+    curvature, importance = np.log(skew).mean(axis=0)
+    assert curvature == pytest.approx(importance, abs=0.1)
 
 
 def test_an_interval_too_wide_for_its_tails_is_flagged(seed):
