@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 # Smallest curvature, and eigenvalue over the largest one below which a direction is undetermined.
 LEAST_CURVATURE = 1e-300
 UNDETERMINED = 1e-12
+LEAST_PART = 1e-3  # Of a direction in the parameters that have bounds, if they are not felt
 
 
 class Linearisation(NamedTuple):
@@ -162,18 +163,20 @@ def covariance_at(normal: Array, bounds: Array) -> Array:
     """Return the covariance of the parameters that have bounds, all others marginalised, shape
     (parameter, parameter).
 
-    An undetermined parameter has the variance of a flat density between its bounds.
+    An undetermined combination has the variance of a flat density between its bounds.
     """
     size = len(bounds)
     scale = np.sqrt(np.maximum(np.diag(normal), LEAST_CURVATURE))
     values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
     felt = np.abs(values) > UNDETERMINED * values[-1]
-    along = vectors[:size, felt] / scale[:size, None]
-    covariance = (along / values[felt]) @ along.T
+    along = vectors[:size] / scale[:size, None]
+    covariance = (along[:, felt] / values[felt]) @ along[:, felt].T
     widest = (bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0)
     shrink = np.minimum(1.0, widest / np.sqrt(np.maximum(np.diag(covariance), LEAST_CURVATURE)))
-    without_effect = np.diag(normal)[:size] <= LEAST_CURVATURE
-    return covariance * np.outer(shrink, shrink) + np.diag(np.where(without_effect, widest**2, 0.0))
+    # Directions that data do not feel end where one of their parameters does.
+    flat = along[:, ~felt & (np.abs(vectors[:size]).max(axis=0) > LEAST_PART)]
+    flat = flat * np.min(widest[:, None] / np.maximum(np.abs(flat), LEAST_CURVATURE), axis=0)
+    return covariance * np.outer(shrink, shrink) + flat @ flat.T
 
 
 def ln_evidence(
