@@ -38,15 +38,17 @@ def processing_findings(
     eight places. Interpolation to twice the samples makes them alternate. Smoothed noise has less
     than half the squared differences of independent pixels; a median of nine pixels, besides, is
     often the same pixel as its neighbour's: more differences are 0 than the P0 of rounded normal
-    noise, P0 = E max(1 - |u|, 0), u of the differences' standard deviation s: 2 Phi(1/s) - 1 - s
-    sqrt(2/pi) (1 - exp(-1/2s^2)). A table from codes to codes leaves gaps on the side that it
+    noise of the differences' standard deviation. Noise of rare pulses, as behind a tube, has more
+    that are 0 and more that are one code, P1: P0 is raised as they are, on each side alone. With
+    g(x) = E|u - x| of the normal u, P0 = g(1) - g(0) and P1 = g(2) - 2 g(1) + g(0). A table from
+    codes to codes leaves gaps on the side that it
     steepens.
     """
     values = np.unique(codes)
     step = float(np.diff(values).min()) if values.size > 1 else 1.0
     if _has_gaps_on_one_side(codes, areas, step):
         yield CurveFinding(flag="gamma", effect="codes are left out on one side: a curved response")
-    blocks, parities, squares, equals = [], [], [], []
+    blocks, parities, squares, equals, excess = [], [], [], [], []
     for axis in (0, 1):
         ahead, behind = (
             np.moveaxis(np.stack([codes - expected, codes, areas]), 1 + axis, 1)[:, part]
@@ -59,7 +61,13 @@ def processing_findings(
         blocks.append(_variation(square, place % BLOCK_PX))
         parities.append(_variation(square, place % 2))
         squares.append(float(square.mean()) / step**2)
-        equals.append(float(np.mean((ahead[1] == behind[1])[even])))
+        apart = np.abs(ahead[1] - behind[1])[even] / step
+        equals.append(float(np.mean(apart == 0.0)))
+        excess += [
+            _excess_of_equals(square[side] / step**2, apart[side])
+            for side in (ahead[2][even] == area for area in (1, 2))
+            if np.count_nonzero(side) > PROCESSED.min_pairs // 4
+        ]
     difference = float(np.mean(squares)) - 2.0 * QUANTISATION_DN2
     variance = float(np.var((codes - expected)[areas > 0])) / step**2 - QUANTISATION_DN2
     if max(blocks) > PROCESSED.block_ratio:
@@ -67,19 +75,33 @@ def processing_findings(
             flag="processed", effect="noise in blocks of 8 pixels: lossy compression (JPEG)"
         )
     elif difference < 2.0 * PROCESSED.smoothed_ratio * variance and difference > 0.0:
-        sd = sqrt(difference)
-        chance = erf(1.0 / (sd * sqrt(2.0))) - sd * sqrt(2.0 / pi) * (1.0 - exp(-0.5 / sd**2))
         if min(parities) > PROCESSED.parity_ratio:
             effect = "interpolated to twice the samples: frequencies are those of the file's pixels"
             undo = stretched(PROCESSED.interpolation_bias)
             yield CurveFinding(flag="processed", effect=effect, undo=undo)
-        elif float(np.mean(equals)) - chance > PROCESSED.equal_neighbours:
+        elif min(excess, default=0.0) > PROCESSED.equal_neighbours:
             effect = (
-                f"{100.0 * float(np.mean(equals)):.0f} % of neighbours are equal, for "
-                f"{100.0 * chance:.0f} % of normal noise: a median or another filter by rank"
+                f"{100.0 * float(np.mean(equals)):.0f} % of neighbours are equal, at least "
+                f"{100.0 * min(excess):.0f} % more than noise makes: a median or another filter by "
+                "rank"
             )
             undo = stretched(PROCESSED.rank_bias)
             yield CurveFinding(flag="processed", effect=effect, undo=undo)
+
+
+def _excess_of_equals(square: Array, apart: Array) -> float:
+    """Return the share of equal neighbours above that of rounded noise; squared differences of the
+    signal and differences of the codes, in steps.
+    """
+    sd = sqrt(max(float(square.mean()) - 2.0 * QUANTISATION_DN2, PROCESSED.least_square))
+    at_zero, at_one, at_two = (_mean_distance(x, sd) for x in (0.0, 1.0, 2.0))
+    wider = float(np.mean(apart == 1.0)) / (at_two - 2.0 * at_one + at_zero)
+    return float(np.mean(apart == 0.0)) - (at_one - at_zero) * max(wider, 1.0)
+
+
+def _mean_distance(x: float, sd: float) -> float:
+    """Return the mean distance from x of a normal number of mean 0."""
+    return sd * sqrt(2.0 / pi) * exp(-0.5 * (x / sd) ** 2) + x * erf(x / (sd * sqrt(2.0)))
 
 
 def _variation(square: Array, place: NDArray[np.integer]) -> float:

@@ -80,6 +80,8 @@ class ProcessedThresholds:
     smoothed_ratio: float = 0.6
     # Excess of equal neighbours, fraction: medians leave .1 to .4
     equal_neighbours: float = 0.07
+    # Least squared difference of neighbours less rounding, steps^2: below it codes hide the noise
+    least_square: float = 0.05
     common_code: int = 15  # Pixels of a code whose neighbour is missed
     min_gaps: int = 2  # Codes left out: fair frames have none
     max_codes: int = 4096  # Codes of an area beyond which none is common
