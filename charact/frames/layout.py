@@ -168,7 +168,7 @@ def profiles_of(mean_frame: NDArray) -> Profiles:
 
 def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
     """Return the rows (frame, row, col) that hold one value where noise cannot, from an end of the
-    row over at least an eighth of it.
+    row over at least an eighth of it; part of a row is lost only at an end of the frames' values.
 
     `start`: number of the first frame. Where a fraction f of the same pixels in another frame, else
     of an adjacent row, has its commonest value, n pixels have one value with probability f^n.
@@ -176,6 +176,7 @@ def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
     ends = frames[:, :, : LAYOUT.bands], frames[:, :, -LAYOUT.bands :]
     is_even = np.any([np.all(end == end[:, :, :1], axis=2) for end in ends], axis=0)
     cols = frames.shape[2]
+    ends_dn = float(frames.min()), float(frames.max())
     pixels = {}  # of the rows that hold one value
     for frame, row in np.argwhere(is_even).tolist():
         values = frames[frame, row]
@@ -197,7 +198,9 @@ def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
             value, middle = float(frames[frame, first, held][0]), float(np.median(normal))
             chance = normal.size * np.log(max(np.mean(normal == middle), 1.0 / normal.size))
             departs = len(sound) and abs(value - middle) > LAYOUT.lost_sd * normal.std() > 0.0
-            if chance < LAYOUT.lost_chance or departs:
+            # Correlated noise of a few codes holds one of them over part of a row.
+            is_end = normal.size == cols or value in ends_dn
+            if is_end and (chance < LAYOUT.lost_chance or departs):
                 seen = f"{value:g} DN" + f" in {normal.size} columns" * (normal.size < cols)
                 rows = {"axis": 1, "first": first, "stop": stop, "seen": seen}
                 lost.append(Part(name=LOST, frame=start + frame, **rows))
