@@ -25,6 +25,8 @@ _AT_MOST_ONE = (
     "taper.transmission",
     "ccd.quantum_efficiency",
 )
+# A curvature of the response that a description may state.
+_MOST_CURVED = {"readout.compression_fraction": 0.2}
 # Factors of products and powers: drawn as logarithms, in which a constrained product is a straight
 # ridge.
 _FACTORS = (
@@ -171,8 +173,9 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     )
     floor, ceiling = (
         0.0 if low == 0 else -np.inf if low < 0 else 0.02 * value,
-        1.0 if path in _AT_MOST_ONE else np.inf,
+        1.0 if path in _AT_MOST_ONE else _MOST_CURVED.get(path, np.inf),
     )
+    floor = max(floor, -_MOST_CURVED.get(path, np.inf))
     scale = path in _FACTORS or high > SCALE_RATIO * low
     power = 1 if low <= 0 else 0 if scale else 1
     if power == 0:
