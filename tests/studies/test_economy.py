@@ -122,7 +122,7 @@ def test_sessions_are_summed_up(whole) -> None:
     assert summed["agree"] == summed["sessions"] == 2
     beside = {one["name"]: one for one in summed["beside_truth"]}
     assert {"joint mtf50 along rows", "point-parametric mtf10 along columns"} <= set(beside)
-    edge = beside["edge-parametric mtf10 along rows"]
+    edge = beside["edge-free mtf10 along rows"]
     assert edge["numbers"] == edge["ok"] == 2
     (off,) = (one.off for one in whole.beside if one.name == edge["name"])
     assert edge["rms_standard_errors"] == pytest.approx(1.96 * abs(off))
