@@ -95,7 +95,7 @@ def _excess_of_equals(square: Array, apart: Array) -> float:
     """
     sd = sqrt(max(float(square.mean()) - 2.0 * QUANTISATION_DN2, PROCESSED.least_square))
     at_zero, at_one, at_two = (_mean_distance(x, sd) for x in (0.0, 1.0, 2.0))
-    wider = float(np.mean(apart == 1.0)) / (at_two - 2.0 * at_one + at_zero)
+    wider = float(np.mean(apart == 1.0)) / max(at_two - 2.0 * at_one + at_zero, 1e-9)
     return float(np.mean(apart == 0.0)) - (at_one - at_zero) * max(wider, 1.0)
 
 
