@@ -55,15 +55,13 @@ def test_the_table_is_what_the_method_still_does(number: int):
     assert again.first == pytest.approx(BIASES[number].first, rel=0.02)
 
 
-def test_the_bias_keeps_to_one_percent_wherever_bars_are_measured():
+def test_the_bias_is_within_the_scatter_of_a_picture_wherever_bars_are_measured():
     """Four bars, 0.05 to 0.40 cy/px, 20 rows at ten times the noise, 0 to 8 degrees, any phase, n =
-    1.1 included.
+    1.1 included: width, blur along the bars and form of the blur are fitted to each picture.
     """
-    found = tally(BIASES)
-    assert found.verdicts["off"] == 0
-    assert found.largest_standard_error_percent < 1.0
-    # Only what a blur leaves of 3 % or less is not told as ok.
-    assert max(one.truth for one in BIASES if one.told) < 0.03
+    known = [one for one in BIASES if one.ok > 1]
+    assert max(abs(one.bias_percent) / one.scatter_percent for one in known) < 1.0
+    assert sum(one.silent for one in known) <= 0.003 * sum(one.numbers for one in known)
 
 
 def test_the_intervals_hold_as_often_as_they_say_in_every_class():
