@@ -458,7 +458,7 @@ def plot_bias(outcomes: Sequence[BarScenarioOutcome], path: Path = FIGURE) -> Pa
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=8)
     figure.suptitle(
         "Four bars over 20 rows of one frame, step ten times a pixel's noise; lines: one standard "
-        "error; grey: the 1 % allowed",
+        "error; grey: 1 %",
         fontsize=9,
     )
     path.parent.mkdir(parents=True, exist_ok=True)

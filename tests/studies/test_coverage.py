@@ -57,10 +57,12 @@ def test_the_table_is_what_the_method_still_does(number: int):
 
 def test_the_bias_is_within_the_scatter_of_a_picture_wherever_bars_are_measured():
     """Four bars, 0.05 to 0.40 cy/px, 20 rows at ten times the noise, 0 to 8 degrees, any phase, n =
-    1.1 included: width, blur along the bars and form of the blur are fitted to each picture.
+    1.1 included: forms of the blur share the answer, as so few noisy rows hardly tell them apart.
     """
-    known = [one for one in BIASES if one.ok > 1]
+    known = [one for one in BIASES if not one.told]
     assert max(abs(one.bias_percent) / one.scatter_percent for one in known) < 1.0
+    assert max(abs(one.bias_percent) for one in known) < 9.0
+    assert tally(BIASES).verdicts["off"] < 60
     assert sum(one.silent for one in known) <= 0.003 * sum(one.numbers for one in known)
 
 
