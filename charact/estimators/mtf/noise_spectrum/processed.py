@@ -41,8 +41,7 @@ def processing_findings(
     noise of the differences' standard deviation. Noise of rare pulses, as behind a tube, has more
     that are 0 and more that are one code, P1: P0 is raised as they are, on each side alone. With
     g(x) = E|u - x| of the normal u, P0 = g(1) - g(0) and P1 = g(2) - 2 g(1) + g(0). A table from
-    codes to codes leaves gaps on the side that it
-    steepens.
+    codes to codes leaves gaps on the side that it steepens.
     """
     values = np.unique(codes)
     step = float(np.diff(values).min()) if values.size > 1 else 1.0
