@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from charact.frames.image_lag import SLOWEST_DECAY
 from charact.validation.frames import Camera, MatchedStacks
-from charact.validation.likely_causes import Statistic
+from charact.validation.statistic import Statistic
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import ValidationControl
 

@@ -28,7 +28,7 @@ from charact.validation.frames import (
     point_levels,
     simulate_frames,
 )
-from charact.validation.likely_causes import Statistic
+from charact.validation.statistic import Statistic
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
 from charact.validation.validation_test import ParameterChange, ValidationTest

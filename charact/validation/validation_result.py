@@ -11,7 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.validation.likely_causes import Statistic, likely_causes
+from charact.validation.likely_causes import likely_causes
+from charact.validation.statistic import Statistic
 from charact.verdict import Finding
 from labdata.errors import BadInput
 from labdata.frames import read_only

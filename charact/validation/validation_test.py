@@ -11,8 +11,9 @@ from charact.observables import Numbers
 from charact.validation.ensemble import Ensemble, ensemble_of, holm_levels
 from charact.validation.frame_features import GROUPS
 from charact.validation.parameter_scores import ParameterScores, parameter_scores
+from charact.validation.statistic import Statistic
 from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_result import DetectableError, Statistic
+from charact.validation.validation_result import DetectableError
 from labdata import Array
 
 Groups = Mapping[str, Numbers]

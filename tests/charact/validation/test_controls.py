@@ -12,7 +12,7 @@ from charact.fitting import fit_sensor
 from charact.session_measurement import measure
 from charact.validation import PARAMETERS, VALIDATION, side_by_side, validate
 from charact.validation.controls import null_control
-from charact.validation.likely_causes import Statistic
+from charact.validation.statistic import Statistic
 from tests.charact.fitting.test_stranger_camera import SHORT_S, LinearCamera, session_of
 
 FULL = 33_000.0 / 0.94  # photons at full scale
