@@ -373,10 +373,10 @@ def resume(
         client.signal(signal.SIGKILL)
         client.wait(COMPLETE_S)
     rig.await_free()
-    words = client.told()[-1:]
+    words = client.told()
     client.close()
     if code != 0:
-        return [f"the resumed run ended with {code}: {words}"]
+        return [f"the resumed run ended with {code}: {_sentence(session, words, code)}"]
     stacks = {entry.label: entry for entry in open_session(session).stacks}
     counts = {step.label: step.frames for step in plan.steps}
     wrong = [
