@@ -9,7 +9,7 @@ from simulate.virtual_bench import aravis_library
 from tests.faults.campaign.kinds import KINDS, draw_fault
 from tests.faults.campaign.page import Row, page
 from tests.faults.campaign.rig import CampaignRig
-from tests.faults.campaign.trial import Outcome, resume, try_fault, warm_up
+from tests.faults.campaign.trial import Outcome, end_of, resume, try_fault, warm_up
 
 SEED = 4
 AFTER_S = 0.4
@@ -66,7 +66,7 @@ def rig(tmp_path_factory):
 
 def strike(rig: CampaignRig, kind: str) -> Outcome:
     """Strike the last session, or a new one where that is complete."""
-    fault = draw_fault(kind, np.random.default_rng(SEED))
+    fault, ends = draw_fault(kind, np.random.default_rng(SEED)), []
     for _ in range(2):
         session = rig.folder / f"struck-{len(list(rig.folder.glob('struck-*'))) - 1}"
         after_s = min(AFTER_S, fault.latest_s)
@@ -74,8 +74,9 @@ def strike(rig: CampaignRig, kind: str) -> Outcome:
             outcome := try_fault(rig, rig.plan(), session, kind, fault, after_s=after_s)
         ) is not None:
             return outcome
+        ends.append(end_of(session))
         session.with_name(f"struck-{len(list(rig.folder.glob('struck-*')))}").mkdir()
-    raise AssertionError(f"{kind} must strike, got two runs that ended before")
+    raise AssertionError(f"{kind} must strike, got two runs that ended before: {ends}")
 
 
 @wired

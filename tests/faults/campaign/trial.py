@@ -245,7 +245,7 @@ def _outcome(
         gate_s=gate_s,
         voltage_s=voltage_s,
         limit_s=fault.limit_s,
-        sentence=_sentence(session, lines, code),
+        sentence=end_of(session, lines, code),
         last_words=next(
             (line for line in reversed(lines) if line.startswith(LAST_WORDS)), "".join(lines[-1:])
         ),
@@ -306,7 +306,10 @@ def _badly_ended(client: Client, fault: Fault, code: int | None, *, live: bool) 
         yield "the terminal does not say how the tube was left"
 
 
-def _sentence(session: Path, lines: list[str], code: int | None) -> str:
+def end_of(session: Path, lines: Sequence[str] = (), code: int | None = None) -> str:
+    """Return how the last run of a session ended: by its log, else by the client's exit code or
+    last line.
+    """
     run = _last_run(session)
     if run and run[-1]["event"] == "run ends":
         return "complete" if run[-1]["whole"] else run[-1]["reason"]
@@ -376,7 +379,7 @@ def resume(
     words = client.told()
     client.close()
     if code != 0:
-        return [f"the resumed run ended with {code}: {_sentence(session, words, code)}"]
+        return [f"the resumed run ended with {code}: {end_of(session, words, code)}"]
     stacks = {entry.label: entry for entry in open_session(session).stacks}
     counts = {step.label: step.frames for step in plan.steps}
     wrong = [
