@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lu_factor, lu_solve
 
 from simulate.camera.grid import ACCURACY, Grid
 from simulate.camera.transfer import PixelAperture, StageBlur, fold_transfer
@@ -344,18 +345,30 @@ def _fit_wing(
     `excluded` do not count.
     """
     row_spread, column_spread = (_spread_of_wing(n) for n in (height, 1))
-    information, data = (
-        np.kron(row_spread.T @ row_spread, column_spread.T @ column_spread),
-        residual.copy(),
-    )
+    data = residual.copy()
     if excluded:
-        rows, columns = row_spread[excluded[0]], column_spread[excluded[1]]
-        information -= np.kron(rows.T @ rows, columns.T @ columns)
         data[excluded] = 0.0
-    wing = np.asarray(
-        np.linalg.solve(information, (row_spread.T @ data @ column_spread).ravel()), np.float64
+    bounds = tuple((part.start, part.stop) for part in excluded)
+    wing = lu_solve(
+        _information_of_wing(height, bounds), (row_spread.T @ data @ column_spread).ravel()
     )
     return wing.reshape(row_spread.shape[1], column_spread.shape[1])
+
+
+@lru_cache(maxsize=4)
+def _information_of_wing(
+    height: int, excluded: tuple[tuple[int, int], ...]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the information on the weights of coarse cells, factorised, without distances between
+    bounds of rows and columns.
+    """
+    row_spread, column_spread = (_spread_of_wing(n) for n in (height, 1))
+    information = np.kron(row_spread.T @ row_spread, column_spread.T @ column_spread)
+    if excluded:
+        (top, bottom), (left, right) = excluded
+        rows, columns = row_spread[top:bottom], column_spread[left:right]
+        information -= np.kron(rows.T @ rows, columns.T @ columns)
+    return lu_factor(information)
 
 
 def _per_pixel(image: NDArray[np.float64], divisions: tuple[int, int]) -> NDArray[np.float64]:
