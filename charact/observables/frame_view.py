@@ -2,7 +2,8 @@
 
 import itertools
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,8 +79,11 @@ class FrameView:
         """Return the mean power of images per pixel, 1 for white noise of variance 1, shape (row,
         col / 2 + 1).
         """
+        from scipy import fft
+
+        transform: Any = fft.rfft2(images)
         rows, cols = images.shape[-2:]
-        power = np.abs(np.fft.rfft2(images)) ** 2 / (rows * cols)
+        power = np.abs(transform) ** 2 / (rows * cols)
         return power.reshape(-1, *power.shape[-2:]).mean(axis=0)
 
 
@@ -118,6 +122,11 @@ def bands_of(power: Array, reference: Array, what: str) -> dict[str, float]:
 def highest(values: Frames, count: int) -> float:
     """Return the mean of the highest values."""
     flat = values.ravel()
+    # The highest values lie in the blocks of the highest maxima: they are at least the least of as
+    # many maxima.
+    maxima = np.maximum.reduceat(flat, np.arange(0, flat.size, FRAMES.block))
+    if maxima.size > count:
+        flat = flat[flat >= np.partition(maxima, maxima.size - count)[-count]]
     return float(np.partition(flat, flat.size - count)[-count:].mean())
 
 
@@ -142,18 +151,24 @@ def _without_shading(mean: Frames) -> tuple[Array, Frames]:
     """Return slopes and curvatures of a frame over coordinates -1..1, and the frame without
     them.
     """
-    y, x = (np.linspace(-1.0, 1.0, size, dtype=np.float32) for size in mean.shape)
-    terms = np.stack(
-        np.broadcast_arrays(
-            np.float32(1.0),
-            x[None, :],
-            y[:, None],
-            x[None, :] ** 2,
-            y[:, None] ** 2,
-            x[None, :] * y[:, None],
-        )
-    ).reshape(6, -1)
-    coefficients = np.linalg.solve(
-        (terms @ terms.T).astype(float), (terms @ mean.ravel()).astype(float)
-    )
+    terms, products = _terms_of_shading(*mean.shape)
+    coefficients = np.linalg.solve(products, (terms @ mean.ravel()).astype(float))
     return coefficients[1:], mean - (coefficients.astype(np.float32) @ terms).reshape(mean.shape)
+
+
+@lru_cache(maxsize=2)
+def _terms_of_shading(rows: int, cols: int) -> tuple[Frames, Array]:
+    """Return the terms of a plane and a bowl over coordinates -1..1, shape (term, pixel), and their
+    products, shape (term, term).
+    """
+    y, x = (np.linspace(-1.0, 1.0, size, dtype=np.float32) for size in (rows, cols))
+    images = np.broadcast_arrays(
+        np.float32(1.0),
+        x[None, :],
+        y[:, None],
+        x[None, :] ** 2,
+        y[:, None] ** 2,
+        x[None, :] * y[:, None],
+    )
+    terms = np.stack(images).reshape(6, -1)
+    return terms, (terms @ terms.T).astype(float)

@@ -76,6 +76,8 @@ class FrameNumbers:
     highest_events: int = 30
     highest_pixels: int = 8
     highest_spots: int = 10
+    # Values of a block, whose maximum says whether any of them may be among the highest.
+    block: int = 64
     # Standard deviations of the two Gaussians whose difference shows a spot, px: shadows of dust
     # are some 10 px wide.
     spot_px: tuple[float, float] = (3.0, 9.0)

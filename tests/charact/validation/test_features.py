@@ -7,6 +7,7 @@ import pytest
 from scipy.special import ndtri
 
 from charact.observables import FRAMES, FrameView, Numbers, Stacks, observables
+from charact.observables.frame_view import highest
 from charact.validation import target_features
 
 
@@ -142,3 +143,12 @@ def test_columns_averaged_near_the_corners_are_correlated_there_by_half(seed: in
     name = "ln variance/signal near the corners over the centre of flat"
     assert found[name] == pytest.approx(-np.log(2.0), abs=2.0 * np.sqrt(2.0) * error)
     assert all(abs(value) < 2.0 * np.sqrt(2.0) * error for value in plain.values())
+
+
+@pytest.mark.parametrize("size", [40, 1000])
+def test_the_mean_of_the_highest_values_is_that_of_the_end_of_the_sorted_ones(
+    size: int, seed: int
+) -> None:
+    # Whole numbers tie, also at the limit.
+    values = np.random.default_rng(seed).poisson(3.0, (size, 7)).astype(np.float32)
+    assert highest(values, 30) == pytest.approx(np.sort(values, axis=None)[-30:].mean())
