@@ -90,10 +90,23 @@ def test_a_fault_ends_the_run_in_a_sentence_with_the_tube_safe_in_time(rig, kind
     assert "\n" not in outcome.sentence
 
 
+STARVED = (
+    "must show life",
+    "was silent",
+    "has sent no frame",
+    "must take a frame",
+    "must answer within",
+)
+"""How a run ends, the tube safe, on a machine that other work starves: it is resumed once more."""
+
+
 @wired
 def test_a_run_that_is_left_alone_completes_what_was_struck(rig):
     for session in rig.folder.glob("struck-*"):
-        assert resume(rig, rig.plan(), session) == [], session.name
+        wrong = resume(rig, rig.plan(), session)
+        if any(end in sentence for end in STARVED for sentence in wrong):
+            wrong = resume(rig, rig.plan(), session)
+        assert wrong == [], session.name
 
 
 def test_every_fault_of_the_campaign_can_be_drawn_and_has_a_limit():
