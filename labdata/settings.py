@@ -154,6 +154,13 @@ SceneCamera = Annotated[
 WithinMk = Annotated[
     float, Setting("Error budget for neglected terms at the scene's time, mK.", minimum=0.0)
 ]
+OfType = Annotated[
+    bool,
+    Setting(
+        "Leave out the maps of the specimen: fixed patterns are drawn from the parameters.",
+        option="--type",
+    ),
+]
 Resume = Annotated[bool, Setting("Resume an interrupted run; completed steps are kept.")]
 CameraDescription = Annotated[
     "str | Path | Camera | None",

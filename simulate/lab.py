@@ -127,6 +127,12 @@ class LabBench:
         exposure, EBI included.
         """
         camera = self.camera
+
+        def lit(light: np.float32) -> NDArray[np.float32]:
+            picture = self._picture(kind, target, conditions) * light
+            # Maps of a camera contain the shading of the light of its flats.
+            return picture * camera.specimen.of_light(camera.cells) if kind == "flat" else picture
+
         if not camera.has_tube:
             if kind == "dark":
                 return StageImage(
@@ -135,19 +141,15 @@ class LabBench:
             light = np.float32(
                 self._lux(kind, conditions) * camera.stage(Slot.SILICON, conditions).exposure_s
             )
-            return StageImage(
-                values=self._picture(kind, target, conditions) * light, grid=camera.cells
-            )
+            return StageImage(values=lit(light), grid=camera.cells)
         cathode = camera.stage(Slot.PHOTOCATHODE, conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
         if kind == "dark":
             return StageImage(
                 values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells
             )
-        lit = self._picture(kind, target, conditions) * np.float32(
-            self._lux(kind, conditions) * cathode.open_s
-        )
-        return StageImage(values=lit + np.float32(dark), grid=camera.cells)
+        light = lit(np.float32(self._lux(kind, conditions) * cathode.open_s))
+        return StageImage(values=light + np.float32(dark), grid=camera.cells)
 
     def without(self, left_out: frozenset[str]) -> "LabBench":
         """Return the bench with neglected camera effects."""

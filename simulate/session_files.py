@@ -24,6 +24,7 @@ distortion.
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,7 +62,7 @@ def save_session(
         bit_depth=video.bit_depth,
         interlaced=video.interlaced,
     ) as writer:
-        save_sensor(shot.camera.description, out / "sensor.toml")
+        save_sensor(replace(shot.camera.description, maps=None), out / "sensor.toml")
         _save_stack(writer, shot, shot.kind, out / "truth", frames, seed, notes, progress)
         if shot.view is not None:
             save_view(shot.view, out, shot.delay_s, shot.frame_distortion)
@@ -91,7 +92,8 @@ def save_rig_session(
         for name, shot in shots.items():
             description, files = descriptions[name], {}
             (out / "sensor").mkdir(exist_ok=True)
-            save_sensor(shot.camera.description, out / "sensor" / f"{name}.toml")
+            described = replace(shot.camera.description, maps=None)
+            save_sensor(described, out / "sensor" / f"{name}.toml")
             stack_fields = {
                 "sensor": f"sensor/{name}.toml",
                 "bit_depth": description.video.bit_depth,

@@ -14,6 +14,7 @@ from charact.api.settings import (
 from labdata.errors import BadInput
 from labdata.settings import (
     Argument,
+    OfType,
     ProgressSink,
     Seed,
     Setting,
@@ -43,13 +44,15 @@ def fit(
     Returns
     -------
     Camera
-        Identified parameters with joint posterior draws, the others at their priors.
+        Identified parameters with joint posterior draws, the others at their priors, and the
+        maps of the specimen that half of the frames support.
     """
     from charact.fitting import fit_sensor
+    from charact.fitting.specimen_maps import with_maps
 
     session = session_of(source)
     measured = result or measure(session, seed=seed, progress=progress)
-    return fit_sensor(session, measured, seed=seed, progress=progress)
+    return with_maps(session, fit_sensor(session, measured, seed=seed, progress=progress))
 
 
 @documented
@@ -57,6 +60,7 @@ def validate(
     source: SourceSession,
     sensor: FittedSensor = None,
     *,
+    of_type: OfType = False,
     seed: Seed = 0,
     progress: ProgressSink = ignore_progress,
 ) -> "Validation":
@@ -71,7 +75,9 @@ def validate(
     from charact.validation import validate as compare
 
     session = session_of(source)
-    return compare(session, fitted_sensor_of(session, sensor), seed=seed, progress=progress)
+    fitted = fitted_sensor_of(session, sensor)
+    compared = replace(fitted, maps=None) if of_type else fitted
+    return compare(session, compared, seed=seed, progress=progress)
 
 
 def fitted_sensor_of(session: "Session", sensor: FittedSensor) -> "Camera":

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from charact.frames.layout import Layout
     from labdata import FrameStack, Session
 
+# Label, reader and files of a stack.
+Readable = tuple[str, Callable[[], "FrameStack"], tuple[Path, ...]]
 import_app = typer.Typer(no_args_is_help=True, help="Create a session from existing frames.")
 Out = Annotated[Path, typer.Argument(help="Output session folder.")]
 
@@ -247,12 +249,22 @@ def convert(
     axis: FrameAxis = None,
     extension: Extension = None,
     partial: Partial = False,
+    maps: Annotated[
+        bool,
+        typer.Option(
+            "--maps",
+            help="Write the maps of the specimen that a fit measured: SOURCE is the session with "
+            "its fitted.toml, or the file of a fitted sensor.",
+        ),
+    ] = False,
     force: Force = False,
 ) -> None:
-    """Write the frames of a session as files (tif, npy, fits, h5, png), or its results as CSV, JSON
-    or EMVA 1288 XML.
+    """Write the frames of a session as files (tif, npy, fits, h5, png), its results as CSV, JSON or
+    EMVA 1288 XML, or the maps of its camera.
 
     Example: charact convert day1 day1-fits --to fits
+
+    Example: charact convert day1 day1-maps --maps --to fits
 
     Example: charact convert ccd12 sheet.xml --to emva
     """
@@ -266,7 +278,7 @@ def convert(
         from labdata.frame_export import write_frames
 
         reading = {"plane": plane, "axis": axis, "extension": extension, "partial": partial}
-        stacks = _stacks(source, **reading)
+        stacks = _maps_of(Path(source)) if maps else _stacks(source, **reading)
         paths = [out / f"{label}.{to}" for label, _, _ in stacks]
         existing = {path.resolve() for path in paths if path.exists()}
         replaced = existing & {path.resolve() for _, _, sources in stacks for path in sources}
@@ -279,6 +291,24 @@ def convert(
             stack = read()
             print(write_frames(stack, path))
             _print_notes(stack.notes)
+
+
+def _maps_of(source: Path) -> "list[Readable]":
+    """Return name and reader of each map of a fitted sensor and its standard deviation."""
+    from charact.api.modelling import FITTED
+    from labdata import FrameStack, load_camera
+
+    file = source / FITTED if source.is_dir() else source
+    measured = load_camera(file).maps
+    if measured is None:
+        raise BadInput(
+            f"--maps needs a fitted sensor with maps of its specimen, got none next to {file}: "
+            f"charact fit SESSION --sensor-out {file} measures those that the frames support"
+        )
+    return [
+        (name, lambda plane=plane: FrameStack(data=plane[None]), ())
+        for name, plane in measured.planes().items()
+    ]
 
 
 def _write_results(folder: Path, out: Path, to: str) -> None:
@@ -302,9 +332,7 @@ def _write_results(folder: Path, out: Path, to: str) -> None:
     print(out)
 
 
-def _stacks(
-    source: str, **reading: Any
-) -> "list[tuple[str, Callable[[], FrameStack], tuple[Path, ...]]]":
+def _stacks(source: str, **reading: Any) -> "list[Readable]":
     """Return label, reader and files of a file, of one stack of a session, or of all its stacks.
 
     `reading`: settings of `labdata.read_frames`, which a session has of its own.

@@ -13,7 +13,7 @@ import typer
 from charact.cli.options import Events, Json
 from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
 from charact.cli.outputs import Force, remove_session, require_free, require_free_session
-from labdata.settings import SceneCamera, Seed, Setting, WithinMk
+from labdata.settings import OfType, SceneCamera, Seed, Setting, WithinMk
 
 if TYPE_CHECKING:
     from labdata import Camera, Conditions
@@ -117,6 +117,7 @@ def simulate(
             "Outdoor scene: write radiance/NAME with bands and geometry: npz, fits, envi, exr."
         ),
     ] = None,
+    of_type: OfType = False,
     force: Force = False,
     events: Events = False,
 ) -> None:
@@ -151,7 +152,10 @@ def simulate(
             "temperature_c": temperature_c,
             "illuminance_lux": illuminance_lux,
         }
-        rig = _set_cameras(_load_cameras(sensor, phosphor), given, events)
+        cameras = _load_cameras(sensor, phosphor)
+        if of_type:
+            cameras = {name: replace(camera, maps=None) for name, camera in cameras.items()}
+        rig = _set_cameras(cameras, given, events)
         request = api.SimulationRequest(
             source=source,
             kind=None if kind is None else kind_of(kind),

@@ -7,7 +7,7 @@ or from another plane of the camera. Values are alike within the tolerances of
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from charact.comparison.thresholds import LIMITS
@@ -112,7 +112,9 @@ def _format_value(value: object) -> str:
 
 def _of_cameras(a: Session, b: Session) -> Iterator[ConditionPair]:
     cameras = a.camera, b.camera
-    descriptions = [None if camera is None else to_mapping(camera) for camera in cameras]
+    descriptions = [
+        None if camera is None else to_mapping(replace(camera, maps=None)) for camera in cameras
+    ]
     if descriptions[0] != descriptions[1]:
         names = [None if camera is None else camera.name for camera in cameras]
         if names[0] == names[1]:

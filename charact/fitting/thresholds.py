@@ -216,6 +216,21 @@ class Levels:
     highest_level: float = 0.85
 
 
+@dataclass(frozen=True)
+class MapLimits:
+    """Maps of a specimen."""
+
+    # Variance of the exposures of darks over their mean square that shows a rate: rounding of equal
+    # ones is far below, a single pair of 10 % apart above.
+    least_spread: float = 1e-3
+    # Frames of a stack that is divided between maps and tests: a test needs two of them.
+    divided_frames: int = 4
+    # Chance of a pixel of normal noise in all of a frame that counts as noisy, and freedom of the
+    # variances, with which a variance 5 times the mean is beyond chance (chi-squared).
+    chance: float = 0.01
+    least_freedom: int = 12
+
+
 ERRORS = ModelErrors()
 LIMITS = FitLimits()
 SAMPLING = Sampling()
@@ -225,3 +240,4 @@ DARK_ERRORS = DarkErrors()
 ION_ERRORS = IonErrors()
 PATTERN = TubePattern()
 LEVELS = Levels()
+MAP_LIMITS = MapLimits()

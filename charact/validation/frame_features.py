@@ -2,17 +2,19 @@
 and of targets.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.observables import Numbers, Observable, observables
 from charact.observables.frame_view import FrameView
-from charact.validation.frames import MatchedFrames, MatchedStacks
+from charact.validation.frames import MatchedFrames, MatchedStacks, in_parts
 from charact.validation.target_features import SetStacks
+from labdata import Camera
 
 # Statistics that are compared, by name.
 GROUPS: dict[str, Observable[Any]] = {
@@ -71,15 +73,30 @@ def _stacks(
 
 
 def features_of_parts(
-    chosen: MatchedStacks, *, context: Context
+    chosen: MatchedStacks,
+    sets: Sequence[tuple[Camera, Mapping[str, NDArray]]] = (),
+    *,
+    context: Context,
 ) -> dict[str, Mapping[str, Numbers]]:
     """Return the numbers of the measured frames in the other parts of the frame by part, of groups
     that are compared over the frame.
+
+    With maps of the specimen parts differ: what `sets`, simulated cameras and their frames, show
+    there beyond the crop is taken off, so that numbers of parts compare with those of the crop.
     """
-    features = {}
-    for part, frames in chosen.parts.items():
+
+    def numbers_of(frames: Mapping[str, NDArray]) -> dict[str, Numbers]:
         stacks = _stacks(frames, chosen.dark, chosen.flats[-1:], context)
-        features[part] = {
-            name: group.numbers(stacks) for name, group in GROUPS.items() if group.over_frame
-        }
+        return {name: group.numbers(stacks) for name, group in GROUPS.items() if group.over_frame}
+
+    features = {part: numbers_of(frames) for part, frames in chosen.parts.items()}
+    known = [(camera, frames) for camera, frames in sets if camera.maps is not None]
+    for camera, frames in known if features else ():
+        crop = numbers_of(frames)
+        for part, of_part in in_parts(chosen, camera, frames).items():
+            shown = numbers_of(of_part)
+            for name, numbers in features[part].items():
+                for label in numbers.keys() & shown[name].keys():
+                    beyond = shown[name][label] - crop[name].get(label, np.nan)
+                    numbers[label] -= beyond / len(known)
     return features

@@ -8,9 +8,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.fitting.specimen_maps import checksum
+from charact.frames.layout import AreaView
 from charact.frames.session_layout import layout_notes, sound_session
 from charact.validation.thresholds import VALIDATION
-from labdata import BadInput, Camera, Conditions, Kind, Session, StackEntry, Target
+from labdata import (
+    BadInput,
+    Camera,
+    Conditions,
+    Kind,
+    Session,
+    StackEntry,
+    Target,
+    open_lazy_stack,
+)
+from labdata.camera.maps import SpecimenMaps
 
 if TYPE_CHECKING:
     from simulate.lab import LabBench
@@ -43,6 +55,7 @@ class MatchedFrames:
     corner: tuple[int, int]
     shape: tuple[int, int]
     pitch_px: int = 1  # distance of the samples, pixels of the camera
+    origin: tuple[int, int] = (0, 0)  # first row and column, within the frame, that `corner` counts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +64,8 @@ class MatchedStacks:
 
     `display_only` are for display only; `measured` has the frames by label, shape (frame, row,
     col), DN; `parts` have those of the dark and the brightest flat in other parts of the whole
-    frame, of the same shape, by place; `notes` name excluded stacks. Without an edge the MTF is not
-    compared, without a point source no halo.
+    frame, of the same shape, by place, and `corners` their first rows and columns; `notes` name
+    excluded stacks. Without an edge the MTF is not compared, without a point source no halo.
     """
 
     dark: MatchedFrames
@@ -63,6 +76,7 @@ class MatchedStacks:
     measured: dict[str, NDArray]
     notes: tuple[str, ...]
     parts: Mapping[str, dict[str, NDArray]] = field(default_factory=dict)
+    corners: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def compared(self) -> tuple[MatchedFrames, ...]:
@@ -74,8 +88,10 @@ class MatchedStacks:
         )
 
 
-def choose(session: Session) -> MatchedStacks:
+def choose(session: Session, maps: SpecimenMaps | None = None) -> MatchedStacks:
     """Select a dark, up to three flats within the linear range, an edge, and stacks for display.
+
+    Frames that maps of the specimen were measured from are not compared.
 
     Raises
     ------
@@ -85,6 +101,7 @@ def choose(session: Session) -> MatchedStacks:
     """
     camera_of(session)
     layout, session = sound_session(session)
+    session, map_notes = without_frames_of(maps, session)
     darks = _shots(session, "dark")
     if not darks:
         raise BadInput(
@@ -104,6 +121,7 @@ def choose(session: Session) -> MatchedStacks:
     if not points:
         notes.append("no point source: halo and bloom are not compared")
     brightest = points[-1:]
+    corners = _corners_of_parts(dark, flats[-1])
     return MatchedStacks(
         dark=dark[0],
         flats=tuple(shot for shot, _ in flats),
@@ -114,9 +132,42 @@ def choose(session: Session) -> MatchedStacks:
             shot.label: _cut(shot, entry)
             for shot, entry in (dark, *flats, *edges[:1], *brightest, *bars[:1])
         },
-        notes=(*notes, *layout_notes(layout)),
-        parts=_parts(dark, flats[-1]),
+        notes=(*notes, *layout_notes(layout), *map_notes),
+        parts={
+            place: {
+                shot.label: _cut(replace(shot, corner=corner), entry)
+                for shot, entry in (dark, flats[-1])
+            }
+            for place, corner in corners.items()
+        },
+        corners=corners,
     )
+
+
+def without_frames_of(
+    maps: SpecimenMaps | None, session: Session
+) -> tuple[Session, tuple[str, ...]]:
+    """Return a session without the frames that maps were measured from, and notes on the maps."""
+    if maps is None:
+        return session, ()
+    stacks, withheld = [], 0
+    for entry in session.stacks:
+        numbers = maps.frames.get(entry.label, ())
+        if not numbers or checksum(entry) != maps.checksums[entry.label]:
+            stacks.append(entry)
+            continue
+        frames, height, width = open_lazy_stack(entry).shape
+        kept = np.setdiff1d(np.arange(frames), numbers)
+        withheld += frames - len(kept)
+        view = entry.view if isinstance(entry.view, AreaView) else None
+        if view is not None and view.frames is not None:
+            kept = view.frames[kept]
+        region = (0, 0, height, width) if view is None else view.region
+        if len(kept):
+            stacks.append(replace(entry, view=AreaView(region=region, frames=kept)))
+    note = f"not compared: {withheld} frames from which the maps of the specimen were measured"
+    notes = (*maps.notes, note) if withheld else maps.notes
+    return replace(session, stacks=tuple(stacks)), notes
 
 
 def camera_of(session: Session) -> Camera:
@@ -147,17 +198,58 @@ def simulate_frames(
 
     camera = _slow_enough(camera, shots)
 
-    def bench_of(specimen: Camera, shape: tuple[int, int], **more: Any) -> LabBench:
-        return LabBench(
-            replace(specimen, ccd=replace(specimen.ccd, rows=shape[0], columns=shape[1])), **more
-        )
+    def bench_of(
+        specimen: Camera, shape: tuple[int, int], corner: tuple[int, int], **more: Any
+    ) -> LabBench:
+        chip = replace(specimen.ccd, rows=shape[0], columns=shape[1])
+        maps = None if specimen.maps is None else replace(specimen.maps, corner=corner)
+        return LabBench(replace(specimen, ccd=chip, maps=maps), **more)
 
     out, benches = {}, {}
     for index, shot in enumerate(shots):
         size = shot.shape[0] * shot.pitch_px, shot.shape[1] * shot.pitch_px
-        if size not in benches:
-            benches[size] = bench_of(camera, size, like=like and bench_of(like, size))
-        out[shot.label] = _expose(benches[size], shot, seed + 1000 * index)
+        corner = shot.corner[0] + shot.origin[0], shot.corner[1] + shot.origin[1]
+        crop = size, (0, 0) if camera.maps is None else corner
+        if crop not in benches:
+            benches[crop] = bench_of(camera, *crop, like=like and bench_of(like, *crop))
+        out[shot.label] = _expose(benches[crop], shot, seed + 1000 * index)
+    return out
+
+
+def in_parts(
+    chosen: MatchedStacks, camera: Camera, frames: Mapping[str, NDArray]
+) -> dict[str, dict[str, NDArray]]:
+    """Return simulated frames of the dark and the brightest flat as other parts of the camera show
+    them, by place: with the patterns of those parts in place of the crop's.
+    """
+    from simulate.camera.camera import CameraModel
+
+    black_dn = np.float32(camera.video.black_level_dn)
+
+    def patterns(shot: MatchedFrames, corner: tuple[int, int]) -> tuple[NDArray, NDArray]:
+        rows, columns = (length * shot.pitch_px for length in shot.shape)
+        first = corner[0] + shot.origin[0], corner[1] + shot.origin[1]
+        chip = replace(camera.ccd, rows=rows, columns=columns)
+        maps = replace(camera.maps, corner=first)
+        known = CameraModel(replace(camera, ccd=chip, maps=maps)).specimen
+        offset_dn, rate = known.offset_dn, known.dark_rate_dn_per_s
+        if offset_dn is not None and rate is not None:
+            offset_dn = offset_dn + rate * np.float32(shot.conditions.exposure_s or 0.0)
+        lit = known.response if shot.kind == "flat" else None
+        return (
+            np.zeros(shot.shape, np.float32) if offset_dn is None else offset_dn,
+            np.ones(shot.shape, np.float32) if lit is None else lit * known.shading,
+        )
+
+    out = {}
+    for place, corner in chosen.corners.items():
+        out[place] = {}
+        for shot in (chosen.dark, chosen.flats[-1]):
+            (offset, response), (new_offset, new_response) = (
+                patterns(shot, first) for first in (shot.corner, corner)
+            )
+            signal = frames[shot.label].astype(np.float32) - black_dn - offset
+            out[place][shot.label] = signal * (new_response / response) + black_dn + new_offset
     return out
 
 
@@ -233,6 +325,7 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
             corner=_corner(entry.target, (rows, columns), shape),
             shape=shape,
             pitch_px=pitch_px,
+            origin=entry.view.region[:2] if isinstance(entry.view, AreaView) else (0, 0),
         )
         out.append((shot, entry))
     return out
@@ -254,9 +347,9 @@ def _cut(shot: MatchedFrames, entry: StackEntry) -> NDArray:
     return np.array(entry.read().region(*shot.corner, *shot.shape).data[: shot.frames])
 
 
-def _parts(*stacks: tuple[MatchedFrames, StackEntry]) -> dict[str, dict[str, NDArray]]:
-    """Return the frames of stacks in the parts of the frame that cover it besides the centred crop,
-    by place.
+def _corners_of_parts(*stacks: tuple[MatchedFrames, StackEntry]) -> dict[str, tuple[int, int]]:
+    """Return first row and column of the parts of the frame that cover it besides the centred crop
+    of stacks, by place.
 
     Stacks of unlike frames have none. Strips below a tenth of the crop between two parts are left
     out.
@@ -272,9 +365,7 @@ def _parts(*stacks: tuple[MatchedFrames, StackEntry]) -> dict[str, dict[str, NDA
         starts.append([round(at) // 2 * 2 for at in np.linspace(0, size - length, count)])
     corners = list(itertools.product(*starts))
     return {
-        f"rows from {row}, columns from {col}": {
-            shot.label: _cut(replace(shot, corner=(row, col)), entry) for shot, entry in stacks
-        }
+        f"rows from {row}, columns from {col}": (row, col)
         for row, col in corners
         if len(corners) > 1
     }

@@ -77,7 +77,7 @@ def validate(
     """
     watch = Stopwatch()
     progress("measured frames", 0.0)
-    chosen = choose(session)
+    chosen = choose(session, sensor.maps)
     levels, frames_of_levels = point_levels(session, chosen)
     changes = [
         parameter
@@ -122,7 +122,8 @@ def validate(
         draws=VALIDATION.draws,
         seconds=watch.seconds(),
         statistics=test.statistics(
-            measured.groups, features_of_parts(chosen, context=bench.context)
+            measured.groups,
+            features_of_parts(chosen, [(sets.base, sets.first)], context=bench.context),
         ),
         controls=controls,
         power=tuple(test.detectable(change) for change in parameters),

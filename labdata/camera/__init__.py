@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         gain_at_no_signal,
     )
     from labdata.camera.description import Camera, ThermalImagerFile, camera_from_mapping
+    from labdata.camera.maps import PixelMap, SpecimenMaps
     from labdata.camera.optics import Band, InfraredOptics, Optics
     from labdata.camera.parameters import Draws, Parameter
     from labdata.camera.thermal import SCAN_DIRECTIONS, Bolometer, CooledArray, PixelArray, Scanner
@@ -43,10 +44,12 @@ __all__ = [
     "Phosphor",
     "Photocathode",
     "PixelArray",
+    "PixelMap",
     "Readout",
     "Register",
     "Scanner",
     "Silicon",
+    "SpecimenMaps",
     "Taper",
     "ThermalImagerFile",
     "Tube",
@@ -62,6 +65,7 @@ __getattr__ = import_on_first_use(
     {
         "labdata.camera.chip": "Ccd Readout Register Silicon excess_noise_factor gain_at_no_signal",
         "labdata.camera.description": "Camera ThermalImagerFile camera_from_mapping",
+        "labdata.camera.maps": "PixelMap SpecimenMaps",
         "labdata.camera.optics": "Band InfraredOptics Optics",
         "labdata.camera.parameters": "Draws Parameter",
         "labdata.camera.thermal": "Bolometer CooledArray PixelArray SCAN_DIRECTIONS Scanner",

@@ -8,6 +8,7 @@ import numpy as np
 
 from labdata.calibration import GainTable
 from labdata.camera.chip import Ccd, Readout, Register, Silicon
+from labdata.camera.maps import SpecimenMaps
 from labdata.camera.optics import Band, InfraredOptics, Optics
 from labdata.camera.parameters import Draws, Parameter
 from labdata.camera.thermal import Bolometer, CooledArray, PixelArray, Scanner
@@ -63,6 +64,7 @@ class Camera:
     limits: TubeLimits = _section()
     gain_table: GainTable | None = None  #: calibration of this very tube, where there is one
     draws: Draws = field(default_factory=Draws)
+    maps: SpecimenMaps | None = None  #: fixed patterns of this very camera, next to its file
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -1,8 +1,10 @@
 """Sensor descriptions: the shipped ones by name, others by path."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from labdata.camera.description import Camera, camera_from_mapping
+from labdata.camera.maps import load_maps, save_maps
 from labdata.errors import BadInput
 from labdata.file_io import names_of_shipped, path_of_shipped, write_atomically
 from labdata.serialiser import read_toml, to_toml
@@ -27,12 +29,16 @@ def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None)
 
 def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None) -> Camera:
     """Read a shipped camera description by name, or a TOML file: its tables say of which kind it
-    is.
+    is. A fitted one has the maps of its specimen next to it.
     """
     path = path_of_shipped("sensors", name_or_path, relative_to)
-    return camera_from_mapping(read_toml(path), path.name)
+    camera = camera_from_mapping(read_toml(path), path.name)
+    maps = load_maps(camera.draws, path)
+    return camera if maps is None else replace(camera, maps=maps)
 
 
 def save_sensor(camera: Camera, path: str | Path) -> None:
-    """Write a camera description atomically."""
-    write_atomically(path, to_toml(camera).encode())
+    """Write a camera description atomically, and next to it the maps of its specimen."""
+    write_atomically(path, to_toml(replace(camera, maps=None)).encode())
+    if camera.maps is not None:
+        save_maps(camera.maps, camera.draws, Path(path))

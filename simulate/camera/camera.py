@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import count
 from typing import Any
 
@@ -24,6 +24,7 @@ from simulate.camera.photocathode import Photocathode, ProximityGap
 from simulate.camera.pixels import Collection, FieldReadout
 from simulate.camera.register import Register
 from simulate.camera.silicon import Silicon
+from simulate.camera.specimen import SpecimenPatterns, patterns_of
 from simulate.camera.stage_image import StageImage
 from simulate.camera.taper import FibreGeometry, Taper
 from simulate.camera.video import Video
@@ -66,6 +67,11 @@ class CameraModel(CameraFrame):
     # alike.
     local_depletion: bool = False
     left_out: frozenset[str] = frozenset()  # names of neglected effects, see `Stage.effects`
+
+    @cached_property
+    def specimen(self) -> SpecimenPatterns:
+        """Fixed patterns of this very camera, where its maps are known."""
+        return patterns_of(self)
 
     def stage(self, slot: Slot, conditions: Conditions | None = None) -> Any:
         """Return the stage in a slot, under conditions, without the effects that are left out."""

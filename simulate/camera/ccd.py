@@ -1,6 +1,6 @@
 """CCD as it is read: charge, full well, column blooming, smear, fixed patterns, read noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -57,6 +57,10 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
     # whether odd and even rows are separate fields, which overflow each on their own
     interlaced: bool = False
     pattern_seed: int = 0  # seed of the pixels' responses
+    # Responses of a camera whose maps are known beyond those of the seed, shape (row, col).
+    response_map: NDArray[np.float32] | None = field(default=None, compare=False)
+    # What dark charges of pixels have beyond those of the seed, shape (row, col), e-.
+    dark_map_e: NDArray[np.float32] | None = field(default=None, compare=False)
     takes: str = "screen photons as read"
     emits: str = "charge"
     effects: ClassVar = {
@@ -65,7 +69,7 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
         "DSNU": {"dsnu_e": 0.0},
         "CCD dark current": {"dark_e": 0.0},
         "read noise": {"read_noise_e": 0.0},
-        "PRNU": {"prnu": 0.0},
+        "PRNU": {"prnu": 0.0, "response_map": None},
     }
 
     @classmethod
@@ -77,9 +81,15 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
         dark_e, warmth = dark_charge(camera, conditions)
         values = {
             "dark_e": dark_e,
-            "dsnu_e": float(ccd.dsnu_e) * warmth,
+            "dsnu_e": float(ccd.dsnu_e) * warmth * camera.specimen.drawn_dark,
+            "prnu": float(ccd.prnu) * camera.specimen.drawn_light,
             "pattern_seed": camera.pattern_seed,
+            "response_map": camera.specimen.charge_factor(camera.description.video),
         }
+        if (rate := camera.specimen.dark_rate_dn_per_s) is not None:
+            register_gain = conditions.em_gain or float(camera.description.register.em_gain)
+            gain = float(camera.description.video.conversion_gain_dn_per_e) * register_gain
+            values["dark_map_e"] = rate * np.float32(camera.open_s(conditions) / gain)
         if camera.has_tube:
             return values_of(cls, ccd, interlaced=camera.description.interlaced, **values)
         neighbours = {"takes": "photoelectrons in the wells", "emits": "charge in the wells"}
@@ -101,7 +111,7 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
     def mean(self, light: StageImage) -> StageImage:
         """Return the noiseless charge, e-; the full well clips the mean, not single draws."""
         charge = self.mean_charge(light.values)
-        if self.dsnu_e > 0.0 and self.dark_e > 0.0:
+        if self.dark_map_e is not None or (self.dsnu_e > 0.0 and self.dark_e > 0.0):
             charge = charge + (self.dark(charge.shape[-2:]) - np.float32(self.dark_e))
         charge_e = self.limit_to_full_well(charge) + self.offsets(charge.shape[-2:])
         return light.with_values(charge_e if self.clamped else charge_e + np.float32(self.dark_e))
@@ -126,11 +136,14 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
 
     def dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the mean dark charge of each pixel, e-; one number where all are alike."""
+        charge_e: NDArray[np.float32] | np.float32 = np.float32(self.dark_e)
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
-            return pattern.dark_signal_map(
+            charge_e = pattern.dark_signal_map(
                 shape, self.dark_e, self.dark_pattern_sd_e, self.pattern_seed
             )
-        return np.float32(self.dark_e)
+        if self.dark_map_e is not None:
+            charge_e = np.maximum(charge_e + self.dark_map_e, np.float32(0.0))
+        return charge_e
 
     @property
     def dark_pattern_sd_e(self) -> float:
@@ -154,13 +167,20 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             else np.float32(0.0)
         )
 
+    def responses(self, shape: tuple[int, int]) -> NDArray[np.float32] | None:
+        """Return the response of each pixel, mean 1; None where all are alike."""
+        if self.prnu == 0.0:
+            return self.response_map
+        drawn = pattern.prnu_map(shape, self.prnu, self.pattern_seed)
+        return drawn if self.response_map is None else drawn * self.response_map
+
     def mean_charge(self, photons: NDArray) -> NDArray[np.float32]:
         """Return the mean charge of the light, e-, with smear; negative values of an image count as
         zero.
         """
         charge = np.maximum(photons, 0.0).astype(np.float32) * np.float32(self.quantum_efficiency)
-        if self.prnu > 0.0:
-            charge *= pattern.prnu_map(charge.shape[-2:], self.prnu, self.pattern_seed)
+        if (responses := self.responses(charge.shape[-2:])) is not None:
+            charge *= responses
         if self.smear_fraction > 0.0:
             tenth = charge.shape[-2] / 10.0
             charge += np.float32(self.smear_fraction / tenth) * charge.sum(axis=-2, keepdims=True)
@@ -188,6 +208,7 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             budget.of_white(budget.of_chain.white * hottest),
         )
         pixels = 2.0 * float(budget.mean_pe.size)
+        mapped = 0.0 if self.response_map is None else float(np.abs(self.response_map - 1.0).max())
         return {
             "column blooming": budget.of_mean(overflow_e / budget.charge_e),
             "smear": budget.of_mean(budget.smear),
@@ -195,7 +216,7 @@ class Ccd(Stage, slot=Slot.CCD, section="ccd", quantity="electrons per pixel"):
             "CCD dark current": budget.of_white(budget.of_chain.white * self.dark_e)
             + pattern_of_dark,
             "read noise": budget.of_white(budget.of_chain.white * self.read_noise_e**2),
-            "PRNU": budget.extreme(pixels) * self.prnu * budget.of_gain(1.0),
+            "PRNU": (budget.extreme(pixels) * self.prnu + mapped) * budget.of_gain(1.0),
         }
 
 

@@ -212,6 +212,11 @@ class CameraFrame(ABC):
         """Seed of the fixed patterns, which belong to the camera of this name."""
         return zlib.crc32(self.description.name.encode())
 
+    @property
+    @abstractmethod
+    def specimen(self) -> Any:
+        """Fixed patterns of this very camera, `simulate.camera.specimen.SpecimenPatterns`."""
+
     @cached_property
     def cells(self) -> Grid:
         """Cells on which photoelectrons are drawn or collected, two per pixel."""

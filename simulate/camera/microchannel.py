@@ -103,6 +103,7 @@ class MicrochannelPlate(
             line_um=float(plate.channel_pitch_um),
             depletion_blur_um=float(plate.saturation_blur_um),
             recovery_ms=float(plate.channel_recovery_ms),
+            pattern_contrast=float(plate.pattern_contrast) * camera.specimen.drawn_light,
         )
 
     def __post_init__(self) -> None:

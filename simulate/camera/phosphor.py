@@ -56,8 +56,13 @@ class Phosphor(
         """Return the phosphor of a camera, with the share of the tube's blur behind the gain."""
         tube = camera.description.tube
         spread = TubeShare.of(tube, float(tube.post_gain_share))
+        phosphor, drawn = camera.description.phosphor, camera.specimen.drawn_light
         return values_of(
-            cls, camera.description.phosphor, spread=spread, pattern_seed=camera.pattern_seed
+            cls,
+            phosphor,
+            spread=spread,
+            gain_nonuniformity=float(phosphor.gain_nonuniformity) * drawn,
+            pattern_seed=camera.pattern_seed,
         )
 
     def mean(self, light: StageImage) -> StageImage:

@@ -1,6 +1,6 @@
 """Fibre taper: demagnification, transmission, multi-fibre pattern, distortion and shear."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from simulate.camera import image_placement, pattern
 from simulate.camera.chain import Slot, Stage, values_of
-from simulate.camera.grid import ACCURACY, CameraFrame
+from simulate.camera.grid import ACCURACY, CameraFrame, Grid
 from simulate.camera.stage_image import StageImage
 from simulate.camera.transfer import FibreTaper, StageBlur
 
@@ -43,7 +43,24 @@ class Taper(
             demagnification=float(taper.demagnification),
         )
         # Fibres of both multi-fibres are squeezed where they meet.
-        return values_of(cls, taper, blur=blur, line_um=2.0 * float(taper.fibre_pitch_um))
+        stage = values_of(cls, taper, blur=blur, line_um=2.0 * float(taper.fibre_pitch_um))
+        if (drawn := camera.specimen.drawn_light) == 1.0 or stage.pattern_contrast == 0.0:
+            return stage
+        # A map of the pattern is 1 on average: the lines' loss of light stays.
+        contrast = stage.pattern_contrast * drawn
+        mapped = 1.0 - float(stage.lines(camera.cells).mean(dtype=float))
+        passed = stage.transmission * (1.0 - (1.0 - drawn) * mapped)
+        return replace(stage, transmission=passed, pattern_contrast=contrast)
+
+    def lines(self, grid: Grid) -> NDArray[np.float32]:
+        """Return the transmission of the lines between multi-fibres on cells."""
+        return pattern.multifibre_transmission(
+            grid,
+            self.pattern_contrast,
+            self.pattern_pitch_um * 1e-3,
+            self.line_um * 1e-3,
+            self.demagnification,
+        )
 
     def mean(self, light: StageImage) -> StageImage:
         """Return photons per cell at the small end, with the blur pending.
@@ -52,10 +69,7 @@ class Taper(
         """
         values = light.values * np.asarray(self.transmission, light.values.dtype)
         if self.pattern_contrast > 0.0 and light.grid is not None:
-            pitch_mm, line_mm = self.pattern_pitch_um * 1e-3, self.line_um * 1e-3
-            values *= pattern.multifibre_transmission(
-                light.grid, self.pattern_contrast, pitch_mm, line_mm, self.demagnification
-            )
+            values *= self.lines(light.grid)
         return light.with_values(values).with_blurs(self.blur)
 
     def bounds(self, budget: Any) -> dict[str, float]:

@@ -2,7 +2,7 @@
 pass.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -25,6 +25,8 @@ _OF_READOUT = (
     "interference_y_cy_per_px",
     "compression_fraction",
 )
+# Transfer of the filter below which a pattern behind it is not restored before it.
+LEAST_TRANSFER = 0.1
 # Where the boost of aperture correction is stated.
 CORRECTED_MHZ = 4.5
 
@@ -48,6 +50,19 @@ class VideoFilter:
     pixel_clock_mhz: float
     order: int
     aperture_correction_db: float = 0.0  # boost at `CORRECTED_MHZ`; 0 is none
+
+    @classmethod
+    def of(cls, video: Any) -> Self | None:
+        """Return the filter of a described video; None of a digital camera."""
+        if video.low_pass is None:
+            return None
+        bandwidth_mhz, clock_mhz, order = video.low_pass
+        return cls(
+            bandwidth_mhz=bandwidth_mhz,
+            pixel_clock_mhz=clock_mhz,
+            order=order,
+            aperture_correction_db=float(video.aperture_correction_db or 0.0),
+        )
 
     def step_response(self, time_clocks: Array) -> Array:
         """Step response at times in clock periods, dimensionless; 0 before the step, 1 long after
@@ -115,6 +130,10 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
     interference_x_cy_per_px: float = 0.5
     interference_y_cy_per_px: float = 0.5
     compression_fraction: float = 0.0
+    # Of a camera whose maps are known, shape (row, col), DN: levels of pixels above black, and
+    # standard deviations of noise that others lack.
+    offset_dn: Array32 | None = field(default=None, compare=False)
+    noise_dn: Array32 | None = field(default=None, compare=False)
     effects: ClassVar = {
         "line jitter": {"sync_jitter_px": 0.0},
         "row noise": {"line_noise_dn": 0.0},
@@ -127,23 +146,23 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
         The camera's gain in the conditions, dB, multiplies charge and noise alike.
         """
         video = camera.description.video
-        low_pass, jitter_px = NoFilter(), 0.0
-        if video.low_pass is not None:
-            bandwidth_mhz, clock_mhz, order = video.low_pass
-            low_pass = VideoFilter(
-                bandwidth_mhz=bandwidth_mhz,
-                pixel_clock_mhz=clock_mhz,
-                order=order,
-                aperture_correction_db=float(video.aperture_correction_db or 0.0),
-            )
-            jitter_px = float(video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz
+        low_pass, jitter_px = VideoFilter.of(video) or NoFilter(), 0.0
+        if isinstance(low_pass, VideoFilter):
+            jitter_px = float(video.sync_jitter_ns or 0.0) * 1e-3 * low_pass.pixel_clock_mhz
         gain = 10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0)
         readout = camera.description.readout
         readout_values = {
             name: float(getattr(readout, name)) for name in _OF_READOUT if readout is not None
         }
         return values_of(
-            cls, video, low_pass=low_pass, gain=gain, sync_jitter_px=jitter_px, **readout_values
+            cls,
+            video,
+            low_pass=low_pass,
+            gain=gain,
+            sync_jitter_px=jitter_px,
+            offset_dn=camera.specimen.offset_dn,
+            noise_dn=camera.specimen.noise_dn,
+            **readout_values,
         )
 
     def __post_init__(self) -> None:
@@ -187,6 +206,8 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
                 (*level.shape[:-1], 1), dtype=np.float32
             )
         self._add_readout_noise(level, rng)
+        if self.noise_dn is not None:
+            level += self.noise_dn * rng.standard_normal(level.shape, dtype=np.float32)
         return light.with_values(
             np.clip(np.rint(level), 0, self.full_scale_dn).astype(self.code_type)
         )
@@ -209,7 +230,15 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
         if self.gamma != 1.0:
             span = np.float32(self.full_scale_dn - self.black_level_dn)
             signal = span * np.sign(signal) * np.abs(signal / span) ** np.float32(self.gamma)
-        return signal + np.float32(self.black_level_dn)
+        black = np.float32(self.black_level_dn)
+        return signal + (black if self.offset_dn is None else black + self.offset_dn)
+
+    def charge_of_offsets(self) -> Array32 | np.float32:
+        """Return the charge of pixels, e-, that the filter and the amplifier make their offsets."""
+        if self.offset_dn is None:
+            return np.float32(0.0)
+        per_e = np.float32(self.conversion_gain_dn_per_e * self.gain)
+        return before_filter(self.offset_dn, self.low_pass) / per_e
 
     @property
     def code_type(self) -> type[np.unsignedinteger]:
@@ -235,6 +264,17 @@ class Video(Stage, slot=Slot.VIDEO, section="video", quantity="DN", takes="charg
             ),
             "row noise": budget.of_white(budget.line_noise_e**2),
         }
+
+
+def before_filter(image: Array32, low_pass: VideoFilter | NoFilter) -> Array32:
+    """Return the image, shape (row, col), that the video filter makes the given one."""
+    if isinstance(low_pass, NoFilter):
+        return image
+    frequency = np.fft.rfftfreq(image.shape[1])
+    transfer = low_pass.transfer(frequency)
+    size = np.abs(transfer)
+    transfer *= np.maximum(size, LEAST_TRANSFER) / np.maximum(size, 1e-12)
+    return np.fft.irfft(np.fft.rfft(image) / transfer, image.shape[1]).astype(np.float32)
 
 
 def shift_lines(lines: Array32, late_px: Array32) -> Array32:

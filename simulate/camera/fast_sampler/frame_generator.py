@@ -15,7 +15,6 @@ from scipy import fft
 
 from labdata.errors import BadInput
 from simulate.arrays import Array32
-from simulate.camera import pattern
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticState
 from simulate.camera.chain import Chain, Slot
 from simulate.camera.fast_sampler.charge_distribution import normal_quantiles
@@ -71,10 +70,10 @@ class FrameGenerator:
         shape, ccd = exposure.light_e.shape, self._ccd
         self._screen: Any = exposure.light.screen(self._decay, self._fields, self._seed, shape)
         dark = ccd.dark(shape) + ccd.offsets(shape) - np.float32(ccd.dark_e)
+        dark = dark + self._video.charge_of_offsets()
         self._dark_pattern = np.ascontiguousarray(dark) if np.ndim(dark) == 2 else EMPTY
-        self._response = (
-            EMPTY if ccd.prnu == 0.0 else pattern.prnu_map(shape, ccd.prnu, ccd.pattern_seed)
-        )
+        responses = ccd.responses(shape)
+        self._response = EMPTY if responses is None else responses
         self._charge = np.empty(shape, np.float32)
 
     def static(

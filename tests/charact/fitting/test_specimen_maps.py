@@ -1,0 +1,146 @@
+"""Maps of a camera drawn in plain NumPy: its patterns from half of the frames, and their use."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from charact.fitting import fit_sensor
+from charact.fitting.specimen_maps import frames_for_maps, measure_maps, with_maps
+from charact.session_measurement import measure
+from charact.validation import VALIDATION, validate
+from charact.validation import side_by_side as command
+from charact.validation.frames import choose
+from labdata import BadInput, Camera, Conditions, FrameStack, Session, load_camera, save_sensor
+from labdata.camera.maps import IN_DARK, bands_of
+from labdata.camera.parameters import Draws
+from tests.truth.sessions import session_in_memory, stack_in_memory
+
+SHAPE = (120, 160)
+GAIN, BLACK, READ_DN, PRNU = 0.4, 50.0, 2.0, 0.012
+HOT = [(20, 30), (61, 100), (90, 7)]
+PHOTONS = (0.0, 1500.0, 4000.0, 9000.0)
+
+
+@cache
+def truth(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offset with columns and hot pixels, DN, response, and shading of the light."""
+    rng = np.random.default_rng([seed, 9])
+    offset = 1.5 * rng.standard_normal(SHAPE[1]) + 0.1 * rng.standard_normal(SHAPE)
+    for place in HOT:
+        offset[place] += 25.0
+    response = 1.0 + PRNU * rng.standard_normal(SHAPE)
+    shading = 1.0 - 0.04 * np.linspace(-1.0, 1.0, SHAPE[1]) ** 2 * np.ones((SHAPE[0], 1))
+    return offset, response / response.mean(), shading / shading.mean()
+
+
+@cache
+def numpy_session(seed: int, frames: int = 16) -> Session:
+    """Return darks and flats of the camera: Poisson electrons, read noise, whole DN."""
+    offset, response, shading = truth(seed)
+    rng, stacks = np.random.default_rng(seed), []
+    for photons in PHOTONS:
+        electrons = rng.poisson(0.6 * photons * response * shading, (frames, *SHAPE))
+        level = BLACK + offset + GAIN * electrons + READ_DN * rng.standard_normal(electrons.shape)
+        data = np.clip(np.rint(level), 0, 4095).astype(np.uint16)
+        known = Conditions(exposure_s=0.02)
+        if photons:
+            known = replace(known, photons_per_px=photons, wavelength_nm=530.0)
+        kind = "flat" if photons else "dark"
+        stack = FrameStack(data=data, full_scale_dn=4095.0)
+        label = f"flat {photons:g}" if photons else "dark"
+        stacks.append(stack_in_memory(kind, stack, known, label=label, bit_depth=12))
+    sheet = load_camera("machine-vision")
+    return replace(session_in_memory(tuple(stacks)), camera=sheet, bit_depth=12)
+
+
+@cache
+def fitted(seed: int) -> Camera:
+    session = numpy_session(seed)
+    return with_maps(session, fit_sensor(session, measure(session, quick=True), seed=seed))
+
+
+def test_maps_are_the_cameras_within_their_deviation_and_hot_pixels_are_marked(seed: int) -> None:
+    offset, response, shading = truth(seed)
+    maps = measure_maps(numpy_session(seed), load_camera("machine-vision"))
+    assert maps is not None and maps.offset_dn is not None and maps.response is not None
+    for measured, expected in (
+        (maps.offset_dn, offset - offset.mean()),
+        (maps.response, response * shading / (response * shading).mean()),
+    ):
+        pull = (measured.value - expected) / measured.sd
+        # Of 19,200 pixels the variance of pulls is known to 1 %, the noise itself to as much.
+        assert 0.95 < pull.var() < 1.05
+    assert maps.defect is not None
+    assert {tuple(place) for place in np.argwhere(maps.defect & IN_DARK)} == set(HOT)
+
+
+def test_draws_have_the_variance_of_the_pattern_and_not_the_noise_of_the_map(seed: int) -> None:
+    _, response, _ = truth(seed)
+    measured = measure_maps(numpy_session(seed), load_camera("machine-vision")).response
+    draws = np.stack([measured.draw(number) for number in range(20)]) / measured.smooth
+    assert measured.remainder.var() > 1.02 * response.var()
+    assert draws.var(axis=(1, 2)).mean() == pytest.approx(response.var(), rel=0.02)
+    # A draw departs from the truth by the posterior's deviation.
+    assert draws.var(axis=0).mean() == pytest.approx(
+        ((draws - response) ** 2).mean() / 2.0, rel=0.1
+    )
+    assert np.array_equal(measured.draw(3), measured.draw(3))
+
+
+def test_frames_of_maps_are_every_second_and_are_not_compared(seed: int) -> None:
+    session, maps = numpy_session(seed), fitted(seed).maps
+    assert maps.frames["dark"] == tuple(range(0, 16, 2))
+    compared = choose(session, maps).measured["dark"]
+    assert np.array_equal(compared, session.stack("dark").read().data[1::2][: VALIDATION.frames])
+    # Frames of another session of the same labels are compared: they made no map.
+    other = choose(numpy_session(seed + 1), maps).measured["dark"]
+    assert np.array_equal(other, numpy_session(seed + 1).stack("dark").read().data[:8])
+
+
+def test_of_pairs_every_second_stack_makes_maps_and_the_last_tests(seed: int) -> None:
+    entries = [
+        stack_in_memory("flat", FrameStack(data=np.full((2, 8, 8), 100.0 + n)), label=f"{n}")
+        for n in range(5)
+    ]
+    chosen = frames_for_maps(entries, 4095.0)
+    assert [(frames.entry.label, len(frames.numbers)) for frames in chosen] == [("1", 2), ("3", 2)]
+
+
+def test_maps_are_read_with_the_file_of_their_fit_alone(seed: int, tmp_path) -> None:
+    camera = fitted(seed)
+    save_sensor(camera, tmp_path / "fitted.toml")
+    maps = load_camera(tmp_path / "fitted.toml").maps
+    for name, plane in camera.maps.planes().items():
+        assert np.array_equal(plane, maps.planes()[name])
+    assert np.array_equal(maps.offset_dn.draw(1), camera.maps.offset_dn.draw(1))
+    assert (maps.frames, maps.checksums) == (camera.maps.frames, camera.maps.checksums)
+    other = replace(camera, maps=None, draws=Draws(names=("ccd.prnu",), values=((0.01,),)))
+    save_sensor(other, tmp_path / "other.toml")
+    assert load_camera(tmp_path / "other.toml").maps is None
+    (tmp_path / "maps.zarr" / "offset_dn" / "zarr.json").write_text("{}")
+    with pytest.raises(BadInput, match="damaged"):
+        load_camera(tmp_path / "fitted.toml")
+
+
+def test_bands_part_columns_rows_and_directions() -> None:
+    bands = bands_of(SHAPE)
+    assert set(bands[0, 1:]).isdisjoint(bands[1:, 1:].ravel())
+    assert set(bands[1:, 0]).isdisjoint(bands[1:, 1:].ravel())
+    assert np.bincount(bands.ravel())[np.unique(bands)].min() >= 20
+
+
+def test_the_specimen_passes_with_its_maps_and_fails_as_one_of_its_type(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "VALIDATION", replace(VALIDATION, draws=10))
+    monkeypatch.setattr(command, "PARAMETERS", ())
+    session, camera = numpy_session(seed), fitted(seed)
+    patterns = ("fixed-pattern", "defects", "shading")
+    found = validate(session, camera, seed=seed)
+    failing = [statistic.name for statistic in found.statistics if not statistic.passed]
+    assert not set(failing) & set(patterns) and len(failing) <= 1
+    assert any("3 pixels beyond 5" in note for note in found.notes)
+    of_type = validate(session, replace(camera, maps=None), seed=seed)
+    assert not any(s.passed for s in of_type.statistics if s.name in patterns)
