@@ -16,7 +16,7 @@ from simulate.camera import tube_photometry as photometry
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot
 from simulate.camera.stage_image import StageImage
-from simulate.radiance.lab_target import TargetView, render_bench
+from simulate.radiance.lab_target import PlacedTarget, TargetView, render_bench
 from simulate.radiance.scene import LabScene, load_bench
 from simulate.radiance.spectrum import planck
 
@@ -257,6 +257,8 @@ class LabBench:
         # Frame rows that sum two rows of the chip are centred half a row further down.
         centre_row = row + height / 2.0 + (0.5 if camera.description.interlaced else 0.0)
         centre_col = col + width / 2.0
+        if isinstance(target, PlacedTarget):
+            centre_row, centre_col = np.add((centre_row, centre_col), target.offset_px)
         lens_mm = float(camera.description.optics.focal_length_mm)
         return TargetView(
             shape=cells.shape,

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from charact.fitting.specimen_maps import checksum
 from charact.frames.layout import AreaView
 from charact.frames.session_layout import layout_notes, sound_session
+from charact.validation.target_features import target_centre
 from charact.validation.thresholds import VALIDATION
 from labdata import (
     BadInput,
@@ -25,6 +26,7 @@ from labdata import (
 from labdata.camera.maps import SpecimenMaps
 
 if TYPE_CHECKING:
+    from simulate.camera.stage_image import StageImage
     from simulate.lab import LabBench
 
 
@@ -45,6 +47,8 @@ SHAPE_OF_PLANE, ALONG_EDGE_OF_PLANE = (160, 200), 192
 class MatchedFrames:
     """Frames of a stack that are compared: as in the session, their number, and corner and shape of
     the crop.
+
+    `offset_px`: (row, col) from the centre of the crop to that of the target.
     """
 
     label: str
@@ -56,6 +60,12 @@ class MatchedFrames:
     shape: tuple[int, int]
     pitch_px: int = 1  # distance of the samples, pixels of the camera
     origin: tuple[int, int] = (0, 0)  # first row and column, within the frame, that `corner` counts
+    offset_px: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def first(self) -> tuple[int, int]:
+        """First row and column of the crop within the frame."""
+        return self.corner[0] + self.origin[0], self.corner[1] + self.origin[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,24 +204,12 @@ def simulate_frames(
     The camera is as small as the crop, and its fixed patterns follow from its name. Targets lie as
     before `like`, if it is given: cameras of many draws use the same images.
     """
-    from simulate.lab import LabBench
-
     camera = _slow_enough(camera, shots)
-
-    def bench_of(
-        specimen: Camera, shape: tuple[int, int], corner: tuple[int, int], **more: Any
-    ) -> LabBench:
-        chip = replace(specimen.ccd, rows=shape[0], columns=shape[1])
-        maps = None if specimen.maps is None else replace(specimen.maps, corner=corner)
-        return LabBench(replace(specimen, ccd=chip, maps=maps), **more)
-
     out, benches = {}, {}
     for index, shot in enumerate(shots):
-        size = shot.shape[0] * shot.pitch_px, shot.shape[1] * shot.pitch_px
-        corner = shot.corner[0] + shot.origin[0], shot.corner[1] + shot.origin[1]
-        crop = size, (0, 0) if camera.maps is None else corner
+        crop = shot.shape, shot.pitch_px, None if camera.maps is None else shot.first
         if crop not in benches:
-            benches[crop] = bench_of(camera, *crop, like=like and bench_of(like, *crop))
+            benches[crop] = bench_of(camera, shot, like=like)
         out[shot.label] = _expose(benches[crop], shot, seed + 1000 * index)
     return out
 
@@ -222,16 +220,10 @@ def in_parts(
     """Return simulated frames of the dark and the brightest flat as other parts of the camera show
     them, by place: with the patterns of those parts in place of the crop's.
     """
-    from simulate.camera.camera import CameraModel
-
     black_dn = np.float32(camera.video.black_level_dn)
 
-    def patterns(shot: MatchedFrames, corner: tuple[int, int]) -> tuple[NDArray, NDArray]:
-        rows, columns = (length * shot.pitch_px for length in shot.shape)
-        first = corner[0] + shot.origin[0], corner[1] + shot.origin[1]
-        chip = replace(camera.ccd, rows=rows, columns=columns)
-        maps = replace(camera.maps, corner=first)
-        known = CameraModel(replace(camera, ccd=chip, maps=maps)).specimen
+    def patterns(shot: MatchedFrames) -> tuple[NDArray, NDArray]:
+        known = bench_of(camera, shot).camera.specimen
         offset_dn, rate = known.offset_dn, known.dark_rate_dn_per_s
         if offset_dn is not None and rate is not None:
             offset_dn = offset_dn + rate * np.float32(shot.conditions.exposure_s or 0.0)
@@ -246,11 +238,35 @@ def in_parts(
         out[place] = {}
         for shot in (chosen.dark, chosen.flats[-1]):
             (offset, response), (new_offset, new_response) = (
-                patterns(shot, first) for first in (shot.corner, corner)
+                patterns(part) for part in (shot, replace(shot, corner=corner))
             )
             signal = frames[shot.label].astype(np.float32) - black_dn - offset
             out[place][shot.label] = signal * (new_response / response) + black_dn + new_offset
     return out
+
+
+def bench_of(camera: Camera, shot: MatchedFrames, like: Camera | None = None) -> "LabBench":
+    """Return a bench of a camera as small as the crop of a stack; `like` as in
+    `simulate_frames`.
+    """
+    from simulate.lab import LabBench
+
+    rows, columns = (length * shot.pitch_px for length in shot.shape)
+    chip = replace(camera.ccd, rows=rows, columns=columns)
+    maps = camera.maps and replace(camera.maps, corner=shot.first)
+    return LabBench(replace(camera, ccd=chip, maps=maps), like=like and bench_of(like, shot))
+
+
+def mean_of(bench: "LabBench", shot: MatchedFrames) -> NDArray:
+    """Return the noiseless frame of a stack, shape (row, col), DN, within the digitiser's range."""
+    from simulate.camera.chain import Slot
+
+    if shot.pitch_px == 1:
+        frame = bench.mean(shot.kind, _target_of(shot), shot.conditions)
+    else:
+        chain = bench.camera.chain(shot.conditions)
+        frame = chain.between(Slot.CCD, Slot.VIDEO).mean(_light_on_plane(bench, shot)).values
+    return np.clip(frame, 0.0, 2.0**bench.camera.description.video.bit_depth - 1.0)
 
 
 def _slow_enough(camera: Camera, shots: tuple[MatchedFrames, ...]) -> Camera:
@@ -266,28 +282,42 @@ def _slow_enough(camera: Camera, shots: tuple[MatchedFrames, ...]) -> Camera:
     )
 
 
-def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
-    """Return the frames of a stack, shape (frame, row, col), DN.
+def _target_of(shot: MatchedFrames) -> Target:
+    """Return the target of a stack at its place, in pixels of the camera."""
+    from simulate.radiance.lab_target import PlacedTarget
 
-    Of a plane of a mosaic the light is that of pixels `pitch_px` apart, read as the rows and
-    columns of the plane.
+    target, pitch_px = shot.target, shot.pitch_px
+    frequency, pinhole_px = target.frequency_cy_per_px, target.pinhole_px
+    return PlacedTarget(
+        bars=target.bars,
+        frequency_cy_per_px=frequency and frequency / pitch_px,
+        angle_deg=target.angle_deg,
+        pinhole_px=pinhole_px and pinhole_px * pitch_px,
+        contrast=target.contrast,
+        offset_px=(shot.offset_px[0] * pitch_px, shot.offset_px[1] * pitch_px),
+    )
+
+
+def _light_on_plane(bench: "LabBench", shot: MatchedFrames) -> "StageImage":
+    """Return the light of a plane of a mosaic, that of pixels `pitch_px` apart, as its rows and
+    columns.
     """
     from simulate.camera.chain import Slot
 
-    pitch_px, target, conditions = shot.pitch_px, replace(shot.target, region=None), shot.conditions
-    if pitch_px == 1:
-        return bench.expose(shot.kind, target, conditions, frames=shot.frames, seed=seed).data
-    target = replace(
-        target,
-        frequency_cy_per_px=None
-        if target.frequency_cy_per_px is None
-        else target.frequency_cy_per_px / pitch_px,
-        pinhole_px=None if target.pinhole_px is None else target.pinhole_px * pitch_px,
-    )
-    chain = bench.camera.chain(conditions)
-    pixels = chain[Slot.PIXELS].mean(bench.mcp_input(shot.kind, target, conditions))
-    pixels = pixels.with_values(pixels.values[::pitch_px, ::pitch_px])
-    reading = chain.between(Slot.CCD, Slot.VIDEO)
+    light = bench.mcp_input(shot.kind, _target_of(shot), shot.conditions)
+    pixels = bench.camera.chain(shot.conditions)[Slot.PIXELS].mean(light)
+    return pixels.with_values(pixels.values[:: shot.pitch_px, :: shot.pitch_px])
+
+
+def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
+    """Return the frames of a stack, shape (frame, row, col), DN."""
+    from simulate.camera.chain import Slot
+
+    if shot.pitch_px == 1:
+        target = _target_of(shot)
+        return bench.expose(shot.kind, target, shot.conditions, frames=shot.frames, seed=seed).data
+    pixels = _light_on_plane(bench, shot)
+    reading = bench.camera.chain(shot.conditions).between(Slot.CCD, Slot.VIDEO)
     return np.stack(
         [
             reading.draw(pixels, np.random.default_rng([seed, 1, frame])).values
@@ -311,8 +341,9 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
         if frames < VALIDATION.fewest_frames or (kind != "dark" and not lit):
             continue
         height, width = whole_shape
+        centre, angle_deg = _centre_of(entry)
         if kind == "edge":
-            upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
+            upright = abs(np.cos(np.deg2rad(angle_deg))) > np.sqrt(0.5)
             height, width = (along_edge, ACROSS_EDGE) if upright else (ACROSS_EDGE, along_edge)
         shape = (min(height, rows - rows % 2), min(width, columns))
         most_frames = VALIDATION.edge_frames if kind == "edge" else VALIDATION.frames
@@ -322,13 +353,29 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
             conditions=entry.conditions,
             target=entry.target,
             frames=min(frames, most_frames),
-            corner=_corner(entry.target, (rows, columns), shape),
+            corner=_corner(centre, (rows, columns), shape),
             shape=shape,
             pitch_px=pitch_px,
             origin=entry.view.region[:2] if isinstance(entry.view, AreaView) else (0, 0),
         )
         out.append((shot, entry))
     return out
+
+
+def _centre_of(entry: StackEntry) -> tuple[Target, float]:
+    """Return a target whose region is the centre of that of a stack in its frames, and the angle it
+    shows there, deg; dark and flat, and what shows no target, as they are stated.
+    """
+    target = entry.target
+    if entry.kind in ("edge", "bars", "point"):
+        frames = entry.read()
+        row, col, height, width = target.region or (0, 0, *frames.shape[1:])
+        mean = frames.region(row, col, height, width).data.mean(axis=0, dtype=float)
+        centre = target_centre(entry.kind, mean)
+        if centre is not None:
+            about = (row + round(centre[0]), col + round(centre[1]), 0, 0)
+            return replace(target, region=about), centre[2] or 0.0
+    return target, target.angle_deg or 0.0
 
 
 def _corner(

@@ -28,6 +28,7 @@ from charact.validation.frames import (
     point_levels,
     simulate_frames,
 )
+from charact.validation.placement import place_targets
 from charact.validation.statistic import Statistic
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
@@ -77,7 +78,7 @@ def validate(
     """
     watch = Stopwatch()
     progress("measured frames", 0.0)
-    chosen = choose(session, sensor.maps)
+    chosen = place_targets(choose(session, sensor.maps), sensor)
     levels, frames_of_levels = point_levels(session, chosen)
     changes = [
         parameter

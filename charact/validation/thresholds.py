@@ -39,6 +39,9 @@ class ValidationThresholds:
     # pixels, of a flat and of a ring about a point source.
     highest_share: float = 0.8
     most_clipped: float = 1e-3
+    # Difference of a target's stated and measured angle that is noted: half of that of a rotation
+    # stage's scale of whole degrees.
+    angle_deg: float = 0.5
 
     def most_replicates(self, level: float) -> int:
         """Return the repetitions, whole runs, whose least p-value is half of a level at most."""

@@ -23,6 +23,15 @@ OPEN, MASK, RING = 0, 1, 2
 FAR_PX = 4e3
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlacedTarget(Target):
+    """Target whose centre lies off that of its region, or of the frame, by `offset_px` (row,
+    col).
+    """
+
+    offset_px: tuple[float, float] = (0.0, 0.0)
+
+
 def as_stood(kind: Kind, target: Target) -> Target:
     """Return a target with the bench's defaults for the number of bars and the tilt."""
     if kind == "bars":

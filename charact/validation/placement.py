@@ -1,0 +1,182 @@
+"""Places and angles of the targets of a session, measured in its frames: they are the bench's, not
+the camera's.
+
+The noiseless simulated frame S of a target is laid on the measured mean frame M by least squares,
+both as arsinh of the level above the background over its noise,
+
+    f(M) = f(S) + f'(S) (b + a S) - d . grad f(S) + t df(S)/dt,
+
+with small corrections b and a of background and contrast, displacement d and turn t, until d and t
+vanish (Lucas and Kanade, Proc. IJCAI 1981). On this scale also the steep flanks of a clipped point
+change evenly with its place.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.validation.frames import MatchedFrames, MatchedStacks, bench_of, mean_of
+from charact.validation.target_features import target_centre
+from charact.validation.thresholds import VALIDATION
+from labdata import Camera
+
+if TYPE_CHECKING:
+    from simulate.lab import LabBench
+
+# Side of the window about a point in which its place is measured, px, and margin about bars.
+WINDOW_PX, MARGIN_PX = 32, 16
+# Steps of the registration, the last step's length, px, and the way from the first guess that a
+# registration may take: beyond it, it is of something else.
+STEPS, LAST_PX, LONGEST_PX = 6, 0.004, 1.5
+# Displacement that gives the gradient of a point, px, and side of the squares over which the
+# variance in time is averaged.
+GRADIENT_PX, VARIANCE_PX = 0.1, 5
+# Fraction of the pixels below the background's level, and least noise, DN.
+BACKGROUND, ROUNDING_DN = 0.05, 0.3
+
+
+def place_targets(chosen: MatchedStacks, camera: Camera) -> MatchedStacks:
+    """Return the stacks with each target at its measured place and angle, and notes on targets that
+    lie otherwise than stated.
+
+    Parameters
+    ----------
+    chosen
+        Stacks of a validation with their measured frames.
+    camera
+        Description whose simulated frames are laid on the measured ones.
+    """
+    notes = list(chosen.notes)
+
+    def placed(shot: MatchedFrames) -> MatchedFrames:
+        at_place = _placed(shot, chosen.measured[shot.label], camera)
+        if at_place is None:
+            notes.append(f"{shot.label} shows no {shot.kind}: simulated at the centre of its crop")
+            return shot
+        stated, measured = shot.target.angle_deg, at_place.target.angle_deg
+        if stated is not None and measured is not None:
+            difference_deg = (measured - stated + 90.0) % 180.0 - 90.0
+            if abs(difference_deg) > VALIDATION.angle_deg:
+                notes.append(
+                    f"{shot.label} states an angle of {stated:g} deg and shows "
+                    f"{stated + difference_deg:.2f} deg: simulated as it shows"
+                )
+        return at_place
+
+    return replace(
+        chosen,
+        edge=chosen.edge and placed(chosen.edge),
+        point=chosen.point and placed(chosen.point),
+        display_only=tuple(placed(shot) for shot in chosen.display_only),
+        notes=tuple(notes),
+    )
+
+
+def _placed(shot: MatchedFrames, frames: NDArray, camera: Camera) -> MatchedFrames | None:
+    """Return a stack with its target at the place and angle that its frames show; None where they
+    show none.
+    """
+    guess = target_centre(shot.kind, frames.mean(axis=0, dtype=float))
+    if guess is None:
+        return None
+    row, col, angle_deg = guess
+    top, left, *shape = _window(shot, row, col)
+    measured = frames[:, top : top + shape[0], left : left + shape[1]]
+    middle = np.array(shape) / 2.0
+    offset = np.array([row + 0.5 - top, col + 0.5 - left]) - middle
+    part = replace(
+        shot,
+        corner=(shot.corner[0] + top, shot.corner[1] + left),
+        shape=(shape[0], shape[1]),
+        offset_px=(offset[0], offset[1]),
+        target=replace(shot.target, angle_deg=angle_deg),
+    )
+    bench, start = bench_of(camera, part), part
+    for _ in range(STEPS):
+        step = _registration(measured, bench, part)
+        part = _moved(part, **step)
+        if not np.hypot(*np.subtract(part.offset_px, offset)) < LONGEST_PX:
+            part = start
+            break
+        if max(abs(length_px) for length_px in step.values()) < LAST_PX:
+            break
+    to_crop = middle - np.array(shot.shape) / 2.0
+    row_px, col_px = (float(length) for length in to_crop + part.offset_px)
+    return replace(shot, target=part.target, offset_px=(top + row_px, left + col_px))
+
+
+def _moved(
+    shot: MatchedFrames, *, row: float = 0.0, col: float = 0.0, turn: float = 0.0
+) -> MatchedFrames:
+    """Return a stack with its target displaced, px, and turned so that its ends move by `turn`,
+    px.
+    """
+    turn_deg, angle_deg = np.rad2deg(2.0 * turn / max(shot.shape)), shot.target.angle_deg
+    angle_deg = None if angle_deg is None else float(angle_deg + turn_deg)
+    offset = shot.offset_px[0] + row, shot.offset_px[1] + col
+    return replace(shot, offset_px=offset, target=replace(shot.target, angle_deg=angle_deg))
+
+
+def _window(shot: MatchedFrames, row: float, col: float) -> tuple[int, int, int, int]:
+    """Return the first row and column of the window about a target, and its shape, px."""
+    if shot.kind == "edge":
+        return 0, 0, *shot.shape
+    side = WINDOW_PX
+    if shot.target.frequency_cy_per_px is not None:
+        # A bar is seven half periods long.
+        side = 2 * round(1.75 / shot.target.frequency_cy_per_px) + 2 * MARGIN_PX
+    shape = min(side, shot.shape[0]), min(side, shot.shape[1])
+    # An even row keeps the field parity.
+    top = int(np.clip(row - shape[0] / 2.0, 0, shot.shape[0] - shape[0])) // 2 * 2
+    return top, int(np.clip(col - shape[1] / 2.0, 0, shot.shape[1] - shape[1])), *shape
+
+
+def _registration(frames: NDArray, bench: "LabBench", shot: MatchedFrames) -> Mapping[str, float]:
+    """Return the displacement of a target from where it is simulated, and the turn of its ends,
+    px.
+    """
+    import cv2
+
+    measured, simulated = frames.mean(axis=0, dtype=float), mean_of(bench, shot)
+    variance = cv2.blur(frames.var(axis=0, dtype=float), (VARIANCE_PX, VARIANCE_PX))
+    noise_dn = np.sqrt(np.median(variance)) + ROUNDING_DN
+
+    def above_background(frame: NDArray) -> NDArray:
+        return (frame - np.quantile(frame, BACKGROUND)) / noise_dn
+
+    signal, lit = above_background(measured), above_background(simulated)
+    level = np.arcsinh(lit)
+    if shot.kind == "point":
+        # Of a spot as narrow as a pixel differences of pixels are no gradient.
+        shifted = {
+            name: above_background(mean_of(bench, _moved(shot, **{name: GRADIENT_PX})))
+            for name in ("row", "col")
+        }
+        terms = {name: (np.arcsinh(frame) - level) / GRADIENT_PX for name, frame in shifted.items()}
+    else:
+        down, right = np.gradient(level)
+        cells = bench.camera.scene_cells
+        ratio, centre = cells.pitch_y_mm / cells.pitch_x_mm, np.array(shot.shape) / 2.0 - 0.5
+        y, x = np.indices(level.shape, sparse=True)
+        y, x = y - centre[0] - shot.offset_px[0], x - centre[1] - shot.offset_px[1]
+        turn = (ratio * y * right - x * down / ratio) * 2.0 / max(shot.shape)
+        terms = {"row": -down, "col": -right, "turn": turn}
+        if shot.kind == "edge":
+            # Along itself an edge has no place.
+            del terms["row" if (right**2).sum() > (down**2).sum() else "col"]
+    full_dn = 2.0**bench.camera.description.video.bit_depth - 1.0
+    usable = (measured < full_dn) & (simulated < full_dn)
+    # Differences of the outermost pixels are one-sided.
+    usable[[0, -1]] = usable[:, [0, -1]] = False
+    slope = 1.0 / np.hypot(lit, 1.0)
+    weight = 1.0 / (slope * np.sqrt(variance + noise_dn**2))
+    design = np.stack([slope, slope * lit, *terms.values()])
+    design, difference = (
+        (values * weight)[..., usable] for values in (design, np.arcsinh(signal) - level)
+    )
+    scale = np.abs(design).max(axis=1, keepdims=True) + 1e-12
+    amounts = np.linalg.lstsq((design / scale).T, difference, rcond=None)[0] / scale[:, 0]
+    return dict(zip(terms, amounts[2:].tolist(), strict=True))
