@@ -2,8 +2,9 @@
 
 from charact.validation.controls import FAULTS, PARAMETERS, ParameterControl, change_parameter
 from charact.validation.frame_features import GROUPS, Numbers, features_of
-from charact.validation.frames import MatchedFrames, MatchedStacks, simulate_frames
+from charact.validation.frames import MatchedFrames, MatchedStacks
 from charact.validation.side_by_side import validate
+from charact.validation.simulated_frames import simulate_frames
 from charact.validation.statistic import Statistic
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import (

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.observables import Numbers, Observable, observables
 from charact.observables.frame_view import FrameView
-from charact.validation.frames import MatchedFrames, MatchedStacks, in_parts
+from charact.validation.frames import MatchedFrames, MatchedStacks
+from charact.validation.simulated_frames import in_parts
 from charact.validation.target_features import SetStacks
 from labdata import Camera
 
@@ -44,7 +45,14 @@ def features_of(
     stacks = _stacks(frames, chosen.dark, chosen.flats, context, **targets)
     dark = stacks.dark
     return FrameFeatures(
-        groups={name: group.numbers(stacks) for name, group in GROUPS.items()},
+        groups={
+            name: {
+                label: value
+                for label, value in group.numbers(stacks).items()
+                if label not in chosen.fitted
+            }
+            for name, group in GROUPS.items()
+        },
         mean_dn=tuple(flat.mean_dn - dark.mean_dn for flat in stacks.flats),
         variance_dn2=tuple(flat.variance_dn2 - dark.variance_dn2 for flat in stacks.flats),
         covariance_dn2=tuple(

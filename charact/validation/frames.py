@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +24,13 @@ from labdata import (
 )
 from labdata.camera.maps import SpecimenMaps
 
-if TYPE_CHECKING:
-    from simulate.camera.stage_image import StageImage
-    from simulate.lab import LabBench
-
-
 # Size of a centred crop: sufficient for every statistic, and fast to simulate.
 SHAPE = (240, 320)
 # Size of an edge crop: pixels far from the edge add noise and little signal, a long one may be bent
 # by the lens.
 ALONG_EDGE, ACROSS_EDGE = 384, 96
+# What a target must state to be simulated.
+STATED = {"bars": "frequency_cy_per_px", "point": "pinhole_px"}
 # Levels of the point source whose profile is drawn.
 POINT_LEVELS = 4
 # Samples of a plane of a mosaic lie two pixels apart: a crop of as many pixels of the camera along
@@ -48,7 +44,10 @@ class MatchedFrames:
     """Frames of a stack that are compared: as in the session, their number, and corner and shape of
     the crop.
 
-    `offset_px`: (row, col) from the centre of the crop to that of the target.
+    `offset_px`: (row, col) from the centre of the crop to that of the target; `level_dn`: signal
+    above the dark that sets the light of each simulated set, where it is unknown; `like`: label of
+    the flat whose photons have the same unknown colour, and set it; `course`: light of each frame
+    over their mean, where it drifts, else empty.
     """
 
     label: str
@@ -61,6 +60,9 @@ class MatchedFrames:
     pitch_px: int = 1  # distance of the samples, pixels of the camera
     origin: tuple[int, int] = (0, 0)  # first row and column, within the frame, that `corner` counts
     offset_px: tuple[float, float] = (0.0, 0.0)
+    level_dn: float | None = None
+    like: str | None = None
+    course: tuple[float, ...] = ()
 
     @property
     def first(self) -> tuple[int, int]:
@@ -75,7 +77,8 @@ class MatchedStacks:
     `display_only` are for display only; `measured` has the frames by label, shape (frame, row,
     col), DN; `parts` have those of the dark and the brightest flat in other parts of the whole
     frame, of the same shape, by place, and `corners` their first rows and columns; `notes` name
-    excluded stacks. Without an edge the MTF is not compared, without a point source no halo.
+    excluded stacks; `fitted` are the numbers that the light of a stack was fitted to, which are not
+    compared. Without an edge the MTF is not compared, without a point source no halo.
     """
 
     dark: MatchedFrames
@@ -87,6 +90,7 @@ class MatchedStacks:
     notes: tuple[str, ...]
     parts: Mapping[str, dict[str, NDArray]] = field(default_factory=dict)
     corners: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    fitted: frozenset[str] = frozenset()
 
     @property
     def compared(self) -> tuple[MatchedFrames, ...]:
@@ -191,154 +195,16 @@ def camera_of(session: Session) -> Camera:
     return camera
 
 
-def simulate_frames(
-    camera: Camera,
-    shots: tuple[MatchedFrames, ...],
-    *,
-    seed: int,
-    like: Camera | None = None,
-) -> dict[str, NDArray]:
-    """Simulate frames of a camera under the stacks' conditions by label, shape (frame, row, col),
-    DN.
-
-    The camera is as small as the crop, and its fixed patterns follow from its name. Targets lie as
-    before `like`, if it is given: cameras of many draws use the same images.
-    """
-    camera = _slow_enough(camera, shots)
-    out, benches = {}, {}
-    for index, shot in enumerate(shots):
-        crop = shot.shape, shot.pitch_px, None if camera.maps is None else shot.first
-        if crop not in benches:
-            benches[crop] = bench_of(camera, shot, like=like)
-        out[shot.label] = _expose(benches[crop], shot, seed + 1000 * index)
-    return out
-
-
-def in_parts(
-    chosen: MatchedStacks, camera: Camera, frames: Mapping[str, NDArray]
-) -> dict[str, dict[str, NDArray]]:
-    """Return simulated frames of the dark and the brightest flat as other parts of the camera show
-    them, by place: with the patterns of those parts in place of the crop's.
-    """
-    black_dn = np.float32(camera.video.black_level_dn)
-
-    def patterns(shot: MatchedFrames) -> tuple[NDArray, NDArray]:
-        known = bench_of(camera, shot).camera.specimen
-        offset_dn, rate = known.offset_dn, known.dark_rate_dn_per_s
-        if offset_dn is not None and rate is not None:
-            offset_dn = offset_dn + rate * np.float32(shot.conditions.exposure_s or 0.0)
-        lit = known.response if shot.kind == "flat" else None
-        return (
-            np.zeros(shot.shape, np.float32) if offset_dn is None else offset_dn,
-            np.ones(shot.shape, np.float32) if lit is None else lit * known.shading,
-        )
-
-    out = {}
-    for place, corner in chosen.corners.items():
-        out[place] = {}
-        for shot in (chosen.dark, chosen.flats[-1]):
-            (offset, response), (new_offset, new_response) = (
-                patterns(part) for part in (shot, replace(shot, corner=corner))
-            )
-            signal = frames[shot.label].astype(np.float32) - black_dn - offset
-            out[place][shot.label] = signal * (new_response / response) + black_dn + new_offset
-    return out
-
-
-def bench_of(camera: Camera, shot: MatchedFrames, like: Camera | None = None) -> "LabBench":
-    """Return a bench of a camera as small as the crop of a stack; `like` as in
-    `simulate_frames`.
-    """
-    from simulate.lab import LabBench
-
-    rows, columns = (length * shot.pitch_px for length in shot.shape)
-    chip = replace(camera.ccd, rows=rows, columns=columns)
-    maps = camera.maps and replace(camera.maps, corner=shot.first)
-    return LabBench(replace(camera, ccd=chip, maps=maps), like=like and bench_of(like, shot))
-
-
-def mean_of(bench: "LabBench", shot: MatchedFrames) -> NDArray:
-    """Return the noiseless frame of a stack, shape (row, col), DN, within the digitiser's range."""
-    from simulate.camera.chain import Slot
-
-    if shot.pitch_px == 1:
-        frame = bench.mean(shot.kind, _target_of(shot), shot.conditions)
-    else:
-        chain = bench.camera.chain(shot.conditions)
-        frame = chain.between(Slot.CCD, Slot.VIDEO).mean(_light_on_plane(bench, shot)).values
-    return np.clip(frame, 0.0, 2.0**bench.camera.description.video.bit_depth - 1.0)
-
-
-def _slow_enough(camera: Camera, shots: tuple[MatchedFrames, ...]) -> Camera:
-    """Return the camera with frames as long as the exposures: without a tube nothing else depends
-    on their rate.
-    """
-    longest_s = max((shot.conditions.exposure_s or 0.0 for shot in shots), default=0.0)
-    rate = camera.video.field_rate_hz
-    if camera.has_tube or longest_s * float(rate) <= 1.0:
-        return camera
-    return camera.with_parameters(
-        {"video.field_rate_hz": replace(rate, value=1.0 / longest_s, low=None, high=None)}
-    )
-
-
-def _target_of(shot: MatchedFrames) -> Target:
-    """Return the target of a stack at its place, in pixels of the camera."""
-    from simulate.radiance.lab_target import PlacedTarget
-
-    target, pitch_px = shot.target, shot.pitch_px
-    frequency, pinhole_px = target.frequency_cy_per_px, target.pinhole_px
-    return PlacedTarget(
-        bars=target.bars,
-        frequency_cy_per_px=frequency and frequency / pitch_px,
-        angle_deg=target.angle_deg,
-        pinhole_px=pinhole_px and pinhole_px * pitch_px,
-        contrast=target.contrast,
-        offset_px=(shot.offset_px[0] * pitch_px, shot.offset_px[1] * pitch_px),
-    )
-
-
-def _light_on_plane(bench: "LabBench", shot: MatchedFrames) -> "StageImage":
-    """Return the light of a plane of a mosaic, that of pixels `pitch_px` apart, as its rows and
-    columns.
-    """
-    from simulate.camera.chain import Slot
-
-    light = bench.mcp_input(shot.kind, _target_of(shot), shot.conditions)
-    pixels = bench.camera.chain(shot.conditions)[Slot.PIXELS].mean(light)
-    return pixels.with_values(pixels.values[:: shot.pitch_px, :: shot.pitch_px])
-
-
-def _expose(bench: "LabBench", shot: MatchedFrames, seed: int) -> NDArray:
-    """Return the frames of a stack, shape (frame, row, col), DN."""
-    from simulate.camera.chain import Slot
-
-    if shot.pitch_px == 1:
-        target = _target_of(shot)
-        return bench.expose(shot.kind, target, shot.conditions, frames=shot.frames, seed=seed).data
-    pixels = _light_on_plane(bench, shot)
-    reading = bench.camera.chain(shot.conditions).between(Slot.CCD, Slot.VIDEO)
-    return np.stack(
-        [
-            reading.draw(pixels, np.random.default_rng([seed, 1, frame])).values
-            for frame in range(shot.frames)
-        ]
-    )
-
-
 def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry]]:
-    """Return the stacks of a kind with enough frames and known light."""
+    """Return the stacks of a kind with enough frames, whose target is stated."""
     out, (_, pitch_px) = [], session.sampling
     whole_shape, along_edge = (
         (SHAPE, ALONG_EDGE) if pitch_px == 1 else (SHAPE_OF_PLANE, ALONG_EDGE_OF_PLANE)
     )
     for entry in session.of_kind(kind):
         frames, rows, columns = entry.read().shape
-        conditions = entry.conditions
-        lit = conditions.illuminance_lux is not None or (
-            conditions.photons_per_px is not None and conditions.wavelength_nm is not None
-        )
-        if frames < VALIDATION.fewest_frames or (kind != "dark" and not lit):
+        stated = kind not in STATED or getattr(entry.target, STATED[kind])
+        if frames < VALIDATION.fewest_frames or not stated:
             continue
         height, width = whole_shape
         centre, angle_deg = _centre_of(entry)
@@ -435,8 +301,7 @@ def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], li
     if not usable:
         raise BadInput(
             f"a validation needs a flat inside the range with {VALIDATION.fewest_frames} frames "
-            "or more and known light (illuminance_lux, or photons_per_px with wavelength_nm), "
-            "got none"
+            "or more, got none"
         )
     usable.sort(key=lambda item: item[0])
     picked = sorted(
@@ -475,6 +340,7 @@ def point_levels(
                 conditions=entry.conditions,
                 target=entry.target,
                 frames=VALIDATION.fewest_frames,
+                course=(),
             )
             candidates.append(
                 (light, shot, stack.region(*shot.corner, *shot.shape).data[: shot.frames])
@@ -494,4 +360,4 @@ def _light(conditions: Conditions, *, like: Conditions) -> float | None:
     """Return the light of a stack in the unit of another one; None where it is unknown."""
     if like.illuminance_lux is not None:
         return conditions.illuminance_lux
-    return None if conditions.wavelength_nm is None else conditions.photons_per_px
+    return conditions.photons_per_px

@@ -26,9 +26,9 @@ from charact.validation.frames import (
     MatchedStacks,
     choose,
     point_levels,
-    simulate_frames,
 )
-from charact.validation.placement import place_targets
+from charact.validation.session_bench import measured_bench
+from charact.validation.simulated_frames import simulate_frames
 from charact.validation.statistic import Statistic
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
@@ -78,7 +78,7 @@ def validate(
     """
     watch = Stopwatch()
     progress("measured frames", 0.0)
-    chosen = place_targets(choose(session, sensor.maps), sensor)
+    chosen = measured_bench(choose(session, sensor.maps), sensor)
     levels, frames_of_levels = point_levels(session, chosen)
     changes = [
         parameter

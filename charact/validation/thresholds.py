@@ -42,6 +42,10 @@ class ValidationThresholds:
     # Difference of a target's stated and measured angle that is noted: half of that of a rotation
     # stage's scale of whole degrees.
     angle_deg: float = 0.5
+    # Least frames and standard errors of a drift of the light within a stack: with six degrees of
+    # freedom chance exceeds them once in 2000 stacks.
+    drift_frames: int = 5
+    drift_sd: float = 6.5
 
     def most_replicates(self, level: float) -> int:
         """Return the repetitions, whole runs, whose least p-value is half of a level at most."""

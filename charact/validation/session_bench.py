@@ -1,5 +1,5 @@
-"""Places and angles of the targets of a session, measured in its frames: they are the bench's, not
-the camera's.
+"""Bench of a session as its frames show it: places and angles of targets, and light of unknown
+colour or amount. They are not the camera's.
 
 The noiseless simulated frame S of a target is laid on the measured mean frame M by least squares,
 both as arsinh of the level above the background over its noise,
@@ -18,10 +18,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.validation.frames import MatchedFrames, MatchedStacks, bench_of, mean_of
+from charact.validation.frames import MatchedFrames, MatchedStacks
+from charact.validation.simulated_frames import (
+    bench_of,
+    light_of,
+    mean_of,
+    signal_dn,
+    slow_enough,
+)
 from charact.validation.target_features import target_centre
 from charact.validation.thresholds import VALIDATION
-from labdata import Camera
+from labdata import Camera, Conditions
 
 if TYPE_CHECKING:
     from simulate.lab import LabBench
@@ -38,9 +45,10 @@ GRADIENT_PX, VARIANCE_PX = 0.1, 5
 BACKGROUND, ROUNDING_DN = 0.05, 0.3
 
 
-def place_targets(chosen: MatchedStacks, camera: Camera) -> MatchedStacks:
-    """Return the stacks with each target at its measured place and angle, and notes on targets that
-    lie otherwise than stated.
+def measured_bench(chosen: MatchedStacks, camera: Camera) -> MatchedStacks:
+    """Return the stacks on the bench that their frames show: each target at its place and angle,
+    and light of unknown colour or amount, or that drifts, at its level; with notes on all that is
+    not as stated.
 
     Parameters
     ----------
@@ -49,10 +57,52 @@ def place_targets(chosen: MatchedStacks, camera: Camera) -> MatchedStacks:
     camera
         Description whose simulated frames are laid on the measured ones.
     """
-    notes = list(chosen.notes)
+    camera = slow_enough(camera, chosen.compared)
+    notes, fitted = list(chosen.notes), set[str]()
+    dark_dn = float(chosen.measured[chosen.dark.label].mean(dtype=float))
+    lit: dict[str, Conditions] = {}
+
+    def is_known(conditions: Conditions) -> bool:
+        of_colour = conditions.wavelength_nm is not None and not camera.has_tube
+        return conditions.illuminance_lux is not None or bool(
+            conditions.photons_per_px and of_colour
+        )
+
+    of_one_colour = [
+        flat.label
+        for flat in chosen.flats
+        if flat.conditions.photons_per_px and not is_known(flat.conditions)
+    ]
+
+    def in_light(shot: MatchedFrames) -> MatchedFrames:
+        frames = chosen.measured[shot.label]
+        shot, drift_note = _with_course(shot, frames, dark_dn)
+        if drift_note:
+            notes.append(drift_note)
+            fitted.add(f"drift of {shot.label}, DN a frame")
+        in_photons = bool(shot.conditions.photons_per_px)
+        if is_known(shot.conditions):
+            return shot
+        if in_photons and of_one_colour and shot.label != of_one_colour[-1]:
+            return replace(shot, like=of_one_colour[-1])
+        unknown = "colour" if in_photons else "amount"
+        notes.append(
+            f"the light of {shot.label} is of unknown {unknown}: it is simulated at the level that "
+            f"it shows, which is not compared"
+        )
+        fitted.add(f"ln signal of {shot.label}")
+        if not in_photons:
+            *dimmer, brightest = (flat.label for flat in chosen.flats)
+            fitted.update(
+                f"signal of {label} over {brightest}"
+                for label in dimmer
+                if shot.label in (label, brightest)
+            )
+        return replace(shot, level_dn=signal_dn(shot, frames.mean(axis=0, dtype=float), dark_dn))
 
     def placed(shot: MatchedFrames) -> MatchedFrames:
-        at_place = _placed(shot, chosen.measured[shot.label], camera)
+        shot = in_light(shot)
+        at_place = _placed(shot, chosen.measured[shot.label], camera, lit)
         if at_place is None:
             notes.append(f"{shot.label} shows no {shot.kind}: simulated at the centre of its crop")
             return shot
@@ -66,16 +116,48 @@ def place_targets(chosen: MatchedStacks, camera: Camera) -> MatchedStacks:
                 )
         return at_place
 
+    flats = tuple(in_light(flat) for flat in chosen.flats)
+    lit |= {
+        flat.label: light_of(bench_of(camera, flat), flat, {}) for flat in flats if flat.level_dn
+    }
     return replace(
         chosen,
+        flats=flats,
         edge=chosen.edge and placed(chosen.edge),
         point=chosen.point and placed(chosen.point),
         display_only=tuple(placed(shot) for shot in chosen.display_only),
         notes=tuple(notes),
+        fitted=frozenset(fitted),
     )
 
 
-def _placed(shot: MatchedFrames, frames: NDArray, camera: Camera) -> MatchedFrames | None:
+def _with_course(shot: MatchedFrames, frames: NDArray, dark_dn: float) -> tuple[MatchedFrames, str]:
+    """Return a stack with the light of each frame and a note, where it drifts: else as it is.
+
+    Notes
+    -----
+    The course is a straight line through the means of the frames. It counts from
+    `VALIDATION.drift_sd` standard errors on, by the scatter about it.
+    """
+    signal = frames.mean(axis=(1, 2), dtype=float) - dark_dn
+    if len(signal) < VALIDATION.drift_frames or not signal.mean() > 0.0:
+        return shot, ""
+    at = np.linspace(-1.0, 1.0, len(signal))
+    slope = float(at @ signal / (at @ at))
+    scatter = np.sum((signal - signal.mean() - slope * at) ** 2) / (len(signal) - 2.0)
+    if abs(slope) < VALIDATION.drift_sd * np.sqrt(scatter / (at @ at)):
+        return shot, ""
+    relative = slope / float(signal.mean())
+    note = (
+        f"the light of {shot.label}, or the gain, drifts by {200.0 * relative:+.2g} % from its "
+        f"first to its last frame: simulated light follows it"
+    )
+    return replace(shot, course=tuple((1.0 + relative * at).tolist())), note
+
+
+def _placed(
+    shot: MatchedFrames, frames: NDArray, camera: Camera, lit: Mapping[str, Conditions]
+) -> MatchedFrames | None:
     """Return a stack with its target at the place and angle that its frames show; None where they
     show none.
     """
@@ -94,7 +176,9 @@ def _placed(shot: MatchedFrames, frames: NDArray, camera: Camera) -> MatchedFram
         offset_px=(offset[0], offset[1]),
         target=replace(shot.target, angle_deg=angle_deg),
     )
-    bench, start = bench_of(camera, part), part
+    bench = bench_of(camera, part)
+    part = replace(part, conditions=light_of(bench, part, lit))
+    start = part
     for _ in range(STEPS):
         step = _registration(measured, bench, part)
         part = _moved(part, **step)
