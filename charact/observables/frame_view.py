@@ -34,9 +34,9 @@ class FrameView:
         codes = np.rint(frames[0]).astype(np.int64)
         self.bits = np.array([np.mean(codes >> bit & 1) for bit in range(FRAMES.bits)])
         self.change = (data - self.mean) * np.float32(np.sqrt(count / (count - 1.0)))
-        self.covariance, _ = masked_covariance(
-            self.change, np.ones(self.mean.shape, bool), FRAMES.reach
-        )
+        # Without changes of whole frames, as EMVA 1288 takes the variance: lags would sum them up.
+        change = self.change - self.change.mean(axis=(1, 2), keepdims=True)
+        self.covariance, _ = masked_covariance(change, np.ones(self.mean.shape, bool), FRAMES.reach)
         self.power = self.spectrum(self.change)
         # A plane and a bowl are shading, not pattern.
         self.shading, self.pattern = _without_shading(self.mean)
