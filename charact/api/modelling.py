@@ -23,6 +23,7 @@ from labdata.settings import (
 )
 
 if TYPE_CHECKING:
+    from charact.comparison import Limits
     from charact.validation import Validation
     from labdata import Camera, FrameStack, Kind, Session, Target
 
@@ -61,6 +62,10 @@ def validate(
     sensor: FittedSensor = None,
     *,
     of_type: OfType = False,
+    limits: Annotated[
+        "str | Path | Limits | None",
+        Setting("TOML file of limits: [[tolerance]] with unit, max, and statistic, if not all."),
+    ] = None,
     seed: Seed = 0,
     progress: ProgressSink = ignore_progress,
 ) -> "Validation":
@@ -72,12 +77,14 @@ def validate(
     BadInput
         If there is no fitted sensor, or it is an infrared imager.
     """
+    from charact.comparison import load_limits
     from charact.validation import validate as compare
 
     session = session_of(source)
+    tolerances = () if limits is None else load_limits(limits).tolerance
     fitted = fitted_sensor_of(session, sensor)
     compared = replace(fitted, maps=None) if of_type else fitted
-    return compare(session, compared, seed=seed, progress=progress)
+    return compare(session, compared, tolerances=tolerances, seed=seed, progress=progress)
 
 
 def fitted_sensor_of(session: "Session", sensor: FittedSensor) -> "Camera":

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from labdata import Camera, Result, Session
 
 
+EXIT_CODES = {"agrees": 0, "differs": 3, "undecided": 4}
+
+
 def session_in(folder: Path) -> Path:
     """Return the session folder inside the folder of a demonstration, else the folder."""
     from labdata.session import MANIFEST
@@ -344,6 +347,9 @@ def validate(
 ) -> None:
     """Compare simulated with measured frames, using only the fitted sensor, by tests that can fail.
 
+    Exit code 0: they agree within the tolerances; 3: one differs beyond its tolerance; 4:
+    undecided; 1: bad input.
+
     Example: charact validate day1 --sensor day1/fitted.toml
     """
     with exit_on_bad_input(str(session), as_json=as_json, events=events):
@@ -358,6 +364,7 @@ def validate(
         else:
             print("\n".join(_lines(validation)))
             print(f"Next: charact report {session}")
+    raise typer.Exit(EXIT_CODES[validation.verdict])
 
 
 def validate_and_save(
@@ -385,14 +392,25 @@ def validate_and_save(
 
 
 def _lines(validation: "Validation") -> Iterator[str]:
-    """Yield one line per statistic, what the controls noticed and did not, detectable errors, and
-    the verdict.
+    """Yield doubts in the fit, one line per statistic, what the controls noticed and did not,
+    detectable errors, and the verdict.
     """
+    from charact.reporting.validation_text import agreement_text, doubts_of, headline_of
+
+    yield from (f"note: {doubt}" for doubt in doubts_of(validation))
     for statistic in validation.statistics:
-        agreement = "agrees" if statistic.passed else "DIFFERS"
-        yield f"{statistic.title}: p {statistic.p_text}, {agreement}"
-        if not statistic.passed:
-            yield f"    most in {statistic.worst}; may come from {statistic.cause}"
+        yield f"{statistic.name}: {agreement_text(statistic)}, p {statistic.p_text}"
+        if statistic.verdict != "agrees":
+            yield f"    in {statistic.worst}"
+        if statistic.verdict == "differs":
+            yield f"    matters for {statistic.matters}; may come from {statistic.cause}"
+    unseen_numbers = [
+        f"{statistic.name} {len(statistic.unseen)} of {len(statistic.labels)}"
+        for statistic in validation.statistics
+        if statistic.unseen
+    ]
+    if unseen_numbers:
+        yield f"numbers that could not have seen their tolerance: {', '.join(unseen_numbers)}"
     for control in validation.controls:
         if control.name == "null":
             failing = "" if control.passed else f": {', '.join(control.noticed_by)}"
@@ -411,7 +429,7 @@ def _lines(validation: "Validation") -> Iterator[str]:
         yield f"errors that would have been found in {probability} of cases: {errors}"
     yield from (f"likely cause: {cause.note}" for cause in validation.likely_causes)
     yield from (f"note: {note}" for note in (validation.origin, *validation.notes))
-    yield f"validation: {'passed' if validation.passed else 'FAILED'}"
+    yield headline_of(validation)
 
 
 @verb(modelling.report)

@@ -14,6 +14,7 @@ from typing import Any, Literal
 from charact import __version__
 from charact.comparison.compare import same_frequency, turn_deg
 from charact.comparison.thresholds import LIMITS
+from charact.observables.size import Tolerance
 from labdata import QUANTITIES, BadInput, sha256_of, write_atomically
 from labdata.errors import check as check_numbers
 from labdata.measurement import Interval, Measurement, Result, Status
@@ -96,10 +97,14 @@ class Limits:
     """A limits file."""
 
     limit: tuple[Limit, ...] = ()  #: The limits
+    #: Departures of a validation that do not matter, in place of those that hold by default
+    tolerance: tuple[Tolerance, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.limit:
-            raise BadInput("a limits file must have at least one [[limit]], got none")
+        if not self.limit and not self.tolerance:
+            raise BadInput(
+                "a limits file must have at least one [[limit]] or [[tolerance]], got none"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +181,8 @@ def check(result: Result, limits: Limits, *, name: str = "limits") -> LimitCheck
     >>> check(result, Limits(limit=(Limit(quantity="mtf50", min=0.19),))).outcomes[0].reason
     'the 95 % interval contains a limit'
     """
+    if not limits.limit:
+        raise BadInput(f"a check must have at least one [[limit]], got none in {name}")
     return LimitCheck(
         outcomes=tuple(outcome for limit in limits.limit for outcome in _outcomes(limit, result)),
         name=name,

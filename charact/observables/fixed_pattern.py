@@ -6,11 +6,19 @@ s^2: variance over pixels of the mean frame, less its residual temporal noise; m
 dark (EMVA 1288 Release 4.0, eq. 66, 67).
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from charact.observables.frame_view import FrameView, bands_of, cube_root, highest, log
+from charact.observables.frame_view import (
+    FrameView,
+    band_sizes,
+    bands_of,
+    cube_root,
+    highest,
+    log,
+)
 from charact.observables.observable import (
     Estimates,
     MeasuredStack,
@@ -22,11 +30,13 @@ from charact.observables.observable import (
     observable,
 )
 from charact.observables.silicon import amplification, cooling, dn_per_electron, em_gain, warmth
+from charact.observables.size import Size, part_of_noise, relative
 from charact.observables.stack_level import StackLevel
 from charact.observables.thresholds import FRAMES, SILICON
 from labdata import Array
 
 DSNU_E, PRNU_FRACTION = "ccd.dsnu_e", "ccd.prnu"
+SHADING = ("slope x", "slope y", "x²", "y²", "xy")
 
 
 @observable
@@ -123,6 +133,7 @@ class FixedPattern(Observable[Stacks[FrameView]]):
     order = 10
     title = "Fixed noise of pixels, rows and columns, and its spectrum"
     cause = "DSNU, PRNU, fibre pattern, dust, ghost images, or interference in step with the frames"
+    matters = "averaged frames and faint objects"
     least_sd = 0.001
     over_frame = True
 
@@ -152,6 +163,20 @@ class FixedPattern(Observable[Stacks[FrameView]]):
             )
         return numbers
 
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        sizes = {"odd less even": Size(unit="% of level")}
+        for stack in (stacks.dark, stacks.flat):
+            pixel_dn2 = stack.variance_dn2
+            sizes |= {
+                f"fixed over temporal variance of {name} of {stack.label}": part_of_noise(
+                    variance_dn2 / pixel_dn2 / len(stack.change)
+                )
+                for name, variance_dn2 in {"pixels": pixel_dn2, **stack.line_variances}.items()
+            }
+            fixed = float(stack.pattern.var()) / pixel_dn2
+            sizes |= band_sizes(stack.power.shape, f"fixed pattern of {stack.label}", fixed)
+        return sizes
+
 
 @observable
 class Defects(Observable[Stacks[FrameView]]):
@@ -170,6 +195,8 @@ class Defects(Observable[Stacks[FrameView]]):
     order = 11
     title = "Most deviating pixels and spots of the mean frames"
     cause = "hot, dead or stuck pixels, dust, or blemishes"
+    matters = "point targets"
+    size = relative("% of their height", np.exp)
     least_sd = 0.05
     over_frame = True
 
@@ -208,6 +235,7 @@ class Shading(Observable[Stacks[FrameView]]):
     order = 12
     title = "Slope and curvature of the mean frames over the picture"
     cause = "vignetting, uneven light, glow of an amplifier, or stray light"
+    matters = "radiometry over the field"
     over_frame = True
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
@@ -215,8 +243,14 @@ class Shading(Observable[Stacks[FrameView]]):
         numbers = {}
         for stack in (dark, stacks.flat):
             scale = 1.0 if stack is dark else stack.mean_dn - dark.mean_dn
-            for name, value in zip(
-                ("slope x", "slope y", "x²", "y²", "xy"), stack.shading, strict=True
-            ):
+            for name, value in zip(SHADING, stack.shading, strict=True):
                 numbers[f"{name} of {stack.label}"] = float(value) / scale
         return numbers
+
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        dark_dn, of_level = Size(unit="DN", factor=1.0), Size(unit="% of level")
+        return {
+            f"{name} of {label}": size
+            for label, size in ((stacks.dark.label, dark_dn), (stacks.flat.label, of_level))
+            for name in SHADING
+        }

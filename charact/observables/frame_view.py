@@ -1,7 +1,7 @@
 """A stack of frames, split into its mean frame and what changes from frame to frame."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.frames.noise_law import masked_covariance
+from charact.observables.size import Size, part_of_noise
 from charact.observables.thresholds import FRAMES
 
 Array = NDArray[np.float64]
@@ -101,22 +102,45 @@ def bands_of(power: Array, reference: Array, what: str) -> dict[str, float]:
     """Return the power over a reference in bands along both axes and over all directions, and its
     highest peak.
     """
-    rows, half = power.shape
-    x, y = np.fft.rfftfreq(2 * (half - 1))[:half], np.abs(np.fft.fftfreq(rows))
-    cuts = {
-        "horizontal": (x, power[0], reference[0]),
-        "vertical": (y, power[:, 0], reference[:, 0]),
-        "radial": (np.hypot(y[:, None], x), power, reference),
-    }
     features = {}
-    for name, (frequency, cut_power, other) in cuts.items():
+    for label, cut, band, _ in _bands(power.shape, what):
+        ratio = float(power[cut][band].mean()) / max(float(reference[cut][band].mean()), 1e-12)
+        features[label] = cube_root(ratio)
+    highest = float(power.ravel()[1:].max()) / max(float(power.mean()), 1e-12)
+    return features | {f"ln peak in the {what}": log(highest)}
+
+
+def band_sizes(shape: tuple[int, ...], what: str, mean: float = 1.0) -> dict[str, Size]:
+    """Return what departures of the numbers of `bands_of` are measured in: each band's part of the
+    noise of a pixel.
+
+    `mean`: mean power over the variance of a pixel.
+    """
+    bins = shape[0] * 2 * (shape[1] - 1)
+    sizes = {
+        label: part_of_noise(weight * band.sum() / bins)
+        for label, _, band, weight in _bands(shape, what)
+    }
+    line = Size(unit="% of noise", of=lambda peak: np.sqrt(2.0 * mean / bins * np.exp(peak)))
+    return sizes | {f"ln peak in the {what}": line}
+
+
+def _bands(shape: tuple[int, ...], what: str) -> Iterator[tuple[str, Any, NDArray[np.bool_], int]]:
+    """Yield the label, cut and members of each band of a spectrum (row, col / 2 + 1), and how often
+    each stands in the whole plane.
+    """
+    rows, half = shape
+    x, y = np.fft.rfftfreq(2 * (half - 1))[:half], np.abs(np.fft.fftfreq(rows))
+    cuts: dict[str, tuple[NDArray, Any, int]] = {
+        "horizontal": (x, (0, slice(None)), 2),
+        "vertical": (y, (slice(None), 0), 1),
+        "radial": (np.hypot(y[:, None], x), ..., 2),
+    }
+    for name, (frequency, cut, weight) in cuts.items():
         for low, high in itertools.pairwise(FRAMES.bands):
             band = (frequency > low) & (frequency <= high)
             if band.any():
-                ratio = float(cut_power[band].mean()) / max(float(other[band].mean()), 1e-12)
-                features[f"{name} {what}, {low:g} to {high:g} cy/px"] = cube_root(ratio)
-    highest = float(power.ravel()[1:].max()) / max(float(power.mean()), 1e-12)
-    return features | {f"ln peak in the {what}": log(highest)}
+                yield f"{name} {what}, {low:g} to {high:g} cy/px", cut, band, weight
 
 
 def highest(values: Frames, count: int) -> float:

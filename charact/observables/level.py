@@ -5,6 +5,7 @@
 b: black level; p: photons of a pixel; eta: quantum efficiency.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 from charact.observables.frame_view import FrameView, log
@@ -17,6 +18,7 @@ from charact.observables.observable import (
     Stacks,
     observable,
 )
+from charact.observables.size import LN_LEVEL, Size
 
 
 @observable
@@ -27,6 +29,7 @@ class Level(Observable[Any]):
     order = 0
     title = "Level of the dark, and signal of the brightest flat"
     cause = "sensitivity, gain, black level, EBI, dark current, or the light meter"
+    matters = "radiometry and exposure"
     printed = Printed(quantity="dark_signal", kind="level")
 
     def measure(self, stacks: Stacks[MeasuredStack]) -> Estimates:
@@ -39,3 +42,6 @@ class Level(Observable[Any]):
             f"level of {dark.label}, DN": dark.mean_dn,
             f"ln signal of {flat.label}": log(flat.mean_dn - dark.mean_dn),
         }
+
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        return {"level": Size(unit="DN", factor=1.0), "ln signal": LN_LEVEL}

@@ -14,6 +14,7 @@ import numpy as np
 
 from charact.frames.stack_statistics import StackStatistics
 from charact.observables.frame_view import FrameView
+from charact.observables.size import Size
 from charact.observables.stack_level import StackLevel
 from labdata import QUANTITIES, Array, Camera, Result
 from labdata.quantity import Quantity
@@ -133,13 +134,17 @@ class Observable(Generic[Shown]):
 
     `name` is that of the statistic, and of its group in a validation. A statistic takes part in a
     fit if it depends on parameters, in a validation if it has a `title`; `cause` are the stages of
-    the camera, or faults of the session, that move it.
+    the camera, or faults of the session, that move it; `matters` is the use for which a departure
+    of it matters.
     """
 
     name: str
     order: int  # place in fit and reports
     title: str = ""
     cause: str = ""
+    matters: str = ""
+    # What the departure of a number is measured in, where that is the same for all
+    size: Size | None = None
     # Least standard deviation of each number, for counts that all simulated sets have in common
     least_sd: float = 0.0
     # Whether all parts of the frame are compared, as faults may lie anywhere
@@ -196,6 +201,10 @@ class Observable(Generic[Shown]):
     def numbers(self, stacks: Shown) -> Numbers:
         """Return the numbers that a validation compares, nearly Gaussian over simulated sets."""
         raise NotImplementedError
+
+    def sizes(self, stacks: Shown) -> Mapping[str, Size]:
+        """Return what departures of the numbers are measured in, by how their labels begin."""
+        return {} if self.size is None else {"": self.size}
 
 
 _KNOWN: list[Observable[Any]] = []

@@ -7,6 +7,7 @@ of variance against signal; the change of variance over signal along the levels 
 the response.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ from charact.observables.silicon import (
     neighbour_variance,
     register_excess,
 )
+from charact.observables.size import LN_VARIANCE, VARIANCE, Size, relative
 from charact.observables.stack_level import StackLevel
 from charact.observables.thresholds import SILICON
 from labdata import Array
@@ -81,6 +83,8 @@ class PhotonTransfer(Observable[Any]):
     relative_model_sd = SILICON.noise_model_sd
     title = "Variance of the dark, and variance over signal of the brightest flat"
     cause = "gain, excess noise, read noise, or blur after the gain"
+    matters = "noise and detection limits"
+    size = LN_VARIANCE
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
         """Return the flats brighter than the dark's noise, if there are enough.
@@ -161,6 +165,7 @@ class Linearity(Observable[Stacks[FrameView]]):
         "a nonlinear response, saturation of the microchannel plate, automatic gain, or "
         "light other than stated"
     )
+    matters = "radiometry over levels"
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
         (*dimmer, brightest), dark = stacks.flats, stacks.dark
@@ -171,6 +176,9 @@ class Linearity(Observable[Stacks[FrameView]]):
             ratio = variance_over_signal(flat, dark) / variance_over_signal(brightest, dark)
             numbers |= {f"signal {of}": signal, f"variance/signal {of}": ratio}
         return numbers
+
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        return {"signal": relative("% of level"), "variance/signal": VARIANCE}
 
 
 @observable

@@ -1,9 +1,13 @@
 """Noise in time of darks and flats: covariance, its spectrum, rows and columns, the field."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
-from charact.observables.frame_view import FrameView, bands_of, cube_root
+from charact.observables.frame_view import FrameView, band_sizes, bands_of, cube_root
 from charact.observables.observable import Numbers, Observable, Stacks, observable
+from charact.observables.size import CORRELATION, LN_VARIANCE, VARIANCE, Size, part_of_noise
 from charact.observables.thresholds import FRAMES
 
 
@@ -18,6 +22,8 @@ class CovarianceSum(Observable[Stacks[FrameView]]):
     order = 3
     title = "Covariance summed within 6 px over signal, of each flat"
     cause = "gain and excess noise"
+    matters = "detection limits of binned or filtered frames"
+    size = VARIANCE
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
         dark = stacks.dark
@@ -40,6 +46,8 @@ class Autocorrelation(Observable[Stacks[FrameView]]):
     order = 4
     title = "Correlation of neighbouring pixels in time"
     cause = "blur after the gain, video bandwidth, sharpening, or interpolation"
+    matters = "noise of filtered frames"
+    size = CORRELATION
     over_frame = True
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
@@ -74,6 +82,7 @@ class NoiseOverField(Observable[Stacks[FrameView]]):
         "blur after the gain that grows off axis, or interpolation such as a correction of "
         "distortion"
     )
+    matters = "detection near the corners"
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
         dark, flat = stacks.dark, stacks.flat
@@ -101,6 +110,9 @@ class NoiseOverField(Observable[Stacks[FrameView]]):
         )
         return numbers
 
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        return {"correlation": CORRELATION, "ln variance": LN_VARIANCE}
+
 
 @observable
 class NoiseSpectrum(Observable[Stacks[FrameView]]):
@@ -112,6 +124,7 @@ class NoiseSpectrum(Observable[Stacks[FrameView]]):
     order = 6
     title = "Horizontal and vertical cuts of the noise spectrum, and its peak"
     cause = "interference, banding, or blur after the gain"
+    matters = "faint stripes and filtered frames"
     least_sd = 0.001
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
@@ -123,6 +136,12 @@ class NoiseSpectrum(Observable[Stacks[FrameView]]):
                 f"noise of {stack.label}",
             )
         return numbers
+
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        sizes: dict[str, Size] = {}
+        for stack in (stacks.dark, stacks.flat):
+            sizes |= band_sizes(stack.power.shape, f"noise of {stack.label}")
+        return sizes
 
 
 @observable
@@ -137,6 +156,7 @@ class RowsAndColumns(Observable[Stacks[FrameView]]):
     order = 7
     title = "Frame, row and column means in time"
     cause = "line noise of the read-out, flicker of the lamp, or hum"
+    matters = "stripes and flicker"
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
         numbers = {}
@@ -153,3 +173,16 @@ class RowsAndColumns(Observable[Stacks[FrameView]]):
                     value * pixels / max(stack.variance_dn2, 1e-12)
                 )
         return numbers
+
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        rows, cols = stacks.flat.mean.shape
+        signal_dn = max(stacks.flat.mean_dn - stacks.dark.mean_dn, 1e-12)
+        flicker = stacks.flat.variance_dn2 / (rows * cols) / signal_dn**2
+        return {
+            f"variance of means of frames of {stacks.flat.label}": replace(
+                part_of_noise(flicker), unit="% of level"
+            ),
+            "variance of means of frames": part_of_noise(1.0 / (rows * cols)),
+            "variance of means of rows": part_of_noise(1.0 / cols),
+            "variance of means of columns": part_of_noise(1.0 / rows),
+        }

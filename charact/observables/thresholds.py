@@ -71,6 +71,9 @@ class FrameNumbers:
     bands: tuple[float, ...] = (0.0, 0.05, 0.2, 0.35, 0.5, 0.71)
     # Standard deviations of a pixel that is no noise, in time.
     event_sd: tuple[float, ...] = (5.0, 10.0)
+    # Share of the values up to which events are few: a change of their number by as much is one of
+    # 100 %.
+    few_events: float = 1e-5
     # Number of highest values whose mean is compared: of events in a stack, of pixels, and of
     # spots.
     highest_events: int = 30

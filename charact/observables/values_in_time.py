@@ -1,9 +1,12 @@
 """Values of single pixels and frames in time: tails, low bits, events, drift."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from charact.observables.frame_view import FrameView, correlations_of, cube_root, highest, log
 from charact.observables.observable import Numbers, Observable, Stacks, observable
+from charact.observables.size import CORRELATION, Size, relative
 from charact.observables.thresholds import FRAMES
 
 
@@ -23,6 +26,7 @@ class Histogram(Observable[Stacks[FrameView]]):
     order = 8
     title = "Tails of the noise in time, and low bits"
     cause = "pulse heights, clipping, rounding, stuck bits, or a nonlinear response"
+    matters = "rare values and thresholds"
     least_sd = 0.002
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
@@ -43,6 +47,13 @@ class Histogram(Observable[Stacks[FrameView]]):
             for bit, x in enumerate(flat.bits)
         }
 
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        # Steps of more than the noise follow the level, whose departure has a size of its own.
+        bits = range(1 + int(np.log2(max(stacks.flat.robust_sd, 1.0))))
+        return {"mean of the": Size(unit="% of noise", over=np.abs)} | {
+            f"share of ones of bit {bit}": Size(unit="% of values") for bit in bits
+        }
+
 
 @observable
 class DarkEvents(Observable[Stacks[FrameView]]):
@@ -54,6 +65,7 @@ class DarkEvents(Observable[Stacks[FrameView]]):
     order = 9
     title = "Bright and dark events of the dark frames"
     cause = "EBI, ion feedback, cosmic rays, or clock-induced charge"
+    matters = "false alarms in the dark"
     least_sd = 0.5
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
@@ -70,6 +82,15 @@ class DarkEvents(Observable[Stacks[FrameView]]):
         )
         return numbers
 
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        few = FRAMES.few_events * stacks.dark.change.size
+        events = Size(
+            unit="% of events",
+            of=lambda root: np.maximum(root, 0.0) ** 2,
+            over=lambda root: np.maximum(root**2, few),
+        )
+        return {"root of": events, "ln height": relative("% of their height", np.exp)}
+
 
 @observable
 class TimeCourse(Observable[Stacks[FrameView]]):
@@ -84,6 +105,7 @@ class TimeCourse(Observable[Stacks[FrameView]]):
     order = 13
     title = "Correlation of frames and fields with each other, and drift"
     cause = "image lag, repeated or averaged frames, or drift of lamp or gain"
+    matters = "moving scenes and averaged frames"
 
     def numbers(self, stacks: Stacks[FrameView]) -> Numbers:
         dark = stacks.dark
@@ -110,3 +132,16 @@ class TimeCourse(Observable[Stacks[FrameView]]):
                 float(np.ptp(variances))
             )
         return numbers
+
+    def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
+        dark, flat = stacks.dark, stacks.flat
+        steps = len(flat.change) - 1.0
+        return {
+            f"drift of {flat.label}, DN": Size(
+                unit="% of level", factor=100.0 * steps / max(flat.mean_dn - dark.mean_dn, 1e-12)
+            ),
+            "drift": Size(unit="DN", factor=len(dark.change) - 1.0),
+            # The cube root of a range of logarithms of variances.
+            "range": relative("% of noise", lambda root: np.exp(root**3 / 2.0)),
+            "": CORRELATION,
+        }

@@ -28,18 +28,14 @@ if TYPE_CHECKING:
     from charact.reporting.summary import rows_of_file, sparkline, summary_of
     from charact.reporting.tables import quantity_groups
     from charact.reporting.truth import TruthComparison, compare_with_truth
-    from charact.reporting.validation import (
-        blind_pair,
-        headline_of,
-        sentence_of,
-        validation_section,
-    )
+    from charact.reporting.validation import blind_pair, validation_section
     from charact.reporting.validation_figures import (
         chance_limit,
         deviations,
         missing_figures,
         worst_numbers,
     )
+    from charact.reporting.validation_text import headline_of, sentence_of
 
 __all__ = [
     "FIGURES",
@@ -108,7 +104,8 @@ __getattr__ = import_on_first_use(
         "charact.reporting.summary": "rows_of_file sparkline summary_of",
         "charact.reporting.tables": "quantity_groups",
         "charact.reporting.truth": "TruthComparison compare_with_truth",
-        "charact.reporting.validation": "blind_pair headline_of sentence_of validation_section",
+        "charact.reporting.validation": "blind_pair validation_section",
+        "charact.reporting.validation_text": "headline_of sentence_of",
         "charact.reporting.validation_figures": (
             "chance_limit deviations missing_figures worst_numbers"
         ),

@@ -191,21 +191,8 @@ def verdict(session: Session, result: Result, validation: "Validation | None") -
         return Verdict(status="refused", heading="Nothing could be measured", reasons=(reason,))
     suspect = [m for m in sheet if m.status != "ok"]
     reasons = tuple(_reasons(suspect))
-    if validation is not None and not validation.passed:
-        failed = [statistic.title for statistic in validation.statistics if not statistic.passed]
-        controls = [
-            f"a null control did not hold in {', '.join(control.noticed_by)}: {control.title}"
-            for control in validation.controls
-            if control.name == "null" and not control.passed
-        ] or ["no negative control was noticed"]
-        why = (
-            "simulated frames of the fitted sensor differ in " + ", ".join(failed)
-            if failed
-            else ", ".join(controls)
-        )
-        return Verdict(
-            status="refused", heading="Do not trust the fitted sensor", reasons=(why, *reasons)
-        )
+    if validation is not None and validation.verdict == "differs":
+        return _difference(validation, reasons)
     grave = [m for m in suspect if GRAVE & set(m.flags)]
     if len(suspect) > len(sheet) / 2 or len(grave) > 1:
         return Verdict(
@@ -214,12 +201,40 @@ def verdict(session: Session, result: Result, validation: "Validation | None") -
             reasons=reasons,
         )
     checked = "" if validation is None else ", and simulated frames agree with the measured ones"
+    if validation is not None and validation.verdict == "undecided":
+        from charact.reporting.validation_text import doubts_of, unseen_sentences
+
+        reasons = (*doubts_of(validation), *unseen_sentences(validation), *reasons)
+        if not suspect:
+            heading = f"All {len(sheet)} leading numbers are ok; the fitted sensor is undecided"
+            return Verdict(status="suspect", heading=heading, reasons=reasons)
     if suspect:
         heading = f"Look at {len(suspect)} of {len(sheet)} leading numbers before use"
         return Verdict(status="suspect", heading=heading, reasons=reasons)
     return Verdict(
         status="ok",
         heading=f"Fit for use: all {len(sheet)} leading numbers are ok{checked}",
+    )
+
+
+def _difference(validation: "Validation", reasons: tuple[str, ...]) -> Verdict:
+    """Return the verdict on a fitted sensor that differs beyond a tolerance.
+
+    It is not to be trusted where it does so by far, or where the departure has no size.
+    """
+    from charact.reporting.validation_text import difference_sentence, doubts_of, size_text
+    from charact.validation.thresholds import VALIDATION
+
+    differing = validation.of("differs")
+    first = differing[0]
+    is_far = first.excess > VALIDATION.far
+    whose = "Do not trust the fitted sensor: it" if is_far else "The fitted sensor"
+    size = f"by {size_text(first)} in" if first.departure is not None else "in"
+    sentences = tuple(difference_sentence(statistic) for statistic in differing)
+    return Verdict(
+        status="refused" if is_far else "suspect",
+        heading=f"{whose} differs {size} {first.worst or first.title}",
+        reasons=(*doubts_of(validation), *sentences, *reasons),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from charact.reporting.figure_registry import Figure
-from charact.reporting.number_format import MINUS, short_text
+from charact.reporting.number_format import MINUS
 from charact.reporting.report_images import ReportImage, as_jpeg
 from charact.reporting.validation_figures import (
     deviations_by_statistic,
@@ -18,7 +18,15 @@ from charact.reporting.validation_figures import (
     residual_figure,
     worst_deviations,
 )
+from charact.reporting.validation_text import (
+    headline_of,
+    sentence_of,
+    size_text,
+    tolerance_text,
+)
 from charact.validation import FramePair, Statistic, Validation, ValidationControl
+from charact.validation.statistic import Agreement
+from charact.validation.thresholds import VALIDATION
 
 # Overlays in their order on the page.
 OVERLAYS = (
@@ -32,8 +40,6 @@ OVERLAYS = (
     "mtf",
     "point",
 )
-# Parameters that the sentence of power names at each end.
-NAMED = 3
 # Weakest quality of a JPEG, and most bytes of one: 40 kB are 60 kB in base64.
 LEAST_QUALITY, MOST_BYTES = 40, 40_000
 
@@ -74,7 +80,7 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
     """Return the validation section; `aspect`: row pitch over column pitch of the images."""
     drawn = validation.figures
     return Section(
-        status=_status(validation.passed),
+        status={"agrees": "ok", "differs": "refused", "undecided": "suspect"}[validation.verdict],
         headline=headline_of(validation),
         sentence=sentence_of(validation),
         origin=validation.origin,
@@ -93,97 +99,16 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         power=power_figure(validation),
         columns=(
             "Statistic",
-            "Distance (1 is usual)",
+            "Departure ± 95 %",
+            "Tolerance",
             "p-value (1)",
-            "Fails below (1)",
-            "Deviates most",
+            "Departs in",
             "Verdict",
         ),
         rows=tuple(_row(statistic) for statistic in validation.statistics),
         controls=tuple(_control_row(control) for control in validation.controls),
         missing_figures=missing_figures(drawn.overlays),
-        notes=(
-            *(statistic.note for statistic in validation.statistics if statistic.note),
-            *validation.notes,
-        ),
-    )
-
-
-def _status(passed: bool) -> str:
-    return "ok" if passed else "refused"
-
-
-def headline_of(validation: Validation) -> str:
-    """Return the number of statistics that pass and the state of the controls."""
-    passed = sum(result.passed for result in validation.statistics)
-    nulls, negatives = (
-        [result for result in validation.controls if result.name == name]
-        for name in ("null", "negative")
-    )
-    verdict = "agrees" if validation.passed else "does not agree"
-    nulls_verdict = "hold" if all(result.passed for result in nulls) else "do not hold"
-    noticed = sum(result.passed for result in negatives)
-    return (
-        f"Simulation {verdict}: {passed} of {len(validation.statistics)} statistics pass; null "
-        f"controls {nulls_verdict}; {noticed} of {len(negatives)} negative "
-        "controls noticed"
-    )
-
-
-def sentence_of(validation: Validation) -> str:
-    """Return the errors that an agreement excludes and those it does not, or what deviates most."""
-    return _power_sentence(validation) if validation.passed else _deviation_sentence(validation)
-
-
-def _power_sentence(validation: Validation) -> str:
-    """Return the least errors that would have been found, and the largest that could have been
-    missed.
-    """
-    detectable = sorted(
-        (error for error in validation.power if error.statistic),
-        key=lambda error: error.relative_error,
-    )
-    never = [error.title for error in validation.power if not error.statistic]
-    if not validation.power:
-        return "How large an error it would have found is not known"
-    texts = [f"{error.percent} of {error.title}" for error in detectable]
-    detected_text = "; ".join(texts[:NAMED])
-    missed = "; ".join(
-        [
-            *(f"up to {text}" for text in texts[NAMED:][-NAMED:]),
-            *(f"any of {title}" for title in never),
-        ]
-    )
-    probability = f"{100.0 * validation.power[0].probability:g} %"
-    sentences = (
-        f"In {probability} of cases it would have found an error of {detected_text}"
-        if detected_text
-        else "",
-        f"It could have missed one of {missed}" if missed else "",
-    )
-    return ". ".join(sentence for sentence in sentences if sentence)
-
-
-def _deviation_sentence(validation: Validation) -> str:
-    """Return the likely causes, what deviates most and what may cause it."""
-    likely = "".join(f"Likely cause: {result.note}. " for result in validation.likely_causes)
-    failed = sorted(
-        (result for result in validation.statistics if not result.passed),
-        key=lambda result: -result.distance,
-    )
-    if not failed:
-        return "Every statistic passes; the controls did not come out as they must"
-    first, further = failed[0], len(failed) - 1
-    more = (
-        f"; {further} more statistics differ"
-        if further > 1
-        else "; one more statistic differs"
-        if further
-        else ""
-    )
-    return (
-        f"{likely}It differs most in {first.worst} ({first.name}), which may come from "
-        f"{first.cause}{more}"
+        notes=validation.notes,
     )
 
 
@@ -191,25 +116,37 @@ def _summary(validation: Validation) -> str:
     return (
         f"The camera “{validation.sensor}” was simulated under the conditions of the session "
         f"“{validation.session}”: {validation.draws} posterior draws, seed {validation.seed}, "
-        f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level, "
-        "which holds all of them together to a false alarm in 100 sessions (Holm)."
+        f"{validation.seconds:.0f} s. A departure is no chance where its p-value is low, which "
+        f"happens by chance once in {1.0 / VALIDATION.level:g} sessions (Holm); it matters where "
+        "it is beyond its tolerance."
     )
+
+
+# Colour of a verdict on a statistic.
+STATUS: dict[Agreement, str] = {
+    "agrees": "ok",
+    "within": "ok",
+    "differs": "refused",
+    "unseen": "suspect",
+}
 
 
 def _row(statistic: Statistic) -> dict[str, Any]:
-    where = (
-        statistic.worst
-        if statistic.passed
-        else f"{statistic.worst}; may come from {statistic.cause}"
-    )
+    where, unseen = statistic.worst, len(statistic.unseen)
+    if not statistic.passed:
+        where += f"; may come from {statistic.cause}"
+    if unseen:
+        where += (
+            f"; {unseen} of {len(statistic.labels)} numbers could not have seen their tolerance"
+        )
     cells = (
         statistic.title,
-        f"{statistic.distance:.3g}",
+        size_text(statistic) or "—",
+        tolerance_text(statistic) or "—",
         statistic.p_text,
-        short_text(statistic.level),
         where,
     )
-    return {"cells": cells, "status": _status(statistic.passed)}
+    return {"cells": cells, "status": STATUS[statistic.verdict]}
 
 
 def _control_row(control: ValidationControl) -> dict[str, Any]:

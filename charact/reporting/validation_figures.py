@@ -163,8 +163,8 @@ def deviations(statistic: Statistic) -> NDArray[np.float64]:
     """Return the deviations of a statistic's numbers from their predictions, sd; empty where none
     was measurable.
     """
-    # One that was not measurable names none of its numbers as the worst.
-    if not statistic.measured or statistic.worst not in ("", *statistic.labels):
+    # The probability of one that was not measurable is 0.
+    if not statistic.measured or statistic.p_value == 0.0:
         return np.array([])
     low, high, measured = (
         np.asarray(v, float) for v in (statistic.low95, statistic.high95, statistic.measured)
@@ -208,7 +208,7 @@ def worst_deviations(validation: Validation) -> tuple[Figure, ...]:
     with report_style():
         figure, axes = panel((6.4, 0.9 + 0.22 * len(worst)))
         for row, (_, statistic, z) in enumerate(worst):
-            colour = DATA if statistic.passed else WARN
+            colour = WARN if statistic.verdict == "differs" else DATA
             axes.plot([0.0, z], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt")
             axes.plot([z], [row], "o", color=colour, markersize=4)
         _deviation_axis(axes, max(abs(z) for *_, z in worst), limit)
@@ -219,7 +219,7 @@ def worst_deviations(validation: Validation) -> tuple[Figure, ...]:
             "Measured minus predicted, in standard deviations of the prediction. Dashed: "
             f"{limit:.2g} sd, which the largest of {total} independent numbers exceeds in "
             f"{100.0 * VALIDATION.level:g} % of sessions (Student's t of {validation.draws} "
-            "sets). Red: the statistic of the number fails."
+            "sets). Red: the statistic of the number differs beyond its tolerance."
         )
         return (
             Figure(section="validation", title=title, svg=as_svg(figure, title), caption=caption),
@@ -242,13 +242,15 @@ def deviations_by_statistic(validation: Validation) -> tuple[Figure, ...]:
             positions = (
                 row + np.linspace(-0.25, 0.25, len(pull)) if len(pull) > 1 else np.array([row])
             )
-            axes.plot(pull, positions, "o", color=DATA if statistic.passed else WARN, markersize=3)
+            colour = WARN if statistic.verdict == "differs" else DATA
+            axes.plot(pull, positions, "o", color=colour, markersize=3)
         _deviation_axis(axes, max(float(np.abs(pull).max()) for _, pull in shown))
         axes.set_yticks(range(len(shown)), [statistic.name for statistic, _ in shown], fontsize=7.5)
         axes.set(ylim=(len(shown) - 0.5, -0.5))
         title = "Deviation of each number from its prediction, by statistic"
         caption = (
-            "Measured minus predicted. Band: 95 % of the simulation. Red: the statistic fails."
+            "Measured minus predicted. Band: 95 % of the simulation. Red: the statistic differs "
+            "beyond its tolerance."
         )
         return (
             Figure(section="validation", title=title, svg=as_svg(figure, title), caption=caption),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.observables import Numbers, Observable, observables
 from charact.observables.frame_view import FrameView
+from charact.observables.size import Size
 from charact.validation.frames import MatchedFrames, MatchedStacks
 from charact.validation.simulated_frames import in_parts
 from charact.validation.target_features import SetStacks
@@ -25,9 +26,13 @@ GROUPS: dict[str, Observable[Any]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class FrameFeatures:
-    """Numbers of one set of frames by group, and curves for the overlays."""
+    """Numbers of one set of frames by group, and curves for the overlays.
+
+    `sizes`: what departures of the numbers are measured in, by group and beginning of the label.
+    """
 
     groups: Mapping[str, Numbers]
+    sizes: Mapping[str, Mapping[str, Size]]
     mean_dn: tuple[float, ...]  # signal of each flat above the dark, DN
     variance_dn2: tuple[float, ...]  # variance in time of each flat above the dark's, DN^2
     covariance_dn2: tuple[float, ...]  # its summed covariance above the dark's, DN^2
@@ -53,6 +58,7 @@ def features_of(
             }
             for name, group in GROUPS.items()
         },
+        sizes={name: group.sizes(stacks) for name, group in GROUPS.items()},
         mean_dn=tuple(flat.mean_dn - dark.mean_dn for flat in stacks.flats),
         variance_dn2=tuple(flat.variance_dn2 - dark.variance_dn2 for flat in stacks.flats),
         covariance_dn2=tuple(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.observables import Numbers
+from charact.observables.size import Tolerance
 from charact.validation.controls import (
     FAULTS,
     PARAMETERS,
@@ -20,7 +21,12 @@ from charact.validation.controls import (
     put_fault,
 )
 from charact.validation.figure_data import FigureCurves, curves_of, figures_of
-from charact.validation.frame_features import FrameFeatures, features_of, features_of_parts
+from charact.validation.frame_features import (
+    GROUPS,
+    FrameFeatures,
+    features_of,
+    features_of_parts,
+)
 from charact.validation.frames import (
     MatchedFrames,
     MatchedStacks,
@@ -30,10 +36,10 @@ from charact.validation.frames import (
 from charact.validation.session_bench import measured_bench
 from charact.validation.simulated_frames import simulate_frames
 from charact.validation.statistic import Statistic
-from charact.validation.thresholds import VALIDATION
+from charact.validation.thresholds import TOLERANCES, VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
-from charact.validation.validation_test import ParameterChange, ValidationTest
-from labdata import Camera, Session
+from charact.validation.validation_test import SCORES, ParameterChange, ValidationTest
+from labdata import BadInput, Camera, Session
 
 Frames = Mapping[str, NDArray]
 Progress = Callable[[str, float], None]
@@ -47,6 +53,7 @@ def validate(
     session: Session,
     sensor: Camera,
     *,
+    tolerances: tuple[Tolerance, ...] = (),
     seed: int = 0,
     progress: Progress = lambda sentence, fraction: None,
 ) -> Validation:
@@ -59,6 +66,8 @@ def validate(
     sensor
         Fitted camera; each simulated set is one of its joint posterior draws. One without draws is
         simulated at its values, with a note.
+    tolerances
+        Departures that do not matter, in place of those of `TOLERANCES`.
     seed
         Seed of draws and frames.
     progress
@@ -67,15 +76,17 @@ def validate(
     Returns
     -------
     Validation
-        Statistics at a family-wise level (Holm); null controls, which must pass; negative controls,
-        one parameter or fault each, which must fail; the error of each parameter that would have
-        been found; figure data and pictures.
+        Statistics at a family-wise level (Holm), each with the size of its departure; null
+        controls, which must pass; negative controls, one parameter or fault each, which must fail;
+        the error of each parameter that would have been found; figure data and pictures.
 
     Raises
     ------
     BadInput
-        If the session lacks darks or flats, or names no camera of visible light.
+        If the session lacks darks or flats, or names no camera of visible light, or a tolerance
+        names no statistic.
     """
+    _require_statistics(tolerances)
     watch = Stopwatch()
     progress("measured frames", 0.0)
     chosen = measured_bench(choose(session, sensor.maps), sensor)
@@ -125,12 +136,27 @@ def validate(
         statistics=test.statistics(
             measured.groups,
             features_of_parts(chosen, [(sets.base, sets.first)], context=bench.context),
+            sizes=measured.sizes,
+            tolerances=(*TOLERANCES, *tolerances),
         ),
         controls=controls,
         power=tuple(test.detectable(change) for change in parameters),
         figures=figures,
         notes=chosen.notes if bench.fitted else (*chosen.notes, NO_DRAWS),
+        # A finding of the fit stands in the notes of the camera, its flag first.
+        converged="not-converged" not in {note.partition(":")[0] for note in sensor.notes},
     )
+
+
+def _require_statistics(tolerances: tuple[Tolerance, ...]) -> None:
+    """Raise BadInput for a tolerance of an unknown statistic."""
+    known = (*GROUPS, SCORES)
+    for tolerance in tolerances:
+        if tolerance.statistic not in (None, *known):
+            raise BadInput(
+                f"statistic of a tolerance must be one of {', '.join(known)}, got "
+                f"{tolerance.statistic!r}"
+            )
 
 
 class _Bench:

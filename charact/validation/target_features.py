@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.observables import FrameView, Numbers, Observable, Stacks, observable
+from charact.observables.size import LN_VARIANCE, Size
 from charact.validation.thresholds import VALIDATION
 from labdata import Kind
 from labdata.frames import FrameStack
@@ -49,6 +50,8 @@ class EdgeMtf(Observable[SetStacks]):
     order = 20
     title = "MTF of the edge up to 0.8 of the sampling limit"
     cause = "lens, focus, tube, fibres, video bandwidth, or sharpening"
+    matters = "resolution"
+    size = Size(unit="of MTF", factor=1.0)
     least_sd = 1e-4
 
     def numbers(self, stacks: SetStacks) -> Numbers:
@@ -77,10 +80,14 @@ class EdgeLevels(Observable[SetStacks]):
     order = 21
     title = "Levels on both sides of the edge"
     cause = "veiling glare, halo, ghost images, sharpening, or a nonlinear response"
+    matters = "contrast near bright areas"
     least_sd = 1e-4
 
     def numbers(self, stacks: SetStacks) -> Numbers:
         return {} if stacks.edge is None else edge_features(stacks.edge, stacks.dark.mean_dn)
+
+    def sizes(self, stacks: SetStacks) -> Mapping[str, Size]:
+        return {"ln variance": LN_VARIANCE, "": Size(unit="% of the step")}
 
 
 @observable
@@ -91,6 +98,9 @@ class PointProfile(Observable[SetStacks]):
     order = 22
     title = "Profile of the point source"
     cause = "halo, lens, or saturation of the microchannel plate"
+    matters = "faint objects near bright ones"
+    # Of asinh(level / 1 DN): over the level, or over 1 DN where that is more.
+    size = Size(unit="% of level", of=np.sinh, over=np.cosh)
     least_sd = 0.01
 
     def numbers(self, stacks: SetStacks) -> Numbers:

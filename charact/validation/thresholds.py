@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from charact.observables.size import Tolerance
+
 
 @dataclass(frozen=True)
 class ValidationThresholds:
@@ -20,6 +22,9 @@ class ValidationThresholds:
     # of the measured frames, a control, once in 2000.
     level: float = 0.01
     halves_level: float = 0.0005
+    # Departure over its tolerance from which on a fitted sensor is not to be trusted: tolerances of
+    # purposes differ by about as much.
+    far: float = 3.0
     # Sequential test (Wald 1945) of the share of further posterior draws that fail: that of sound
     # statistics, well above `level`, that of useless ones, and the likelihood ratio at which they
     # count as useless.
@@ -53,3 +58,33 @@ class ValidationThresholds:
 
 
 VALIDATION = ValidationThresholds()
+
+# Departures that matter to no usual purpose, of all statistics and then of single ones.
+TOLERANCES = (
+    # A tenth of the variance, about what read noise and gain of two specimens of a type differ by.
+    Tolerance(unit="% of noise", max=5.0),
+    # What a good light meter is calibrated to.
+    Tolerance(unit="% of level", max=1.0),
+    # Twice the interval of an edge of 16 frames.
+    Tolerance(unit="of MTF", max=0.03),
+    # Rounding of a reading to whole DN.
+    Tolerance(unit="DN", max=1.0),
+    # The least veiling glare of a good lens, 1 to 3 %.
+    Tolerance(unit="% of the step", max=1.0),
+    # A code wider than its neighbours by a tenth.
+    Tolerance(unit="% of values", max=5.0),
+    # Thermal emission doubles within some 7 K.
+    Tolerance(unit="% of events", max=100.0),
+    # What is not twice as high as predicted is no defect among the others.
+    Tolerance(unit="% of their height", max=100.0),
+    # A sum over 169 lags has their noise: variances are held to less by `photon-transfer`.
+    Tolerance(unit="% of noise", max=10.0, statistic="covariance"),
+    # Image lag is seen from some 3 % on.
+    Tolerance(unit="% of noise", max=3.0, statistic="time"),
+    # Stripes, flicker, and a bend of the response are seen where a level alone is not.
+    Tolerance(unit="% of level", max=0.5, statistic="fixed-pattern"),
+    Tolerance(unit="% of level", max=0.5, statistic="rows-and-columns"),
+    Tolerance(unit="% of level", max=0.5, statistic="linearity"),
+    # Halos of two specimens of a type differ by more; rings of the same halo by a tenth.
+    Tolerance(unit="% of level", max=20.0, statistic="point"),
+)

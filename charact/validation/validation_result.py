@@ -4,7 +4,7 @@ arrays.
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.validation.likely_causes import likely_causes
-from charact.validation.statistic import Statistic
+from charact.validation.statistic import Agreement, Statistic
 from charact.verdict import Finding
 from labdata.errors import BadInput
 from labdata.frames import read_only
 
+# "agrees": within all tolerances; "differs": beyond one; "undecided": the fit or a control is in
+# doubt, or a tolerance could not have been seen.
+Verdict = Literal["agrees", "differs", "undecided"]
 NUMBERS, PICTURES = "validation.json", "validation.npz"
 
 
@@ -150,6 +153,8 @@ class Validation:
     same_session
         Whether the camera was fitted to frames of this session, so that its fitted numbers agree by
         construction.
+    converged
+        Whether the posterior of the camera converged.
     """
 
     session: str
@@ -163,6 +168,7 @@ class Validation:
     figures: ValidationFigures = field(default_factory=ValidationFigures)
     notes: tuple[str, ...] = ()
     same_session: bool = False
+    converged: bool = True
 
     @property
     def origin(self) -> str:
@@ -184,28 +190,53 @@ class Validation:
         """Faults of camera or session that the failing statistics show, the likeliest first."""
         return likely_causes(self.statistics)
 
+    def of(self, verdict: Agreement) -> tuple[Statistic, ...]:
+        """Return the statistics with a verdict, the largest departure over its tolerance first."""
+        chosen = [statistic for statistic in self.statistics if statistic.verdict == verdict]
+        return tuple(sorted(chosen, key=lambda statistic: -statistic.excess))
+
+    @property
+    def failed_nulls(self) -> tuple[ValidationControl, ...]:
+        """Null controls that failed."""
+        return tuple(c for c in self.controls if c.name == "null" and not c.passed)
+
+    @property
+    def noticed(self) -> bool:
+        """Whether any negative control was noticed.
+
+        One that was not is no failure: it is an effect that this validation cannot detect.
+        """
+        return any(c.passed for c in self.controls if c.name == "negative")
+
     @property
     def passed(self) -> bool:
-        """Whether every statistic and every null control passed, and any negative control was
-        noticed.
-
-        A negative control that was not noticed is no failure: it is an effect that this validation
-        cannot detect.
+        """Whether no statistic differs beyond its tolerance, and the controls came out as they must
+        for a fit that converged.
         """
-        nulls = [result for result in self.controls if result.name == "null"]
-        noticed = any(result.passed for result in self.controls if result.name == "negative")
-        return noticed and all(result.passed for result in (*self.statistics, *nulls))
+        sound = self.converged and self.noticed and not self.failed_nulls
+        return sound and not self.of("differs")
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the validation says of the fitted camera."""
+        if self.of("differs"):
+            return "differs"
+        return "agrees" if self.passed and not self.of("unseen") else "undecided"
 
 
 def as_json(validation: Validation) -> dict[str, Any]:
     """Return all but the images as JSON-ready mappings."""
 
     def plain(statistics: Iterable[Statistic]) -> list[dict[str, Any]]:
-        return [{**asdict(statistic), "passed": statistic.passed} for statistic in statistics]
+        return [
+            {**asdict(statistic), "passed": statistic.passed, "verdict": statistic.verdict}
+            for statistic in statistics
+        ]
 
     return {
         **vars(validation),
         "passed": validation.passed,
+        "verdict": validation.verdict,
         "likely_causes": [asdict(cause) for cause in validation.likely_causes],
         "notes": list(validation.notes),
         "statistics": plain(validation.statistics),
@@ -310,6 +341,7 @@ def load(folder: str | Path) -> Validation | None:
             figures=figures,
             notes=notes,
             same_session=stored.get("same_session", False),
+            converged=stored.get("converged", True),
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(
@@ -336,11 +368,12 @@ def _figures(stored: dict[str, Any], arrays: dict[str, NDArray]) -> ValidationFi
 
 
 def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:
+    known = {entry.name for entry in fields(Statistic)}
     records: list[dict[str, Any]] = [
         {
             key: tuple(value) if isinstance(value, list) else value
             for key, value in record.items()
-            if key != "passed"
+            if key in known
         }
         for record in stored
     ]

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from charact.observables import Numbers
+from charact.observables.size import Size, Tolerance, size_of, tolerance_of
 from charact.validation.ensemble import Ensemble, ensemble_of, holm_levels
 from charact.validation.frame_features import GROUPS
 from charact.validation.parameter_scores import ParameterScores, parameter_scores
-from charact.validation.statistic import Statistic
-from charact.validation.thresholds import VALIDATION
+from charact.validation.statistic import Statistic, with_departure
+from charact.validation.thresholds import TOLERANCES, VALIDATION
 from charact.validation.validation_result import DetectableError
 from labdata import Array
 
@@ -21,6 +22,7 @@ Groups = Mapping[str, Numbers]
 SCORES = "parameters"
 SCORES_TITLE = "Relative errors of parameters, each as if only it were wrong"
 SCORES_CAUSE = "the named parameter, or one that changes the frames alike"
+SCORES_MATTER = "predictions under other conditions"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +57,15 @@ class ParameterChange:
         """Return the relative error of the parameter of an amount."""
         return float(np.sqrt(1.0 + amount) - 1.0) if self.in_quadrature else amount
 
+    @property
+    def size(self) -> Size:
+        """What its errors are measured in."""
+        # No parameter is below 0: amounts are cut where a square would be.
+        relative = np.vectorize(self.relative, otypes=[float])
+        return Size(
+            unit="% of the parameter", of=lambda amount: relative(np.maximum(amount, -0.49))
+        )
+
     def shift(self, group: str, labels: Sequence[str]) -> Array:
         """Return the shift of numbers of a group by an amount of 1, shape (number,)."""
         changed, plain = self.changed.get(group, {}), self.plain.get(group, {})
@@ -88,6 +99,7 @@ class ValidationTest:
                 )
                 if labels:
                     self._ensembles[name] = labels, ensemble
+        self._draws, self._changes = len(sets), changes
         self._scores = self._scores_of(changes)
         self._count = len(self._ensembles) + (self._scores is not None)
 
@@ -97,21 +109,30 @@ class ValidationTest:
         elsewhere: Mapping[str, Groups] | None = None,
         *,
         level: float = VALIDATION.level,
+        sizes: Mapping[str, Mapping[str, Size]] | None = None,
+        tolerances: tuple[Tolerance, ...] = TOLERANCES,
     ) -> tuple[Statistic, ...]:
         """Return the statistics of a set of numbers; one that it lacks, or that is not finite,
         fails.
 
         `elsewhere` are numbers of some groups from other parts of the same frames by place; of such
-        a group the most deviating part counts. `level`: of all statistics together.
+        a group the most deviating part counts. `level`: of all statistics together; `sizes`: what
+        departures are measured in by group and beginning of the label, none: without departures;
+        `tolerances`: of them, the last one counts.
         """
         least = level / max(1, self._count)
         fields = list(self._compare(numbers, elsewhere or {}, least))
         if self._scores is not None:
             fields.append(self._score(self._scores, numbers))
         levels = holm_levels([statistic["p_value"] for statistic in fields], level)
-        return tuple(
+        statistics = tuple(
             Statistic(**statistic, level=level)
             for statistic, level in zip(fields, levels, strict=True)
+        )
+        scales = self._scales(sizes or {}, tolerances)
+        return tuple(
+            with_departure(statistic, scales.get(statistic.name, {}), self._draws)
+            for statistic in statistics
         )
 
     def detectable(self, change: ParameterChange) -> DetectableError:
@@ -166,7 +187,9 @@ class ValidationTest:
                 "name": name,
                 "title": GROUPS[name].title,
                 "cause": GROUPS[name].cause,
+                "matters": GROUPS[name].matters,
                 "worst": worst,
+                "part": list(groups_by_place)[at],
                 "distance": float(min(distances[at], 1e6)),
                 "p_value": ensemble.p_value(rows, least) if known else 0.0,
                 "least_p": 1.0 / (VALIDATION.most_replicates(least) + 1),
@@ -220,6 +243,7 @@ class ValidationTest:
             "name": SCORES,
             "title": SCORES_TITLE,
             "cause": SCORES_CAUSE,
+            "matters": SCORES_MATTER,
             "worst": scores.titles[int(np.argmax(pulls))] if known else "not measurable",
             "distance": float(min(np.sqrt(np.mean(pulls**2)), 1e6)),
             "p_value": scores.p_value(measured) if known else 0.0,
@@ -228,6 +252,45 @@ class ValidationTest:
             "low95": tuple((-1.96 * scores.sd).tolist()),
             "high95": tuple((1.96 * scores.sd).tolist()),
         }
+
+    def _scales(
+        self, sizes: Mapping[str, Mapping[str, Size]], tolerances: tuple[Tolerance, ...]
+    ) -> dict[str, dict[str, tuple[Size, float]]]:
+        """Return size and tolerance of the numbers of each statistic by label.
+
+        That of a parameter is the error by which the first number departs by its own tolerance.
+        """
+        scales: dict[str, dict[str, tuple[Size, float]]] = {}
+        for name, (labels, _) in self._ensembles.items():
+            known = {label: size_of(label, sizes.get(name, {})) for label in labels}
+            scales[name] = {
+                label: (size, largest)
+                for label, size in known.items()
+                if size and (largest := tolerance_of(name, size.unit, tolerances))
+            }
+        if not any(scales.values()):
+            return {}
+        scales[SCORES] = {
+            change.title: (change.size, 100.0 * change.relative(self._tolerated(change, scales)))
+            for change in self._changes
+        }
+        return scales
+
+    def _tolerated(
+        self, change: ParameterChange, scales: Mapping[str, Mapping[str, tuple[Size, float]]]
+    ) -> float:
+        """Return the amount of a change by which the first number departs by its tolerance."""
+        amounts = [change.largest]
+        for name, (labels, ensemble) in self._ensembles.items():
+            shifts, centre = change.shift(name, labels), ensemble.values.mean(axis=0)
+            for label, shift, predicted in zip(labels, shifts, centre, strict=True):
+                if label in scales[name] and np.isfinite(shift):
+                    size, largest = scales[name][label]
+                    # Linear: by the shift of a hundredth of the change that was tried.
+                    small = 0.01 * change.amount
+                    moved = abs(float(size.departure(predicted + small * shift, predicted)))
+                    amounts.append(largest * abs(small) / max(moved, 1e-12))
+        return min(amounts)
 
     def _shifts(
         self, parameter_change: ParameterChange

@@ -46,11 +46,14 @@ stacks = [
 ]
 
 # %%
-# Each statistic has a probability of a difference as large by chance, and the level below which it
-# counts.
+# Each statistic has a verdict: its departure, in a unit of its own, is within its tolerance or not,
+# and is chance or not.
 validation = charact.validate(charact.session(stacks, sensor=camera), camera, seed=5)
 for one in validation.statistics:
-    print(f"{one.title}: p = {one.p_value:.2g}, {'agrees' if one.passed else 'differs'}")
+    size = (
+        "not measurable" if one.departure is None else f"{one.departure:.2g} {one.departure_unit}"
+    )
+    print(f"{one.name}: {one.verdict}, {size}, p = {one.p_value:.2g}")
 
 # %%
 # One frame of each pair, on the same scale.

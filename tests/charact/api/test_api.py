@@ -210,9 +210,11 @@ FUNCTIONS = (
     charact.fusion_colours,
     drivers.plan_report,
 )
-# Settings whose meaning or default is that of one function: the fitted camera, the visible frame.
+# Settings whose meaning or default is that of one function: the fitted camera and its tolerances,
+# the visible frame.
 OF_ONE_FUNCTION = {
     ("validate", "--sensor"),
+    ("validate", "--limits"),
     ("temperatures", "--sensor"),
     ("fuse", "--method"),
     ("fuse", "--black-dn"),

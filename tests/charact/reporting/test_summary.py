@@ -1,7 +1,6 @@
 """The summary of a session, its front page, and the sheet of EMVA 1288."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -25,6 +24,7 @@ from charact.reporting import (
     summary_of,
     verdict,
 )
+from charact.validation import Statistic, Validation, ValidationControl
 from charact.verdict import Finding, judge
 from labdata import (
     QUANTITIES,
@@ -225,10 +225,40 @@ def numbers(**flags: tuple[str, ...]) -> Result:
     return Result(measurements=tuple(made))
 
 
-def outcome(passed: bool) -> Any:
-    """A validation of one statistic."""
-    return SimpleNamespace(
-        passed=passed, statistics=(SimpleNamespace(title="blur", passed=passed),), controls=()
+def outcome(
+    p_value: float = 0.5, size: float | None = None, half: float = 0.1, **more: Any
+) -> Validation:
+    """A validation of one statistic, with a tolerance of 1 and null and negative control."""
+    of_frames = {"title": "blur of frames", "distance": 1.0, "level": 0.01}
+    statistic = Statistic(
+        **of_frames,
+        name="blur",
+        p_value=p_value,
+        worst="blur of the edge",
+        cause="the lens",
+        matters="resolution",
+        departure=size,
+        departure95=None if size is None else (size - half, size + half),
+        departure_unit="% of noise",
+        tolerance=None if size is None else 1.0,
+    )
+    controls = tuple(
+        ValidationControl(
+            name=name,
+            title=f"{name} frames",
+            statistics=(Statistic(**of_frames, name="point", p_value=more.pop(name, p)),),
+        )
+        for name, p in (("null", 0.5), ("negative", 1e-9))
+    )
+    return Validation(
+        session="s",
+        sensor="fitted",
+        seed=0,
+        draws=20,
+        seconds=1.0,
+        statistics=(statistic,),
+        controls=controls,
+        **more,
     )
 
 
@@ -236,8 +266,18 @@ def outcome(passed: bool) -> Any:
     ("result", "validation", "status", "words"),
     [
         (numbers(), None, "ok", "all 4 leading numbers are ok"),
-        (numbers(), outcome(True), "ok", "simulated frames agree"),
-        (numbers(), outcome(False), "refused", "Do not trust the fitted sensor"),
+        (numbers(), outcome(), "ok", "simulated frames agree"),
+        (numbers(), outcome(1e-6, size=0.5), "ok", "simulated frames agree"),
+        (
+            numbers(),
+            outcome(1e-6, size=1.5),
+            "suspect",
+            "The fitted sensor differs by 1.500 ± 0.10",
+        ),
+        (numbers(), outcome(1e-6, size=4.0), "refused", "Do not trust the fitted sensor: it"),
+        (numbers(), outcome(1e-6), "refused", "Do not trust the fitted sensor"),
+        (numbers(), outcome(size=0.1, half=2.0), "suspect", "the fitted sensor is undecided"),
+        (numbers(), outcome(converged=False), "suspect", "the fitted sensor is undecided"),
         (numbers(prnu=("drift",)), None, "suspect", "Look at 1 of 4"),
         (numbers(prnu=("clipped",), mtf50=("saturated",)), None, "refused", "Do not trust: 2 of 4"),
         (numbers(**dict.fromkeys(UNITS, ("drift",))), None, "refused", "Do not trust: 4 of 4"),
@@ -249,25 +289,19 @@ def test_the_verdict_is_no_better_than_the_numbers(result, validation, status, w
     assert found.status == status and words in found.heading
 
 
-def test_a_validation_that_fails_by_its_controls_names_the_null_control_alone():
-    def control(name: str, *noticed: str, passed: bool) -> SimpleNamespace:
-        return SimpleNamespace(name=name, title=f"{name} frames", passed=passed, noticed_by=noticed)
-
-    statistics = (SimpleNamespace(title="blur", passed=True),)
-    # A negative control that nothing notices is a limit of the validation, no failure.
-    unnoticed = control("negative", passed=False)
-    failed = SimpleNamespace(
-        passed=False,
-        statistics=statistics,
-        controls=(control("null", "point", passed=False), unnoticed),
-    )
+def test_a_validation_in_doubt_names_the_fit_first_and_then_the_null_control_alone():
+    failed = outcome(null=1e-6, negative=0.5)
+    assert failed.verdict == "undecided" and not failed.passed
     assert verdict(SESSION, numbers(), failed).reasons == (
         "a null control did not hold in point: null frames",
+        "no negative control was noticed",
     )
-    blind = SimpleNamespace(
-        passed=False, statistics=statistics, controls=(control("null", passed=True), unnoticed)
+    # A negative control that nothing notices is a limit of the validation, no failure.
+    assert verdict(SESSION, numbers(), outcome(negative=0.5)).reasons == (
+        "no negative control was noticed",
     )
-    assert verdict(SESSION, numbers(), blind).reasons == ("no negative control was noticed",)
+    first, *_ = verdict(SESSION, numbers(), outcome(null=1e-6, converged=False)).reasons
+    assert "not-converged" in first
 
 
 def test_a_reason_names_quantity_finding_and_flag():

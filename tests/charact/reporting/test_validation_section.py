@@ -175,7 +175,8 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
         (
             _validation(),
             "ok",
-            "agrees: 1 of 1 statistics pass; null controls hold; 1 of 1 negative controls noticed",
+            "agrees: 1 of 1 statistics agree within their tolerances; null controls hold; 1 of 1 "
+            "negative controls noticed",
         ),
         (_validation(p_value=1e-4), "refused", "does not agree: 0 of 1"),
         (_validation(negative=0.5), "refused", "0 of 1 negative controls noticed"),
@@ -235,7 +236,8 @@ def test_deviations_are_in_standard_deviations_and_the_worst_come_first():
         _statistic(0.4), measured=(2.0, 3.0), low95=(-1.96, 1.02), high95=(1.96, 4.98)
     )
     assert deviations(statistic) == pytest.approx([2.0, 0.0])
-    unknown = replace(statistic, measured=(0.0, 0.0), worst="not measurable")
+    # The probability of a number that cannot be measured is 0.
+    unknown = replace(statistic, measured=(0.0, 0.0), p_value=0.0)
     assert deviations(unknown).size == 0
     worst = worst_numbers(replace(_validation(), statistics=(unknown, statistic)))
     assert [(label, z) for label, _, z in worst] == [
