@@ -48,6 +48,12 @@ class Size:
         centre = np.array(predicted)
         return self.factor * (self.of(measured) - self.of(centre)) / self.over(centre)
 
+    def about(self, predicted: float) -> "Size":
+        """Return the size of differences of the number, near a predicted one."""
+        return Size(
+            unit=self.unit, of=lambda step: self.departure(predicted + step, predicted), factor=1.0
+        )
+
 
 def relative(unit: Unit, of: Scale = _as_it_is) -> Size:
     """Return the relative size of what a number is a scale of."""
@@ -94,5 +100,6 @@ def tolerance_of(statistic: str, unit: Unit, tolerances: tuple[Tolerance, ...]) 
 
 
 def size_of(label: str, sizes: Mapping[str, Size]) -> Size | None:
-    """Return the size of a number by how its label begins."""
-    return next((size for start, size in sizes.items() if label.startswith(start)), None)
+    """Return the size of a number by its label, else by how that begins."""
+    starts = (size for start, size in sizes.items() if label.startswith(start))
+    return sizes.get(label) or next(starts, None)

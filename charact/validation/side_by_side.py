@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.observables import Numbers
-from charact.observables.size import Tolerance
+from charact.observables.size import Tolerance, size_of
 from charact.validation.controls import (
     FAULTS,
     PARAMETERS,
@@ -110,7 +110,8 @@ def validate(
         [numbers.groups for numbers in sets.features], seed=seed, changes=parameters
     )
     measured = bench.features(chosen.measured)
-    nulls = _null_controls(bench, test, sets, seed)
+    known = (*TOLERANCES, *tolerances)
+    nulls = _null_controls(bench, test, sets, known)
     altered_groups = {
         f"{change.title} {100.0 * change.change:+.0f} %": change.changed for change in parameters
     } | {
@@ -137,7 +138,7 @@ def validate(
             measured.groups,
             features_of_parts(chosen, [(sets.base, sets.first)], context=bench.context),
             sizes=measured.sizes,
-            tolerances=(*TOLERANCES, *tolerances),
+            tolerances=known,
         ),
         controls=controls,
         power=tuple(test.detectable(change) for change in parameters),
@@ -289,21 +290,36 @@ def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _Simulat
 
 
 def _null_controls(
-    bench: _Bench, test: ValidationTest, sets: _SimulatedSets, seed: int
+    bench: _Bench,
+    test: ValidationTest,
+    sets: _SimulatedSets,
+    tolerances: tuple[Tolerance, ...],
 ) -> tuple[ValidationControl, ...]:
     """Return the controls that must pass: further draws, and the halves of long stacks against each
     other.
     """
 
     def of_next_draw() -> tuple[Statistic, ...]:
-        frames = bench.simulate(bench.draw_camera(), bench.draw_seed())
-        return test.statistics(bench.features(frames).groups)
+        features = bench.features(bench.simulate(bench.draw_camera(), bench.draw_seed()))
+        return test.statistics(features.groups, sizes=features.sizes, tolerances=tolerances)
 
     controls = [null_control(NULL, of_next_draw)]
     if sets.halves[0]:
-        halves_test = ValidationTest(list(sets.halves), seed=seed)
+        first = sets.features[0]
+        sizes = {
+            name: {
+                label: size.about(value)
+                for label, value in numbers.items()
+                if (size := size_of(label, first.sizes[name]))
+            }
+            for name, numbers in first.groups.items()
+        }
+        halves_test = ValidationTest(list(sets.halves), seed=bench.context.seed)
         statistics = halves_test.statistics(
-            bench.difference_of_halves(bench.chosen.measured), level=VALIDATION.halves_level
+            bench.difference_of_halves(bench.chosen.measured),
+            level=VALIDATION.halves_level,
+            sizes=sizes,
+            tolerances=tolerances,
         )
         controls.append(ValidationControl(name="null", title=HALVES, statistics=statistics))
     return tuple(controls)

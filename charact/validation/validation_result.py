@@ -28,8 +28,8 @@ class ValidationControl:
     """The same statistics on frames with a known outcome.
 
     "null": frames of the fitted camera itself, or one half of the measured frames against the
-    other, which must pass; "negative": with one parameter changed or a fault put in, which must
-    fail.
+    other, none of which may differ beyond its tolerance; "negative": with one parameter changed or
+    a fault put in, which chance must not explain.
     """
 
     name: Literal["null", "negative"]
@@ -38,13 +38,13 @@ class ValidationControl:
 
     @property
     def noticed_by(self) -> tuple[str, ...]:
-        """Names of the statistics that fail."""
-        return tuple(statistic.name for statistic in self.statistics if not statistic.passed)
+        """Names of the statistics that differ; without tolerances those that fail."""
+        return tuple(s.name for s in self.statistics if s.verdict == "differs")
 
     @property
     def passed(self) -> bool:
         """Whether the control came out as it must."""
-        return all(statistic.passed for statistic in self.statistics) == (self.name == "null")
+        return (not self.noticed_by) == (self.name == "null")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,7 @@ from labdata import BadInput, Result, Session, load_camera
 from tests.charact.cli.runner import charact
 
 # Frames, rows and columns of each stack; noise of the dark, signal and noise of the flat, DN.
-SHAPE, DRAWS = (8, 96, 128), 20
+SHAPE, DRAWS = (8, 64, 192), 20
 BLACK_DN, DARK_SD, SIGNAL_DN, FLAT_SD = 100.0, 4.0, 1000.0, 20.0
 OF_FRAMES = tuple(name for name in GROUPS if name not in ("linearity", "mtf", "edge", "point"))
 Frames = NDArray[np.float64]
@@ -94,25 +94,25 @@ def of_lines(mean_of: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("put", "name", "size", "unit"),
+    ("put", "name", "size", "unit", "lines"),
     [
-        (lambda noise: 1.1 * noise, "photon-transfer", 10.0, "% of noise"),
-        (lambda noise: noise + 1.03 * SIGNAL_DN, "level", 3.0, "% of level"),
-        (tilt, "shading", 2.0, "% of level"),
-        (fixed_columns, "fixed-pattern", of_lines(SHAPE[0] * SHAPE[1]), "% of noise"),
-        (rows_in_time, "rows-and-columns", of_lines(SHAPE[2]), "% of noise"),
+        (lambda noise: 1.1 * noise, "photon-transfer", 10.0, "% of noise", 0),
+        (lambda noise: noise + 1.03 * SIGNAL_DN, "level", 3.0, "% of level", 0),
+        (tilt, "shading", 2.0, "% of level", 0),
+        (fixed_columns, "fixed-pattern", of_lines(8 * 64), "% of noise", 192),
+        (rows_in_time, "rows-and-columns", of_lines(192), "% of noise", 7 * 64),
     ],
 )
 def test_a_departure_put_into_frames_has_its_size(
-    test_of_frames: ValidationTest, put, name: str, size: float, unit: str, seed: int
+    test_of_frames: ValidationTest, put, name: str, size: float, unit: str, lines: int, seed: int
 ) -> None:
     stacks = stacks_of(np.random.default_rng([seed, 1]), put)
     found = statistics_of(test_of_frames, stacks)[name]
     assert found.departure is not None and found.departure95 is not None
     half = (found.departure95[1] - found.departure95[0]) / 2.0
-    # Of the lines, 96 or 128, a sample has a variance of its own.
-    of_sample = 0.2 * 100.0 / np.sqrt(2.0 * 95.0) if name != "level" and size > 10.0 else 0.0
-    assert found.departure == pytest.approx(size, abs=4.5 * (half / 2.0 + of_sample))
+    # A sample of lines has a variance of its own.
+    of_sample = 20.0 / np.sqrt(2.0 * lines) if lines else 0.0
+    assert found.departure == pytest.approx(size, abs=4.5 * np.hypot(half / 2.0, of_sample))
     assert found.departure_unit == unit
     assert found.verdict == "differs"
 
@@ -182,6 +182,10 @@ def test_of_the_numbers_beyond_chance_the_largest_over_its_tolerance_counts() ->
     found = with_departure(statistic, scales, DRAWS)
     assert (found.worst, found.departure, found.verdict) == ("large, right", 3.0, "differs")
     assert found.unseen == ("by chance",)
+    # Where chance explains all, the number shown is one that could have been seen.
+    calm = replace(statistic, p_value=0.5, measured=(0.005, 0.2, 50.0))
+    shown = with_departure(calm, scales, DRAWS)
+    assert (shown.worst, shown.verdict, shown.unseen) == ("sure, right", "agrees", ("by chance",))
 
 
 def test_every_number_has_a_size_but_bits_above_the_noise(seed: int) -> None:
@@ -200,10 +204,14 @@ def test_every_number_has_a_size_but_bits_above_the_noise(seed: int) -> None:
 def test_bands_of_a_spectrum_are_parts_of_the_noise_that_make_up_the_whole(seed: int) -> None:
     """Squares of the parts of all directions sum to that of white noise."""
     sizes = sizes_of(stacks_of(np.random.default_rng(seed)))["noise-spectrum"]
-    parts = [size.of(np.array(1.0)) for name, size in sizes.items() if name.startswith("radial")]
-    of_flat = parts[len(parts) // 2 :]
-    # The column of frequency 0 counts twice in the half plane: 1 % of 96 x 128.
-    assert np.sum(np.square(of_flat)) == pytest.approx(1.0, rel=0.02)
+    for cut, whole in (("radial", 1.0), ("horizontal", 1.0 / 64), ("vertical", 1.0 / 192)):
+        parts = [
+            size.of(np.array(1.0))
+            for name, size in sizes.items()
+            if name.startswith(f"{cut} noise of flat")
+        ]
+        # The column of frequency 0 counts twice in the half plane, the mean not at all.
+        assert np.sum(np.square(parts)) == pytest.approx(whole, rel=0.03), cut
 
 
 def test_a_parameter_may_err_as_far_as_no_number_leaves_its_tolerance(seed: int) -> None:
