@@ -81,6 +81,10 @@ STUDIES = {
         arguments=("--keep", "--simulated", "100", "--workers", "2"),
         about="consistency of the targets of a session: table; 20 minutes",
     ),
+    "power-injection": Study(
+        module="power_injection",
+        about="printed power of a validation against injected errors: table; 8 minutes",
+    ),
     "spectrum-map": Study(
         module="spectrum_map", about="failure map of the noise spectrum: table, figure; 15 minutes"
     ),

@@ -9,6 +9,7 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from charact.validation.controls import PARAMETERS
+from charact.validation.controls import PARAMETERS, detectable_error
 from charact.validation.frame_features import Numbers
 from charact.validation.thresholds import VALIDATION
+from charact.validation.validation_result import DetectableError
 from charact.validation.validation_test import ParameterChange, ValidationTest
 from tests.charact.validation.bench_sets import BenchSets
 
@@ -62,6 +64,11 @@ class PowerStudy:
         """Return the test by the first sets."""
         return ValidationTest(self.sets[:draws], seed=1, changes=self.changes)
 
+    def detectable(self, test: ValidationTest, change: ParameterChange) -> DetectableError:
+        """Return the error of a parameter that is printed."""
+        control = next(one for one in PARAMETERS if one.title == change.title)
+        return detectable_error(test, change, partial(self.bench.change_of, control))
+
 
 def chart(study: PowerStudy) -> list[dict[str, Any]]:
     """Return, by number of sets, the errors found, false alarms of the other sets, and processor
@@ -73,7 +80,7 @@ def chart(study: PowerStudy) -> list[dict[str, Any]]:
             continue
         began = time.process_time()
         test = study.test(draws)
-        found = {one.title: test.detectable(one) for one in study.changes}
+        found = {one.title: study.detectable(test, one) for one in study.changes}
         seconds = time.process_time() - began + draws * study.seconds
         alarms = [any(not one.passed for one in test.statistics(own)) for own in study.sets[draws:]]
         rows.append(
@@ -95,7 +102,7 @@ def verify(study: PowerStudy, tries: int) -> list[dict[str, Any]]:
     test, rows = study.test(VALIDATION.draws), []
     controls = {one.title: one for one in PARAMETERS}
     for index, change in enumerate(one for one in study.changes if one.title in VERIFIED):
-        error = test.detectable(change).relative_error
+        error = study.detectable(test, change).relative_error
         wrong = [
             study.bench.change(WRONG * (index + 1) + i, controls[change.title], error)
             for i in range(tries)

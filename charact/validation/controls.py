@@ -12,7 +12,8 @@ from charact.frames.image_lag import SLOWEST_DECAY
 from charact.validation.frames import Camera, MatchedStacks
 from charact.validation.statistic import Statistic
 from charact.validation.thresholds import VALIDATION
-from charact.validation.validation_result import ValidationControl
+from charact.validation.validation_result import DetectableError, ValidationControl
+from charact.validation.validation_test import ParameterChange, ValidationTest
 
 Frames = NDArray[np.floating]
 
@@ -22,25 +23,58 @@ class ParameterControl:
     """A parameter whose change must be noticed.
 
     `title` says what, `parameters` are its paths, of which the first counts that exists;
-    `in_quadrature`: whether it is the standard deviation of a noise, whose square the numbers
-    follow.
+    `power`: that which the numbers follow: 0, the logarithm, of a gain; 2 of the standard deviation
+    of a noise.
     """
 
     title: str
     parameters: tuple[str, ...]
-    in_quadrature: bool = False
+    power: int = 1
+
+    @property
+    def change(self) -> float:
+        """Relative change by which the numbers are differentiated.
+
+        A gain becomes smaller: no frame leaves the range of digitiser and full well, whose end
+        would hide the effect or pass for one.
+        """
+        return VALIDATION.control_change if self.power else -VALIDATION.control_change
+
+    def path_in(self, camera: Camera) -> str | None:
+        """Return the path of the parameter of a camera; None where it has none, or it is 0."""
+        known = camera.parameters()
+        paths = (path for path in self.parameters if path in known and float(known[path]) != 0.0)
+        return next(paths, None)
+
+    def least_error(self, camera: Camera) -> float:
+        """Return the least relative error that a camera's posterior draws leave to be found.
+
+        The simulated sets differ by as much as the draws do. An error of a fraction of the
+        posterior's width shows only where the other parameters, which vary with this one, are
+        known.
+        """
+        path, draws = self.path_in(camera), camera.draws
+        if path not in draws.names:
+            return 0.0
+        values = np.array([row[draws.names.index(path)] for row in draws.values])
+        return float(VALIDATION.least_of_posterior * values.std() / np.abs(values.mean()))
 
 
 PARAMETERS = (
     ParameterControl(
-        title="sensitivity", parameters=("photocathode.luminous_sensitivity_ua_per_lm",)
+        title="sensitivity",
+        parameters=("photocathode.luminous_sensitivity_ua_per_lm", "ccd.quantum_efficiency"),
+        power=0,
     ),
     ParameterControl(
-        title="gain", parameters=("tube.luminous_gain", "video.conversion_gain_dn_per_e")
+        title="gain",
+        parameters=("tube.luminous_gain", "video.conversion_gain_dn_per_e"),
+        power=0,
     ),
     ParameterControl(
         title="detection probability, as 1/F²",
         parameters=("microchannel_plate.detection_probability",),
+        power=0,
     ),
     ParameterControl(title="blur after the gain", parameters=("tube.post_gain_share",)),
     ParameterControl(
@@ -49,15 +83,13 @@ PARAMETERS = (
     ),
     ParameterControl(title="video bandwidth", parameters=("video.bandwidth_mhz",)),
     ParameterControl(title="slow decay of the phosphor", parameters=SLOWEST_DECAY),
-    ParameterControl(title="read noise", parameters=("ccd.read_noise_e",), in_quadrature=True),
-    ParameterControl(
-        title="noise of rows", parameters=("video.line_noise_dn",), in_quadrature=True
-    ),
+    ParameterControl(title="read noise", parameters=("ccd.read_noise_e",), power=2),
+    ParameterControl(title="noise of rows", parameters=("video.line_noise_dn",), power=2),
     ParameterControl(
         title="dark events: EBI or dark current",
         parameters=("photocathode.ebi_lm_per_cm2", "ccd.dark_current_e_per_s"),
     ),
-    ParameterControl(title="PRNU", parameters=("ccd.prnu",), in_quadrature=True),
+    ParameterControl(title="PRNU", parameters=("ccd.prnu",), power=2),
 )
 
 
@@ -69,16 +101,29 @@ def change_parameter(
 
     A fraction that would exceed 1 is made smaller by as much.
     """
-    known = camera.parameters()
-    path = next(
-        (path for path in control.parameters if path in known and float(known[path]) != 0.0), None
-    )
+    path = control.path_in(camera)
     if path is None:
         return None
-    value = float(known[path])
+    value = float(camera.parameters()[path])
     if path.endswith(("share", "probability")) and value * (1.0 + change) > 1.0:
         change = -change
     return camera.with_values({path: value * (1.0 + change)}), change
+
+
+def detectable_error(
+    test: ValidationTest, change: ParameterChange, change_by: Callable[[float], ParameterChange]
+) -> DetectableError:
+    """Return the error of a parameter that is found, by numbers of about that error.
+
+    `change_by` returns the change of the numbers by a relative change of the parameter. A first
+    estimate is linear over `control_change`, of which errors of blur may be a third; smaller
+    changes than `least_change` would show the noise of the frames.
+    """
+    error = test.detectable(change).relative_error
+    if np.isnan(error):
+        error = 1.0
+    nearer = float(np.clip(error, VALIDATION.least_change, 1.0 - VALIDATION.least_change))
+    return test.detectable(change_by(float(np.copysign(nearer, change.change))))
 
 
 def _hot_pixels(frames: Frames, rng: np.random.Generator) -> Frames:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.validation.thresholds import VALIDATION
 from labdata import Array
@@ -74,19 +75,16 @@ class Ensemble:
             count += len(null)
         return (1 + at_least) / (count + 1)
 
-    def detects(self, shifts: Array, level: float) -> float:
-        """Return the fraction of sets, moved by shifts (number,), whose p-value is below a
-        level.
+    def finds(self, noise: Array, shift: Array, level: float) -> NDArray[np.bool_]:
+        """Return which sets have a p-value below a level, shape (set,).
+
+        `noise`: their deviations from the centre, shape (set, number), to which a shift is added.
         """
-        rng = np.random.default_rng([self.seed, 2])
-        root = np.linalg.cholesky(self.covariance)
-        shifted = (
-            self.values.mean(axis=0)
-            + shifts
-            + rng.standard_normal((400, self.values.shape[1])) @ root.T
-        )
-        ranked = self._ranked(self._deviations(shifted))
-        return float(np.mean(ranked > np.quantile(self._ranked(self.null[:, 0]), 1.0 - level)))
+        null = np.sort(self._ranked(self.null[:, 0]))
+        # As many repetitions may deviate further where (1 + number) / (1 + all) is below the level.
+        further = max(int(np.ceil(level * (1 + len(null)))) - 2, 0)
+        sets = self.values.mean(axis=0) + noise + shift
+        return self._ranked(self._deviations(sets)) > null[-1 - further]
 
     def z_scores(self, measured: Array) -> Array:
         """Return each number's deviation in standard deviations of the prediction, shape

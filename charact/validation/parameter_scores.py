@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labdata import Array
 
@@ -40,15 +41,19 @@ class ParameterScores:
         largest = float(np.max(np.abs(self.estimates(measured)) / self.sd))
         return min(1.0, len(self.titles) * 2.0 * float(t.sf(largest, self.degrees)))
 
-    def detects(self, shifts: Array, level: float) -> float:
-        """Return the probability that sets moved by shifts (number,) have a p-value below a
-        level.
+    def finds(self, noise: Array, shift: Array, level: float) -> NDArray[np.bool_]:
+        """Return which sets have a p-value below a level, shape (set,).
+
+        `noise`: their deviations from the centre, shape (set, number), to which a shift is added.
+        By the covariance that gave the weights estimates scatter less than those of other sets do:
+        they are given the scatter of those.
         """
-        from scipy.stats import nct, t
+        from scipy.stats import t
 
         limit = float(t.isf(level / (2.0 * len(self.titles)), self.degrees))
-        largest = float(np.max(np.abs(self.weights @ shifts) / self.sd))
-        return float(nct.sf(limit, self.degrees, largest))
+        estimates = noise @ self.weights.T
+        pulls = estimates / np.sqrt(np.mean(estimates**2, axis=0)) + self.weights @ shift / self.sd
+        return np.abs(pulls).max(axis=1) > limit
 
 
 def parameter_scores(

@@ -4,6 +4,7 @@ controls.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from charact.validation.controls import (
     PARAMETERS,
     ParameterControl,
     change_parameter,
+    detectable_error,
     null_control,
     put_fault,
 )
@@ -91,21 +93,17 @@ def validate(
     progress("measured frames", 0.0)
     chosen = measured_bench(choose(session, sensor.maps), sensor)
     levels, frames_of_levels = point_levels(session, chosen)
-    changes = [
-        parameter
-        for parameter in PARAMETERS
-        if change_parameter(sensor, parameter, 0.1) is not None
-    ]
+    changes = [parameter for parameter in PARAMETERS if parameter.path_in(sensor) is not None]
     bench = _Bench(
         session,
         chosen,
         sensor,
         seed=seed,
-        steps=VALIDATION.draws + len(changes) + 1,
+        steps=VALIDATION.draws + 2 * len(changes) + 1,
         progress=progress,
     )
     sets = _simulate_sets(bench, levels)
-    parameters = _change_parameters(bench, sets, changes)
+    parameters = tuple(_change_of(bench, sets, control, control.change) for control in changes)
     test = ValidationTest(
         [numbers.groups for numbers in sets.features], seed=seed, changes=parameters
     )
@@ -141,7 +139,10 @@ def validate(
             tolerances=known,
         ),
         controls=controls,
-        power=tuple(test.detectable(change) for change in parameters),
+        power=tuple(
+            detectable_error(test, change, partial(_change_of, bench, sets, control))
+            for control, change in zip(changes, parameters, strict=True)
+        ),
         figures=figures,
         notes=chosen.notes if bench.fitted else (*chosen.notes, NO_DRAWS),
         # A finding of the fit stands in the notes of the camera, its flag first.
@@ -185,15 +186,15 @@ class _Bench:
         )
         self.rng = np.random.default_rng([seed, 7])
         self.fitted = bool(sensor.draws.values)
-        self.chosen, self._sensor = chosen, sensor
+        self.chosen, self.sensor = chosen, sensor
         self._progress, self._steps, self._done = progress, steps, 0
 
     def draw_camera(self) -> Camera:
         """Return the camera of one posterior draw; a name of its own gives it fixed patterns of its
         own.
         """
-        drawn = self._sensor.draw(self.rng) if self.fitted else self._sensor
-        return replace(drawn, name=f"{self._sensor.name}, draw {self.draw_seed()}")
+        drawn = self.sensor.draw(self.rng) if self.fitted else self.sensor
+        return replace(drawn, name=f"{self.sensor.name}, draw {self.draw_seed()}")
 
     def draw_seed(self) -> int:
         """Return the seed of a set of frames."""
@@ -208,20 +209,12 @@ class _Bench:
         self._progress("simulating sets of frames", min(1.0, self._done / self._steps))
         self._done += 1
         return simulate_frames(
-            camera, (*self.chosen.compared, *further), seed=seed, like=self._sensor
+            camera, (*self.chosen.compared, *further), seed=seed, like=self.sensor
         )
 
     def features(self, frames: Frames) -> FrameFeatures:
         """Return the numbers of a set of frames."""
         return features_of(frames, self.chosen, context=self.context)
-
-    def leaves_range(self, frames: Frames) -> bool:
-        """Return whether more pixels of a flat or an edge clip than of a stack that is compared."""
-        shots = (*self.chosen.flats, *filter(None, [self.chosen.edge]))
-        full = self.context.full_scale_dn
-        return any(
-            float(np.mean(frames[shot.label] >= full)) > VALIDATION.most_clipped for shot in shots
-        )
 
     def difference_of_halves(self, frames: Frames) -> dict[str, dict[str, float]]:
         """Return the numbers of every second frame less those of the others; empty where stacks are
@@ -325,28 +318,19 @@ def _null_controls(
     return tuple(controls)
 
 
-def _change_parameters(
-    bench: _Bench, sets: _SimulatedSets, controls: list[ParameterControl]
-) -> tuple[ParameterChange, ...]:
-    """Return the changes of the first set, its draw and seed, by a change of each parameter."""
-    changes = []
-    for control in controls:
-        # The same random numbers: the difference has hardly any noise. Where frames would leave the
-        # range of the digitiser, whose end hides the effect, the parameter becomes smaller.
-        for change in (VALIDATION.control_change, -VALIDATION.control_change):
-            altered = change_parameter(sets.base, control, change)
-            assert altered is not None
-            camera, change = altered
-            frames = bench.simulate(camera, sets.base_seed)
-            if not bench.leaves_range(frames):
-                break
-        changes.append(
-            ParameterChange(
-                title=control.title,
-                plain=sets.features[0].groups,
-                changed=bench.features(frames).groups,
-                change=change,
-                in_quadrature=control.in_quadrature,
-            )
-        )
-    return tuple(changes)
+def _change_of(
+    bench: _Bench, sets: _SimulatedSets, control: ParameterControl, change: float
+) -> ParameterChange:
+    """Return the change of the first set, its draw and seed, by that of a parameter."""
+    # The same random numbers: the difference has hardly any noise.
+    altered = change_parameter(sets.base, control, change)
+    assert altered is not None
+    camera, change = altered
+    return ParameterChange(
+        title=control.title,
+        plain=sets.features[0].groups,
+        changed=bench.features(bench.simulate(camera, sets.base_seed)).groups,
+        change=change,
+        power=control.power,
+        least_error=control.least_error(bench.sensor),
+    )

@@ -31,9 +31,14 @@ class ValidationThresholds:
     sound_share: float = 0.05
     useless_share: float = 0.5
     useless_ratio: float = 1000.0
-    # Relative change of a parameter in its negative control, and probability with which an error
-    # must be found.
+    # Relative change of a parameter in its negative control, the least one by which the numbers are
+    # differentiated (their noise by rounding and by unlike Poisson draws is then 2 % of a shift of
+    # five standard deviations), and probability with which an error must be found.
     control_change: float = 0.3
+    least_change: float = 0.1
+    # Least error that is printed over the standard deviation of the parameter's posterior: less
+    # shows only if the parameters that vary with it are known.
+    least_of_posterior: float = 1.0 / 3.0
     power: float = 0.8
     # Frames of a stack that are compared, of an edge more since it is cropped.
     frames: int = 8

@@ -4,6 +4,7 @@ without its files.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.validation import (
     PARAMETERS,
-    VALIDATION,
     MatchedFrames,
     MatchedStacks,
     Numbers,
@@ -27,14 +27,20 @@ from tests.charact.validation.defects import Defect, Digitiser
 
 Frames = Mapping[str, NDArray]
 
-# Illuminance of the three flats, lux, and conditions.
+# Light of the three flats, lux or photons a pixel where a wavelength is known, and conditions.
 LIGHT: dict[str, tuple[tuple[float, float, float], Conditions]] = {
     "pulnix-ag5745ef3": ((3e-5, 1e-4, 2e-4), Conditions(mcp_v=800.0, gate_ns=1.6e7)),
     "emccd-512": (
         (3e-4, 1e-3, 4e-3),
         Conditions(em_gain=50.0, temperature_c=-20.0, exposure_s=0.025),
     ),
+    "machine-vision": (
+        (2050.0, 7200.0, 15_800.0),
+        Conditions(wavelength_nm=530.0, temperature_c=25.0, exposure_s=0.01),
+    ),
 }
+# Photons a pixel at full scale of the machine-vision camera.
+FULL_SCALE = (4095.0 - 30.0) / 0.33 / 0.6
 # Parameters of the posterior and their relative standard deviation; those of the tube would cost
 # seconds a draw.
 POSTERIOR = {
@@ -56,10 +62,20 @@ class BenchSets:
         Seed of draws and frames.
     shape
         Rows and columns of dark and flats.
+    lights
+        Light of the flats in place of that of `LIGHT`.
     """
 
-    def __init__(self, name: str, *, seed: int, shape: tuple[int, int] = (192, 256)) -> None:
-        lights, conditions = LIGHT[name]
+    def __init__(
+        self,
+        name: str,
+        *,
+        seed: int,
+        shape: tuple[int, int] = (192, 256),
+        lights: tuple[float, ...] = (),
+    ) -> None:
+        usual_lights, conditions = LIGHT[name]
+        lights, photons = lights or usual_lights, conditions.wavelength_nm is not None
         camera = load_camera(name)
         self.camera = camera
         self.seed = seed
@@ -75,7 +91,7 @@ class BenchSets:
         def stack(
             kind: Kind,
             label: str,
-            lux: float | None,
+            light: float | None,
             size: tuple[int, int],
             target: Target,
             count: int,
@@ -83,7 +99,9 @@ class BenchSets:
             return MatchedFrames(
                 label=label,
                 kind=kind,
-                conditions=replace(conditions, illuminance_lux=lux),
+                conditions=replace(
+                    conditions, **{"photons_per_px" if photons else "illuminance_lux": light}
+                ),
                 target=target,
                 frames=count,
                 corner=(0, 0),
@@ -93,12 +111,17 @@ class BenchSets:
         self.chosen = MatchedStacks(
             dark=stack("dark", "dark", None, shape, Target(), 8),
             flats=tuple(
-                stack("flat", label, lux, shape, Target(), 8)
-                for label, lux in zip(("low", "mid", "bright"), lights, strict=True)
+                stack("flat", label, light, shape, Target(), 8)
+                for label, light in zip(("low", "mid", "bright"), lights, strict=True)
             ),
             edge=stack("edge", "edge", lights[-1], (shape[0], 96), Target(angle_deg=5.0), 16),
             point=stack(
-                "point", "point", 300.0 * lights[-1], (128, 128), Target(pinhole_px=3.0), 8
+                "point",
+                "point",
+                (1.0 if photons else 300.0) * lights[-1],
+                (96, 96) if photons else (128, 128),
+                Target(pinhole_px=3.0),
+                8,
             ),
             display_only=(),
             measured={},
@@ -146,23 +169,33 @@ class BenchSets:
         camera, change = altered
         return self.numbers(simulate_frames(camera, self.chosen.compared, seed=seed)), change
 
+    def change_of(self, control: ParameterControl, change: float) -> ParameterChange:
+        """Return the change of set 0 by that of a parameter that the camera has."""
+        altered = self.change(0, control, change)
+        assert altered is not None
+        changed, change = altered
+        return ParameterChange(
+            title=control.title,
+            plain=self.first_numbers,
+            changed=changed,
+            change=change,
+            power=control.power,
+            least_error=control.least_error(self.sensor),
+        )
+
+    @cached_property
+    def first_numbers(self) -> Mapping[str, Numbers]:
+        """Numbers of set 0."""
+        return self.numbers(self.frames(0))
+
+    @property
+    def controls(self) -> tuple[ParameterControl, ...]:
+        """Parameters that the camera has."""
+        return tuple(one for one in PARAMETERS if one.path_in(self.camera) is not None)
+
     def changes(self) -> tuple[ParameterChange, ...]:
         """Return the changes of set 0 by those of the parameters that the camera has."""
-        found, plain = [], self.numbers(self.frames(0))
-        for control in PARAMETERS:
-            altered = self.change(0, control, VALIDATION.control_change)
-            if altered is not None:
-                changed, change = altered
-                found.append(
-                    ParameterChange(
-                        title=control.title,
-                        plain=plain,
-                        changed=changed,
-                        change=change,
-                        in_quadrature=control.in_quadrature,
-                    )
-                )
-        return tuple(found)
+        return tuple(self.change_of(control, control.change) for control in self.controls)
 
     def put(self, frames: Frames, defect: Defect) -> dict[str, NDArray]:
         """Return frames with a defect, in whole DN within the digitiser's range."""

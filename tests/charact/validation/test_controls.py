@@ -13,6 +13,8 @@ from charact.session_measurement import measure
 from charact.validation import PARAMETERS, VALIDATION, side_by_side, validate
 from charact.validation.controls import null_control
 from charact.validation.statistic import Statistic
+from labdata import load_camera
+from labdata.camera.parameters import Draws
 from tests.charact.fitting.test_stranger_camera import SHORT_S, LinearCamera, session_of
 
 FULL = 33_000.0 / 0.94  # photons at full scale
@@ -76,3 +78,15 @@ def test_the_error_of_a_gain_found_is_not_below_its_interval_where_a_flat_nears_
     gain = fitted.parameters()["video.conversion_gain_dn_per_e"]
     (error,) = validate(session, fitted).power
     assert error.relative_error > (gain.high - gain.low) / (2.0 * 1.96) / gain.value / 3.0
+
+
+def test_the_least_error_of_a_parameter_is_a_third_of_the_width_of_its_draws() -> None:
+    gain = next(p for p in PARAMETERS if p.title == "gain")
+    path = "video.conversion_gain_dn_per_e"
+    camera = load_camera("machine-vision")
+    values = float(camera.parameters()[path]) * np.array([0.97, 1.0, 1.03])
+    drawn = replace(camera, draws=Draws(names=(path,), values=tuple((float(v),) for v in values)))
+    assert gain.least_error(drawn) == pytest.approx(0.03 * np.sqrt(2.0 / 3.0) / 3.0)
+    assert gain.least_error(camera) == 0.0
+    # The full well and the digitiser cut what exceeds them: gains are made smaller.
+    assert gain.change < 0.0

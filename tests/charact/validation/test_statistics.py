@@ -42,11 +42,9 @@ def _numbers(rng: np.random.Generator, gain_error: float = 0.0) -> dict[str, Num
     }
 
 
-def _change(change: float, *, in_quadrature: bool = False) -> ParameterChange:
+def _change(change: float, *, power: int = 1) -> ParameterChange:
     plain, changed = _numbers(np.random.default_rng(1)), _numbers(np.random.default_rng(1), change)
-    return ParameterChange(
-        title="gain", plain=plain, changed=changed, change=change, in_quadrature=in_quadrature
-    )
+    return ParameterChange(title="gain", plain=plain, changed=changed, change=change, power=power)
 
 
 def _sets(rng: np.random.Generator) -> list[Mapping[str, Numbers]]:
@@ -93,8 +91,42 @@ def test_the_error_found_of_a_parameter_is_that_of_all_numbers_together(seed: in
     alone = ValidationTest(_sets(rng), seed=seed).detectable(_change(0.3))
     assert alone.statistic in SLOPES
     assert found.relative_error < alone.relative_error
-    noise = test.detectable(_change(0.3, in_quadrature=True))
-    # The same shift by a change of 0.3 is one of 0.69 of the square.
+    noise = test.detectable(_change(0.3, power=2))
+    # The same shift by a change of 0.3 is one of 0.69 of the square, and of 0.26 of the logarithm.
     assert (1.0 + noise.relative_error) ** 2 - 1.0 == pytest.approx(
         found.relative_error * 0.69 / 0.3, rel=0.02
     )
+    gain = test.detectable(_change(0.3, power=0))
+    assert np.log1p(gain.relative_error) == pytest.approx(
+        found.relative_error * np.log(1.3) / 0.3, rel=0.02
+    )
+
+
+def _correlated(rng: np.random.Generator, gain_error: float = 0.0) -> dict[str, Numbers]:
+    """Return numbers that share an error, as those of one posterior draw do."""
+    shared = rng.standard_normal()
+    return {
+        name: {label: value + shared for label, value in group.items()}
+        for name, group in _numbers(rng, gain_error).items()
+    }
+
+
+def test_errors_of_the_printed_size_are_found_as_often_as_printed(seed: int) -> None:
+    """The ensembles that halve correlations, and of one of which the centre is off, do so too."""
+    rng, found, tries, ensembles = np.random.default_rng(seed), 0, 12, 20
+    for number in range(ensembles):
+        sets: list[Mapping[str, Numbers]] = [_correlated(rng) for _ in range(SETS)]
+        test = ValidationTest(sets, seed=seed + number, changes=[_change(0.3)])
+        error = test.detectable(_change(0.3)).relative_error
+        for sign in (1.0, -1.0):
+            wrong = [test.statistics(_correlated(rng, sign * error)) for _ in range(tries // 2)]
+            found += sum(any(not one.passed for one in statistics) for statistics in wrong)
+    print(f"{found} of {ensembles * tries} found")
+    # Sets of one ensemble are correlated: their share has an error of .05.
+    assert found / (ensembles * tries) == pytest.approx(VALIDATION.power, abs=0.15)
+
+
+def test_no_error_is_printed_below_the_least_that_a_posterior_leaves(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    test = ValidationTest(_sets(rng), seed=seed, changes=[_change(0.3)])
+    assert test.detectable(replace(_change(0.3), least_error=0.4)).relative_error == 0.4
