@@ -118,6 +118,7 @@ def sentence_of(validation: Validation) -> str:
 def _deviation_sentence(validation: Validation) -> str:
     """Return the likely causes and what differs most over its tolerance."""
     likely = "".join(f"Likely cause: {result.note}. " for result in validation.likely_causes)
+    likely = likely or "No named cause explains it. "
     first, *further = validation.of("differs")
     names = ", ".join(statistic.name for statistic in further)
     verb = "differs" if len(further) == 1 else "differ"

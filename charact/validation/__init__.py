@@ -1,6 +1,7 @@
 """Validation of a fitted sensor by comparison of simulated with measured frames."""
 
-from charact.validation.controls import FAULTS, PARAMETERS, ParameterControl, change_parameter
+from charact.validation.controls import PARAMETERS, ParameterControl, change_parameter
+from charact.validation.faults import FAULTS
 from charact.validation.frame_features import GROUPS, Numbers, features_of
 from charact.validation.frames import MatchedFrames, MatchedStacks
 from charact.validation.side_by_side import validate

@@ -1,21 +1,24 @@
-"""Controls of the validation: one camera parameter changed a stage, and faults put into the frames
-of one stack.
-"""
+"""Controls of the validation: one camera parameter changed a stage, and further draws."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from charact.estimators.noise.findings import Cause
 from charact.frames.image_lag import SLOWEST_DECAY
-from charact.validation.frames import Camera, MatchedStacks
+from charact.observables import Numbers
+from charact.validation.frames import Camera
+from charact.validation.likely_causes import Alternative
 from charact.validation.statistic import Statistic
 from charact.validation.thresholds import VALIDATION
 from charact.validation.validation_result import DetectableError, ValidationControl
 from charact.validation.validation_test import ParameterChange, ValidationTest
+from labdata import BadInput
 
-Frames = NDArray[np.floating]
+DESCRIBED = Cause(
+    stage="the camera as described or fitted", remedy="a fit to frames that show the parameter"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,54 +129,32 @@ def detectable_error(
     return test.detectable(change_by(float(np.copysign(nearer, change.change))))
 
 
-def _hot_pixels(frames: Frames, rng: np.random.Generator) -> Frames:
-    rows, cols = (rng.integers(size, size=6) for size in frames.shape[1:])
-    frames[:, rows, cols] += 12.0 * frames.std()
-    return frames
+def alternative_of(
+    control: ParameterControl,
+    change: ParameterChange,
+    change_by: Callable[[float], ParameterChange],
+) -> Alternative:
+    """Return the likely cause that a parameter is in error."""
 
+    def numbers_at(size: float) -> Mapping[str, Numbers]:
+        try:
+            return change.changed if size == change.change else change_by(size).changed
+        except BadInput:
+            return {}  # No camera has this value.
 
-def _hum(frames: Frames, rng: np.random.Generator) -> Frames:
-    wave = np.sin(
-        2.0 * np.pi * np.arange(frames.shape[1]) / 17.0 + rng.uniform(0.0, 6.0, (len(frames), 1))
+    return Alternative(
+        name=f"error of {control.title}",
+        cause=DESCRIBED,
+        flag="model-misfit",
+        stacks="all stacks",
+        numbers_at=numbers_at,
+        size=change.change,
+        power=max(1, control.power),
+        two_sided=True,
+        least_size=VALIDATION.least_change - 1.0,
+        scale=100.0,
+        unit="%",
     )
-    return frames + 0.5 * frames.std(axis=0).mean() * wave[:, :, None]
-
-
-def _repeat_frame(frames: Frames, rng: np.random.Generator) -> Frames:
-    frames[-1] = frames[-2]
-    return frames
-
-
-def _shading(frames: Frames, rng: np.random.Generator) -> Frames:
-    y, x = (np.linspace(-1.0, 1.0, size) for size in frames.shape[1:])
-    return frames * (1.0 - 0.1 * (x[None, None, :] ** 2 + y[None, :, None] ** 2))
-
-
-def _flicker(frames: Frames, rng: np.random.Generator) -> Frames:
-    return frames * (1.0 + 0.01 * rng.standard_normal((len(frames), 1, 1)))
-
-
-def _missing_bit(frames: Frames, rng: np.random.Generator) -> Frames:
-    return 2.0 * (frames // 2.0)
-
-
-def _cosmic_rays(frames: Frames, rng: np.random.Generator) -> Frames:
-    rows, cols = (rng.integers(size - 6, size=(len(frames), 3, 1)) for size in frames.shape[1:])
-    step = np.arange(6)
-    frames[np.arange(len(frames))[:, None, None], rows + step, cols + step] += 40.0 * frames.std()
-    return frames
-
-
-# Fault, the stack that has it (dark or brightest flat), and what it does to its frames.
-FAULTS: dict[str, tuple[str, Callable[[Frames, np.random.Generator], Frames]]] = {
-    "hot pixels": ("dark", _hot_pixels),
-    "three cosmic rays a frame": ("dark", _cosmic_rays),
-    "rolling hum of half the noise": ("flat", _hum),
-    "a repeated frame": ("flat", _repeat_frame),
-    "vignetting of 10 %": ("flat", _shading),
-    "lamp flicker of 1 %": ("flat", _flicker),
-    "lowest bit left out": ("flat", _missing_bit),
-}
 
 
 def null_control(title: str, of_next_set: Callable[[], tuple[Statistic, ...]]) -> ValidationControl:
@@ -194,15 +175,3 @@ def null_control(title: str, of_next_set: Callable[[], tuple[Statistic, ...]]) -
         ratio *= useless / sound
         if not 1.0 <= ratio < VALIDATION.useless_ratio:
             return control
-
-
-def put_fault(
-    frames: Mapping[str, NDArray], chosen: MatchedStacks, name: str, rng: np.random.Generator
-) -> dict[str, NDArray]:
-    """Return frames with one fault in one stack, in whole DN within the digitiser's range."""
-    kind, change = FAULTS[name]
-    label = chosen.dark.label if kind == "dark" else chosen.flats[-1].label
-    before = frames[label]
-    top = np.iinfo(before.dtype).max if before.dtype.kind == "u" else np.inf
-    changed = np.clip(np.rint(change(before.astype(float), rng)), 0, top).astype(before.dtype)
-    return {**frames, label: changed}

@@ -1,147 +1,286 @@
-"""Likely causes of a validation that fails: numbers that one fault of camera or grabber moves, and
-the way they go.
+"""Likely causes of a validation that fails: named changes of camera or frames, compared by the
+likelihood of all measured numbers.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.estimators.noise.findings import (
-    AVERAGED,
-    COARSE,
-    CURVED,
-    LAGGING,
-    LENS_OFF_AXIS,
-    OFF_AXIS,
-    SHARPENED,
-    UNSTEADY,
-    Cause,
-)
-from charact.validation.statistic import Statistic
-from charact.validation.thresholds import VALIDATION
+from charact.estimators.noise.findings import Cause
+from charact.observables import Numbers
+from charact.validation.ensemble import Ensemble
+from charact.validation.faults import KNOWN, Fault
+from charact.validation.frames import MatchedStacks
+from charact.validation.thresholds import CAUSES
 from charact.verdict import Finding
 
 Array = NDArray[np.float64]
-# Half of a two-sided 95 % interval of a Gaussian, standard deviations.
-HALF95_SD = 1.96
+Groups = Mapping[str, Numbers]
+# Stacks of a fault in words, where they are not one.
+STACKS = {"all": "all stacks", "lit": "all lit stacks", "flats": "the flats"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Signature:
-    """Effect of a fault on the numbers of one statistic.
+class Alternative:
+    """A named change of camera or frames, of free size.
 
-    `flag`: key of `labdata.flags.FLAGS`; `statistic`, `numbers`: the statistic and how the labels
-    of its numbers begin; `way`: 1 or -1 where they deviate upwards or downwards, 0 either way;
-    `only`: which values show it.
+    Parameters
+    ----------
+    name, cause, flag
+        What it is, the stage with what settles it, and a key of `labdata.flags.FLAGS`.
+    stacks
+        The stacks that have it, in words.
+    numbers_at
+        Returns the numbers of the first simulated set, changed by a size.
+    size, power
+        Size that is simulated first; the numbers follow its power, 0: it has no other size.
+    two_sided, least_size
+        Whether it may be negative, and from what size on.
+    scale, unit
+        Size in the unit that is shown over that of `size`.
     """
 
-    flag: str
-    statistic: str
-    numbers: str
-    way: float = 0.0
-    only: Callable[[Array], NDArray[np.bool_]] = np.isfinite
+    name: str
     cause: Cause
+    flag: str
+    stacks: str
+    numbers_at: Callable[[float], Groups]
+    size: float = 1.0
+    power: int = 1
+    two_sided: bool = False
+    least_size: float = -np.inf
+    scale: float = 1.0
+    unit: str = ""
 
 
-# From the most special to the most general: one of the first also moves numbers of the last.
-SIGNATURES = (
-    Signature(
-        flag="quantised",
-        statistic="histogram",
-        numbers="share of ones of bit",
-        # A bit of a digitiser is always 0 or always 1.
-        only=lambda ones: (ones <= 0.0) | (ones >= 1.0),
-        cause=COARSE,
-    ),
-    Signature(
-        flag="processed",
-        statistic="time",
-        numbers="correlation of dark frames of",
-        way=1.0,
-        # The mean of few frames leaves an anticorrelation.
-        only=lambda correlation: correlation > 0.0,
-        cause=AVERAGED,
-    ),
-    Signature(flag="drift", statistic="time", numbers="drift of", cause=UNSTEADY),
-    Signature(
-        flag="processed",
-        statistic="autocorrelation",
-        numbers="correlation at",
-        way=-1.0,
-        cause=SHARPENED,
-    ),
-    Signature(
-        flag="correlated-noise",
-        statistic="field",
-        numbers="correlation at",
-        way=1.0,
-        cause=OFF_AXIS,
-    ),
-    Signature(
-        flag="model-misfit",
-        statistic="edge",
-        numbers="step over 0.5 to 1.5 px of the edge, ends",
-        way=-1.0,
-        cause=LENS_OFF_AXIS,
-    ),
-    Signature(flag="nonlinear", statistic="linearity", numbers="", cause=CURVED),
-    Signature(
-        flag="lag",
-        statistic="time",
-        numbers="correlation of frames of",
-        way=1.0,
-        cause=LAGGING,
-    ),
-)
+def alternatives_of(
+    frames: Mapping[str, NDArray],
+    chosen: MatchedStacks,
+    numbers_of: Callable[[Mapping[str, NDArray]], Groups],
+    full_dn: float,
+) -> Iterator[Alternative]:
+    """Yield the faults of stacks that a session has, put into the frames of the first set."""
+    for fault in KNOWN:
+        for stacks in fault.stacks:
+            labels = fault.labels(chosen, stacks)
+            if not labels:
+                continue
+
+            def numbers_at(size: float, fault: Fault = fault, stacks: str = stacks) -> Groups:
+                return numbers_of(fault.put_into(frames, chosen, stacks, full_dn, size))
+
+            noise_dn = float(frames[labels[0]].std(axis=0).mean())
+            of_noise = fault.unit == "sd"
+            yield Alternative(
+                name=fault.name,
+                cause=fault.cause,
+                flag=fault.flag,
+                stacks=STACKS.get(stacks, labels[0]),
+                numbers_at=numbers_at,
+                size=fault.size,
+                power=fault.power if fault.unit else 0,
+                two_sided=fault.two_sided,
+                scale=noise_dn if of_noise else 1.0,
+                unit="DN" if of_noise else fault.unit,
+            )
 
 
-def likely_causes(statistics: Iterable[Statistic]) -> tuple[Finding, ...]:
-    """Return the faults whose signatures failing statistics show, the likeliest first; empty where
-    none fails.
+@dataclass(frozen=True, kw_only=True)
+class LikelyCause:
+    """A named change that explains most of how measured numbers deviate from simulated ones.
+
+    `size` is in `unit`, or 1 with none; `explained`: share of the excess of chi-squared that it
+    explains; `probability`: among all alternatives, each as likely before.
+    """
+
+    name: str
+    stacks: str
+    stage: str
+    remedy: str
+    flag: str
+    size: float
+    unit: str
+    explained: float
+    probability: float
+
+    @property
+    def finding(self) -> Finding:
+        """The finding with the size in words."""
+        of_size = f" of {self.size:.2g} {self.unit}" if self.unit else ""
+        return Finding(
+            flag=self.flag,
+            effect=(
+                f"{self.name}{of_size} in {self.stacks} explains {100.0 * self.explained:.0f} % of "
+                f"the deviations: {self.stage}"
+            ),
+            remedy=self.remedy,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fit:
+    """An alternative of a size: chi-squared that is left, logarithm of the likelihood, and the
+    factor by which its shift agrees best.
+    """
+
+    alternative: Alternative
+    size: float
+    factor: float
+    chi_squared: float
+    log_likelihood: float
+
+    @property
+    def agreeing_size(self) -> float:
+        """Size at which the shift would agree as it stands."""
+        step = abs(self.factor) ** (1.0 / self.alternative.power)
+        size = float(np.copysign(self.size * step, self.size * self.factor))
+        return max(size, self.alternative.least_size)
+
+    @property
+    def next_size(self) -> float:
+        """Size to simulate next: a large step would leave the range of the frames."""
+        size, simulated = self.agreeing_size, abs(self.size)
+        low, high = simulated / CAUSES.largest_step, simulated * CAUSES.largest_step
+        return float(np.copysign(np.clip(abs(size), low, high), size))
+
+
+class CauseTest:
+    """Likelihood of measured numbers under named changes of the simulated ones.
+
+    Parameters
+    ----------
+    ensembles
+        Numbers of the simulated sets by group: labels and ensemble.
+    plain
+        Numbers of the first set without a change.
+    measured
+        Measured numbers.
 
     Notes
     -----
-    That a statistic fails is decided by its p-value alone. Of its numbers, one belongs to a
-    signature if it deviates the signature's way by more than Student's quantile of
-    `VALIDATION.level` for the simulated sets.
+    Numbers y of n simulated sets have the mean m and the covariance C, of halved correlations. A
+    change of factor a shifts them by a s. The likelihood is that of Student's distribution of
+    n - 1 degrees,
+
+    .. math:: (1 + r^T C_a^{-1} r / (n - 1))^{-(n - 1 + k) / 2} |C_a|^{-1/2}, r = y - m - a s
+
+    as C is estimated (Anderson, An Introduction to Multivariate Statistical Analysis, 7.7), where
+    C_a has the variances (e a s)^2 besides: no fault is the simulated one exactly.
     """
-    failing = {statistic.name: statistic for statistic in statistics if not statistic.passed}
-    numbers = {
-        signature: _number_of(signature, failing[signature.statistic])
-        for signature in SIGNATURES
-        if signature.statistic in failing
-    }
+
+    def __init__(
+        self,
+        ensembles: Mapping[str, tuple[tuple[str, ...], Ensemble]],
+        plain: Groups,
+        measured: Groups,
+    ) -> None:
+        self._keys = [(name, label) for name, (labels, _) in ensembles.items() for label in labels]
+        values, least_sd = (
+            np.concatenate(
+                [getattr(ensemble, field) for _, ensemble in ensembles.values()], axis=-1
+            )
+            for field in ("values", "least_sd")
+        )
+        known = np.isfinite(self._vector(measured)) & np.isfinite(self._vector(plain))
+        self._known = np.flatnonzero(known)
+        ensemble = Ensemble(values=values[:, known], least_sd=least_sd[known], seed=0)
+        self._sets = len(values)
+        self._covariance = ensemble.covariance * (1.0 + 1.0 / self._sets)
+        self._root = np.linalg.cholesky(self._covariance)
+        self._plain = self._vector(plain)[known]
+        self._gap = self._vector(measured)[known] - ensemble.values.mean(axis=0)
+        self.chi_squared = float(np.sum(_whitened(self._root, self._gap) ** 2))
+
+    def _vector(self, groups: Groups) -> Array:
+        return np.array([groups.get(name, {}).get(label, np.nan) for name, label in self._keys])
+
+    def fit(self, alternative: Alternative, size: float) -> _Fit:
+        """Return how well a change of a size, whose shift may be scaled, agrees with the measured
+        numbers.
+        """
+        shift = np.nan_to_num(self._vector(alternative.numbers_at(size))[self._known] - self._plain)
+        factor, root = 1.0, self._root
+        for _ in range(CAUSES.iterations):
+            if alternative.power:
+                gap, direction = _whitened(root, self._gap, shift).T
+                factor = float(direction @ gap / max(float(direction @ direction), 1e-300))
+            if not alternative.two_sided:
+                factor = max(factor, 0.0)
+            variance = (CAUSES.shift_error * factor * shift) ** 2
+            root = np.linalg.cholesky(self._covariance + np.diag(variance))
+        gap, degrees = self._gap - factor * shift, self._sets - 1.0
+        deviation = float(np.sum(_whitened(root, gap) ** 2)) / degrees
+        return _Fit(
+            alternative=alternative,
+            size=size,
+            factor=factor,
+            chi_squared=float(np.sum(_whitened(self._root, gap) ** 2)),
+            log_likelihood=float(
+                -0.5 * (degrees + gap.size) * np.log1p(deviation) - np.log(np.diag(root)).sum()
+            ),
+        )
+
+    def explained(self, fit: _Fit) -> float:
+        """Return the share that a fit explains of the excess of chi-squared over its numbers."""
+        excess = self.chi_squared - self._gap.size
+        return 1.0 - max(fit.chi_squared - self._gap.size, 0.0) / max(excess, 1e-9)
+
+
+def _whitened(root: Array, *gaps: Array) -> Array:
+    """Return gaps in standard deviations of independent numbers, by the root of a covariance."""
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(root, np.stack(gaps, axis=1), lower=True))
+
+
+def likely_causes(test: CauseTest, alternatives: Iterable[Alternative]) -> tuple[LikelyCause, ...]:
+    """Return the alternatives that explain most of the deviations of the measured numbers, the
+    likeliest first; empty where none does.
+
+    The likeliest are simulated again at the size that agrees best, as numbers are linear in a size
+    over a short range only.
+    """
+    fits = _sorted([test.fit(alternative, alternative.size) for alternative in alternatives])
+    for _ in range(CAUSES.refinements):
+        refined = [
+            test.fit(fit.alternative, fit.next_size)
+            if fit.alternative.power and fit.factor
+            else fit
+            for fit in fits[: CAUSES.refined]
+        ]
+        fits = _sorted(
+            [
+                max(pair, key=lambda fit: fit.log_likelihood)
+                for pair in zip(fits, refined, strict=False)
+            ]
+            + fits[CAUSES.refined :]
+        )
+    if not fits:
+        return ()
+    weights = np.exp([fit.log_likelihood - fits[0].log_likelihood for fit in fits])
     return tuple(
-        signature.cause.finding(signature.flag, number)
-        for signature, number in numbers.items()
-        if number is not None
+        _cause(fit, test.explained(fit), float(weight / weights.sum()))
+        for fit, weight in zip(fits, weights, strict=True)
+        if test.explained(fit) > CAUSES.explained and weight > CAUSES.least_odds
     )
 
 
-def _number_of(signature: Signature, statistic: Statistic) -> str | None:
-    """Return the number that shows a signature most, with its prediction, in words; None where none
-    does.
-    """
-    from scipy.stats import t
+def _sorted(fits: Sequence[_Fit]) -> list[_Fit]:
+    return sorted(fits, key=lambda fit: -fit.log_likelihood)
 
-    rows = [
-        index for index, label in enumerate(statistic.labels) if label.startswith(signature.numbers)
-    ]
-    if not rows or statistic.p_value == 0.0:
-        return None
-    measured, low, high = (
-        np.array(getattr(statistic, name))[rows] for name in ("measured", "low95", "high95")
-    )
-    z = (measured - 0.5 * (low + high)) / ((high - low) / (2.0 * HALF95_SD))
-    deviation = z * signature.way if signature.way else np.abs(z)
-    # No chance of a single number, two-sided, of few sets.
-    limit = t.isf(VALIDATION.level / 2.0, VALIDATION.draws - 1)
-    shown = np.where((deviation > limit) & signature.only(measured), deviation, 0.0)
-    at = int(np.argmax(shown))
-    if shown[at] == 0.0:
-        return None
-    return (
-        f"{statistic.labels[rows[at]]} is {measured[at]:.3g}, not {low[at]:.3g} to {high[at]:.3g}"
+
+def _cause(fit: _Fit, explained: float, probability: float) -> LikelyCause:
+    alternative = fit.alternative
+    return LikelyCause(
+        name=alternative.name,
+        stacks=alternative.stacks,
+        stage=alternative.cause.stage,
+        remedy=alternative.cause.remedy,
+        flag=alternative.flag,
+        size=fit.agreeing_size * alternative.scale if alternative.power else 1.0,
+        unit=alternative.unit,
+        explained=explained,
+        probability=probability,
     )

@@ -14,14 +14,14 @@ from charact.method.stopwatch import Stopwatch
 from charact.observables import Numbers
 from charact.observables.size import Tolerance, size_of
 from charact.validation.controls import (
-    FAULTS,
     PARAMETERS,
     ParameterControl,
+    alternative_of,
     change_parameter,
     detectable_error,
     null_control,
-    put_fault,
 )
+from charact.validation.faults import FAULTS
 from charact.validation.figure_data import FigureCurves, curves_of, figures_of
 from charact.validation.frame_features import (
     GROUPS,
@@ -35,12 +35,13 @@ from charact.validation.frames import (
     choose,
     point_levels,
 )
+from charact.validation.likely_causes import CauseTest, alternatives_of, likely_causes
 from charact.validation.session_bench import measured_bench
 from charact.validation.simulated_frames import simulate_frames
 from charact.validation.statistic import Statistic
 from charact.validation.thresholds import TOLERANCES, VALIDATION
 from charact.validation.validation_result import Validation, ValidationControl
-from charact.validation.validation_test import SCORES, ParameterChange, ValidationTest
+from charact.validation.validation_test import SCORES, Groups, ParameterChange, ValidationTest
 from labdata import BadInput, Camera, Session
 
 Frames = Mapping[str, NDArray]
@@ -113,14 +114,32 @@ def validate(
     altered_groups = {
         f"{change.title} {100.0 * change.change:+.0f} %": change.changed for change in parameters
     } | {
-        name: bench.features(put_fault(sets.first, chosen, name, bench.rng)).groups
-        for name in FAULTS
+        name: bench.numbers(fault.put_into(sets.first, chosen, fault.stacks[0], bench.full_dn))
+        for name, fault in FAULTS.items()
     }
     negatives = (
         ValidationControl(name="negative", title=title, statistics=test.statistics(groups))
         for title, groups in altered_groups.items()
     )
     controls = (*nulls, *negatives)
+    statistics = test.statistics(
+        measured.groups,
+        features_of_parts(chosen, [(sets.base, sets.first)], context=bench.context),
+        sizes=measured.sizes,
+        tolerances=known,
+    )
+    changes_by = [
+        (control, change, partial(_change_of, bench, sets, control))
+        for control, change in zip(changes, parameters, strict=True)
+    ]
+    causes = ()
+    if not all(statistic.passed for statistic in statistics):
+        faults = alternatives_of(sets.first, chosen, bench.numbers, bench.full_dn)
+        errors = (alternative_of(*change_by) for change_by in changes_by)
+        plain = sets.features[0].groups
+        causes = likely_causes(
+            CauseTest(test.ensembles, plain, measured.groups), (*faults, *errors)
+        )
     progress("validated", 1.0)
     measured_set = {**chosen.measured, **frames_of_levels}, measured
     figures = figures_of(
@@ -132,17 +151,12 @@ def validate(
         seed=seed,
         draws=VALIDATION.draws,
         seconds=watch.seconds(),
-        statistics=test.statistics(
-            measured.groups,
-            features_of_parts(chosen, [(sets.base, sets.first)], context=bench.context),
-            sizes=measured.sizes,
-            tolerances=known,
-        ),
+        statistics=statistics,
         controls=controls,
         power=tuple(
-            detectable_error(test, change, partial(_change_of, bench, sets, control))
-            for control, change in zip(changes, parameters, strict=True)
+            detectable_error(test, change, change_by) for _, change, change_by in changes_by
         ),
+        causes=causes,
         figures=figures,
         notes=chosen.notes if bench.fitted else (*chosen.notes, NO_DRAWS),
         # A finding of the fit stands in the notes of the camera, its flag first.
@@ -176,13 +190,13 @@ class _Bench:
         steps: int,
         progress: Progress,
     ) -> None:
-        full = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
+        self.full_dn = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
         self.context = Context(
             seed=seed,
             quick=True,
             camera=session.camera,
             interlaced=session.is_interlaced,
-            full_scale_dn=full,
+            full_scale_dn=self.full_dn,
         )
         self.rng = np.random.default_rng([seed, 7])
         self.fitted = bool(sensor.draws.values)
@@ -215,6 +229,10 @@ class _Bench:
     def features(self, frames: Frames) -> FrameFeatures:
         """Return the numbers of a set of frames."""
         return features_of(frames, self.chosen, context=self.context)
+
+    def numbers(self, frames: Frames) -> Groups:
+        """Return the numbers of a set of frames by group."""
+        return self.features(frames).groups
 
     def difference_of_halves(self, frames: Frames) -> dict[str, dict[str, float]]:
         """Return the numbers of every second frame less those of the others; empty where stacks are

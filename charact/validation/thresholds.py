@@ -93,3 +93,24 @@ TOLERANCES = (
     # Halos of two specimens of a type differ by more; rings of the same halo by a tenth.
     Tolerance(unit="% of level", max=20.0, statistic="point"),
 )
+
+
+@dataclass(frozen=True)
+class CauseThresholds:
+    """Set when a cause of a deviation is named."""
+
+    # Relative error of the shift of a number by a simulated fault: periods, places and forms of
+    # real ones differ. Iterations of the factor, whose errors it scales.
+    shift_error: float = 0.15
+    iterations: int = 2
+    # Alternatives that are simulated again, how often, and the largest factor of a step in size.
+    refined: int = 4
+    refinements: int = 2
+    largest_step: float = 5.0
+    # Least share of the excess of chi-squared, and odds against the likeliest, of a cause that is
+    # named.
+    explained: float = 0.5
+    least_odds: float = 0.05
+
+
+CAUSES = CauseThresholds()

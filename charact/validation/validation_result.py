@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.validation.likely_causes import likely_causes
+from charact.validation.likely_causes import LikelyCause
 from charact.validation.statistic import Agreement, Statistic
 from charact.verdict import Finding
 from labdata.errors import BadInput
@@ -148,6 +148,8 @@ class Validation:
         Measured against simulated, and null and negative controls under the same statistics.
     power
         Errors of parameters that would have been found.
+    causes
+        Named changes that explain most of the deviations, the likeliest first.
     figures, notes
         Curves and pictures, and notes for the reader.
     same_session
@@ -165,6 +167,7 @@ class Validation:
     statistics: tuple[Statistic, ...]
     controls: tuple[ValidationControl, ...]
     power: tuple[DetectableError, ...] = ()
+    causes: tuple[LikelyCause, ...] = ()
     figures: ValidationFigures = field(default_factory=ValidationFigures)
     notes: tuple[str, ...] = ()
     same_session: bool = False
@@ -188,7 +191,7 @@ class Validation:
     @property
     def likely_causes(self) -> tuple[Finding, ...]:
         """Faults of camera or session that the failing statistics show, the likeliest first."""
-        return likely_causes(self.statistics)
+        return tuple(cause.finding for cause in self.causes)
 
     def of(self, verdict: Agreement) -> tuple[Statistic, ...]:
         """Return the statistics with a verdict, the largest departure over its tolerance first."""
@@ -237,6 +240,7 @@ def as_json(validation: Validation) -> dict[str, Any]:
         **vars(validation),
         "passed": validation.passed,
         "verdict": validation.verdict,
+        "causes": [asdict(cause) for cause in validation.causes],
         "likely_causes": [asdict(cause) for cause in validation.likely_causes],
         "notes": list(validation.notes),
         "statistics": plain(validation.statistics),
@@ -338,6 +342,7 @@ def load(folder: str | Path) -> Validation | None:
             statistics=statistics,
             controls=controls,
             power=power,
+            causes=tuple(LikelyCause(**cause) for cause in stored.get("causes", ())),
             figures=figures,
             notes=notes,
             same_session=stored.get("same_session", False),

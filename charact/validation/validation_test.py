@@ -228,6 +228,11 @@ class ValidationTest:
                 "high95": tuple((centre + 1.96 * ensemble.sd).tolist()),
             }
 
+    @property
+    def ensembles(self) -> Mapping[str, tuple[tuple[str, ...], Ensemble]]:
+        """Labels and ensemble of each group of numbers that is compared."""
+        return self._ensembles
+
     @cached_property
     def _stacked(self) -> tuple[Array, Array]:
         """Numbers of all statistics of the simulated sets, shape (set, number), and their least

@@ -196,7 +196,9 @@ def test_an_agreement_says_what_it_could_have_seen_and_a_difference_where_it_is(
     )
     where = replace(differs.statistics[0], worst="covariance", cause="hum")
     sentence = sentence_of(replace(differs, statistics=(where,)))
-    assert sentence == "It differs most in covariance (noise), which may come from hum"
+    assert sentence == (
+        "No named cause explains it. It differs most in covariance (noise), which may come from hum"
+    )
 
 
 def test_the_page_says_whether_the_camera_was_fitted_to_the_same_session(made):

@@ -18,6 +18,7 @@ from charact.reporting.validation import sentence_of
 from charact.session_measurement import measure
 from charact.validation import FAULTS, PARAMETERS, VALIDATION, Statistic, Validation, as_json
 from charact.validation import side_by_side as command
+from charact.validation.likely_causes import LikelyCause
 from labdata import FLAGS, BadInput, FrameStack, LoadedStackEntry, Result, Session
 from tests.charact.cli.runner import charact
 from tests.charact.validation import defects
@@ -211,31 +212,25 @@ def validation_of(*statistics: Statistic) -> Validation:
     )
 
 
-def test_causes_are_named_by_the_way_that_their_numbers_go_and_only_where_a_statistic_fails() -> (
-    None
-):
-    sharpened = statistic_of("autocorrelation", "correlation at 0,1 px of flat", -6.0)
-    blurred = statistic_of("autocorrelation", "correlation at 0,1 px of flat", 6.0)
-    averaged = statistic_of("time", "correlation of dark frames of dark, 1 apart", 6.0)
-    assert [one.flag for one in validation_of(sharpened).likely_causes] == ["processed"]
-    assert validation_of(blurred).likely_causes == ()
-    assert validation_of(replace(sharpened, p_value=0.5)).likely_causes == ()
-    # Frames averaged are named before what they do to the noise.
-    both = validation_of(
-        sharpened, averaged, statistic_of("linearity", "signal of low over high", 5.0)
-    ).likely_causes
-    assert [one.flag for one in both] == ["processed", "processed", "nonlinear"]
-    assert "averaged" in both[0].effect
-    # Less anticorrelated than predicted is no average.
-    less = replace(averaged, measured=(-0.1,), low95=(-0.15,), high95=(-0.14,))
-    assert validation_of(less).likely_causes == ()
-    assert "is 6, not -1.96 to 1.96" in both[0].effect
-
-
 def test_likely_causes_are_part_of_the_document_of_the_page_and_of_the_printed_lines(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    validation = validation_of(statistic_of("linearity", "signal of low over high", 5.0))
+    bend = LikelyCause(
+        name="bend of the response",
+        stacks="all lit stacks",
+        stage="a nonlinear amplifier",
+        remedy="a gamma of 1",
+        flag="nonlinear",
+        size=2.04,
+        unit="%",
+        explained=0.913,
+        probability=0.99,
+    )
+    validation = replace(
+        validation_of(statistic_of("linearity", "signal of low over high", 5.0)), causes=(bend,)
+    )
+    assert "bend of the response of 2 % in all lit stacks explains 91 %" in bend.finding.effect
+    assert as_json(validation)["causes"][0]["size"] == 2.04
     assert [one["flag"] for one in as_json(validation)["likely_causes"]] == ["nonlinear"]
     cause = validation.likely_causes[0].note
     assert sentence_of(validation).startswith(f"Likely cause: {cause}. It differs most in ")
