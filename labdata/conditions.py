@@ -1,12 +1,14 @@
 """Conditions of a stack: gain, gate, exposure, light and temperatures."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Generic, TypedDict, TypeVar
 
 from labdata.errors import check, check_range
 
 # Booleans; every other condition is a number.
 SWITCHES = ("automatic_gain", "brightness_control")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +72,61 @@ class Conditions:
         check_range(self, -200.0, 200.0, "camera_gain_db")
         check_range(self, -200.0, 150.0, "temperature_c")  # plausible for a camera
         check_range(self, -200.0, 3000.0, "blackbody_c", "background_c")
+
+
+class ConditionSettings(TypedDict, Generic[T], total=False):
+    """Conditions as parameters of a function: numbers, or what stands for one; see `Conditions`."""
+
+    exposure_s: T
+    mcp_v: T
+    gate_ns: T
+    illuminance_lux: T
+    illuminance_relative_sd: T
+    photons_per_px: T
+    camera_gain_db: T
+    temperature_c: T
+    wavelength_nm: T
+    automatic_gain: bool
+    brightness_control: bool
+    em_gain: T
+    gain_control: T
+    lamp_a: T
+    metered_w: T
+    metered_lux: T
+    metered_time_s: T
+    temperature_time_s: T
+    luminous_gain: T
+    luminous_gain_relative_sd: T
+    filter_density: T
+    blackbody_c: T
+    background_c: T
+
+
+class StackConditions(ConditionSettings[float], total=False):
+    """Fields of `labdata.conditions.Conditions`, such as `exposure_s` and `photons_per_px`
+    (default: by the header of a file).
+    """
+
+
+class FlatConditions(ConditionSettings[float | Sequence[float]], total=False):
+    """Fields of `labdata.conditions.Conditions` of frames in memory: a number for all stacks (of
+    light: for the flats), or a sequence with one number for each flat.
+    """
+
+
+class CameraSettings(TypedDict, total=False):
+    """Settings of the camera as for `simulate.conditions_of`, such as `gain` and `gate_ns`."""
+
+    gain: float
+    mcp_v: float
+    gain_control: float
+    gate_ns: float
+    illuminance_lux: float
+    wavelength_nm: float
+    camera_gain_db: float
+    temperature_c: float
+    automatic_gain: bool
+    brightness_control: bool
 
 
 def flat_conditions(record: Conditions) -> dict[str, Any]:

@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.short_repr import short_repr
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 BLOCK_BYTES = 2**26  # Bytes of frames processed in one block
+# Largest magnitude of a pixel: up to here doubles count whole numbers, and squares are finite.
+LARGEST_PIXEL = 2.0**53
 
 
 def read_only(array: NDArray) -> NDArray:
@@ -57,6 +60,8 @@ class FrameStack:
     #: First row and column in the file: a non-finite border is cut off
     origin: tuple[int, int] = 0, 0
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         data = np.asarray(self.data)
         if data.ndim != 3:
@@ -66,10 +71,11 @@ class FrameStack:
         if data.size == 0:
             raise BadInput(f"a frame stack must hold at least one pixel, got shape {data.shape}")
         if data.dtype.kind == "f" and (
-            bad := sum(int(np.count_nonzero(~np.isfinite(b))) for b in blocks(data))
+            bad := sum(int(np.count_nonzero(~(np.abs(b) < LARGEST_PIXEL))) for b in blocks(data))
         ):
             raise BadInput(
-                f"every pixel must be finite, got {bad} that are NaN or infinite of {data.size}"
+                f"every pixel must be finite and below {LARGEST_PIXEL:.1e}, got {bad} of "
+                f"{data.size} that are NaN, infinite or larger: scale the frames to DN"
             )
         if data.dtype.kind not in "uif":
             raise BadInput(f"pixels must be whole or real numbers, got the type {data.dtype}")

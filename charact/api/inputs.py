@@ -3,9 +3,10 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Unpack
 
 from charact.api.settings import BlackDn, Frames, SourceFrames
+from labdata.conditions import StackConditions
 from labdata.errors import BadInput
 from labdata.settings import (
     Argument,
@@ -46,6 +47,7 @@ def frames_of(
     """
     from labdata import FrameStack, read_array, read_frames
 
+    plane, axis, extension = map(_text, (plane, axis, extension))
     if extension is not None and not isinstance(source, str | Path | FrameStack):
         raise BadInput(f"`extension` chooses a picture of a file, got {extension!r} for an array")
     if isinstance(source, FrameStack):
@@ -65,6 +67,11 @@ def frames_of(
     return replace(frames, black_level_dn=black_dn)
 
 
+def _text(number: str | int | None) -> str | None:
+    """Return a plane, axis or extension as the readers take it."""
+    return None if number is None else str(number)
+
+
 @documented
 def stack(
     frames: SourceFrames,
@@ -74,13 +81,7 @@ def stack(
     target: Annotated[
         "Target | None", Argument("The target, for bars with frequency and number.")
     ] = None,
-    **conditions: Annotated[
-        Any,
-        Argument(
-            "Fields of `labdata.conditions.Conditions`, such as `exposure_s` and `photons_per_px` "
-            "(default: by the header of a file)."
-        ),
-    ],
+    **conditions: Unpack[StackConditions],
 ) -> "StackEntry":
     """Return a stack of a session, with its frames in memory.
 
@@ -92,10 +93,9 @@ def stack(
     """
     from labdata import Conditions, LoadedStackEntry, Target
     from labdata.header_conditions import with_headers
+    from labdata.target import kind_of
 
-    known = set(Conditions.__dataclass_fields__)
-    if unknown := sorted(set(conditions) - known):
-        raise BadInput(f"a condition must be one of {', '.join(sorted(known))}, got {unknown[0]!r}")
+    kind = kind_of(kind)
     files = [Path(frames)] if isinstance(frames, str | Path) else []
     in_force, from_headers, _ = with_headers(Conditions(**conditions), files, label=label or kind)
     return LoadedStackEntry(
@@ -237,9 +237,9 @@ def flats_of(
         frames=file.name,
         conditions=Conditions(),
         folder=file.parent,
-        axis=axis,
-        plane=plane,
-        extension=extension,
+        axis=_text(axis),
+        plane=_text(plane),
+        extension=_text(extension),
         partial=partial,
     )
     return Session(folder=file.parent, name=file.name, stacks=(entry,), camera=camera_of(sensor))

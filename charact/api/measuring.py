@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 from charact.api.inputs import (
     flats_of,
@@ -20,7 +20,6 @@ from charact.api.settings import (
     Bars,
     BitDepth,
     BlackDn,
-    FlatConditions,
     Frames,
     MaxTargets,
     MethodName,
@@ -31,6 +30,7 @@ from charact.api.settings import (
     WithinPercent,
     amplifier_of,
 )
+from labdata.conditions import FlatConditions
 from labdata.errors import BadInput
 from labdata.settings import (
     Argument,
@@ -113,8 +113,8 @@ def mtf(
     >>> row, col = np.mgrid[:60, :80]
     >>> edge = 1000 + 400 * erf((col - 40 + 0.1 * (row - 30)) / 1.5)
     >>> frame = np.random.default_rng(1).poisson(edge)
-    >>> print(f"{mtf(frame, method='edge-slanted').mtf50.value:.2f}")
-    0.18
+    >>> print(f"{mtf(frame, method='edge-slanted').mtf50.value:.1f}")
+    0.2
     """
     from charact.api.analysis import Analysis
     from charact.estimators.mtf import measure, measure_all, measure_flats
@@ -173,7 +173,7 @@ def noise(
     amplifier: Amplifier = "all",
     scheduler: Scheduler = None,
     progress: ProgressSink = ignore_progress,
-    **conditions: FlatConditions,
+    **conditions: Unpack[FlatConditions],
 ) -> "Analysis":
     """Measure noise against gain from flats and darks.
 
@@ -196,7 +196,9 @@ def noise(
     from charact.session_measurement import measure_noise
 
     if source is None:
-        measured = _session_of_flats(flats, darks, conditions, sensor=sensor, bit_depth=bit_depth)
+        measured = _session_of_flats(
+            flats, darks, dict(conditions), sensor=sensor, bit_depth=bit_depth
+        )
     elif len(flats) or len(darks) or conditions:
         raise BadInput("noise takes a session, or flats and darks with their conditions, got both")
     else:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 from charact.api.inputs import camera_of, session_of
 from charact.api.measuring import measure
@@ -11,6 +11,7 @@ from charact.api.settings import (
     SavedResult,
     SourceSession,
 )
+from labdata.conditions import CameraSettings
 from labdata.errors import BadInput
 from labdata.settings import (
     Argument,
@@ -198,12 +199,7 @@ def simulate(
         Argument("Target on the bench, as for `simulate.SimulationRequest`."),
     ] = None,
     progress: ProgressSink = ignore_progress,
-    **conditions: Annotated[
-        Any,
-        Argument(
-            "Settings of the camera as for `simulate.conditions_of`, such as `gain` and `gate_ns`."
-        ),
-    ],
+    **conditions: Unpack[CameraSettings],
 ) -> "FrameStack":
     """Simulate frames of an image or a scene by a described camera.
 

@@ -63,7 +63,7 @@ PinholePx = Annotated[
     float | None, Setting("Diameter of the pinhole's image, px (default: ideal point).")
 ]
 Amplifier = Annotated[
-    str,
+    str | int,
     Setting(
         "Amplifier whose noise is measured: its number, from 1 by rows, or all (the chip, and each "
         "amplifier that darks and flats show).",
@@ -77,13 +77,6 @@ Scheduler = Annotated[
 BitDepth = Annotated[
     int | None,
     Argument("Bits of the digitiser of frames in memory (default: found from the data)."),
-]
-FlatConditions = Annotated[
-    "float | Sequence[float]",
-    Argument(
-        "Fields of `labdata.conditions.Conditions` of frames in memory: a number for all stacks "
-        "(of light: for the flats), or a sequence with one number for each flat."
-    ),
 ]
 FittedSensor = Annotated[
     "str | Path | Camera | None",

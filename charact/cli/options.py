@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from typer.models import OptionInfo
 
-from labdata.settings import Setting, declaration_of, default_option
+from labdata.settings import Setting, declaration_of, default_option, parameters_of
 
 if TYPE_CHECKING:
     from charact.reporting.frequency_unit import FrequencyUnit
@@ -75,7 +75,7 @@ def verb(
     called = {
         name: parameter
         for function in functions
-        for name, parameter in inspect.signature(function).parameters.items()
+        for name, parameter in parameters_of(function).items()
         if isinstance(declaration_of(parameter.annotation), Setting) and name not in without
     }
 
@@ -141,7 +141,8 @@ def _type_of_option(annotation: Any) -> Any:
     kinds = set(get_args(declared)) or {declared}
     if kinds > {str, Path}:
         return Path | None
-    return declared if kinds <= PLAIN else str | None
+    several = len(kinds - {type(None)}) > 1
+    return declared if kinds <= PLAIN and not several else str | None
 
 
 def frequency_unit(

@@ -114,7 +114,7 @@ TWO = np.zeros((2, 2, 2))
         (lambda: FrameStack(data=np.zeros((0, 3, 4))), "at least one pixel"),
         (
             lambda: FrameStack(data=np.full((1, 2, 2), np.nan)),
-            "must be finite, got 4 that are NaN or infinite of 4",
+            "got 4 of 4 that are NaN, infinite or larger: scale the frames",
         ),
         (
             lambda: FrameStack(data=np.zeros((1, 2, 2), bool)),
