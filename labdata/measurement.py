@@ -1,6 +1,7 @@
 """Measurements with interval, status and provenance, their curves and posterior."""
 
 from dataclasses import dataclass, field, replace
+from textwrap import shorten
 from typing import Any, Literal
 
 import numpy as np
@@ -8,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata import flags as vocabulary
 from labdata.frames import read_only
+from labdata.number_format import plus_minus
 from labdata.quantity import QUANTITIES
+from labdata.short_repr import WIDTH, short_repr
 
 Status = Literal["ok", "suspect", "refused"]
 Interval = tuple[float, float]
@@ -35,6 +38,8 @@ class Posterior:
     sampler: Literal["emcee", "laplace", "importance", "slice"] = "emcee"
     seed: int = 0  #: Seed of the draws
     flags: tuple[str, ...] = ()  #: Reasons to distrust it
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         draws = np.asarray(self.draws, float)
@@ -79,6 +84,8 @@ class Provenance:
     #: SHA-256 of each input file, by path as given; see `labdata.session`
     inputs: dict[str, str] = field(default_factory=dict)
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
@@ -121,6 +128,19 @@ class Measurement:
             raise ValueError(f"{self.quantity} must be a finite number, got {self.value}")
         if self.status != "refused" and (self.status == "ok") == bool(self.flags):
             raise ValueError(f"{self.quantity} is {self.status} with flags {self.flags}")
+
+    def __repr__(self) -> str:
+
+        where = (
+            "" if self.frequency_cy_per_px is None else f" at {self.frequency_cy_per_px:.4g} cy/px"
+        )
+        if self.value is None:
+            return shorten(
+                f"{self.quantity}{where} refused: {self.reason}", WIDTH, placeholder=" …"
+            )
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        verdict = ": ".join((self.status, *filter(None, (", ".join(self.flags),))))
+        return f"{self.quantity}{where} = {plus_minus(self)}{unit}, {verdict}"
 
     def with_(self, **changes: Any) -> "Measurement":
         """Return a copy with fields changed; flags are added and change the status to suspect."""
@@ -197,6 +217,8 @@ class Curve:
     #: frequencies; None where there are none. Not written to files
     draws: NDArray[np.float64] | None = None
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
@@ -208,6 +230,8 @@ class Result:
     curves: dict[str, Curve] = field(default_factory=dict)
     #: Figure data by name: JSON-ready mappings of lists and numbers (profiles, fits, residuals)
     evidence: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def __add__(self, other: "Result") -> "Result":
         return Result(

@@ -15,6 +15,7 @@ from labdata.file_io import require_regular
 from labdata.frames import FrameStack, LazyStack, View, concatenated
 from labdata.sensors import load_camera
 from labdata.serialiser import from_toml
+from labdata.short_repr import short_repr
 from labdata.target import Kind, Target
 
 MANIFEST = "session.toml"
@@ -137,6 +138,8 @@ class StackEntry:
     #: How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are
     view: View | None = None
 
+    __repr__ = short_repr
+
     @property
     def paths(self) -> tuple[Path, ...]:
         """Paths of the files or arrays that hold the frames."""
@@ -216,6 +219,8 @@ class LoadedStackEntry(StackEntry):
 
     kept: FrameStack  #: The frames
 
+    __repr__ = short_repr
+
     def read_files(self, plane: str | None = None) -> FrameStack:
         """Return the frames; `plane` has no effect."""
         return self.kept
@@ -246,6 +251,8 @@ class Session:
     #: description
     interlaced: bool | None = None
     notes: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     def of_kind(self, *kinds: Kind) -> tuple[StackEntry, ...]:
         """Return the stacks of the given kinds."""

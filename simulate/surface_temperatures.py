@@ -24,6 +24,7 @@ from labdata.settings import (
     documented,
     ignore_progress,
 )
+from labdata.short_repr import short_repr
 
 if TYPE_CHECKING:
     from simulate.radiance.outdoor.scene import OutdoorScene
@@ -57,6 +58,8 @@ class SurfaceTemperatures(Result):
     input_errors_mk: Mapping[str, float]  #: Largest change by 1 sd of each uncertain input, mK
     slabs: Mapping[str, Mapping[str, Any]]  #: Label and parameters of the slab of OBJECT:MATERIAL
     notes: tuple[str, ...]  #: Remarks on the weather
+
+    __repr__ = short_repr
 
     def table(self) -> str:
         """Return the temperatures by hours as CSV: hour, air_c, and OBJECT:MATERIAL_c each."""

@@ -1,9 +1,9 @@
 """Result of an analysis in a script or notebook: quantities as attributes, plot, table, export."""
 
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from charact.reporting.number_format import plus_minus
 from charact.reporting.summary import summary_of
 from labdata import QUANTITIES, BadInput, Measurement, Result, Session
 
@@ -27,7 +27,7 @@ class Analysis(Result):
     >>> found.mtf50.value
     0.2
     >>> found
-    <Analysis: mtf50 0.2000 ± 0.0020 cy/px ok>
+    <Analysis: mtf50 = 0.20000 ± 0.00196 cy/px, ok>
     """
 
     source: str = "array"  #: File or session measured
@@ -79,10 +79,7 @@ class Analysis(Result):
 
     def __repr__(self) -> str:
         valued = [m for m in self.measurements if m.value is not None]
-        shown = [
-            f"{m.quantity} {plus_minus(m)}{'' if m.unit == '1' else ' ' + m.unit} {m.status}"
-            for m in valued[:SHOWN]
-        ]
+        shown = map(repr, valued[:SHOWN])
         more = [f"{len(valued) - SHOWN} more"] if len(valued) > SHOWN else []
         refused = len(self.measurements) - len(valued)
         return (
@@ -99,15 +96,20 @@ class Analysis(Result):
 
         return fragment(self)
 
-    def plot(self, path: str | None = None, *, axes: Any = None) -> Any:
-        """Plot the curves with their 95 % bands.
+    def plot(
+        self, path: str | Path | None = None, *, kind: str | None = None, axes: Any = None
+    ) -> Any:
+        """Plot the curves with their 95 % bands, or another figure of the report.
 
         Parameters
         ----------
         path
             File to save the figure to: .png, .svg or .pdf; None: none.
+        kind
+            "curves", or a name of `evidence`, such as "photon-transfer"; None: the curves of an
+            MTF, else the leading figure, of noise photon transfer, of a bloom series its extent.
         axes
-            Matplotlib axes to plot into; None: those of a new figure.
+            Matplotlib axes to plot curves into; None: those of a new figure.
 
         Returns
         -------
@@ -116,17 +118,42 @@ class Analysis(Result):
         Raises
         ------
         BadInput
-            If the result has no curve, or the ending of the file is unknown.
+            If the result has no such figure, or the ending of the file is unknown.
         """
         from charact.reporting.curves import plot_files
-        from charact.reporting.style import save_figure
+        from charact.reporting.figure_registry import FIGURES, kind_of
+        from charact.reporting.style import require_figure_file, save_figure, white_style
 
-        if not self.curves:
-            raise BadInput("a plot needs a curve, got a result without one: see its measurements")
-        figure = plot_files({"": self}, axes)
+        if path is not None:
+            require_figure_file(path)
+        drawn = {
+            name: FIGURES[kind_of(name, data)][1]
+            for name, data in self.evidence.items()
+            if kind_of(name, data) in FIGURES
+        }
+        kinds = [*(["curves"] if self.curves else []), *drawn]
+        if not kinds or kind not in (None, *kinds):
+            raise BadInput(
+                f"`kind` must be one of {', '.join(kinds) or 'a result with figures'}, got {kind!r}"
+            )
+        chosen = kind or self._leading_figure(kinds)
+        if chosen == "curves":
+            figure = plot_files({"": self}, axes)
+        else:
+            with white_style():
+                figure = drawn[chosen](self.evidence[chosen])
         if path is not None:
             save_figure(figure, path)
         return figure
+
+    def _leading_figure(self, kinds: list[str]) -> str:
+        """Return the figure that shows most of the result, of those that it has."""
+        from charact.reporting.front_page import FIGURES
+
+        if any(name.startswith("mtf") for name in self.curves):
+            return "curves"
+        leading = [kind for row in FIGURES for kind in row]
+        return next((kind for kind in leading if kind in kinds), kinds[0])
 
     def to_frame(self) -> "pandas.DataFrame":
         """Return one row a measurement: quantity, unit, value, interval ends, status, flags, method

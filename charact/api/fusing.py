@@ -20,6 +20,7 @@ from labdata.settings import (
     documented,
     ignore_progress,
 )
+from labdata.short_repr import short_repr
 
 if TYPE_CHECKING:
     import numpy as np
@@ -55,6 +56,8 @@ class Fusion:
     scores: Scores = field(default_factory=dict)  #: Scores by method, where there are several
     truth_scores: Scores = field(default_factory=dict)  #: Scores against a truth, likewise
     aspect: float = 1.0  #: Row pitch over column pitch of the visible camera
+
+    __repr__ = short_repr
 
     @property
     def result(self) -> "Result":

@@ -14,6 +14,7 @@ from charact.comparison.conditions import ConditionPair, condition_pairs, pair_s
 from charact.comparison.thresholds import LIMITS
 from labdata import QUANTITIES, BadInput, Session, order_flags
 from labdata.measurement import Interval, Measurement, Result, intervals_of
+from labdata.short_repr import short_repr
 
 # Standard scores of the upper limits of the 68 % and 95 % intervals, and one beyond all draws.
 SCORES, FARTHEST = (0.994458, 1.959964), 10.0
@@ -63,6 +64,8 @@ class Comparison:
     conditions: tuple[ConditionPair, ...] = ()  #: Properties in which the sessions differ
     stacks: int = 0  #: Number of stacks in both sessions
     unmatched: tuple[int, int] = (0, 0)  #: Number of values in A only and in B only
+
+    __repr__ = short_repr
 
     def find(self, quantity: str, stack: str | None = None) -> tuple[Difference, ...]:
         """Return the differences of a quantity, of one stack if given."""

@@ -19,6 +19,7 @@ from labdata import QUANTITIES, BadInput, sha256_of, write_atomically
 from labdata.errors import check as check_numbers
 from labdata.measurement import Interval, Measurement, Result, Status
 from labdata.result_io import RESULTS
+from labdata.short_repr import short_repr
 
 CHECKED = "checked.json"
 FORMAT = 1
@@ -141,6 +142,8 @@ class LimitCheck:
         Outcome, ...
     ]  #: One for each measurement to which a limit applies, in the order of the limits
     name: str = "limits"  #: Name of the limits file
+
+    __repr__ = short_repr
 
     @property
     def verdict(self) -> Verdict:

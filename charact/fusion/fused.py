@@ -21,6 +21,7 @@ from charact.fusion.pyramid import (
 from charact.fusion.thresholds import FUSION
 from charact.verdict import Finding, judge
 from labdata import Measurement, Provenance, Result, make_measurement
+from labdata.short_repr import short_repr
 
 # Bits of a pixel's mark.
 MARKS = {"filled": 1, "clipped": 2, "occluded": 4, "unregistered": 8, "no-band": 16}
@@ -44,6 +45,8 @@ class Fused(Result):
     names: tuple[str, ...]
     spans: dict[str, Span] = field(default_factory=dict)
     shown_percent: tuple[float, float] | None = None
+
+    __repr__ = short_repr
 
     @property
     def codes(self) -> NDArray[np.uint8]:

@@ -20,6 +20,7 @@ from charact.fusion.pyramid import collapse, decompose, map_samples, weigh, weig
 from charact.fusion.thresholds import FUSION
 from charact.method.registry import register
 from labdata.errors import BadInput
+from labdata.short_repr import short_repr
 
 # Values of each band that a table tells apart, a step being below the noise of either band, and the
 # Gaussian over them.
@@ -220,6 +221,8 @@ class ColourTable:
 
     colours: Image
     spans: tuple[Span, Span]
+
+    __repr__ = short_repr
 
     def save(self, path: Path) -> None:
         """Write an .npz of `colours` and `spans`."""

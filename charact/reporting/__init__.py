@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from charact.reporting.figure_svg import as_svg
     from charact.reporting.frequency_unit import FrequencyUnit
     from charact.reporting.front_page import is_tube, leading, sheet, verdict
-    from charact.reporting.number_format import round_to_spread
     from charact.reporting.report_images import bright_region, representative
     from charact.reporting.session_page import fragment, page, write
     from charact.reporting.style import report_style, white_style
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
         worst_numbers,
     )
     from charact.reporting.validation_text import headline_of, sentence_of
+    from labdata.number_format import round_to_spread
 
 __all__ = [
     "FIGURES",
@@ -97,7 +97,7 @@ __getattr__ = import_on_first_use(
         "charact.reporting.figure_svg": "as_svg",
         "charact.reporting.frequency_unit": "FrequencyUnit",
         "charact.reporting.front_page": "is_tube leading sheet verdict",
-        "charact.reporting.number_format": "round_to_spread",
+        "labdata.number_format": "round_to_spread",
         "charact.reporting.report_images": "bright_region representative",
         "charact.reporting.session_page": "fragment page write",
         "charact.reporting.style": "report_style white_style",

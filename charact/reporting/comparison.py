@@ -7,15 +7,15 @@ from typing import Any
 
 from charact.comparison import Comparison, Difference, LimitCheck, Outcome, load_check
 from charact.comparison.conditions import ConditionPair
-from charact.reporting.number_format import (
+from charact.reporting.summary import SERIES, sections_of_leading
+from labdata import LoadedStackEntry, Measurement, Session, make_measurement
+from labdata.number_format import (
     MINUS,
     plus_minus,
     round_to_spread,
     short_text,
     value_text,
 )
-from charact.reporting.summary import SERIES, sections_of_leading
-from labdata import LoadedStackEntry, Measurement, Session, make_measurement
 
 ROWS, CONDITIONS, OUTCOMES = 20, 6, 36  # Most lines of a summary
 NAME, COLUMNS = 33, 100  # Width of a name and of a row of a table

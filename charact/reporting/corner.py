@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.reporting.figure_svg import Label, path_svg, svg_head
-from charact.reporting.number_format import MINUS, SUPERSCRIPTS
 from charact.reporting.style import DATA, MODEL
 from labdata.measurement import QUANTILES, Posterior
+from labdata.number_format import MINUS, SUPERSCRIPTS
 from labdata.quantity import QUANTITIES
 
 BINS = 22

@@ -7,10 +7,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 from charact import __version__
-from charact.reporting.number_format import plus_minus, plus_minus_of, round_to_spread
 from charact.reporting.tables import best
 from labdata.errors import BadInput
 from labdata.measurement import Interval, Measurement, Result
+from labdata.number_format import plus_minus, plus_minus_of, round_to_spread
 from labdata.quantity import QUANTITIES, StandardRow
 
 

@@ -256,9 +256,7 @@ def figure_of(name: str, data: Data) -> Figure:
     """Plot figure data; data that cannot be plotted, such as empty lists, have the reason
     instead.
     """
-    kind = str(data.get("figure", name.partition(":")[0]))
-    # Profiles through the centre of one source show the MTF, rings of a series the halo.
-    kind = "point-spread" if kind == "point-profile" and "along_row_dn" in data else kind
+    kind = kind_of(name, data)
     section, draw, caption = FIGURES.get(kind, ("other", None, ""))
     caption = f"{caption} {data['the_curves_say']}." if "the_curves_say" in data else caption
     title, svg, why = figure_title(name, kind), None, f"no figure of the kind {kind!r}"
@@ -271,6 +269,13 @@ def figure_of(name: str, data: Data) -> Figure:
     return Figure(
         section=section, title=title, svg=svg, kind=kind, caption=caption, refusal_reason=why
     )
+
+
+def kind_of(name: str, data: Data) -> str:
+    """Return the kind of figure data, a key of `FIGURES` if it is drawn."""
+    kind = str(data.get("figure", name.partition(":")[0]))
+    # Profiles through the centre of one source show the MTF, rings of a series the halo.
+    return "point-spread" if kind == "point-profile" and "along_row_dn" in data else kind
 
 
 def figure_title(name: str, kind: str) -> str:

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from charact.reporting.number_format import MINUS, SUPERSCRIPTS
 from charact.reporting.style import INK
+from labdata.number_format import MINUS, SUPERSCRIPTS
 
 # Mean width of a character and distance of lines, over the size of the font.
 CHARACTER, LINE = 0.56, 1.2

@@ -11,13 +11,13 @@ from charact.reporting.emva_sheet import emva_summary, emva_xml
 from charact.reporting.exports import as_json, table_of_files
 from charact.reporting.figure_registry import Figure
 from charact.reporting.frequency_unit import FrequencyUnit
-from charact.reporting.number_format import (
+from labdata import FLAGS, Measurement, Result, Session, has_tube
+from labdata.number_format import (
     plus_minus,
     plus_minus_of,
     quantity_title,
     round_to_spread,
 )
-from labdata import FLAGS, Measurement, Result, Session, has_tube
 
 if TYPE_CHECKING:
     from charact.validation import Validation

@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 
-from charact.reporting.number_format import plus_minus, plus_minus_of, round_to_spread, spread_of
 from labdata import FLAGS, QUANTITIES, Measurement, Result
+from labdata.number_format import plus_minus, plus_minus_of, round_to_spread, spread_of
 
 Frequency = Callable[[float, Measurement | None], tuple[float, str]]
 

@@ -11,7 +11,8 @@ from typing import Any
 from charact import __version__
 from charact.method.registry import chart_table
 from charact.method.stopwatch import time_text
-from charact.reporting.number_format import (
+from labdata import FLAGS, QUANTITIES, Camera, Conditions, Measurement, Result, Session, Target
+from labdata.number_format import (
     interval_text,
     plus_minus,
     quantity_title,
@@ -19,7 +20,6 @@ from charact.reporting.number_format import (
     short_text,
     value_text,
 )
-from labdata import FLAGS, QUANTITIES, Camera, Conditions, Measurement, Result, Session, Target
 
 LIBRARIES = ("numpy", "scipy", "emcee", "matplotlib", "zarr", "trimesh", "embreex")
 # A method with more stacks than this has one table for all of them.

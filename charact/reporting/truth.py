@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from charact.reporting.number_format import plus_minus, quantity_title, round_to_spread, spread_of
 from labdata.measurement import Measurement, Result
+from labdata.number_format import plus_minus, quantity_title, round_to_spread, spread_of
 
 # True values, or functions of frequency (cy/px) and direction (degrees).
 Truth = Mapping[str, float | Callable[..., Any]]

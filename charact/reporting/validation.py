@@ -27,6 +27,7 @@ from charact.reporting.validation_text import (
 from charact.validation import FramePair, Statistic, Validation, ValidationControl
 from charact.validation.statistic import Agreement
 from charact.validation.thresholds import VALIDATION
+from labdata.number_format import MINUS
 
 # Overlays in their order on the page.
 OVERLAYS = (

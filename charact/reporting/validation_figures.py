@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from charact.reporting.figure_registry import Figure
 from charact.reporting.figure_svg import as_svg
-from charact.reporting.number_format import MINUS
 from charact.reporting.style import (
     COLOURS,
     DATA,
@@ -26,6 +25,7 @@ from charact.reporting.style import (
 )
 from charact.validation import ResidualMap, Statistic, Validation
 from charact.validation.thresholds import VALIDATION
+from labdata.number_format import MINUS
 
 # Numbers whose deviations are drawn by name: about as many as can be read at once.
 NAMED = 16

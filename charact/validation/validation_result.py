@@ -16,6 +16,7 @@ from charact.validation.statistic import Agreement, Statistic
 from charact.verdict import Finding
 from labdata.errors import BadInput
 from labdata.frames import read_only
+from labdata.short_repr import short_repr
 
 # "agrees": within all tolerances; "differs": beyond one; "undecided": the fit or a control is in
 # doubt, or a tolerance could not have been seen.
@@ -172,6 +173,8 @@ class Validation:
     notes: tuple[str, ...] = ()
     same_session: bool = False
     converged: bool = True
+
+    __repr__ = short_repr
 
     @property
     def origin(self) -> str:

@@ -16,6 +16,7 @@ from labdata.camera.tube import MicrochannelPlate, Phosphor, Photocathode, Taper
 from labdata.camera.video import InfraredVideo, Video
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping
+from labdata.short_repr import short_repr
 
 # ruff: noqa: RUF009 - `_section` returns a field.
 
@@ -66,6 +67,8 @@ class Camera:
     draws: Draws = field(default_factory=Draws)
     maps: SpecimenMaps | None = None  #: fixed patterns of this very camera, next to its file
     notes: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.is_thermal:

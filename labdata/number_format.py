@@ -1,9 +1,12 @@
 """Number format: values rounded to their uncertainty."""
 
 import math
+from typing import TYPE_CHECKING
 
-from labdata.measurement import Interval, Measurement
 from labdata.quantity import QUANTITIES
+
+if TYPE_CHECKING:
+    from labdata.measurement import Interval, Measurement
 
 MINUS = "−"
 SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
@@ -52,7 +55,7 @@ def _with_power(text: str, exponent: int) -> str:
     return text if exponent == 0 else f"{text} × 10{str(exponent).translate(SUPERSCRIPTS)}"
 
 
-def spread_of(measurement: Measurement) -> float | None:
+def spread_of(measurement: "Measurement") -> float | None:
     """Return the standard uncertainty: half the 68 % interval, else a quarter of the 95 %
     interval.
     """
@@ -62,7 +65,7 @@ def spread_of(measurement: Measurement) -> float | None:
     return None
 
 
-def quantity_title(m: Measurement) -> str:
+def quantity_title(m: "Measurement") -> str:
     """Return the title of a quantity with its frequency, if any."""
     title = QUANTITIES[m.quantity].title
     return (
@@ -72,7 +75,7 @@ def quantity_title(m: Measurement) -> str:
     )
 
 
-def value_text(measurement: Measurement) -> str:
+def value_text(measurement: "Measurement") -> str:
     """Return the value of a measurement as text; an em dash if refused."""
     return (
         "—"
@@ -81,7 +84,7 @@ def value_text(measurement: Measurement) -> str:
     )
 
 
-def interval_text(measurement: Measurement, interval: Interval | None) -> str:
+def interval_text(measurement: "Measurement", interval: "Interval | None") -> str:
     """Return the limits of an interval with the digits of the value; "unknown" without interval."""
     if measurement.value is None or interval is None:
         return "—" if measurement.value is None else "unknown"
@@ -90,7 +93,7 @@ def interval_text(measurement: Measurement, interval: Interval | None) -> str:
     return _with_power(f"({ends})" if exponent else ends, exponent)
 
 
-def plus_minus(measurement: Measurement) -> str:
+def plus_minus(measurement: "Measurement") -> str:
     """Return the value ± its 95 % interval as text."""
     if measurement.value is None or measurement.interval95 is None:
         return value_text(measurement)
