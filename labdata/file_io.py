@@ -86,6 +86,14 @@ _KINDS = {
 }
 
 
+def require_folder_of(path: str | Path) -> Path:
+    """Return the path of a file to be written; a folder that does not exist is BadInput."""
+    path = Path(path)
+    if not (folder := path.absolute().parent).is_dir():
+        raise BadInput(f"an output must lie in a folder that exists, got {path}: create {folder}")
+    return path
+
+
 def require_regular(path: str | Path, what: str = "a file") -> None:
     """Require a path to be a regular file, or a link to one, before it is opened; `what` names it
     in the message.

@@ -59,7 +59,7 @@ def frames_of(
     if black_dn is None:
         return frames
     highest = float(frames.data.max())
-    if not -float("inf") < black_dn < highest:
+    if black_dn >= highest:
         raise BadInput(
             f"`black_dn` must be below the largest grey value of the frames, {highest:g} DN, got "
             f"{black_dn:g}"

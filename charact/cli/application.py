@@ -20,6 +20,7 @@ from charact.cli import (
     sessions,
     simulate,
 )
+from charact.cli.output import SPELT_OUT
 
 app = typer.Typer(
     name="charact",
@@ -93,6 +94,8 @@ def run() -> None:
     if sys.stdout is None:  # closed by the caller: the next file opened would get its descriptor
         print("charact: stdout must be open, got it closed", file=sys.stderr or None)
         sys.exit(1)
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        stream.reconfigure(errors=SPELT_OUT)
     try:
         app()
     except KeyboardInterrupt:

@@ -19,7 +19,9 @@ from charact.cli.outputs import (
     require_free_session,
     why_other_kind,
 )
+from charact.cli.sessions import session_in
 from labdata import BadInput, Kind
+from labdata.file_io import require_folder_of
 from labdata.settings import Extension, FrameAxis, Partial, Plane
 
 if TYPE_CHECKING:
@@ -169,7 +171,10 @@ def _print_notes(notes: Sequence[str]) -> None:
 BEGINNINGS = {"csv": b"file,", "json": b'{"charact":', "emva": b"<EMVA1288 "}
 FORMATS = ("tif", "npy", "fits", "h5", "png", *BEGINNINGS)
 Source = Annotated[
-    str, typer.Argument(help="File of frames, session folder, or SESSION#LABEL for one stack.")
+    str,
+    typer.Argument(
+        help="File of frames, session or demonstration folder, or SESSION#LABEL for one stack."
+    ),
 ]
 
 
@@ -205,6 +210,7 @@ def view(
             path = out or Path(f"{label}-view.png")
             if path.suffix.lower() != ".png":
                 raise BadInput(f"a picture must be a .png file, got {path.name!r}")
+            require_folder_of(path)
             if path.exists() and path.samefile(source.partition("#")[0]):
                 raise BadInput(f"a picture must not replace its own frames, got {path}")
             stack = read()
@@ -232,7 +238,7 @@ def _layout_of(source: str, label: str, stack: "FrameStack") -> "Layout":
     from charact.frames.session_layout import sound_session
     from labdata import MANIFEST, open_session
 
-    path = Path(source.partition("#")[0])
+    path = session_in(Path(source.partition("#")[0]))
     session = open_session(path) if (path / MANIFEST).is_file() else None
     of_chip = session is not None and session.stack(label).kind in ("dark", "flat")
     shown = sound_session(session)[0] if session is not None and of_chip else None
@@ -273,7 +279,7 @@ def convert(
             raise BadInput(f"--to must be one of {', '.join(FORMATS)}, got {to!r}")
         if to in BEGINNINGS:
             require_free(out, force=force, kept=lambda: why_other_kind(out, BEGINNINGS[to]))
-            _write_results(Path(source), out, to)
+            _write_results(session_in(Path(source)), out, to)
             return
         from labdata.frame_export import write_frames
 
@@ -286,9 +292,9 @@ def convert(
             "the folder of its own frames" if replaced else "a file" if out.is_file() else None
         )
         require_free(out, force=force, taken=bool(existing) or out.is_file(), kept=lambda: obstacle)
-        out.mkdir(parents=True, exist_ok=True)
         for path, (_, read, _) in zip(paths, stacks, strict=True):
             stack = read()
+            out.mkdir(parents=True, exist_ok=True)
             print(write_frames(stack, path))
             _print_notes(stack.notes)
 
@@ -340,8 +346,9 @@ def _stacks(source: str, **reading: Any) -> "list[Readable]":
     from labdata import MANIFEST, open_session, read_frames
 
     path, _, label = source.partition("#")
-    if not (Path(path) / MANIFEST).is_file():
-        return [(Path(source).stem, lambda: read_frames(source, **reading), (Path(path),))]
+    path = session_in(Path(path))
+    if not (path / MANIFEST).is_file():
+        return [(Path(source).stem, lambda: read_frames(source, **reading), (path,))]
     if set_ones := [f"`{name}`" for name, value in reading.items() if value]:
         raise BadInput(
             f"{set_ones[0]} is of a file of frames; the stacks of {path}/{MANIFEST} state their own"

@@ -20,6 +20,7 @@ from charact.cli.output import (
 )
 from charact.cli.outputs import Force, require_free
 from labdata.errors import BadInput
+from labdata.file_io import require_folder_of
 
 
 class _PicturesByDefault(TyperGroup):
@@ -99,6 +100,7 @@ def _require_output(out: Path, *, is_folder: bool, force: bool) -> None:
 
     require_place(out, is_folder=is_folder, name="OUT")
     if out.suffix:
+        require_folder_of(out)
         require_free(out, force=force, kept=lambda: None if out.is_file() else "a folder")
         return
     taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
@@ -158,6 +160,7 @@ def table(
     with exit_on_bad_input(f"{visible} {thermal}"):
         if out.suffix != ".npz":
             raise BadInput(f"OUT must be an .npz, got {out.name!r}")
+        require_folder_of(out)
         require_free(out, force=force, kept=lambda: None if out.is_file() else "a folder")
         colours, names = fusing.fusion_colours(visible, thermal, scene)
         colours.save(out)

@@ -16,7 +16,9 @@ from charact.cli.output import (
     print_text,
     progress_bar,
 )
+from charact.cli.sessions import session_in
 from labdata import BadInput, Setting
+from labdata.file_io import require_folder_of
 
 if TYPE_CHECKING:
     from charact.api.analysis import Analysis
@@ -59,6 +61,8 @@ def _measure(
             from charact.reporting.style import require_figure_file
 
             require_figure_file(plot)
+        for path in filter(None, (annotate, csv)):
+            require_folder_of(path)
         if annotate is not None:
             from charact.reporting.annotated_image import require_png
 
@@ -241,7 +245,7 @@ def flats(
         from charact.api.inputs import flats_of
         from labdata.camera.description import has_tube
 
-        session = flats_of(file, **of(flats_of, settings))
+        session = flats_of(session_in(file), **of(flats_of, settings))
         stacks = session.of_kind("flat")
         rows = stacks[0].read().shape[1] if stacks else 0
         settings["sensor"] = None  # it is that of the session now

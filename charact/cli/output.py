@@ -1,9 +1,12 @@
 """Output of a verb: result as JSON or lines, messages, progress and exit code."""
 
+import codecs
 import json
 import os
+import re
 import shutil
 import sys
+import unicodedata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, NoReturn
@@ -18,6 +21,36 @@ from labdata.settings import Progress
 if TYPE_CHECKING:
     from charact.reporting.summary import Frequency
     from labdata.measurement import Result
+
+
+# Name of the error handler of stdout and stderr, and characters that other letters stand for.
+SPELT_OUT = "charact-spelt-out"
+SPELLINGS = str.maketrans(
+    {
+        "→": "->",
+        "±": "+-",
+        "−": "-",
+        "×": "x",
+        "µ": "u",
+        "Ω": "ohm",
+        "σ": "sigma",
+        "χ": "chi",
+        "°": "deg ",
+    }
+)
+SUPERSCRIPT = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+")
+
+
+def _spell_out(error: UnicodeError) -> tuple[str, int]:
+    """Return what an encoding can write in place of characters that it lacks: µ becomes u, ² ^2."""
+    assert isinstance(error, UnicodeEncodeError)
+    lacking = SUPERSCRIPT.sub(r"^\g<0>", error.object[error.start : error.end])
+    plain = unicodedata.normalize("NFKD", lacking.translate(SPELLINGS)).replace("−", "-")
+    written = "".join(letter for letter in plain if not unicodedata.combining(letter))
+    return written.encode("ascii", "replace").decode("ascii"), error.end
+
+
+codecs.register_error(SPELT_OUT, _spell_out)
 
 
 def print_text(text: str) -> None:

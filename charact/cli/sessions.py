@@ -22,6 +22,7 @@ from charact.cli.output import (
 )
 from charact.cli.outputs import Force, require_free, why_other_kind
 from labdata import BadInput, Setting
+from labdata.file_io import require_folder_of
 
 if TYPE_CHECKING:
     from charact.validation import Validation
@@ -143,6 +144,8 @@ def _analyse(
     events = settings["events"]
     with exit_on_bad_input(str(source), as_json=settings["as_json"], events=events):
         image = room == "bloom" and is_image(source)
+        if map_to is not None:
+            require_folder_of(map_to)
         if image and map_to is not None:
             raise BadInput(
                 f"--map needs a session with point sources, got the file {source}; create one with "
@@ -269,7 +272,11 @@ def fit(
     Example: charact fit day1 --sensor-out day1/fitted.toml
     """
     with exit_on_bad_input(str(session), events=events):
-        require_free(sensor_out, force=force, kept=lambda: _why_no_fit(sensor_out, session))
+        require_free(
+            require_folder_of(sensor_out),
+            force=force,
+            kept=lambda: _why_no_fit(sensor_out, session),
+        )
         result = load_or_measure(session, events=events, **settings)
         fitted = fit_and_save(session, result, sensor_out, events=events, **settings)
         for path, p in fitted.parameters().items():

@@ -123,7 +123,7 @@ def simulate(
 ) -> None:
     """Simulate frames of a scene, image or radiance cube and store them as a session.
 
-    Example: charact simulate bench.toml frames --sensor pulnix-ag5745ef3 --kind edge
+    Example: charact simulate bench frames --sensor pulnix-ag5745ef3 --kind edge
 
     Example: charact simulate airfield night --sensor pulnix-ag5745ef3
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_folder_of
 
 # Placeholder of the page's text colour, so that figures suit light and dark backgrounds.
 INK = "#123457"
@@ -75,11 +76,13 @@ FIGURE_FILES = (".png", ".svg", ".pdf")
 
 
 def require_figure_file(path: str | Path) -> Path:
-    """Return the path of a figure; an ending other than `FIGURE_FILES` is BadInput."""
+    """Return the path of a figure; an ending other than `FIGURE_FILES`, or a folder that does not
+    exist, is BadInput.
+    """
     path = Path(path)
     if path.suffix.lower() not in FIGURE_FILES:
         raise BadInput(f"a figure must be a file in {', '.join(FIGURE_FILES)}, got {path.name!r}")
-    return path
+    return require_folder_of(path)
 
 
 def save_figure(figure: Any, path: str | Path) -> None:
