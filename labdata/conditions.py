@@ -8,6 +8,8 @@ from labdata.errors import check, check_range
 
 # Booleans; every other condition is a number.
 SWITCHES = ("automatic_gain", "brightness_control")
+# Conditions that set a gain: flats of one value of each make one photon transfer curve.
+GAINS = ("mcp_v", "gain_control", "em_gain", "camera_gain_db")
 T = TypeVar("T")
 
 

@@ -28,6 +28,9 @@ SPELT_OUT = "charact-spelt-out"
 SPELLINGS = str.maketrans(
     {
         "→": "->",
+        "✓": "+",
+        "▲": "!",
+        "✕": "x",
         "±": "+-",
         "−": "-",
         "×": "x",

@@ -209,13 +209,21 @@ def measure(session: SessionFolder, **settings: Any) -> None:
             **of(frequency_unit, settings),
         )
         result = measure_folder(session, events=events, **of(measuring.measure, settings))
+
+        def keep() -> None:
+            from charact.reporting.front_page import verdict
+
+            result_io.save(result, open_session_only(session).folder)
+            if not settings["as_json"]:
+                print_text(verdict(opened, result, None).line)
+
         print_result(
             result,
             given=str(session),
             verb="measure",
             frequency=frequency,
             next_verb=f"charact report {session}",
-            then=lambda: result_io.save(result, open_session_only(session).folder),
+            then=keep,
             **of(print_result, settings),
         )
 

@@ -11,6 +11,7 @@ from charact.reporting.emva_sheet import emva_summary, emva_xml
 from charact.reporting.exports import as_json, table_of_files
 from charact.reporting.figure_registry import Figure
 from charact.reporting.frequency_unit import FrequencyUnit
+from charact.verdict.purpose import lacks_of, purpose_of
 from labdata import FLAGS, Measurement, Result, Session, has_tube
 from labdata.number_format import (
     plus_minus,
@@ -66,6 +67,9 @@ GRAVE = frozenset(
 )
 
 
+MARKS = {"ok": "✓", "suspect": "▲", "refused": "✕"}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
     """Verdict on a session: its status, its heading and the reasons."""
@@ -73,6 +77,11 @@ class Verdict:
     status: str  #: "ok", "suspect" or "refused"
     heading: str
     reasons: tuple[str, ...] = ()
+
+    @property
+    def line(self) -> str:
+        """The verdict with its mark."""
+        return f"{MARKS[self.status]} {self.heading}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,8 +111,8 @@ def is_tube(session: Session, result: Result) -> bool:
 
 
 def leading(session: Session, result: Result) -> tuple[Measurement, ...]:
-    """Return the measurement of each quantity and unit of the data sheet: the first ok one, else
-    the first value.
+    """Return the measurement of each quantity and unit of the data sheet: the first ok one, or the
+    first suspect one where most are suspect, else the first value.
     """
     leading_measurements: list[Measurement] = []
     for quantity in TUBE_SHEET if is_tube(session, result) else CAMERA_SHEET:
@@ -111,10 +120,10 @@ def leading(session: Session, result: Result) -> tuple[Measurement, ...]:
         if quantity == "bloom_diameter":  # one for each exposure of the source: that of the longest
             of_quantity.sort(key=lambda m: m.value or 0.0, reverse=True)
         units = dict.fromkeys(m.unit for m in of_quantity)
-        leading_measurements += (
-            min((m for m in of_quantity if m.unit == unit), key=lambda m: m.status != "ok")
-            for unit in units
-        )
+        for unit in units:
+            of_unit = [m for m in of_quantity if m.unit == unit]
+            doubtful = 2 * sum(m.status != "ok" for m in of_unit) > len(of_unit)
+            leading_measurements.append(min(of_unit, key=lambda m: (m.status == "ok") == doubtful))
     return tuple(leading_measurements)
 
 
@@ -184,11 +193,17 @@ def _value(m: Measurement, unit: FrequencyUnit) -> str:
 def verdict(session: Session, result: Result, validation: "Validation | None") -> Verdict:
     """Return the verdict on the leading quantities and, where there is one, on the validation."""
     sheet = leading(session, result)
+    purpose = purpose_of(session, is_tube=is_tube(session, result))
+    lacks = lacks_of(session, result, purpose)
+    frames = "; ".join(dict.fromkeys(words for lack in lacks for words in lack.frames))
+    to_add = (f"Not enough for {purpose.title}: add {frames}",) if lacks else ()
     if not sheet:
         reason = next(
             (m.reason for m in result.measurements if m.reason), "the session has no measurement"
         )
-        return Verdict(status="refused", heading="Nothing could be measured", reasons=(reason,))
+        return Verdict(
+            status="refused", heading="Nothing could be measured", reasons=(reason, *to_add)
+        )
     suspect = [m for m in sheet if m.status != "ok"]
     reasons = tuple(_reasons(suspect))
     if validation is not None and validation.verdict == "differs":
@@ -198,8 +213,11 @@ def verdict(session: Session, result: Result, validation: "Validation | None") -
         return Verdict(
             status="refused",
             heading=f"Do not trust: {len(suspect)} of {len(sheet)} leading numbers are suspect",
-            reasons=reasons,
+            reasons=(*to_add, *reasons),
         )
+    if lacks:
+        why_not = (f"{lack.quantity}: {lack.reason}" for lack in lacks)
+        return Verdict(status="suspect", heading=to_add[0], reasons=(*why_not, *reasons))
     checked = "" if validation is None else ", and simulated frames agree with the measured ones"
     if validation is not None and validation.verdict == "undecided":
         from charact.reporting.validation_text import doubts_of, unseen_sentences
@@ -211,9 +229,10 @@ def verdict(session: Session, result: Result, validation: "Validation | None") -
     if suspect:
         heading = f"Look at {len(suspect)} of {len(sheet)} leading numbers before use"
         return Verdict(status="suspect", heading=heading, reasons=reasons)
+    counted = f"all {len(sheet)} leading numbers are" if len(sheet) > 1 else "its number is"
     return Verdict(
         status="ok",
-        heading=f"Fit for use: all {len(sheet)} leading numbers are ok{checked}",
+        heading=f"Fit for {purpose.title}: {counted} ok{checked}",
     )
 
 

@@ -25,7 +25,6 @@ from charact.estimators.noise.gain.checks import (
 )
 from charact.estimators.noise.gain.pooled_noise import NO_LAG, pool_noise
 from charact.estimators.noise.gain.series import (
-    GAINS,
     FlatSeries,
     gain_obstacle,
     group_by_gain,
@@ -64,6 +63,7 @@ from labdata import (
     measurement_from_draws,
     measurement_from_sd,
 )
+from labdata.conditions import GAINS
 
 # Defining signal-to-noise ratio.
 LEAST_SNR = 1.0

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+import charact
 from charact.cli.demo_loop import lines
 from charact.cli.output import print_result
 from charact.reporting import (
@@ -211,7 +212,9 @@ def test_a_bound_that_widens_an_interval_is_the_first_note():
 # The first page says no more than the numbers do.
 
 
-SESSION = session_in_memory(())
+SESSION = session_in_memory(
+    charact.stack(np.zeros((2, 9, 9)), kind) for kind in ("dark", "flat", "flat", "flat", "edge")
+)
 NOTHING = Result(measurements=(make_refusal("mtf50", "cy/px", "no edge", method="m"),))
 UNITS = {"mtf50": "cy/px", "system_gain": "DN/e-", "read_noise": "DN", "prnu": "%"}
 

@@ -12,11 +12,10 @@ from charact.frames.stack_statistics import StackStatistics, read_levels_of
 from charact.method import Context
 from charact.observables import Stacks
 from labdata import Array, BadInput, Conditions, Session, has_tube
+from labdata.conditions import GAINS
 
 # Fraction of values at full scale above which clipping lowers the variance.
 CLIPPED_SHARE = 1e-4
-# Conditions that set the gain.
-GAINS = ("mcp_v", "gain_control", "em_gain", "camera_gain_db")
 
 
 @dataclass(frozen=True, kw_only=True)
