@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import convolve2d, correlate2d
-from skimage.metrics import structural_similarity
 
 from charact.fusion import (
     Band,
@@ -118,24 +117,6 @@ def test_qabf_of_equal_pictures_takes_the_strength_for_the_ratio(pictures):
     assert values(copy, copy, copy)["qabf"] == pytest.approx(
         0.9994 * 0.9879 / (1 + math.exp(-22 * 0.2)), rel=1e-6
     )
-
-
-def test_ssim_is_the_sum_of_scikit_image_over_whole_windows(pictures):
-    visible, thermal, fused = pictures
-    total = 0.0
-    for band in (visible, thermal):
-        _, field = structural_similarity(
-            band.astype(float),
-            fused.astype(float),
-            data_range=255,
-            gaussian_weights=True,
-            sigma=1.5,
-            use_sample_covariance=False,
-            full=True,
-            truncate=3.5,
-        )
-        total += field[5:-5, 5:-5].mean()
-    assert values(*pictures)["ssim_sum"] == pytest.approx(total, rel=1e-9)
 
 
 def test_gradients_and_spread_are_sums_over_pixels(pictures):
