@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from charact.reporting.figure_registry import Figure
-from charact.reporting.number_format import MINUS
 from charact.reporting.report_images import ReportImage, as_jpeg
 from charact.reporting.validation_figures import (
     deviations_by_statistic,

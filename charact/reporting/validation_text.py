@@ -2,9 +2,9 @@
 could not have been seen.
 """
 
-from charact.reporting.number_format import plus_minus_of
 from charact.validation import Statistic, Validation
 from charact.validation.statistic import Agreement
+from labdata.number_format import plus_minus_of
 
 # Parameters that the sentence of power names at each end.
 NAMED = 3
