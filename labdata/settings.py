@@ -201,6 +201,8 @@ TYPES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "NDArray": ("an array", _is_list),
     "Any": ("any value", lambda value: True),
     "Frames": ("any value", lambda value: True),
+    # A protocol, which objects of any class may follow.
+    "Operator": ("an operator", lambda value: hasattr(value, "is_by_hand")),
 }
 
 

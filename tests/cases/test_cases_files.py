@@ -507,10 +507,14 @@ def test_an_array_on_the_disk_is_mapped_and_a_lack_of_memory_is_no_damage(tmp_pa
 def test_numbers_come_before_the_sentence_of_a_file_that_cannot_be_written(tmp_path):
     np.save(tmp_path / "a.npy", edge())
     asked = ("mtf", "edge", tmp_path / "a.npy", "--method", "edge-slanted", "--quick")
-    done = charact(*asked, "--annotate", tmp_path / "none" / "x.png", "--json")
+    (tmp_path / "taken.png").mkdir()
+    done = charact(*asked, "--annotate", tmp_path / "taken.png", "--json")
     assert done.exit_code == 1
     assert json.loads(done.stdout)["measurements"][0]["value"] is not None
-    assert done.stderr.count("\n") == 1 and "x.png" in done.stderr
+    assert done.stderr.count("\n") == 1 and "taken.png" in done.stderr
+    # A folder that does not exist is said before any work.
+    done = charact(*asked, "--annotate", tmp_path / "none" / "x.png", "--json")
+    assert done.exit_code == 1 and "measurements" not in json.loads(done.stdout)
     assert charact(*asked, "--annotate", tmp_path / "x.png").exit_code == 0
     assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
 
