@@ -201,9 +201,11 @@ TYPES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "NDArray": ("an array", _is_list),
     "Any": ("any value", lambda value: True),
     "Frames": ("any value", lambda value: True),
-    # A protocol, which objects of any class may follow.
-    "Operator": ("an operator", lambda value: hasattr(value, "is_by_hand")),
 }
+
+
+#: Packages whose classes follow no protocol of ours
+PLAIN = ("builtins", "numpy", "pathlib")
 
 
 def require_type(name: str, value: Any, annotation: Any, minimum: float | None = None) -> None:
@@ -246,7 +248,9 @@ def _kinds(annotation: ast.expr) -> list[tuple[str, ast.expr | None]]:
 
 def _is_of_kind(value: Any, kind: str, elements: ast.expr | None) -> bool:
     if kind not in TYPES:
-        return any(base.__name__ == kind for base in type(value).__mro__)
+        # A protocol may be followed by any class but the plain ones.
+        known = any(base.__name__ == kind for base in type(value).__mro__)
+        return known or type(value).__module__.partition(".")[0] not in PLAIN
     if not TYPES[kind][1](value):
         return False
     if kind not in ("Sequence", "Iterable") or elements is None or not _is_list(value):
