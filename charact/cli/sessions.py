@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -377,7 +376,9 @@ def validate(
                 json.dumps({"charact": __version__, "input": str(session), "validation": document})
             )
         else:
-            print("\n".join(_lines(validation)))
+            from charact.reporting.validation_text import lines_of
+
+            print("\n".join(lines_of(validation)))
             print(f"Next: charact report {session}")
     raise typer.Exit(EXIT_CODES[validation.verdict])
 
@@ -404,47 +405,6 @@ def validate_and_save(
     )
     validation.save(compared, session.folder)
     return compared
-
-
-def _lines(validation: "Validation") -> Iterator[str]:
-    """Yield doubts in the fit, one line per statistic, what the controls noticed and did not,
-    detectable errors, and the verdict.
-    """
-    from charact.reporting.validation_text import agreement_text, doubts_of, headline_of
-
-    yield from (f"note: {doubt}" for doubt in doubts_of(validation))
-    for statistic in validation.statistics:
-        yield f"{statistic.name}: {agreement_text(statistic)}, p {statistic.p_text}"
-        if statistic.verdict != "agrees":
-            yield f"    in {statistic.worst}"
-        if statistic.verdict == "differs":
-            yield f"    matters for {statistic.matters}; may come from {statistic.cause}"
-    unseen_numbers = [
-        f"{statistic.name} {len(statistic.unseen)} of {len(statistic.labels)}"
-        for statistic in validation.statistics
-        if statistic.unseen
-    ]
-    if unseen_numbers:
-        yield f"numbers that could not have seen their tolerance: {', '.join(unseen_numbers)}"
-    for control in validation.controls:
-        if control.name == "null":
-            failing = "" if control.passed else f": {', '.join(control.noticed_by)}"
-            yield (
-                f"null control, {control.title}: {'passes' if control.passed else 'FAILS'}{failing}"
-            )
-    negative = [control for control in validation.controls if control.name == "negative"]
-    unseen = [control.title for control in negative if not control.passed]
-    yield f"negative controls: {len(negative) - len(unseen)} of {len(negative)} noticed" + (
-        f"; not seen: {', '.join(unseen)}" if unseen else ""
-    )
-    detectable = [f"{error.title} {error.percent}" for error in validation.power if error.statistic]
-    if detectable:
-        probability = f"{100.0 * validation.power[0].probability:g} %"
-        errors = ", ".join(detectable)
-        yield f"errors that would have been found in {probability} of cases: {errors}"
-    yield from (f"likely cause: {cause.note}" for cause in validation.likely_causes)
-    yield from (f"note: {note}" for note in (validation.origin, *validation.notes))
-    yield headline_of(validation)
 
 
 @verb(modelling.report)

@@ -2,9 +2,11 @@
 could not have been seen.
 """
 
+from collections.abc import Iterator
+
 from charact.validation import Statistic, Validation
 from charact.validation.statistic import Agreement
-from labdata.number_format import plus_minus_of
+from labdata.number_format import plus_minus_of, short_text
 
 # Parameters that the sentence of power names at each end.
 NAMED = 3
@@ -23,7 +25,7 @@ def tolerance_text(statistic: Statistic) -> str:
     """Return the tolerance of a statistic with its unit; empty without a size."""
     if statistic.tolerance is None:
         return ""
-    return f"{statistic.tolerance:.3g} {statistic.departure_unit}"
+    return f"{short_text(float(f'{statistic.tolerance:.3g}'))} {statistic.departure_unit}"
 
 
 def agreement_text(statistic: Statistic) -> str:
@@ -153,3 +155,42 @@ def _power_sentence(validation: Validation) -> str:
         f"It could have missed one of {missed}" if missed else "",
     )
     return ". ".join(sentence for sentence in sentences if sentence)
+
+
+def lines_of(validation: Validation) -> Iterator[str]:
+    """Yield doubts in the fit, one line per statistic, what the controls noticed and did not,
+    detectable errors, and the verdict.
+    """
+    yield from (f"note: {doubt}" for doubt in doubts_of(validation))
+    for statistic in validation.statistics:
+        yield f"{statistic.name}: {agreement_text(statistic)}, p {statistic.p_text}"
+        if statistic.verdict != "agrees":
+            yield f"    in {statistic.worst}"
+        if statistic.verdict == "differs":
+            yield f"    matters for {statistic.matters}; may come from {statistic.cause}"
+    unseen_numbers = [
+        f"{statistic.name} {len(statistic.unseen)} of {len(statistic.labels)}"
+        for statistic in validation.statistics
+        if statistic.unseen
+    ]
+    if unseen_numbers:
+        yield f"numbers that could not have seen their tolerance: {', '.join(unseen_numbers)}"
+    for control in validation.controls:
+        if control.name == "null":
+            failing = "" if control.passed else f": {', '.join(control.noticed_by)}"
+            yield (
+                f"null control, {control.title}: {'passes' if control.passed else 'FAILS'}{failing}"
+            )
+    negative = [control for control in validation.controls if control.name == "negative"]
+    unseen = [control.title for control in negative if not control.passed]
+    yield f"negative controls: {len(negative) - len(unseen)} of {len(negative)} noticed" + (
+        f"; not seen: {', '.join(unseen)}" if unseen else ""
+    )
+    detectable = [f"{error.title} {error.percent}" for error in validation.power if error.statistic]
+    if detectable:
+        probability = f"{100.0 * validation.power[0].probability:g} %"
+        errors = ", ".join(detectable)
+        yield f"errors that would have been found in {probability} of cases: {errors}"
+    yield from (f"likely cause: {cause.note}" for cause in validation.likely_causes)
+    yield from (f"note: {note}" for note in (validation.origin, *validation.notes))
+    yield headline_of(validation)

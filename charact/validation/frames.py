@@ -287,15 +287,12 @@ def _corners_of_parts(*stacks: tuple[MatchedFrames, StackEntry]) -> dict[str, tu
 def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], list[str]]:
     """Select flats of low, medium and high signal; return them and notes on excluded ones."""
     full = float(2 ** (session.bit_depth or camera_of(session).video.bit_depth) - 1)
-    usable, notes = [], []
+    usable, excluded = [], []
     for shot, entry in _shots(session, "flat"):
         frames = _cut(shot, entry)
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
         if frames.mean() > VALIDATION.highest_share * full or clipped > VALIDATION.most_clipped:
-            notes.append(
-                f"{shot.label} is not compared: above {VALIDATION.highest_share:.0%} of full "
-                f"scale, or more than {VALIDATION.most_clipped:.1%} of its pixels clip"
-            )
+            excluded.append(shot.label)
         else:
             usable.append((float(frames.mean()), (shot, entry)))
     if not usable:
@@ -303,6 +300,10 @@ def _flats(session: Session) -> tuple[list[tuple[MatchedFrames, StackEntry]], li
             f"a validation needs a flat inside the range with {VALIDATION.fewest_frames} frames "
             "or more, got none"
         )
+    notes = [
+        f"not compared: {', '.join(excluded)}, above {VALIDATION.highest_share:.0%} of full scale, "
+        f"or more than {VALIDATION.most_clipped:.1%} of their pixels clip"
+    ] * bool(excluded)
     usable.sort(key=lambda item: item[0])
     picked = sorted(
         {round(index) for index in np.linspace(0, len(usable) - 1, min(3, len(usable)))}

@@ -26,6 +26,8 @@ DRAWN_SETS = 400
 SCORES = "parameters"
 SCORES_TITLE = "Relative errors of parameters, each as if only it were wrong"
 SCORES_CAUSE = "the named parameter, or one that changes the frames alike"
+# Largest relative error that a tolerance may have.
+FARTHEST_ERROR = 99.0
 SCORES_MATTER = "predictions under other conditions"
 
 
@@ -311,7 +313,8 @@ class ValidationTest:
     ) -> dict[str, dict[str, tuple[Size, float]]]:
         """Return size and tolerance of the numbers of each statistic by label.
 
-        That of a parameter is the error by which the first number departs by its own tolerance.
+        That of a parameter, unless it is stated, is the error by which the first number departs by
+        its own tolerance.
         """
         scales: dict[str, dict[str, tuple[Size, float]]] = {}
         for name, (labels, _) in self._ensembles.items():
@@ -323,8 +326,12 @@ class ValidationTest:
             }
         if not any(scales.values()):
             return {}
+        stated = tolerance_of(SCORES, "% of the parameter", tolerances)
         scales[SCORES] = {
-            change.title: (change.size, 100.0 * change.relative(self._tolerated(change, scales)))
+            change.title: (
+                change.size,
+                stated or 100.0 * change.relative(self._tolerated(change, scales)),
+            )
             for change in self._changes
         }
         return scales
@@ -333,7 +340,8 @@ class ValidationTest:
         self, change: ParameterChange, scales: Mapping[str, Mapping[str, tuple[Size, float]]]
     ) -> float:
         """Return the amount of a change by which the first number departs by its tolerance."""
-        amounts = [change.largest]
+        # A parameter that moves no number, such as a dark current of short exposures, may err far.
+        amounts = [change.amount_of(FARTHEST_ERROR)]
         for name, (labels, ensemble) in self._ensembles.items():
             shifts, centre = change.shift(name, labels), ensemble.values.mean(axis=0)
             for label, shift, predicted in zip(labels, shifts, centre, strict=True):

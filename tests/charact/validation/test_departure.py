@@ -230,17 +230,23 @@ def test_a_parameter_may_err_as_far_as_no_number_leaves_its_tolerance(seed: int)
         title="gain", plain=plain, changed={"level": {"a": 12.0, "b": 3.0}}, change=0.3
     )
     test = ValidationTest([numbers(0.0) for _ in range(DRAWS)], seed=seed, changes=[change])
-    tolerances = (Tolerance(unit="DN", max=2.0),)
-    found = {
-        one.name: one
-        for one in test.statistics(
-            numbers(0.2), sizes={"level": {"": Size(unit="DN", factor=1.0)}}, tolerances=tolerances
-        )
-    }[SCORES]
+    measured, sizes = numbers(0.2), {"level": {"": Size(unit="DN", factor=1.0)}}
+
+    def statistic_of(*tolerances: Tolerance) -> Statistic:
+        tolerances = (Tolerance(unit="DN", max=2.0), *tolerances)
+        found = test.statistics(measured, sizes=sizes, tolerances=tolerances)
+        return next(one for one in found if one.name == SCORES)
+
+    found = statistic_of()
     # 2 DN over a slope of 40 DN.
     assert found.tolerance == pytest.approx(5.0)
     assert found.departure_unit == "% of the parameter"
     assert found.departure == pytest.approx(20.0, abs=4.5 * 100.0 / np.hypot(40.0, 10.0) * 1.3)
+    assert found.verdict == "differs"
+    stated = statistic_of(Tolerance(unit="% of the parameter", max=60.0, statistic=SCORES))
+    assert (stated.tolerance, stated.verdict) == (60.0, "within")
+    # An error that moves no number by its tolerance is tolerated, up to a factor of 100.
+    assert statistic_of(Tolerance(unit="DN", max=1e6)).tolerance == pytest.approx(9900.0)
 
 
 def _control(name: str, p_value: float) -> ValidationControl:
