@@ -1,14 +1,11 @@
 """Quantities predicted by the camera model, for many parameter draws at once."""
 
-import operator
-from collections.abc import Callable
-from functools import wraps
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from charact.fitting.last_values import of_last_values
 from charact.fitting.tube_light import field_products
 from charact.observables import Values
 from charact.observables.silicon import CONVERSION_GAIN as CONVERSION
@@ -100,7 +97,7 @@ def pulse_covariance(
     """
     nodes = nodes or COARSE
     power, x, y = _power_after_gain(values, nodes), nodes.across, nodes.along
-    video = (slit(x) * np.abs(transfer(video_weights(values), x))) ** 2 * nodes.across_weight
+    video = slit(x) ** 2 * _filter_power(values, nodes) * nodes.across_weight
     covariance = []
     for columns_apart, rows_apart in separations:
         down = np.cos(2.0 * np.pi * y * rows_apart) * slit(y) ** 2 * nodes.along_weight
@@ -325,24 +322,6 @@ def _after_cathode(
     )
 
 
-def of_last_values(function: Callable[..., Array]) -> Callable[..., Array]:
-    """Return a function of values that keeps its last result: several observations ask it of the
-    same draws.
-    """
-    last: list[tuple[tuple[Any, ...], Array]] = [((), np.empty(0))]
-
-    @wraps(function)
-    def kept(values: Values, *arguments: Any) -> Array:
-        needed = (*values.values(), *arguments)
-        known, result = last[0]
-        if len(known) != len(needed) or not all(map(operator.is_, known, needed)):
-            result = function(values, *arguments)
-            last[0] = needed, result
-        return result
-
-    return kept
-
-
 @of_last_values
 def video_weights(values: Values) -> Array:
     """Return the weights by which the video filter adds a pixel to later ones, shape (n, pixel)."""
@@ -353,6 +332,17 @@ def video_weights(values: Values) -> Array:
         int(values["video.filter_order"][0]),
     )
     return sampled_response(values["video.bandwidth_mhz"], clock_mhz, order, VIDEO_CLOCKS)
+
+
+@of_last_values
+def _filter_power(values: Values, nodes: "Nodes") -> Array:
+    """Return |W(f)|^2 of the video filter at nodes along a row, shape (n, across).
+
+    c_0 + 2 sum_j c_j cos(2 pi f j), c_j the covariances of filtered white noise.
+    """
+    lags = np.arange(VIDEO_CLOCKS)
+    cosines = np.cos(2.0 * np.pi * np.outer(lags, nodes.across))
+    return filter_covariance(values, VIDEO_CLOCKS) * np.minimum(lags + 1, 2) @ cosines
 
 
 @of_last_values

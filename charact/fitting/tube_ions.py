@@ -197,14 +197,14 @@ def _coincidences(values: Values, limit: Array, gate_s: float) -> Array:
     shape (1 + k) a; the group is one event.
     """
     from scipy.special import gammaincc
-    from scipy.stats import poisson
 
     rate = predicted.background_rate(values) * values[DETECTED]
     besides = rate * gate_s * DARKS.window[0] * DARKS.window[1]
-    total = np.zeros(np.broadcast(rate, limit).shape)
+    total, probability = np.zeros(np.broadcast(rate, limit).shape), np.exp(-besides)
     for k in range(12):
         fraction_above = gammaincc((1 + k) * values[SHAPE], limit * values[SHAPE])
-        total = total + poisson.pmf(k, besides) * fraction_above / (1 + k)
+        total = total + probability * fraction_above / (1 + k)
+        probability = probability * besides / (1 + k)
     return rate * total
 
 
