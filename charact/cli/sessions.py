@@ -287,7 +287,7 @@ def fit(
         result = load_or_measure(session, events=events, **settings)
         fitted = fit_and_save(session, result, sensor_out, events=events, **settings)
         for path, p in fitted.parameters().items():
-            if p.standing in ("fitted", "prior"):
+            if p.standing in ("fitted", "prior", "not-converged"):
                 print(f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] 95 %, {p.standing}")
         described = open_session_only(session).camera
         for note in fitted.notes[len(described.notes) if described else 0 :]:

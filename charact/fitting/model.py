@@ -1,16 +1,18 @@
 """Model of a fit: prior and likelihood of the requested parameters, and their posterior."""
 
 import collections
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.fitting.modes import Mode, Slope
 from charact.fitting.observation import Observation, misfit_finding
-from charact.fitting.prior import SensorPrior, prior_of, values_of_description
-from charact.fitting.slice_sampling import slice_sample
-from charact.fitting.thresholds import LIMITS
+from charact.fitting.posterior_draws import draw_posterior
+from charact.fitting.prior import FACTORS, SensorPrior, prior_of, values_of_description
+from charact.fitting.thresholds import LIMITS, MODES, SAMPLING
 from charact.observables import Ridge, Values
 from charact.verdict import Finding
 from labdata import Array, Camera, Posterior
@@ -26,6 +28,8 @@ class Model:
     sensor: Camera  # sensor description with the prior ranges and the parameters not drawn
     prior: SensorPrior  # prior of the parameters drawn
     observed: tuple[Observation, ...]  # observations of the session
+    # Parameters that the data determine: points hold no normal scores of them.
+    determined: tuple[str, ...] = ()
 
     def misfit(self, coordinates: Array) -> Array:
         """Return chi squared of all observations for coordinates (n, parameter), shape (n,)."""
@@ -50,17 +54,6 @@ class Model:
     def _description_values(self) -> Values:
         return values_of_description(self.sensor)
 
-    def log_probability(self, coordinates: Array) -> Array:
-        """Return the log-posterior, not normalised, shape (n,); -inf outside the prior's bounds."""
-        density = self.prior.log_density(coordinates)
-        within_bounds = np.isfinite(density)
-        out = np.full(len(coordinates), -np.inf)
-        if within_bounds.any():
-            out[within_bounds] = density[within_bounds] - 0.5 * self.misfit(
-                coordinates[within_bounds]
-            )
-        return out
-
     @cached_property
     def ridges(self) -> tuple[tuple[int, Ridge], ...]:
         """Place of the carrier among the coordinates, and the ridge, of every observation that has
@@ -73,19 +66,95 @@ class Model:
         ]
         return tuple((self.prior.names.index(ridge.carrier), ridge) for ridge in known)
 
-    def bend(self, points: Array) -> Array:
-        """Return the coordinates of points whose carriers are straightened, shape (n, parameter).
+    @cached_property
+    def is_carrier(self) -> NDArray[np.bool_]:
+        """Which coordinates carry a ridge, shape (parameter,)."""
+        return np.isin(np.arange(len(self.prior.names)), [carrier for carrier, _ in self.ridges])
 
-        A carrier c of the number N = f(others) + a c stands for c + (f(others) - f(centre))/a: a
-        shear, of unit determinant.
+    @cached_property
+    def is_scored(self) -> NDArray[np.bool_]:
+        """Which coordinates points hold as normal scores, shape (parameter,): those that have the
+        form of their prior, and not logarithms of factors, whose products are straight ridges.
         """
-        out, centre = points.copy(), self.prior.centre[None]
-        clipped = np.clip(points, self.prior.bounds[:, 0], self.prior.bounds[:, 1])
+        return ~self.is_carrier & ~np.isin(self.prior.names, (*FACTORS, *self.determined))
+
+    def bend(self, points: Array) -> Array:
+        """Return the coordinates of points (n, parameter), in which the posterior is nearly normal.
+
+        Points hold normal scores in the prior of some coordinates, others reflected at their
+        bounds, since of many at a bound hardly any proposal were inside, and straightened carriers:
+        a carrier c of the number N = f(others) + a c stands for c + (f(others) - f(centre))/a, a
+        shear of unit determinant.
+        """
+        centre, (low, high) = self.prior.centre[None], self.prior.bounds.T
+        ends = np.clip(points, low, high)
+        reflected = 2.0 * ends - points
+        reflected = np.where(points == ends, points, reflected)
+        out = np.where(self.is_scored, self.prior.of_scores(points), reflected)
+        out[:, self.is_carrier] = points[:, self.is_carrier]
+        clipped = np.clip(out, low, high)
         for carrier, ridge in self.ridges:
             clipped[:, carrier] = centre[0, carrier]
             number_change = ridge.number(self.values(clipped)) - ridge.number(self.values(centre))
             out[:, carrier] -= number_change / ridge.slope
         return out
+
+    def residuals(self, coordinates: Array, of_prior: Array) -> Array:
+        """Return whitened residuals of the data at coordinates (n, parameter), followed by those of
+        the prior, shape (n, k).
+        """
+        values = self.values(np.clip(coordinates, *self.prior.bounds.T))
+        parts = [*(observed.residuals(values) for observed in self.observed), of_prior]
+        return np.concatenate(
+            [np.broadcast_to(part, (len(of_prior), part.shape[1])) for part in parts], axis=1
+        )
+
+    def residuals_of(self, points: Array) -> tuple[Array, Array]:
+        """Return residuals at points, shape (n, k), and the coordinates of these, shape (n,
+        parameter): the sum of their squares is minus twice the log-posterior.
+        """
+        coordinates = self.bend(points)
+        of_prior = np.where(self.is_scored, points, self.prior.residuals(coordinates))
+        return self.residuals(coordinates, of_prior), coordinates
+
+    def log_probability(self, points: Array) -> Array:
+        """Return the log-posterior at points, not normalised, shape (n,); -inf outside bounds."""
+        residuals, coordinates = self.residuals_of(points)
+        (low, high), squares = self.prior.bounds.T, np.sum(residuals**2, axis=1)
+        is_inside = np.all((coordinates >= low) & (coordinates <= high), axis=1)
+        return np.where(is_inside, -0.5 * squares, -np.inf)
+
+    @cached_property
+    def slope(self) -> Slope:
+        """Residuals as a function of points."""
+        is_free = (self.is_scored | self.is_carrier)[:, None]
+        return Slope(
+            residuals=lambda points: self.residuals_of(points)[0],
+            bounds=np.where(is_free, [-np.inf, np.inf], self.prior.bounds),
+            width=np.where(self.is_scored, 1.0, self.prior.sd),
+        )
+
+    @cached_property
+    def modes(self) -> tuple[Mode, ...]:
+        """Modes of the posterior as a density of points, from the middle of the prior and from
+        draws of it.
+        """
+        prior, rng = self.prior, np.random.default_rng(MODES.seed)
+        scores = rng.standard_normal((MODES.starts, len(prior.names)))
+        drawn = np.where(self.is_scored, scores, prior.draw(rng, MODES.starts))
+        return self.slope.modes((np.where(self.is_scored, 0.0, prior.centre), *drawn))
+
+    @property
+    def mode_weights(self) -> Array:
+        """Fraction of the posterior that each mode holds, shape (mode,)."""
+        volume = np.exp([mode.log_evidence - self.modes[0].log_evidence for mode in self.modes])
+        return volume / volume.sum()
+
+    @cached_property
+    def best(self) -> Array:
+        """Most probable coordinates, shape (parameter,)."""
+        start = np.clip(self.bend(self.modes[0].point[None])[0], *self.prior.bounds.T)
+        return most_probable(self, start, np.ones(start.size, bool))
 
 
 def model_of(sensor: Camera, observed: tuple[Observation, ...]) -> Model:
@@ -94,23 +163,6 @@ def model_of(sensor: Camera, observed: tuple[Observation, ...]) -> Model:
         dict.fromkeys(path for observation in observed for path in observation.parameters)
     )
     return Model(sensor=sensor, prior=prior_of(sensor, requested), observed=observed)
-
-
-def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
-    """Return the most probable point with only the free coordinates changed."""
-    from charact.inference import find_maximum
-
-    if not free.any():
-        return start
-
-    def conditional(points: Array) -> Array:
-        full_points = np.tile(start, (len(points), 1))
-        full_points[:, free] = points
-        return model.log_probability(full_points)
-
-    optimum = start.copy()
-    optimum[free], _ = find_maximum(conditional, start[free], model.prior.bounds[free])
-    return optimum
 
 
 def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
@@ -122,12 +174,12 @@ def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
     """
     from scipy.special import chdtri
 
-    best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
-    values = model.values(best[None])
+    best = model.best[None]
+    values = model.values(best)
     parts: dict[str, float] = collections.defaultdict(float)
     for observation in model.observed:
         parts[observation.name] += float(observation.chi_squared(values)[0])
-    parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
+    parts["the description's own ranges"] = float(np.sum(model.prior.residuals(best) ** 2))
     numbers, total = (
         sum(observation.value.size for observation in model.observed),
         sum(parts.values()),
@@ -140,35 +192,84 @@ def inflate_errors(model: Model) -> tuple[Model, Finding | None]:
     ), misfit_finding(parts, numbers, factor)
 
 
+def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
+    """Return the most probable coordinates with only the free ones changed."""
+    bounds = np.where(free[:, None], model.prior.bounds, start[:, None])
+
+    def residuals(coordinates: Array) -> Array:
+        return model.residuals(coordinates, model.prior.residuals(coordinates))
+
+    return Slope(residuals=residuals, bounds=bounds, width=model.prior.sd).ascend(start).point
+
+
 def posterior_of(model: Model, *, seed: int) -> Posterior:
-    """Draw the joint posterior in the prior's coordinates."""
-    from charact.inference import find_maximum
+    """Draw the joint posterior in the prior's coordinates.
 
-    prior, bounds = model.prior, model.prior.bounds.copy()
-    bounds[[carrier for carrier, _ in model.ridges]] = -np.inf, np.inf
+    Of several modes each has the fraction of the draws that it holds of the posterior by Laplace's
+    approximation.
+    """
+    modes = model.modes
+    posteriors = [_draw_about(model, mode, seed) for mode in modes]
+    counts = np.round(model.mode_weights * SAMPLING.chains).astype(int)
+    draws = [part.draws[:count] for part, count in zip(posteriors, counts, strict=True)]
+    several = ("several-modes",) if len(modes) > 1 else ()
+    return replace(
+        posteriors[0],
+        draws=np.concatenate(draws),
+        flags=(*several, *(flag for part in posteriors for flag in part.flags)),
+    )
 
-    def log_probability(points: Array) -> Array:
-        return model.log_probability(model.bend(points))
 
-    point, covariance = find_maximum(log_probability, prior.centre, bounds)
-    if any(observation.is_bound for observation in model.observed):
-        # At a bound, where the most probable point often lies, finite differences find no
-        # curvature.
-        smooth = replace(
-            model,
-            observed=tuple(
-                observation for observation in model.observed if not observation.is_bound
-            ),
-        )
-        _, covariance = find_maximum(
-            lambda points: smooth.log_probability(model.bend(points)), point, bounds
-        )
-    posterior = slice_sample(
-        log_probability,
+def _draw_about(model: Model, mode: Mode, seed: int) -> Posterior:
+    """Draw the posterior about a mode, in the prior's coordinates."""
+    prior, sd = model.prior, np.sqrt(np.diag(mode.covariance))
+    is_narrow = model.is_scored & (sd < MODES.scored_sd)
+    determined = tuple(name for name, narrow in zip(prior.names, is_narrow, strict=True) if narrow)
+    model = replace(model, determined=determined)
+    start = np.where(is_narrow, prior.of_scores(mode.point[None])[0], mode.point)
+    # Chains start as wide as the wider side of a prior of two halves.
+    widest = np.maximum(prior.sd_below, prior.sd_above)
+    below, above = (
+        np.where(model.is_scored, side, widest) for side in (prior.sd_below, prior.sd_above)
+    )
+    wide = replace(model, prior=replace(prior, sd_below=below, sd_above=above))
+    point = model.slope.ascend(start).point
+    posterior = draw_posterior(
+        model.log_probability,
         names=prior.names,
         point=point,
-        covariance=covariance,
-        bounds=bounds,
+        covariance=wide.slope.covariance(point),
         seed=seed,
     )
-    return replace(posterior, draws=model.bend(posterior.draws))
+    coordinates = np.clip(model.bend(posterior.draws), *prior.bounds.T)
+    return replace(posterior, draws=coordinates)
+
+
+def convergence_findings(model: Model, posterior: Posterior) -> Iterator[Finding]:
+    """Yield a finding where the chains of a posterior did not converge, and one where it has other
+    modes.
+    """
+    names = posterior.names
+    if "not-converged" in posterior.flags:
+        index = int(np.argmin(posterior.effective_sample_size))
+        yield Finding(
+            flag="not-converged",
+            effect=(
+                "neither slice sampling nor an ensemble of walkers converged, effective draws "
+                f"{posterior.effective_sample_size[index]:.0f} of {names[index]}: no parameter "
+                "is fitted"
+            ),
+            remedy="a description of narrower ranges, or darks and flats of more levels",
+        )
+    best = model.modes[0]
+    for mode, weight in zip(model.modes[1:], model.mode_weights[1:], strict=True):
+        there, here = model.prior.parameters(model.bend(np.stack([mode.point, best.point])))
+        index = int(np.argmax(np.abs(mode.point - best.point) / np.sqrt(np.diag(best.covariance))))
+        yield Finding(
+            flag="several-modes",
+            effect=(
+                f"another camera explains the data with {weight:.0%} of the "
+                f"probability: {names[index]} {there[index]:.4g} in place of {here[index]:.4g}"
+            ),
+            remedy="frames that show that parameter, or a description of narrower ranges",
+        )

@@ -38,12 +38,16 @@ class Observation:
     # the product that it determines far better than any of its parameters
     ridge: Ridge | None = None
 
-    def chi_squared(self, values: Values) -> Array:
-        """Return each draw's chi squared, shape (n,)."""
+    def residuals(self, values: Values) -> Array:
+        """Return predicted less measured numbers, whitened, shape (n, k)."""
         residuals = self.predict(values) - self.value
         if self.is_bound:
             residuals = np.minimum(residuals, 0.0)
-        return np.sum((residuals @ self._whitening) ** 2, axis=1)
+        return residuals @ self._whitening
+
+    def chi_squared(self, values: Values) -> Array:
+        """Return each draw's chi squared, shape (n,)."""
+        return np.sum(self.residuals(values) ** 2, axis=1)
 
     def scale_errors(self, factor: float) -> "Observation":
         """Return the same numbers with all errors larger by a factor."""

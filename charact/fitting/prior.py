@@ -29,7 +29,7 @@ _AT_MOST_ONE = (
 _MOST_CURVED = {"readout.compression_fraction": 0.2}
 # Factors of products and powers: drawn as logarithms, in which a constrained product is a straight
 # ridge.
-_FACTORS = (
+FACTORS = (
     "photocathode.luminous_sensitivity_ua_per_lm",
     "photocathode.ebi_lm_per_cm2",
     "microchannel_plate.detection_probability",
@@ -75,16 +75,33 @@ class SensorPrior:
         sd_below, sd_above = self.sd_below, self.sd_above
         return np.sqrt((1.0 - 2.0 / np.pi) * (sd_above - sd_below) ** 2 + sd_below * sd_above)
 
-    def log_density(self, coordinates: Array) -> Array:
-        """Return the log-prior, not normalised, of coordinates (n, parameter): -inf outside
-        bounds.
+    def residuals(self, coordinates: Array) -> Array:
+        """Return the departures of coordinates (n, parameter) from the centre in units of the
+        widths.
         """
         departures = coordinates - self.centre
-        z = departures / np.where(departures < 0, self.sd_below, self.sd_above)
-        within_bounds = np.all(
-            (coordinates >= self.bounds[:, 0]) & (coordinates <= self.bounds[:, 1]), axis=1
-        )
-        return np.where(within_bounds, -0.5 * np.sum(z**2, axis=1), -np.inf)
+        return departures / np.where(departures < 0, self.sd_below, self.sd_above)
+
+    def of_scores(self, scores: Array) -> Array:
+        """Return the coordinates of normal scores (n, parameter): the quantile of a coordinate in
+        its prior is that of the score in the standard normal law.
+
+        Of the widths a below and b above the centre the half-Gaussians hold a/(a + b) and b/(a +
+        b); from logarithms of both tails, as data may lie far out in either.
+        """
+        from scipy.special import log_ndtr, ndtr, ndtri_exp
+
+        widths = np.stack([self.sd_below, self.sd_above])
+        halves = 2.0 * widths / widths.sum(axis=0)
+        cut = halves * ndtr(-np.abs(self.bounds.T - self.centre) / widths)
+        mass = np.log1p(-cut.sum(axis=0))
+        with np.errstate(divide="ignore"):
+            tails = [
+                np.logaddexp(np.log(cut_tail), mass + log_ndtr(side)) - np.log(half)
+                for cut_tail, side, half in zip(cut, (scores, -scores), halves, strict=True)
+            ]
+        below, above = (ndtri_exp(np.minimum(tail, -np.log(2.0))) for tail in tails)
+        return self.centre + self.sd_below * below - self.sd_above * above
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """Return coordinates drawn from the prior, shape (count, parameter)."""
@@ -176,7 +193,7 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
         1.0 if path in _AT_MOST_ONE else _MOST_CURVED.get(path, np.inf),
     )
     floor = max(floor, -_MOST_CURVED.get(path, np.inf))
-    scale = path in _FACTORS or high > SCALE_RATIO * low
+    scale = path in FACTORS or high > SCALE_RATIO * low
     power = 1 if low <= 0 else 0 if scale else 1
     if power == 0:
         ends = np.array([floor, low, value, high, min(ceiling, 1e3 * value)])

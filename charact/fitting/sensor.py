@@ -11,6 +11,7 @@ from charact.fitting.fitted_session import camera_of, per_pixel, require_noise, 
 from charact.fitting.model import (
     TIED,
     Model,
+    convergence_findings,
     inflate_errors,
     model_of,
     most_probable,
@@ -18,7 +19,6 @@ from charact.fitting.model import (
 )
 from charact.fitting.observation import (
     findings_of,
-    has_automatic_gain,
     observations_of,
 )
 from charact.fitting.prior import (
@@ -32,13 +32,12 @@ from charact.fitting.stack_levels import (
     note_on_exclusions,
     stacks_of,
 )
-from charact.fitting.thresholds import LIMITS, SAMPLING
+from charact.fitting.thresholds import LIMITS
+from charact.fitting.well_evidence import FULL_WELL, ShownLevel, full_well_draws, shown_levels
 from charact.frames.session_layout import layout_notes, sound_session
 from labdata import Array, BadInput, Camera, Posterior, Result, Session
 from labdata.camera.parameters import Draws, Parameter
 
-FULL_WELL = "ccd.full_well_e"
-GAIN = "video.conversion_gain_dn_per_e"
 PLANE_NOTE = (
     "Fitted to the plane {} of a mosaic: lengths, charges and gain are those of the camera's "
     "pixels, the quantum efficiency that behind their colour filter; rows, neighbours and "
@@ -50,42 +49,6 @@ RISE_NOTE = (
     "The dark level rises by {:.3g} DN/s of exposure. The description subtracts dark charge (a "
     "clamp): its black level is that of the shortest dark, and simulated darks do not rise."
 )
-
-
-def fills_the_scale(session: Session) -> bool:
-    """Whether a point source's frames reach full scale, so that the full well is at least as
-    large.
-    """
-    if session.bit_depth is None:
-        return False
-    fixed = [
-        entry for entry in session.of_kind("point") if not has_automatic_gain(entry.conditions)
-    ]
-    return any(int(entry.read().data.max()) >= 2**session.bit_depth - 1 for entry in fixed)
-
-
-def full_well_draws(
-    sensor: Camera, drawn: dict[str, Array], rng: np.random.Generator
-) -> Array | None:
-    """Return the full well for each draw of gain and black level, e-; None if not constrained.
-
-    The prior, truncated below (full scale - black level) / gain; that charge where nothing remains.
-    """
-    prior = prior_of(sensor, (FULL_WELL,))
-    if not prior.names or GAIN not in drawn:
-        return None
-    black = drawn.get("video.black_level_dn", np.array([float(sensor.video.black_level_dn)]))
-    least_charge = (2**sensor.video.bit_depth - 1 - black) / drawn[GAIN]
-    tried = np.sort(prior.parameters(prior.draw(rng, SAMPLING.candidates))[:, 0])
-    first = np.searchsorted(tried, least_charge)
-    picked = first + np.floor(rng.random(least_charge.size) * (SAMPLING.candidates - first)).astype(
-        int
-    )
-    return np.where(
-        first < SAMPLING.candidates,
-        tried[np.minimum(picked, SAMPLING.candidates - 1)],
-        least_charge,
-    )
 
 
 Progress = Callable[[str, float], None]
@@ -164,10 +127,10 @@ def fit_sensor(
         model,
         posterior,
         illuminance_relative_sd=relative_sd_of(lit, "lux")[0] if metered else 0.0,
-        scale_filled=metered and fills_the_scale(session),
+        shown=shown_levels(session, levels),
         seed=seed,
     )
-    known = (step_finding(session), left_out, doubt)
+    known = (*convergence_findings(model, posterior), step_finding(session), left_out, doubt)
     findings = {
         finding.flag: finding for finding in (*findings_of(result), *known) if finding is not None
     }
@@ -190,13 +153,13 @@ def description_from_posterior(
     *,
     illuminance_relative_sd: float,
     seed: int,
-    scale_filled: bool = False,
+    shown: tuple[ShownLevel, ...] = (),
 ) -> Camera:
     """Return the camera description of a posterior.
 
     `posterior`: draws in the coordinates of the model's prior; `illuminance_relative_sd`: relative
     standard uncertainty of the illuminance; widens the ranges of the parameters that depend on the
-    meter; `scale_filled`: whether frames reach full scale, which constrains the full well.
+    meter; `shown`: levels that frames show, which constrain the full well.
     """
     point = _typical(model, posterior.draws)
     values = dict(
@@ -231,14 +194,15 @@ def description_from_posterior(
             values[path],
             drawn * meter if path in _METERED else drawn,
             _remaining_width(model.sensor, path, drawn),
+            has_converged="not-converged" not in posterior.flags,
         )
         for path, drawn in draws.items()
     }
-    well = full_well_draws(model.sensor, draws, rng) if scale_filled else None
+    well = full_well_draws(model.sensor, known, shown, rng)
     if well is not None:
         draws[FULL_WELL] = well
         low, value, high = (float(q) for q in np.quantile(well, (0.025, 0.5, 0.975)))
-        words = "the prior, truncated below the charge at full scale, which frames reach; prior: "
+        words = "the prior, truncated below the charge that frames show; prior: "
         changes[FULL_WELL] = Parameter(
             value=value,
             low=low,
@@ -266,8 +230,7 @@ def _typical(model: Model, draws: Array) -> Array:
     """Return the posterior's mode, in which a coordinate that stands at a bound of the data has its
     median.
     """
-    middle = np.median(draws, axis=0)
-    point = most_probable(model, middle, np.ones(middle.size, bool))
+    middle, point = np.median(draws, axis=0), model.best
     probability = np.mean(draws < point, axis=0)
     is_inside = (probability > LIMITS.edge) & (probability < 1.0 - LIMITS.edge)
     return most_probable(model, np.where(is_inside, point, middle), is_inside)
@@ -292,16 +255,21 @@ def _remaining_width(sensor: Camera, path: str, drawn: Array) -> float:
     return float(prior.coordinates(drawn[:, None]).std(ddof=1) / prior.sd[0])
 
 
-def _parameter(before: Parameter, value: float, draws: Array, remaining: float) -> Parameter:
+def _parameter(
+    before: Parameter, value: float, draws: Array, remaining: float, *, has_converged: bool
+) -> Parameter:
     """Return one parameter of the fitted description; `remaining` is the remaining fraction of its
     prior's width.
     """
-    if remaining < LIMITS.identified:
+    low, high = (value if end is None else end for end in (before.low, before.high))
+    if not has_converged:
+        standing = "not-converged"
+        source = f"requested, but the chains of the fit did not converge; prior: {before.source}"
+    elif remaining < LIMITS.identified:
         low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
         standing = "fitted"
         source = f"fitted to the session's data; {remaining:.0%} of the prior's width remains"
     else:
-        low, high = (value if end is None else end for end in (before.low, before.high))
         standing = "prior"
         source = (
             f"requested, but not identified by the session's data: {remaining:.0%} of the prior's "

@@ -1,4 +1,4 @@
-"""Gain, levels, saturation and efficiency of a camera without a tube.
+"""Gain, levels and efficiency of a camera without a tube.
 
     mu = b + K g s (1 - c K g s / full scale),  s = eta p (1 + t0/t) (1 + 10 m)
 
@@ -7,7 +7,6 @@ efficiency; m: smear of a spot of a tenth of the height, of a flat ten times as 
 `charact.observables.silicon`.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +19,6 @@ from charact.fitting.predicted_quantities import ELEMENTARY_CHARGE_C, in_columns
 from charact.fitting.stack_levels import SessionStacks, dark_rise_dn_per_s
 from charact.method import Context
 from charact.observables import (
-    Case,
     Estimates,
     Observable,
     Values,
@@ -49,7 +47,7 @@ from charact.observables.thresholds import SILICON
 from labdata import Array
 from labdata.camera.chip import Silicon
 
-EFFICIENCY, PITCH, WELL = "ccd.quantum_efficiency", "ccd.pitch_x_um", "ccd.full_well_e"
+EFFICIENCY, PITCH = "ccd.quantum_efficiency", "ccd.pitch_x_um"
 
 
 def electrons_per_efficiency(silicon: Silicon, level: StackLevel) -> float:
@@ -92,18 +90,6 @@ def system_gain(values: Values, shown: Measured) -> Array:
     return transfer_slope(values, shown) / excess_of(shown.stacks.flat_conditions, context).factor
 
 
-def full_well_level(values: Values, stacks: SessionStacks) -> Array:
-    """Return the level at which the wells are full, shape (n,), DN."""
-    conditions = stacks.flat_conditions
-    charge = values[WELL] * em_gain(values, conditions)
-    return values[BLACK_LEVEL] + dn_per_electron(values, conditions) * charge
-
-
-def well_paths(stacks: SessionStacks) -> tuple[str, ...]:
-    """Return the paths of the level of full wells."""
-    return (*amplification(stacks.flat_conditions), WELL, BLACK_LEVEL)
-
-
 def dark_slope(values: Values, shown: Measured) -> Array:
     """Return the rise of the dark level without a clamp, shape (n,), DN/s."""
     warm = shown.stacks.dark.conditions
@@ -128,19 +114,6 @@ SLOPE = MeasuredQuantity(
     number=system_gain,
     relative_model_sd=0.001,
     paths=lambda stacks: (*amplification(stacks.flat_conditions), HEIGHTS, COMPRESSION),
-)
-SATURATION = MeasuredQuantity(
-    name="saturation",
-    order=37,
-    tube=False,
-    # The digitiser may clip first, and few levels locate a peak badly.
-    is_bound=True,
-    quantity="saturation",
-    unit="DN",
-    first=True,
-    number=lambda values, shown: full_well_level(values, shown.stacks),
-    relative_model_sd=SILICON.saturation_model_sd,
-    paths=well_paths,
 )
 declare(
     SLOPE,
@@ -168,7 +141,6 @@ declare(
         relative_model_sd=SILICON.noise_model_sd,
         depends=(PRNU_FRACTION,),
     ),
-    SATURATION,
     # A clamp removes an unknown fraction of the dark charge.
     MeasuredQuantity(
         name="rise of the dark level",
@@ -195,30 +167,6 @@ declare(
         depends=(EFFICIENCY,),
     ),
 )
-
-
-@observable
-class BrightestLinearFlat(Observable[SessionStacks]):
-    """Level of the brightest flat below saturation, a lower bound of the full well."""
-
-    name = "brightest linear flat"
-    order = 38
-    tube = False
-    unless = (SATURATION.name,)
-    is_bound = True
-    relative_model_sd = SILICON.saturation_model_sd
-
-    def cases(self, stacks: SessionStacks) -> Iterator[Case[SessionStacks]]:
-        """Yield the brightest flat of the fitted photon transfer curve."""
-        (mean,) = photon_transfer_of(stacks, "mean_dn")
-        if mean.size:
-            yield Case(estimates=Estimates.of_number(float(mean.max()), 0.0), of=stacks)
-
-    def number(self, values: Values, shown: SessionStacks) -> Array:
-        return full_well_level(values, shown)
-
-    def parameters(self, shown: SessionStacks) -> tuple[str, ...]:
-        return well_paths(shown)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,8 +67,30 @@ class FitLimits:
     # A parameter is identified if its posterior is narrower than this fraction of its prior, in
     # standard deviations.
     identified: float = 0.7
+    # Fraction of the pixels of a frame that show what wells hold, and standard deviations of the
+    # read noise that are taken off their level.
+    brightest_fraction: float = 0.001
+    read_noise_margin: float = 3.0
     # Quantile of its posterior below which, or above its complement, the mode is no typical value.
     edge: float = 0.1
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Search for the modes of the posterior."""
+
+    # Starts drawn from the prior besides its centre, and their seed: of gen3-digital-iccd, whose
+    # ions have two modes, three in ten ascents end on the lower one.
+    starts: int = 7
+    seed: int = 59
+    iterations: int = 200  # of a ascend
+    difference: float = 1e-3  # step of finite differences over the prior's width
+    # Standard deviations between modes that are two; fraction of the posterior that one must hold
+    # to be drawn from.
+    distinct_sd: float = 6.0
+    least_weight: float = 0.01
+    # Fraction of its prior's width below which a parameter is determined by the data.
+    scored_sd: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -76,20 +98,29 @@ class Sampling:
     """Draws of the posterior."""
 
     chains: int = 400  # chains, each of which gives a draw of the fitted description
-    rounds: int = 4  # of the adaptation, draws of each and freedom of its Student t
-    round_draws: int = 3000
-    freedom: float = 8.0
-    least_effective: float = 2.0  # effective draws of a round, below which its moments say nothing
-    prior_draws: float = 5.0  # effective draws a parameter that the covariance before counts for
-    wider: float = 1.2  # variance of the normal law of the slice sampling over the adapted one
-    # Steps of the chains: after 10 no coordinate keeps a correlation above 0.5 with its start.
-    least_steps: int = 10
-    most_steps: int = 320
-    # change of mean or spread over the second half of the steps, standard errors
-    most_change_se: float = 5.0
+    wider: float = 1.2  # variance of the normal law of the slice sampling over that of the chains
+    # Steps of rounds whose draws are forgotten, and of rounds after each of which chains are
+    # judged.
+    burn_in_steps: tuple[int, ...] = (5, 5, 10)
+    steps: tuple[int, ...] = (20, 20, 40, 80)
     least_variance: float = 1e-8  # of a direction of the parameters, each over its own
     least_angle: float = 1e-6  # bracket of a step, rad, below which a chain stays
+    # emcee's walkers and their steps likewise.
+    walkers_per_parameter: int = 4
+    walkers_burn_in_steps: tuple[int, ...] = (100, 200)
+    walkers_steps: tuple[int, ...] = (400, 400, 800)
     candidates: int = 400  # prior draws of a truncated parameter
+
+
+@dataclass(frozen=True)
+class ConvergenceLimits:
+    """When chains are believed."""
+
+    most_shift_sd: float = 0.1  # means of their halves apart, standard deviations of the posterior
+    least_effective: float = 400.0  # effective draws of every parameter
+    # ln p(mode) - ln p(draw): relative departure of its mean from d/2, and absolute.
+    depth_tolerance: float = 0.5
+    depth_slack: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -233,7 +264,9 @@ class MapLimits:
 
 ERRORS = ModelErrors()
 LIMITS = FitLimits()
+MODES = Modes()
 SAMPLING = Sampling()
+CONVERGENCE = ConvergenceLimits()
 FRAMES = TubeFrames()
 DARKS = TubeDarks()
 DARK_ERRORS = DarkErrors()

@@ -48,8 +48,6 @@ class SiliconErrors:
     # Relative error of the electrons per lumen of a table of quantum efficiencies; see
     # `table_sensitivity_ua_per_lm`.
     lumen_model_sd: float = 0.002
-    # Relative error of the level of saturation: the variance peaks somewhat below the full well.
-    saturation_model_sd: float = 0.03
 
 
 @dataclass(frozen=True)

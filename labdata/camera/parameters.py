@@ -9,7 +9,8 @@ from labdata.errors import BadInput, check
 # sheet: data sheet. default: typical of the type, not of this device. derived: computed from
 # others.
 # fitted: identified by a session's data. prior: fitted, but not identified by the data.
-Standing = Literal["sheet", "default", "derived", "fitted", "prior"]
+# not-converged: requested of a fit whose chains did not converge.
+Standing = Literal["sheet", "default", "derived", "fitted", "prior", "not-converged"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,17 +42,25 @@ TIED = "ccd.pitch_y_um"
 FLAT = Target()
 
 
-def draw_specimen(name: str, seed: int) -> tuple[Camera, dict[str, float]]:
-    """Return a small specimen of a shipped description, and its drawn parameters by path."""
+def draw_specimen(
+    name: str, seed: int, *, uniform: bool = False
+) -> tuple[Camera, dict[str, float]]:
+    """Return a small specimen of a shipped description, and its drawn parameters by path: from the
+    prior, or `uniform` between the ends of their ranges.
+    """
     sheet = load_camera(name)
     prior = prior_of(
         sheet, tuple(dict.fromkeys(DRAWN_OF_TUBE if sheet.has_tube else DRAWN_OF_CHIP))
     )
-    rng = np.random.default_rng([seed, 51])
+    rng, known = np.random.default_rng([seed, 61 if uniform else 51]), sheet.parameters()
+    low, high = np.array([(known[path].low, known[path].high) for path in prior.names]).T
     while True:
-        truth = dict(
-            zip(prior.names, prior.parameters(prior.draw(rng, 1))[0].tolist(), strict=True)
+        drawn = (
+            low + (high - low) * rng.random(low.size)
+            if uniform
+            else prior.parameters(prior.draw(rng, 1))[0]
         )
+        truth = dict(zip(prior.names, drawn.tolist(), strict=True))
         if sheet.has_tube or _is_usable(sheet, truth):
             break
     if "ccd.pitch_x_um" in truth:
@@ -113,11 +121,11 @@ def name_of_class(camera: Camera) -> str:
     return "register" if camera.register.multiplies else "chip"
 
 
-def session_of(name: str, seed: int) -> tuple[Session, dict[str, float]]:
+def session_of(name: str, seed: int, *, uniform: bool = False) -> tuple[Session, dict[str, float]]:
     """Return the session of a specimen, which names the shipped description, and the specimen's
     parameters.
     """
-    specimen, truth = draw_specimen(name, seed)
+    specimen, truth = draw_specimen(name, seed, uniform=uniform)
     sheet = load_camera(name)
     bench, kind = LabBench(specimen), name_of_class(specimen)
     frame_s = 1.0 / float(specimen.video.field_rate_hz)

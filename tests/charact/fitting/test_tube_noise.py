@@ -13,7 +13,6 @@ from charact.fitting import (
     observations_of,
     predicted_quantities,
     tube_light,
-    tube_observations,
     values_of_description,
 )
 from labdata import Camera, Posterior, Result, measurement_from_draws
@@ -99,12 +98,15 @@ def test_the_ridge_is_a_plane(sheet: Camera, told_of, seed: int) -> None:
     told = told_of(seed)
     observed = noise_of(told, flats_of(sheet, told))
     model = model_of(sheet, observed)
-    points = model.prior.draw(np.random.default_rng(seed), 50)
-    place = model.prior.names.index(tube_observations.SENSITIVITY)
-    points[:, place] = model.prior.centre[place]
+    rng = np.random.default_rng(seed)
+    drawn = model.prior.draw(rng, 50)
+    points = np.where(model.is_scored, rng.standard_normal(drawn.shape), drawn)
+    points[:, model.is_carrier] = model.prior.centre[model.is_carrier]
+    coordinates = model.bend(points)
+    unsheared = np.where(model.is_carrier, points, coordinates)
     ridge = observed[0].ridge
     assert ridge is not None
-    free, bent = (np.exp(ridge.number(model.values(one))) for one in (points, model.bend(points)))
+    free, bent = (np.exp(ridge.number(model.values(one))) for one in (unsheared, coordinates))
     assert free.std() / free.mean() > 0.1
     # A trace of electrons per photoelectron, K, is not inversely proportional to the sensitivity.
     assert bent.std() / bent.mean() < 2e-3
