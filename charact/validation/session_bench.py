@@ -2,13 +2,13 @@
 colour or amount. They are not the camera's.
 
 The noiseless simulated frame S of a target is laid on the measured mean frame M by least squares,
-both as arsinh of the level above the background over its noise,
 
-    f(M) = f(S) + f'(S) (b + a S) - d . grad f(S) + t df(S)/dt,
+    M = b + a S - d . grad S + t dS/dt,
 
-with small corrections b and a of background and contrast, displacement d and turn t, until d and t
-vanish (Lucas and Kanade, Proc. IJCAI 1981). On this scale also the steep flanks of a clipped point
-change evenly with its place.
+with background b, contrast a, displacement d and turn t, until d and t vanish (Lucas and Kanade,
+Proc. IJCAI 1981): a blur other than the camera's hardly moves them. A point lies where the centres
+of gravity of both agree. Where it clips, its centre hardly moves with it, and M and S are arsinh of
+the level above the background over its noise, on which scale its flanks change evenly with d.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ from charact.validation.simulated_frames import (
     signal_dn,
     slow_enough,
 )
-from charact.validation.target_features import target_centre
+from charact.validation.target_features import spot_centre, target_centre
 from charact.validation.thresholds import VALIDATION
 from labdata import Camera, Conditions
 
@@ -38,9 +38,9 @@ WINDOW_PX, MARGIN_PX = 32, 16
 # Steps of the registration, the last step's length, px, and the way from the first guess that a
 # registration may take: beyond it, it is of something else.
 STEPS, LAST_PX, LONGEST_PX = 6, 0.004, 1.5
-# Displacement that gives the gradient of a point, px, and side of the squares over which the
-# variance in time is averaged.
-GRADIENT_PX, VARIANCE_PX = 0.1, 5
+# Displacement to both sides that gives the gradient of a point, px, and the least contrast of a
+# target over that simulated.
+HALF_PX, LEAST_CONTRAST = 0.1, 0.1
 # Fraction of the pixels below the background's level, and least noise, DN.
 BACKGROUND, ROUNDING_DN = 0.05, 0.3
 
@@ -222,45 +222,48 @@ def _registration(frames: NDArray, bench: "LabBench", shot: MatchedFrames) -> Ma
     """Return the displacement of a target from where it is simulated, and the turn of its ends,
     px.
     """
-    import cv2
-
     measured, simulated = frames.mean(axis=0, dtype=float), mean_of(bench, shot)
-    variance = cv2.blur(frames.var(axis=0, dtype=float), (VARIANCE_PX, VARIANCE_PX))
-    noise_dn = np.sqrt(np.median(variance)) + ROUNDING_DN
+    full_dn = 2.0**bench.camera.description.video.bit_depth - 1.0
+    if shot.kind == "point" and max(measured.max(), simulated.max()) < full_dn:
+        centres = [spot_centre(frame - np.median(frame)) for frame in (measured, simulated)]
+        step = np.full(2, np.nan) if None in centres else np.subtract(*centres)
+        return dict(zip(("row", "col"), step.tolist(), strict=True))
+    noise_dn = np.median(frames.std(axis=0, dtype=float)) + ROUNDING_DN
 
-    def above_background(frame: NDArray) -> NDArray:
-        return (frame - np.quantile(frame, BACKGROUND)) / noise_dn
+    def level(frame: NDArray) -> NDArray:
+        signal = (frame - np.quantile(frame, BACKGROUND)) / noise_dn
+        return np.arcsinh(signal) if shot.kind == "point" else signal
 
-    signal, lit = above_background(measured), above_background(simulated)
-    level = np.arcsinh(lit)
+    lit = level(simulated)
     if shot.kind == "point":
         # Of a spot as narrow as a pixel differences of pixels are no gradient.
-        shifted = {
-            name: above_background(mean_of(bench, _moved(shot, **{name: GRADIENT_PX})))
+        # Shot noise: its variance is as the level.
+        contrast, weight = np.tanh(lit), np.sqrt(np.cosh(lit))
+        terms = {
+            name: np.subtract(
+                *(level(mean_of(bench, _moved(shot, **{name: way}))) for way in (HALF_PX, -HALF_PX))
+            )
+            / (2.0 * HALF_PX)
             for name in ("row", "col")
         }
-        terms = {name: (np.arcsinh(frame) - level) / GRADIENT_PX for name, frame in shifted.items()}
     else:
-        down, right = np.gradient(level)
+        contrast, weight, (down, right) = lit, np.ones_like(lit), np.gradient(lit)
         cells = bench.camera.scene_cells
         ratio, centre = cells.pitch_y_mm / cells.pitch_x_mm, np.array(shot.shape) / 2.0 - 0.5
-        y, x = np.indices(level.shape, sparse=True)
+        y, x = np.indices(lit.shape, sparse=True)
         y, x = y - centre[0] - shot.offset_px[0], x - centre[1] - shot.offset_px[1]
         turn = (ratio * y * right - x * down / ratio) * 2.0 / max(shot.shape)
         terms = {"row": -down, "col": -right, "turn": turn}
         if shot.kind == "edge":
             # Along itself an edge has no place.
             del terms["row" if (right**2).sum() > (down**2).sum() else "col"]
-    full_dn = 2.0**bench.camera.description.video.bit_depth - 1.0
     usable = (measured < full_dn) & (simulated < full_dn)
     # Differences of the outermost pixels are one-sided.
     usable[[0, -1]] = usable[:, [0, -1]] = False
-    slope = 1.0 / np.hypot(lit, 1.0)
-    weight = 1.0 / (slope * np.sqrt(variance + noise_dn**2))
-    design = np.stack([slope, slope * lit, *terms.values()])
-    design, difference = (
-        (values * weight)[..., usable] for values in (design, np.arcsinh(signal) - level)
-    )
+    design = (np.stack([np.ones_like(lit), contrast, *terms.values()]) * weight)[:, usable]
     scale = np.abs(design).max(axis=1, keepdims=True) + 1e-12
+    difference = ((level(measured) - lit) * weight)[usable]
     amounts = np.linalg.lstsq((design / scale).T, difference, rcond=None)[0] / scale[:, 0]
-    return dict(zip(terms, amounts[2:].tolist(), strict=True))
+    # A factor of the contrast is one of the gradient too; of its arsinh it is a shift.
+    factor = 1.0 if shot.kind == "point" else max(1.0 + amounts[1], LEAST_CONTRAST)
+    return dict(zip(terms, (amounts[2:] / factor).tolist(), strict=True))

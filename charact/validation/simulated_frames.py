@@ -153,14 +153,14 @@ def _target_of(shot: MatchedFrames) -> Target:
 
     target, pitch_px = shot.target, shot.pitch_px
     frequency, pinhole_px = target.frequency_cy_per_px, target.pinhole_px
-    return PlacedTarget(
-        bars=target.bars,
+    target = replace(
+        target,
         frequency_cy_per_px=frequency and frequency / pitch_px,
-        angle_deg=target.angle_deg,
         pinhole_px=pinhole_px and pinhole_px * pitch_px,
-        contrast=target.contrast,
-        offset_px=(shot.offset_px[0] * pitch_px, shot.offset_px[1] * pitch_px),
+        region=None,
     )
+    offset_px = shot.offset_px[0] * pitch_px, shot.offset_px[1] * pitch_px
+    return PlacedTarget(**vars(target), offset_px=offset_px)
 
 
 def _light_on_plane(bench: "LabBench", shot: MatchedFrames) -> "StageImage":

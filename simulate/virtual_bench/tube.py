@@ -1,5 +1,6 @@
 """Virtual tube: frames under the present target, light, voltage and gate of the virtual bench."""
 
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,9 +12,12 @@ from labdata import Camera, Conditions, Kind, Target
 from labdata.gating import IN_STEP, fields_open_ns, whole_field_s
 from simulate.camera.fast_sampler.frame_generator import SEGMENT_FRAMES
 from simulate.lab import LabBench
+from simulate.radiance.lab_target import PlacedTarget, as_stood
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement
 from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
+# Distance in row and col, px, and angle by which a target stands off where it should, at most
+ASTRAY_PX, ASKEW_DEG = 2.0, 1.0
 # Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own
 STEPS = 32
 
@@ -115,6 +119,7 @@ class VirtualTube:
         and a gain, dB.
         """
         placement, outputs = read_placement(self._folder), self._outputs()
+        placement = replace(placement, target=self._stood(placement))
         if outputs.room_light_lux:
             # it falls on everything, darks included
             placement = replace(placement, kind="flat", target=Target())
@@ -133,6 +138,19 @@ class VirtualTube:
         )
         beating = None if fields is None or fields.in_step else fields
         return Scene(placement=placement, conditions=conditions, fields=beating)
+
+    def _stood(self, placement: TargetPlacement) -> Target:
+        """The target where the operator stands it: off its centre and angle by chance. The same one
+        stands at the same place, as in a series of light levels.
+        """
+        kind, target = placement.kind, as_stood(placement.kind, placement.target)
+        if kind not in ("edge", "bars", "point"):
+            return target
+        rng = np.random.default_rng([self._truth.seed, zlib.crc32(f"{kind} {target}".encode())])
+        row_px, col_px, turn = rng.uniform(-1.0, 1.0, 3)
+        if target.angle_deg is not None:
+            target = replace(target, angle_deg=target.angle_deg + ASKEW_DEG * turn)
+        return PlacedTarget(**vars(target), offset_px=(ASTRAY_PX * row_px, ASTRAY_PX * col_px))
 
     def prepare(self, scene: Scene) -> None:
         """Render the target ahead of its first frame."""
