@@ -215,7 +215,7 @@ KNOWN = (
         ),
         flag="defects",
         put=_hot_pixels,
-        size=12.0,
+        size=25.0,
         unit="sd",
         stacks=("dark", "all"),
         control="hot pixels",
