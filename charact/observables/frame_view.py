@@ -22,8 +22,8 @@ class FrameView:
     `mean`: mean frame, shape (row, col); `steady`: mean frame of the middle half of each pixel's
     values, in which pulses of single frames leave no trace; `change`: frames less the mean frame,
     scaled so that their variance is that of a frame, shape (frame, row, col); `interlaced`: whether
-    odd rows were exposed at another time than even ones; `bits`: fraction of ones in the lowest
-    bits of whole DN, shape (bit,).
+    odd rows were exposed at another time than even ones; `excess_ones`: fraction of ones in the
+    lowest bits of whole DN less that of values of the same level and noise, shape (bit,).
     """
 
     def __init__(self, label: str, frames: NDArray, *, interlaced: bool = False) -> None:
@@ -32,8 +32,14 @@ class FrameView:
         count = len(data)
         self.mean = data.mean(axis=0)
         self.steady = np.sort(data, axis=0)[count // 4 : count - count // 4].mean(axis=0)
-        codes = np.rint(frames[0]).astype(np.int64)
-        self.bits = np.array([np.mean(codes >> bit & 1) for bit in range(FRAMES.bits)])
+        # Bits of more than the noise follow the level: the mean frame with the noise of other
+        # pixels has it too, but is on no grid of the digitiser.
+        noise = np.roll(data[0] - self.mean, data.shape[2] // 2, axis=1)
+        # Halves, which means of a few whole DN often are, are rounded to odd as often as to even.
+        halves = np.where(np.arange(data.shape[2]) % 2, 1e-3, -1e-3)
+        codes = np.rint([data[0], self.mean + noise + halves]).astype(np.int64)
+        ones = [(codes >> bit & 1).mean(axis=(1, 2)) for bit in range(FRAMES.bits)]
+        self.excess_ones = np.array([measured - expected for measured, expected in ones])
         self.change = (data - self.mean) * np.float32(np.sqrt(count / (count - 1.0)))
         # Without changes of whole frames, as EMVA 1288 takes the variance: lags would sum them up.
         change = self.change - self.change.mean(axis=(1, 2), keepdims=True)

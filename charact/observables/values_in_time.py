@@ -13,13 +13,12 @@ from charact.observables.thresholds import FRAMES
 @observable
 class Histogram(Observable[Stacks[FrameView]]):
     """Means of the tails of temporal noise over its standard deviation, and shares of ones
-    of the low bits.
+    of the low bits beyond those of the level.
 
     Notes
     -----
     The mean of a tail changes smoothly where the values are few whole DN, unlike its quantile. A
-    bit that is stuck or left out has no ones or no zeros; bits of more than the noise depend on the
-    level.
+    bit that is stuck or left out has no ones or no zeros.
     """
 
     name = "histogram"
@@ -43,15 +42,15 @@ class Histogram(Observable[Stacks[FrameView]]):
                 )
         flat = stacks.flat
         return numbers | {
-            f"share of ones of bit {bit} of {flat.label}": float(x)
-            for bit, x in enumerate(flat.bits)
+            f"excess ones of bit {bit} of {flat.label}": float(x)
+            for bit, x in enumerate(flat.excess_ones)
         }
 
     def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
         # Steps of more than the noise follow the level, whose departure has a size of its own.
         bits = range(1 + int(np.log2(max(stacks.flat.robust_sd, 1.0))))
         return {"mean of the": Size(unit="% of noise", over=np.abs)} | {
-            f"share of ones of bit {bit}": Size(unit="% of values") for bit in bits
+            f"excess ones of bit {bit}": Size(unit="% of values") for bit in bits
         }
 
 

@@ -262,7 +262,7 @@ KNOWN = (
         control="a repeated frame",
     ),
     Fault(
-        name="frames averaged with earlier ones",
+        name="average with earlier frames",
         cause=findings.AVERAGED,
         flag="processed",
         put=_average,

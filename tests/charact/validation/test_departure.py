@@ -198,7 +198,7 @@ def test_every_number_has_a_size_but_bits_above_the_noise(seed: int) -> None:
         if size_of(label, sizes[name]) is None
     ]
     # A step of 2^5 DN is more than the noise of 20 DN.
-    assert without == [f"share of ones of bit {bit} of flat" for bit in range(5, 8)]
+    assert without == [f"excess ones of bit {bit} of flat" for bit in range(5, 8)]
 
 
 def test_bands_of_a_spectrum_are_parts_of_the_noise_that_make_up_the_whole(seed: int) -> None:

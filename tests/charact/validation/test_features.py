@@ -38,6 +38,22 @@ def test_gaussian_noise_has_the_tails_of_its_closed_form(seed: int) -> None:
         )
 
 
+def test_ones_of_the_bits_show_one_left_out_and_no_level(seed: int) -> None:
+    """The raw share of ones of a bit as large as the noise follows the level."""
+    rng = np.random.default_rng(seed)
+    frames = [np.rint(level + 6.0 * rng.standard_normal((8, 96, 128))) for level in (1000, 1011)]
+    raw = [np.mean(flat[0].astype(int) >> 4 & 1) for flat in frames]
+    assert abs(raw[1] - raw[0]) > 0.3
+    # Two shares of all pixels of a frame.
+    error = 4.5 * np.sqrt(2.0 * 0.25 / frames[0][0].size)
+    for flat in frames:
+        numbers = numbers_of("histogram", frames[0], flat)
+        for bit in range(FRAMES.bits):
+            assert numbers[f"excess ones of bit {bit} of flat"] == pytest.approx(0.0, abs=error)
+        even = numbers_of("histogram", frames[0], 2.0 * (flat // 2.0))
+        assert even["excess ones of bit 0 of flat"] == pytest.approx(-0.5, abs=error)
+
+
 def test_fields_of_unequal_gain_differ_and_their_lag_is_their_correlation(seed: int) -> None:
     rng, shape = np.random.default_rng(seed), (8, 96, 128)
     dark, flat = 20.0 + 2.0 * rng.standard_normal(shape), 100.0 + 8.0 * rng.standard_normal(shape)
