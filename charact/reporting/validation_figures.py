@@ -187,13 +187,18 @@ def chance_limit(numbers: int, draws: int) -> float:
 
 
 def worst_numbers(validation: Validation) -> list[tuple[str, Statistic, float]]:
-    """Return label, statistic and deviation of the most deviating numbers, largest first."""
+    """Return label, statistic and deviation of the most deviating numbers, largest first; of each
+    statistic that fails the worst one, however many of another one deviate more.
+    """
     numbers = [
         (label, statistic, float(z))
         for statistic in validation.statistics
         for label, z in zip(statistic.labels, deviations(statistic), strict=False)
     ]
-    return sorted(numbers, key=lambda entry: -abs(entry[2]))[:NAMED]
+    numbers.sort(key=lambda entry: -abs(entry[2]))
+    failing = {entry[1].name: entry for entry in reversed(numbers) if not entry[1].passed}
+    first = sorted(numbers, key=lambda entry: entry is not failing.get(entry[1].name))
+    return sorted(first[:NAMED], key=lambda entry: -abs(entry[2]))
 
 
 def worst_deviations(validation: Validation) -> tuple[Figure, ...]:
@@ -216,7 +221,8 @@ def worst_deviations(validation: Validation) -> tuple[Figure, ...]:
         axes.set(ylim=(len(worst) - 0.5, -0.5))
         title = f"The {len(worst)} most deviating of {total} numbers"
         caption = (
-            "Measured minus predicted, in standard deviations of the prediction. Dashed: "
+            "Measured minus predicted, in standard deviations of the prediction; of each statistic "
+            "that fails at least the worst number. Dashed: "
             f"{limit:.2g} sd, which the largest of {total} independent numbers exceeds in "
             f"{100.0 * VALIDATION.level:g} % of sessions (Student's t of {validation.draws} "
             "sets). Red: the statistic of the number differs beyond its tolerance."
@@ -227,25 +233,31 @@ def worst_deviations(validation: Validation) -> tuple[Figure, ...]:
 
 
 def deviations_by_statistic(validation: Validation) -> tuple[Figure, ...]:
-    """Plot the deviation of each number from its prediction by statistic."""
-    shown = [
-        (statistic, deviations(statistic))
-        for statistic in validation.statistics
-        if deviations(statistic).size
-    ]
-    if not shown:
+    """Plot the deviation of each number from its prediction by statistic, the worst first.
+
+    A statistic that was not measurable has a row without numbers above all others.
+    """
+    shown = sorted(
+        ((statistic, deviations(statistic)) for statistic in validation.statistics),
+        key=lambda row: -np.abs(row[1]).max(initial=0.0) if row[1].size else -np.inf,
+    )
+    if not any(pull.size for _, pull in shown):
         return ()
     with report_style():
         figure, axes = panel((5.6, 1.1 + 0.24 * len(shown)))
         axes.axvspan(-TWO_SIDED_95, TWO_SIDED_95, color=MODEL, alpha=0.18, linewidth=0)
         for row, (statistic, pull) in enumerate(shown):
             positions = (
-                row + np.linspace(-0.25, 0.25, len(pull)) if len(pull) > 1 else np.array([row])
+                row + np.linspace(-0.25, 0.25, len(pull)) if len(pull) != 1 else np.array([row])
             )
             colour = WARN if statistic.verdict == "differs" else DATA
             axes.plot(pull, positions, "o", color=colour, markersize=3)
-        _deviation_axis(axes, max(float(np.abs(pull).max()) for _, pull in shown))
-        axes.set_yticks(range(len(shown)), [statistic.name for statistic, _ in shown], fontsize=7.5)
+        _deviation_axis(axes, max(float(np.abs(pull).max(initial=0.0)) for _, pull in shown))
+        names = [
+            statistic.name if pull.size else f"{statistic.name}, not measurable"
+            for statistic, pull in shown
+        ]
+        axes.set_yticks(range(len(shown)), names, fontsize=7.5)
         axes.set(ylim=(len(shown) - 0.5, -0.5))
         title = "Deviation of each number from its prediction, by statistic"
         caption = (

@@ -21,6 +21,7 @@ from charact.reporting import (
     validation_section,
     worst_numbers,
 )
+from charact.reporting.validation_figures import deviations_by_statistic
 from charact.validation import (
     FramePair,
     ResidualMap,
@@ -246,6 +247,30 @@ def test_deviations_are_in_standard_deviations_and_the_worst_come_first():
         ("variance", pytest.approx(2.0)),
         ("covariance", 0.0),
     ]
+
+
+def test_the_worst_number_of_each_failing_statistic_is_drawn_beside_many_of_another_one():
+    many = replace(
+        _statistic(1e-9),
+        name="many",
+        labels=tuple(f"many {i}" for i in range(40)),
+        measured=(100.0,) * 40,
+        low95=(-1.96,) * 40,
+        high95=(1.96,) * 40,
+    )
+    few = replace(
+        many, name="few", labels=("few",), measured=(7.0,), low95=(-1.96,), high95=(1.96,)
+    )
+    chance = replace(few, name="chance", labels=("chance",), measured=(8.0,), p_value=0.5)
+    shown = replace(_validation(), statistics=(chance, few, many))
+    worst = worst_numbers(shown)
+    assert [statistic.name for _, statistic, _ in worst] == ["many"] * (len(worst) - 1) + ["few"]
+    names = [statistic.name for statistic in (chance, few, many)]
+    unknown = replace(shown.statistics[0], name="unknown", p_value=0.0)
+    with_unknown = replace(shown, statistics=(*shown.statistics, unknown))
+    drawn = deviations_by_statistic(with_unknown)[0].svg
+    assert ">unknown, not measurable<" in drawn
+    assert sorted(names, key=lambda name: drawn.index(f">{name}<")) == ["many", "chance", "few"]
 
 
 def test_the_chance_limit_is_students_quantile():
