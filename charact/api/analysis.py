@@ -120,8 +120,8 @@ class Analysis(Result):
         BadInput
             If the result has no such figure, or the ending of the file is unknown.
         """
-        from charact.reporting.curves import plot_files
         from charact.reporting.figure_registry import FIGURES, kind_of
+        from charact.reporting.mtf_curves import plot_files
         from charact.reporting.style import require_figure_file, save_figure, white_style
 
         if path is not None:

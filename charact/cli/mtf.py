@@ -91,7 +91,7 @@ def _measure(
                     f"{annotate}: every region with its value, or why it has none{further}",
                     events=events,
                 )
-            _write_table_and_plot({str(file): result}, plot=plot, csv=csv)
+            _write_table_and_plot({str(file): result}, plot=plot, csv=csv, frequency=frequency)
 
         print_result(
             result,
@@ -138,7 +138,7 @@ def _measure_each(
     """
     as_json, events = settings["as_json"], settings["events"]
     results: dict[str, Analysis] = {}
-    failed = []
+    failed, frequency = [], None
     for file in files:
         try:
             with exit_on_bad_input(str(file), as_json=as_json, events=events):
@@ -161,7 +161,7 @@ def _measure_each(
         if all(m.value is None for m in result.measurements):
             failed.append(str(file))
     with exit_on_bad_input("", events=events):
-        _write_table_and_plot(results, plot=plot, csv=csv)
+        _write_table_and_plot(results, plot=plot, csv=csv, frequency=frequency)
     if failed:
         print_message(
             f"{len(failed)} of {len(files)} files gave no value: {', '.join(failed)}",
@@ -171,7 +171,11 @@ def _measure_each(
 
 
 def _write_table_and_plot(
-    results: "dict[str, Analysis]", *, plot: Plot = None, csv: Csv = None
+    results: "dict[str, Analysis]",
+    *,
+    plot: Plot = None,
+    csv: Csv = None,
+    frequency: "FrequencyUnit | None" = None,
 ) -> None:
     """Write the measurements of files as CSV, and their curves as a figure."""
     from labdata.file_io import write_atomically
@@ -181,10 +185,11 @@ def _write_table_and_plot(
 
         write_atomically(csv, table_of_files(results).encode())
     if plot is not None and results:
-        from charact.reporting.curves import plot_files
+        from charact.reporting.mtf_curves import plot_files
         from charact.reporting.style import save_figure
+        from charact.reporting.summary import in_cycles_per_pixel
 
-        save_figure(plot_files(results), plot)
+        save_figure(plot_files(results, frequency=frequency or in_cycles_per_pixel), plot)
 
 
 CALLED = (measuring.mtf, _measure, frequency_unit, print_result)

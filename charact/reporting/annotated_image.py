@@ -3,6 +3,7 @@ none.
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -17,20 +18,28 @@ Box = tuple[int, int, int, int]
 
 
 def place_captions(
-    boxes: Sequence[Box], sizes: Sequence[tuple[int, int]], frame: tuple[int, ...]
+    boxes: Sequence[Box],
+    sizes: Sequence[tuple[int, int]],
+    frame: tuple[int, ...],
+    normals_deg: Sequence[float | None] = (),
 ) -> list[tuple[int, int]]:
     """Return top and left of the caption of each box, from its height and width; inside the frame
     if it fits, px.
 
     Greedy: each caption takes the position nearest to the centre of its box that covers no earlier
-    caption and, if possible, not the inner half of a region.
+    caption and, if possible, not the inner half of a region, along all of an edge whose normal is
+    known.
     """
     taken: list[Box] = []
-    hearts = [_inner_part(box) for box in boxes]
+    hearts = [_inner_part(*each) for each in zip_longest(boxes, normals_deg)]
     for box, size in zip(boxes, sizes, strict=True):
         middle, area = np.array(_middle(box)), size[0] * size[1]
 
-        def cost(option: Box, middle: NDArray = middle, area: int = area) -> float:
+        length = float(np.hypot(box[2] - box[0], box[3] - box[1]))
+
+        def cost(
+            option: Box, middle: NDArray = middle, area: int = area, length: float = length
+        ) -> float:
             """Return the distance from the centre of the box plus the cost of what is covered,
             px.
             """
@@ -38,7 +47,7 @@ def place_captions(
             over = sum(_overlap(option, other) for other in taken)
             return (
                 float(np.hypot(*(np.array(_middle(option)) - middle)))
-                + 250.0 * covered
+                + max(250.0, length) * covered
                 + 100.0 * over
             )
 
@@ -64,10 +73,15 @@ def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator
             yield top, left, top + size[0], left + size[1]
 
 
-def _inner_part(box: Box) -> Box:
-    """Return the inner half of a box, at least 14 px to each side of the centre."""
+def _inner_part(box: Box, normal_deg: float | None) -> Box:
+    """Return the inner half of a box, at least 14 px to each side of the centre, and of an edge
+    with a known normal all of its length.
+    """
     row, col = _middle(box)
-    down, right = (max(0.25 * (box[k + 2] - box[k]), 14) for k in (0, 1))
+    across = None if normal_deg is None else int(45.0 < normal_deg % 180.0 < 135.0)
+    down, right = (
+        max((0.25 if across in (None, 1 - k) else 0.5) * (box[k + 2] - box[k]), 14) for k in (0, 1)
+    )
     return int(row - down), int(col - right), int(row + down), int(col + right)
 
 
@@ -168,7 +182,8 @@ def render_annotations(
     captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown] + [
         [why] for _, why in unusable
     ]
-    image = _outlined(stack, regions, statuses, captions)
+    normals_deg = [m.orientation_deg for m in shown]
+    image = _outlined(stack, regions, statuses, captions, normals_deg)
     return np.concatenate([image, _legend(shown, statuses, frequency, image.shape[1])])
 
 
@@ -192,6 +207,7 @@ def _outlined(
     regions: Sequence[Box],
     statuses: Sequence[str],
     captions: Sequence[list[str]],
+    normals_deg: Sequence[float | None] = (),
 ) -> Image:
     """Return the enlarged mean frame with outlines of regions and their captions."""
     import cv2
@@ -206,7 +222,7 @@ def _outlined(
     for box, status in zip(boxes, statuses, strict=True):
         _outline(image, box, status)
     sizes = [(LINE_PX * len(lines) + 8, max(map(_width, lines)) + 12) for lines in captions]
-    places = place_captions(boxes, sizes, image.shape[:2])
+    places = place_captions(boxes, sizes, image.shape[:2], normals_deg)
     for status, lines, place, size, box in zip(
         statuses, captions, places, sizes, boxes, strict=True
     ):

@@ -1,4 +1,4 @@
-"""Figures of the MTF: curves of all targets, edge and bar profiles, joint MTF, and MTF budget."""
+"""Figures of the MTF: edge and bar profiles, joint MTF, and MTF budget."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.reporting.figure_svg import as_svg
 from charact.reporting.style import (
     COLOURS,
     DATA,
@@ -20,157 +19,15 @@ from charact.reporting.style import (
     plot_band,
     plot_line,
     plot_points,
-    report_style,
-    subsample,
-    white_style,
     zero_line,
 )
-from charact.reporting.truth import Truth
-from labdata import Array, Curve, Measurement, Result, Session
+from labdata import Array
 
 Data = Mapping[str, Any]
 
-DEGREES = {"horizontal frequency": 0.0, "vertical frequency": 90.0, "slanted frequency": 45.0}
 
-
-def mtf_svgs(
-    session: Session | None, result: Result, truth: Truth | None = None
-) -> tuple[str, ...]:
-    """Plot all MTF curves and bar-target points of a result, one figure for each direction.
-
-    Parameters
-    ----------
-    session
-        The session, for the direction of each target; None for a single file.
-    result
-        Curves whose name starts with "mtf" and measurements of the quantity "mtf".
-    truth
-        True values; the entry "mtf" may be a function of frequency and direction.
-
-    Returns
-    -------
-    tuple of str
-        SVG elements; empty if there is no curve and no point.
-    """
-    angles = (
-        {} if session is None else {entry.label: entry.target.angle_deg for entry in session.stacks}
-    )
-
-    def direction(angle_deg: float | None) -> str:
-        off = 0.0 if angle_deg is None else abs((angle_deg + 90) % 180 - 90)
-        return list(DEGREES)[0 if off < 25 else 1 if off > 65 else 2]
-
-    def curve_direction(name: str, curve: Curve) -> str:
-        kind, _, label = name.partition(":")
-        return direction(90.0 if "vertical" in kind else angles.get(curve.stack or label))
-
-    curves = [
-        (curve_direction(name, curve), name, curve)
-        for name, curve in result.curves.items()
-        if name.split(":")[0].startswith("mtf")
-    ]
-    points = [
-        (
-            direction(
-                angles.get(m.stack or "") if m.orientation_deg is None else m.orientation_deg
-            ),
-            m,
-        )
-        for m in result.find("mtf")
-        if m.value is not None and m.frequency_cy_per_px is not None
-    ]
-    drawn = []
-    for way in (way for way in DEGREES if way in {plotted[0] for plotted in (*curves, *points)}):
-        with report_style():
-            figure, axes = panel((5.6, 3.9))
-            curves_of_way = [(name, curve) for its, name, curve in curves if its == way]
-            _plot_curves(axes, way, curves_of_way, [m for its, m in points if its == way], truth)
-            drawn.append(as_svg(figure, f"MTF of all targets against {way}, with 95 % bands"))
-    return tuple(drawn)
-
-
-def plot_files(results: Mapping[str, Result], axes: Any = None) -> Any:
-    """Plot the MTF curves of several files in one panel, on white; a file's main curve stands for
-    it.
-
-    `axes`: those of a figure to plot into; None: a new figure. Returns the figure.
-    """
-    with white_style():
-        axes = panel((5.6, 3.9))[1] if axes is None else axes
-        curves, points = [], []
-        for name, result in results.items():
-            if len(results) > 1:
-                curves += [(f":{name}", result.curves["mtf"])] if "mtf" in result.curves else []
-                continue
-            mtf_curves = [
-                (key, curve)
-                for key, curve in result.curves.items()
-                if key.split(":")[0].startswith("mtf")
-            ]
-            curves += mtf_curves or list(result.curves.items())
-            points += (
-                m
-                for m in result.find("mtf")
-                if m.value is not None and m.frequency_cy_per_px is not None
-            )
-        _plot_curves(axes, "MTF", curves, points, None)
-    return axes.figure
-
-
-def _plot_curves(
-    axes: Any,
-    way: str,
-    curves: list[tuple[str, Curve]],
-    points: list[Measurement],
-    truth: Truth | None,
-) -> None:
-    """Plot one direction: bands, curves, points, truth."""
-    top = max([0.5, *(float(curve.frequency_cy_per_px[-1]) for _, curve in curves)])
-    for colour, (name, curve) in zip(COLOURS * 4, curves, strict=False):
-        low, high = (curve.value, curve.value) if curve.interval95 is None else curve.interval95
-        frequency, value, low, high = subsample(
-            curve.frequency_cy_per_px, curve.value, low, high, max_points=120
-        )
-        if curve.interval95 is not None:
-            plot_band(axes, frequency, low, high, colour, 0.22)
-        axes.plot(
-            frequency, value, color=colour, label=name.partition(":")[2] or curve.stack or name
-        )
-    drawn = {curve.stack or name.partition(":")[2] for name, curve in curves}
-    # Values read from a curve that is shown are redundant; those of bars are measurements.
-    separate_points = [
-        m for m in points if m.method.startswith("bars") or (m.stack or "") not in drawn
-    ]
-    for m in separate_points:
-        error = None if m.interval95 is None or m.value is None else arms(m.value, *m.interval95)
-        axes.errorbar(
-            m.frequency_cy_per_px,
-            m.value,
-            yerr=error,
-            fmt="s",
-            markersize=4.5,
-            color=INK,
-            linewidth=1,
-        )
-    if separate_points:
-        axes.plot([], [], "s", color=INK, markersize=4.5, label="MTF at one frequency, 95 %")
-    known = (truth or {}).get("mtf")
-    if callable(known):
-        frequency = np.linspace(1e-4, min(top, 1.0), 120)
-        axes.plot(
-            frequency, known(frequency, DEGREES[way]), "--", color=INK, linewidth=1.2, label="truth"
-        )
-    _half_line(axes)
-    axes.set(
-        xlim=(0, min(top, 0.75)),
-        ylim=(-0.05, 1.15),
-        title=f"{way[:1].upper()}{way[1:]}; bands hold 95 %",
-    )
-    axes.set(xlabel="spatial frequency (cy/px)", ylabel="MTF (1)")
-    axes.legend(loc="upper right")
-
-
-def _half_line(axes: Any) -> None:
+def half_line(axes: Any) -> None:
+    """Mark an MTF of one half."""
     axes.axhline(0.5, color=INK, linewidth=0.6, alpha=0.5)
 
 
@@ -389,7 +246,7 @@ def _plot_direction(axes: Any, data: Data, solid: set[str]) -> None:
         label="product of all",
     )
     _plot_measured(axes, frequency, data["measured"], "o", "measured, 95 %")
-    _half_line(axes)
+    half_line(axes)
     axes.set(xlim=(0, frequency[-1]), ylim=(-0.02, 1.03), ylabel="MTF (1)")
 
 
@@ -438,7 +295,7 @@ def plot_bar_groups(data: Data) -> Any:
         color=INK,
         label="bar groups, 95 %",
     )
-    _half_line(axes)
+    half_line(axes)
     axes.set(
         xlim=(0, frequency[-1]), ylim=(-0.02, 1.05), xlabel="frequency (cycles per column pitch)"
     )

@@ -131,7 +131,7 @@ def sheet(session: Session, result: Result) -> tuple[SheetRow, ...]:
     """Return the rows of the data sheet, frequencies in the user's unit; those of EMVA 1288 have
     its names.
     """
-    unit, standard = _unit(session), None if is_tube(session, result) else emva_summary(result)
+    unit, standard = unit_of(session), None if is_tube(session, result) else emva_summary(result)
     entries = standard["rows"] if standard and not standard["reason"] else ()
     named = {entry.quantity for entry, *_ in entries}
     rows = [
@@ -171,7 +171,8 @@ def _short_title(m: Measurement) -> str:
     return f"{title} ({chosen})" if chosen else title
 
 
-def _unit(session: Session) -> FrequencyUnit:
+def unit_of(session: Session) -> FrequencyUnit:
+    """Return the unit of frequencies on the page: that of the cathode, or cycles per pixel."""
     camera = session.camera
     if has_tube(camera):
         return FrequencyUnit.of(camera, unit="lp/mm-cathode")

@@ -8,8 +8,8 @@ from charact.reporting import figure_registry, front_page, tables
 from charact.reporting.bloom_images import add_extent_data
 from charact.reporting.comparison import limits_section
 from charact.reporting.corner import corner_svg, varying
-from charact.reporting.curves import mtf_svgs
 from charact.reporting.emva_sheet import emva_summary
+from charact.reporting.mtf_curves import mtf_svgs
 from charact.reporting.report_images import aspect_of, representative
 from charact.reporting.style import PAPER_INK, report_style
 from charact.reporting.truth import Truth, compare_with_truth
@@ -83,7 +83,7 @@ def page(
             for name, data in add_extent_data(session, result).items()
             if name != "layout"  # drawn on the pictures
         ]
-        mtf_figures = mtf_svgs(session, result, truth)
+        mtf_figures = mtf_svgs(session, result, truth, front_page.unit_of(session))
     return _template("report.html.j2").render(
         session=session,
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
