@@ -17,7 +17,7 @@ from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placem
 from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
 # Distance in row and col, px, and angle by which a target stands off where it should, at most
-ASTRAY_PX, ASKEW_DEG = 2.0, 1.0
+DISPLACED_PX, TURNED_DEG = 2.0, 1.0
 # Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own
 STEPS = 32
 
@@ -149,8 +149,8 @@ class VirtualTube:
         rng = np.random.default_rng([self._truth.seed, zlib.crc32(f"{kind} {target}".encode())])
         row_px, col_px, turn = rng.uniform(-1.0, 1.0, 3)
         if target.angle_deg is not None:
-            target = replace(target, angle_deg=target.angle_deg + ASKEW_DEG * turn)
-        return PlacedTarget(**vars(target), offset_px=(ASTRAY_PX * row_px, ASTRAY_PX * col_px))
+            target = replace(target, angle_deg=target.angle_deg + TURNED_DEG * turn)
+        return PlacedTarget(**vars(target), offset_px=(DISPLACED_PX * row_px, DISPLACED_PX * col_px))
 
     def prepare(self, scene: Scene) -> None:
         """Render the target ahead of its first frame."""
