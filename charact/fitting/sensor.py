@@ -38,6 +38,9 @@ from charact.frames.session_layout import layout_notes, sound_session
 from labdata import Array, BadInput, Camera, Posterior, Result, Session
 from labdata.camera.parameters import Draws, Parameter
 
+# Noise and pattern of the chip, which the noise of a tube or a coarse digitiser hides: where no
+# observation depends on them, a drawn camera has those of the prior.
+HIDDEN = ("ccd.read_noise_e", "ccd.dark_current_e_per_s", "ccd.dsnu_e")
 PLANE_NOTE = (
     "Fitted to the plane {} of a mosaic: lengths, charges and gain are those of the camera's "
     "pixels, the quantum efficiency that behind their colour filter; rows, neighbours and "
@@ -210,6 +213,10 @@ def description_from_posterior(
             standing="prior",
             source=words + before[FULL_WELL].source,
         )
+    hidden = prior_of(model.sensor, tuple(path for path in HIDDEN if path not in draws))
+    if hidden.names:
+        free = hidden.draw(np.random.default_rng([seed, 2]), len(posterior.draws))
+        draws.update(zip(hidden.names, hidden.parameters(free).T, strict=True))
     table = np.stack(list(draws.values()), axis=1)
     return replace(
         model.sensor.with_parameters(changes),

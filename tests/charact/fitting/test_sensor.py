@@ -110,6 +110,22 @@ def test_what_is_not_identified_keeps_the_range_of_its_prior(fits, sheet: Camera
         assert after["taper.transmission"].standing == "prior"
 
 
+def test_noise_of_the_chip_that_no_frame_shows_is_drawn_from_its_prior(
+    fits, sheet: Camera, seed: int
+) -> None:
+    path = "ccd.read_noise_e"
+    for told, _, sensor in fits:
+        assert path not in told.model.prior.names
+        drawn = np.array(sensor.draws.values)[:, sensor.draws.names.index(path)]
+        known = sheet.parameters()[path]
+        assert known.low is not None and known.high is not None
+        inside = (drawn >= known.low) & (drawn <= known.high)
+        error = np.sqrt(0.05 * 0.95 / drawn.size)
+        assert abs(inside.mean() - 0.95) < 4.0 * error
+        # Its value and range are the description's: the data say nothing of it.
+        assert sensor.parameters()[path] == known
+
+
 def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
     told, _, sensor = fits[0]
     rng = np.random.default_rng(0)
