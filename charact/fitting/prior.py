@@ -189,7 +189,7 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
         float(parameter.high or 0.0),
     )
     floor, ceiling = (
-        0.0 if low == 0 else -np.inf if low < 0 else 0.02 * value,
+        0.0 if low == 0 else -np.inf if low < 0 else 0.02 * low,
         1.0 if path in _AT_MOST_ONE else _MOST_CURVED.get(path, np.inf),
     )
     floor = max(floor, -_MOST_CURVED.get(path, np.inf))

@@ -20,7 +20,7 @@ from charact.fitting.modes import Slope
 from charact.fitting.thresholds import SAMPLING
 from charact.session_measurement import measure
 from labdata import load_camera
-from tests.truth.specimens import session_of
+from tests.truth.specimens import CAMERAS, session_of
 
 ION_RATE = "microchannel_plate.ion_event_rate_per_s_cm2"
 
@@ -61,6 +61,16 @@ def test_normal_scores_have_the_law_of_the_prior(seed: int) -> None:
     far = prior.of_scores(np.full((1, len(prior.names)), 30.0) * [[-1.0], [1.0]])
     assert np.isfinite(far).all()
     assert (far[0] < prior.centre).all() and (far[1] > prior.centre).all()
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_bounds_of_a_prior_contain_the_range_of_the_description(name: str) -> None:
+    known = load_camera(name).parameters()
+    prior = prior_of(load_camera(name), tuple(known))
+    ends = np.array([[known[path].low, known[path].high] for path in prior.names])
+    with np.errstate(divide="ignore"):
+        low, high = prior.coordinates(ends.T)
+    assert (prior.bounds[:, 0] <= low).all() and (high <= prior.bounds[:, 1]).all()
 
 
 def two_modes(points: np.ndarray) -> np.ndarray:
