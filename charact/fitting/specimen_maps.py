@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from charact.fitting.fitted_session import with_fixed_gain
-from charact.fitting.thresholds import LEVELS, LIMITS, MAP_LIMITS
+from charact.fitting.thresholds import LEVELS, LIMITS, MAP_LIMITS, PATTERN
 from charact.frames.session_layout import sound_session
 from labdata import Camera, Session, StackEntry, open_lazy_stack
 from labdata.camera.maps import (
@@ -43,14 +43,16 @@ class _Parts:
     # The same sums of frames times their exposures, s; and of those and their squares.
     moment: Array | float = 0.0
     seconds: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    gap_frames: int = 0  # frames left out between the parts of a stack, whose noise lag would share
     squares: Array | float = 0.0  # of frames less the mean of their stack, shape (row, col)
     freedom: int = 0
     frames: int = 0
 
     def add(self, frames: Array, weights: Array, exposure_s: float = 0.0) -> None:
         """Add frames of one stack, less their level, the first and the last ones to a part each."""
-        middle = (len(frames) + self.frames % 2) // 2
-        parts = slice(middle), slice(middle, None)
+        gap = min(self.gap_frames, len(frames) // 4)
+        middle = (len(frames) - gap + self.frames % 2) // 2
+        parts = slice(middle), slice(middle + gap, None)
         sums = np.stack([frames[part].sum(axis=0) for part in parts])
         weight = np.array([weights[part].sum() for part in parts])
         self.total, self.weight = self.total + sums, self.weight + weight
@@ -126,7 +128,8 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
     """
     full_dn = float(2**fitted.video.bit_depth - 1)
     darks, flats = (frames_for_maps(session.of_kind(kind), full_dn) for kind in ("dark", "flat"))
-    dark_levels, dark_parts, lit = [], _Parts(), _Parts()
+    gap_frames = PATTERN.gap_frames if fitted.has_tube else 0
+    dark_levels, dark_parts, lit = [], _Parts(), _Parts(gap_frames=gap_frames)
     for chosen, frames in _read(darks):
         mean_dn = frames.mean(axis=(1, 2), keepdims=True)
         dark_levels.append(float(mean_dn.mean()))
@@ -140,6 +143,8 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
     variance = dark_parts.squares / max(dark_parts.freedom, 1)
     noise_dn = float(np.sqrt(np.median(variance)))
     offset = dark_parts.map_of(0.0) if noise_dn > LIMITS.least_noise_dn else None
+    if offset is not None and fitted.has_tube and not offset.shown.any():
+        offset = None  # Pulses are no hot pixels.
     noisy = None if fitted.has_tube or offset is None else _noisy(dark_parts, variance)
     dark_dn = float(np.mean(dark_levels)) + (0.0 if offset is None else offset.mean)
     for chosen, frames in _read(flats):
@@ -148,6 +153,9 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
             signal -= rate.mean * (chosen.entry.conditions.exposure_s or 0.0)
         lit.add(signal, signal.mean(axis=(1, 2)))
     light = lit.map_of(1.0)
+    if light is not None and fitted.has_tube:
+        # Granularity and fibres are patterns of low frequency, unlike what noise hides.
+        light = replace(light, least_ratio=0.0)
     if offset is None and light is None:
         return None
     used = [*(darks if offset is not None else ()), *(flats if light is not None else ())]
@@ -185,9 +193,11 @@ class ChosenFrames:
 
 
 def frames_for_maps(entries: Sequence[StackEntry], full_dn: float) -> list[ChosenFrames]:
-    """Return the frames of stacks of one kind that make maps: every second one of four or more, and
-    of shorter stacks every second stack whole, not the last, within the linear range and at the
-    gain and temperature that most of them have.
+    """Return the frames of stacks of one kind that make maps: the last half of four or more, and of
+    shorter stacks every second stack whole, not the last, within the linear range and at the gain
+    and temperature that most of them have.
+
+    Frames of the other half follow each other, as lag and drift are compared.
     """
     groups: dict[tuple, list[tuple[StackEntry, int]]] = {}
     for entry in entries:
@@ -200,7 +210,7 @@ def frames_for_maps(entries: Sequence[StackEntry], full_dn: float) -> list[Chose
     largest = max(groups.values(), key=len, default=[])
     short = [entry for entry, count in largest if count < MAP_LIMITS.divided_frames]
     return [
-        ChosenFrames(entry=entry, numbers=np.arange(0, count, 1 if entry in short else 2))
+        ChosenFrames(entry=entry, numbers=np.arange(0 if entry in short else -(-count // 2), count))
         for entry, count in largest
         if entry not in short[::-2]
     ]

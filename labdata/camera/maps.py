@@ -38,7 +38,7 @@ OUTLIER_SD, SPOT_PX = 5.0, (0.0, 2.0, 6.0)
 SHADING_ORDER, PIXELS_PER_ORDER = 4, 8
 # Amplitudes along an axis in the band of lowest frequencies, of images and of lines, so that a band
 # has some 30 or more; bands that are counted apart.
-COARSEST, CLASS = (8, 32), 16
+COARSEST, FINEST, CLASS = (8, 32), 21, 32
 # Power of a pattern over that of the map's own noise from which a band is taken from the map: noise
 # of 25 amplitudes exceeds a ratio of 1 + 4 once in 10,000 times (F of 25 and 25).
 LEAST_RATIO = 4.0
@@ -62,14 +62,17 @@ def smooth_part(image: NDArray) -> Array:
 
 
 def bands_of(shape: tuple[int, int]) -> NDArray[np.int64]:
-    """Return the band of each amplitude of a cosine transform: octaves of all directions, of means
-    of columns, and of means of rows, shape (row, col).
+    """Return the band of each amplitude of a cosine transform, shape (row, col).
+
+    Bands are octaves of means of columns, of means of rows and of all directions, the last from
+    1/16 cy/px on in steps of 1/32.
     """
     down, across = (np.arange(size) / size for size in shape)
-    frequency = np.clip(np.hypot(down[:, None], across), 0.5 / max(shape), 0.999)
-    octave = -np.floor(np.log2(frequency)).astype(np.int64) - 1
+    frequency = np.hypot(down[:, None], across)  # half cycles per pixel
+    octave = np.maximum(-np.floor(np.log2(np.maximum(frequency, 1e-9))).astype(np.int64) - 1, 0)
     in_image, in_lines = (int(np.log2(max(max(shape) / n, 1.0))) for n in COARSEST)
-    bands = np.minimum(octave, in_image)
+    fine = np.minimum((16.0 * frequency).astype(np.int64), FINEST)
+    bands = np.where(frequency >= 0.125, fine, FINEST + np.minimum(octave, in_image))
     bands[0] = CLASS + np.minimum(octave[0], in_lines)
     bands[:, 0] = 2 * CLASS + np.minimum(octave[:, 0], in_lines)
     return bands
@@ -93,6 +96,8 @@ class PixelMap:
     sd: NDArray[np.float32]  #: standard deviation of its noise, shape (row, col)
     power: tuple[float, ...] = ()  #: S of the pattern by band, square of the map's unit
     noise: tuple[float, ...] = ()  #: N of the noise by band
+    #: Power over noise from which a band is taken from the map; 0: all are
+    least_ratio: float = LEAST_RATIO
 
     def __post_init__(self) -> None:
         for name in ("value", "sd"):
@@ -122,7 +127,7 @@ class PixelMap:
     @property
     def shown(self) -> NDArray[np.bool_]:
         """Whether a band shows more pattern than noise, shape (band,)."""
-        return np.asarray(self.power) > LEAST_RATIO * np.asarray(self.noise)
+        return np.asarray(self.power) > self.least_ratio * np.asarray(self.noise)
 
     @cached_property
     def hidden_part(self) -> float:
@@ -144,34 +149,48 @@ class PixelMap:
         return self.value - self.smooth - self._spots[0]
 
     @cached_property
-    def _weights(self) -> tuple[Array, Array]:
-        """Return w and sqrt(w N) of each amplitude, shape (row, col)."""
-        power, noise = np.where(self.shown, self.power, 0.0), np.asarray(self.noise)
-        weight = power / np.maximum(power + noise, 1e-300)
+    def _amplitudes(self) -> tuple[Array, NDArray[np.int64]]:
+        """Return the cosine transform of the remainder, and the band of each amplitude."""
+        from scipy.fft import dctn
+
         bands = bands_of((self.value.shape[0], self.value.shape[1]))
-        return weight[bands], np.sqrt(weight * noise)[bands]
+        return dctn(self.remainder, norm="ortho"), bands
 
     @cached_property
     def mean(self) -> NDArray[np.float32]:
         """Posterior mean of the pattern, shape (row, col)."""
-        from scipy.fft import dctn, idctn
-
-        gaussian = idctn(self._weights[0] * dctn(self.remainder, norm="ortho"), norm="ortho")
-        return read_only((self.smooth + self._spots[0] + gaussian).astype(np.float32))
+        return self._pattern(np.where(self.shown, self.power, 0.0))
 
     def draw(self, seed: int) -> NDArray[np.float32]:
-        """Return a draw of the pattern from its posterior, shape (row, col)."""
+        """Return a draw of the pattern from its posterior, shape (row, col).
+
+        The power S of a band of n amplitudes is the difference of two mean squares, S + N and N,
+        and drawn with its variance, 2/n ((S + N)^2 + N^2).
+        """
         return _draw(self, seed)
+
+    def _pattern(self, power: Array, rng: np.random.Generator | None = None) -> NDArray[np.float32]:
+        """Return the mean of the pattern of a power by band, or a draw of it."""
+        from scipy.fft import idctn
+
+        (amplitudes, bands), noise = self._amplitudes, np.asarray(self.noise)
+        weight = power / np.maximum(power + noise, 1e-300)
+        gaussian = weight[bands] * amplitudes
+        if rng is not None:
+            sd = np.sqrt(weight * noise).astype(np.float32)
+            gaussian += sd[bands] * rng.standard_normal(bands.shape, dtype=np.float32)
+        drawn = self.smooth + self._spots[0] + idctn(gaussian, norm="ortho")
+        return read_only(drawn.astype(np.float32))
 
 
 @lru_cache(maxsize=6)
 def _draw(measured: PixelMap, seed: int) -> NDArray[np.float32]:
-    from scipy.fft import idctn
-
     rng = np.random.default_rng([seed, 6])
-    noise = rng.standard_normal(measured.value.shape, dtype=np.float32)
-    spread = measured._weights[1].astype(np.float32)
-    return read_only(measured.mean + idctn(spread * noise, norm="ortho"))
+    power, noise = np.asarray(measured.power), np.asarray(measured.noise)
+    counts = np.bincount(measured._amplitudes[1].ravel(), minlength=3 * CLASS)
+    sd = np.sqrt(2.0 / np.maximum(counts, 1)) * np.hypot(power + noise, noise)
+    drawn = np.maximum(power + sd * rng.standard_normal(power.size), 0.0)
+    return measured._pattern(np.where(measured.shown, drawn, 0.0), rng)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -250,7 +269,7 @@ def save_maps(maps: SpecimenMaps, draws: Draws, sensor: Path) -> Path:
     for name, plane in maps.planes().items():
         group.create_array(name, data=np.asarray(plane))
     bands = {
-        name: {"power": measured.power, "noise": measured.noise}
+        name: {key: getattr(measured, key) for key in ("power", "noise", "least_ratio")}
         for name in MAPS
         if (measured := getattr(maps, name)) is not None
     }
@@ -288,8 +307,8 @@ def load_maps(draws: Draws, sensor: Path) -> SpecimenMaps | None:
             name: PixelMap(
                 value=group[name][:],
                 sd=group[f"{name}_sd"][:],
-                power=tuple(powers["power"]),
-                noise=tuple(powers["noise"]),
+                **{key: tuple(power) for key, power in powers.items() if key != "least_ratio"},
+                least_ratio=powers["least_ratio"],
             )
             for name, powers in known["bands"].items()
         }
