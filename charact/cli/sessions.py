@@ -306,12 +306,12 @@ def _why_no_fit(path: Path, session: Path) -> str | None:
     """Return what a file is that is no fitted sensor, or is the camera of the session; else
     None.
     """
-    from labdata.sensors import load_camera
+    from labdata.sensors import load_description
 
     if path.resolve() == (session / "sensor.toml").resolve():
         return "the camera of the session"
     try:
-        return None if load_camera(path).draws.values else "a sensor that was not fitted"
+        return None if load_description(path).draws.values else "a sensor that was not fitted"
     except BadInput:
         return "a file that is no sensor"
 

@@ -32,9 +32,14 @@ def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None)
     is. A fitted one has the maps of its specimen next to it.
     """
     path = path_of_shipped("sensors", name_or_path, relative_to)
-    camera = camera_from_mapping(read_toml(path), path.name)
+    camera = load_description(path)
     maps = load_maps(camera.draws, path)
     return camera if maps is None else replace(camera, maps=maps)
+
+
+def load_description(path: Path) -> Camera:
+    """Read a camera description without the maps of a specimen."""
+    return camera_from_mapping(read_toml(path), path.name)
 
 
 def save_sensor(camera: Camera, path: str | Path) -> None:
