@@ -47,7 +47,8 @@ def difference_sentence(statistic: Statistic) -> str:
     """Return by how much of what a statistic differs, for what it matters and what may cause it."""
     size = size_text(statistic)
     by = f"by {size} in" if size else "most in"
-    beyond = f", tolerance {statistic.tolerance:.3g}" if statistic.tolerance else ""
+    tolerance = tolerance_text(statistic).partition(" ")[0]
+    beyond = f", tolerance {tolerance}" if tolerance else ""
     matters = f" matters for {statistic.matters} and" if statistic.matters else ""
     return (
         f"It differs {by} {statistic.worst} ({statistic.name}{beyond}), which{matters} may come "
@@ -101,16 +102,15 @@ def sentence_of(validation: Validation) -> str:
     """Return a doubt in the fit, what differs, further doubts, and what an agreement excludes."""
     differing, doubts = validation.of("differs"), doubts_of(validation)
     of_fit = 0 if validation.converged else 1
-    within = tuple(
-        f"{statistic.name} differs by {size_text(statistic)} in {statistic.worst}, within its "
-        f"tolerance of {statistic.tolerance:.3g}"
+    within = "; ".join(
+        f"{statistic.name} by {size_text(statistic)} in {statistic.worst}"
         for statistic in validation.of("within")
     )
     sentences = (
         *doubts[:of_fit],
         *([_deviation_sentence(validation)] if differing else []),
         *doubts[of_fit:],
-        *within,
+        f"within their tolerances differ {within}" if within else "",
         *unseen_sentences(validation),
         *([] if differing else [_power_sentence(validation)]),
     )
