@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 WINDOW_PX, MARGIN_PX = 32, 16
 # Steps of the registration, the last step's length, px, and the way from the first guess that a
 # registration may take: beyond it, it is of something else.
-STEPS, LAST_PX, LONGEST_PX = 6, 0.004, 1.5
+STEPS, LAST_PX, LONGEST_PX = 8, 0.004, 1.5
 # Displacement to both sides that gives the gradient of a point, px, and the least contrast of a
 # target over that simulated.
 HALF_PX, LEAST_CONTRAST = 0.1, 0.1
@@ -165,7 +165,8 @@ def _placed(
     if guess is None:
         return None
     row, col, angle_deg = guess
-    top, left, *shape = _window(shot, row, col)
+    clips = bool((frames >= 2.0**camera.video.bit_depth - 1.0).any())
+    top, left, *shape = _window(shot, row, col, clips)
     measured = frames[:, top : top + shape[0], left : left + shape[1]]
     middle = np.array(shape) / 2.0
     offset = np.array([row + 0.5 - top, col + 0.5 - left]) - middle
@@ -204,7 +205,7 @@ def _moved(
     return replace(shot, offset_px=offset, target=replace(shot.target, angle_deg=angle_deg))
 
 
-def _window(shot: MatchedFrames, row: float, col: float) -> tuple[int, int, int, int]:
+def _window(shot: MatchedFrames, row: float, col: float, clips: bool) -> tuple[int, int, int, int]:
     """Return the first row and column of the window about a target, and its shape, px."""
     if shot.kind == "edge":
         return 0, 0, *shot.shape
@@ -212,7 +213,8 @@ def _window(shot: MatchedFrames, row: float, col: float) -> tuple[int, int, int,
     if shot.target.frequency_cy_per_px is not None:
         # A bar is seven half periods long.
         side = 2 * round(1.75 / shot.target.frequency_cy_per_px) + 2 * MARGIN_PX
-    shape = min(side, shot.shape[0]), min(side, shot.shape[1])
+    # The smear of a clipped point is as its column is long.
+    shape = shot.shape[0] if clips else min(side, shot.shape[0]), min(side, shot.shape[1])
     # An even row keeps the field parity.
     top = int(np.clip(row - shape[0] / 2.0, 0, shot.shape[0] - shape[0])) // 2 * 2
     return top, int(np.clip(col - shape[1] / 2.0, 0, shot.shape[1] - shape[1])), *shape
@@ -257,7 +259,8 @@ def _registration(frames: NDArray, bench: "LabBench", shot: MatchedFrames) -> Ma
         if shot.kind == "edge":
             # Along itself an edge has no place.
             del terms["row" if (right**2).sum() > (down**2).sum() else "col"]
-    usable = (measured < full_dn) & (simulated < full_dn)
+    # The mean of a pixel that clips now and then is too low.
+    usable = (frames < full_dn).all(axis=0) & (simulated < full_dn)
     # Differences of the outermost pixels are one-sided.
     usable[[0, -1]] = usable[:, [0, -1]] = False
     design = (np.stack([np.ones_like(lit), contrast, *terms.values()]) * weight)[:, usable]

@@ -93,8 +93,8 @@ def light_of(bench: "LabBench", shot: MatchedFrames, lit: Mapping[str, Condition
         return replace(conditions, illuminance_lux=lux)
     if shot.level_dn is None:
         return conditions
-    if shot.kind == "flat":
-        # The mean of a flat is that of a small one.
+    if shot.kind == "flat" and bench.camera.description.maps is None:
+        # Without a map the mean of a flat is that of a small one.
         shot = replace(shot, shape=(FLAT_PX, FLAT_PX))
         bench = bench_of(bench.camera.description, shot)
     dark_dn = float(mean_of(bench, replace(shot, kind="dark")).mean(dtype=float))
