@@ -150,7 +150,9 @@ class VirtualTube:
         row_px, col_px, turn = rng.uniform(-1.0, 1.0, 3)
         if target.angle_deg is not None:
             target = replace(target, angle_deg=target.angle_deg + TURNED_DEG * turn)
-        return PlacedTarget(**vars(target), offset_px=(DISPLACED_PX * row_px, DISPLACED_PX * col_px))
+        return PlacedTarget(
+            **vars(target), offset_px=(DISPLACED_PX * row_px, DISPLACED_PX * col_px)
+        )
 
     def prepare(self, scene: Scene) -> None:
         """Render the target ahead of its first frame."""
