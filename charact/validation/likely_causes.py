@@ -3,7 +3,7 @@ likelihood of all measured numbers.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +108,7 @@ class LikelyCause:
     @property
     def finding(self) -> Finding:
         """The finding with the size in words."""
-        of_size = f" of {self.size:.2g} {self.unit}" if self.unit else ""
+        of_size = f" of {float(f'{self.size:.2g}'):g} {self.unit}" if self.unit else ""
         return Finding(
             flag=self.flag,
             effect=(
@@ -192,6 +192,7 @@ class CauseTest:
         self._plain = self._vector(plain)[known]
         self._gap = self._vector(measured)[known] - ensemble.values.mean(axis=0)
         self.chi_squared = float(np.sum(_whitened(self._root, self._gap) ** 2))
+        self._usual = float(np.median([_left_out(ensemble, i) for i in range(self._sets)]))
 
     def _vector(self, groups: Groups) -> Array:
         return np.array([groups.get(name, {}).get(label, np.nan) for name, label in self._keys])
@@ -223,13 +224,23 @@ class CauseTest:
         )
 
     def explained(self, fit: _Fit) -> float:
-        """Return the share that a fit explains of the excess of chi-squared over its numbers."""
-        excess = self.chi_squared - self._gap.size
-        return 1.0 - max(fit.chi_squared - self._gap.size, 0.0) / max(excess, 1e-9)
+        """Return the share that a fit explains of the excess of chi-squared over the usual."""
+        excess = self.chi_squared - self._usual
+        return 1.0 - max(fit.chi_squared - self._usual, 0.0) / max(excess, 1e-9)
+
+
+def _left_out(ensemble: Ensemble, index: int) -> float:
+    """Return chi-squared of a set by the other ones."""
+    others = replace(ensemble, values=np.delete(ensemble.values, index, axis=0))
+    covariance = others.covariance * (1.0 + 1.0 / len(others.values))
+    gap = ensemble.values[index] - others.values.mean(axis=0)
+    return float(np.sum(_whitened(np.linalg.cholesky(covariance), gap) ** 2))
 
 
 def _whitened(root: Array, *gaps: Array) -> Array:
-    """Return gaps in standard deviations of independent numbers, by the root of a covariance."""
+    """Return gaps as columns in standard deviations of independent numbers, by the root of a
+    covariance.
+    """
     from scipy.linalg import solve_triangular
 
     return np.asarray(solve_triangular(root, np.stack(gaps, axis=1), lower=True))
