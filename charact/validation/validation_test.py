@@ -100,22 +100,27 @@ class ValidationTest:
     changes
         Changes of parameters, whose errors are estimated and tested as one more statistic,
         `parameters`; none: without.
+
+    Attributes
+    ----------
+    ensembles
+        Labels and ensemble of each group of numbers that is compared.
     """
 
     def __init__(
         self, sets: Sequence[Groups], *, seed: int, changes: Sequence[ParameterChange] = ()
     ) -> None:
-        self._ensembles: dict[str, tuple[tuple[str, ...], Ensemble]] = {}
+        self.ensembles: dict[str, tuple[tuple[str, ...], Ensemble]] = {}
         for index, (name, group) in enumerate(GROUPS.items()):
             if all(groups.get(name) for groups in sets):
                 labels, ensemble = ensemble_of(
                     [groups[name] for groups in sets], group.least_sd, seed + index
                 )
                 if labels:
-                    self._ensembles[name] = labels, ensemble
+                    self.ensembles[name] = labels, ensemble
         self._draws, self._changes, self._seed = len(sets), changes, seed
         self._scores = self._scores_of(changes)
-        self._count = len(self._ensembles) + (self._scores is not None)
+        self._count = len(self.ensembles) + (self._scores is not None)
 
     def statistics(
         self,
@@ -196,7 +201,7 @@ class ValidationTest:
         self, numbers: Groups, elsewhere: Mapping[str, Groups], least: float
     ) -> Iterator[dict]:
         """Yield the fields of the statistic of each group."""
-        for name, (labels, ensemble) in self._ensembles.items():
+        for name, (labels, ensemble) in self.ensembles.items():
             groups_by_place = {"": numbers.get(name, {})} | {
                 at: groups[name] for at, groups in elsewhere.items() if groups.get(name)
             }
@@ -230,11 +235,6 @@ class ValidationTest:
                 "high95": tuple((centre + 1.96 * ensemble.sd).tolist()),
             }
 
-    @property
-    def ensembles(self) -> Mapping[str, tuple[tuple[str, ...], Ensemble]]:
-        """Labels and ensemble of each group of numbers that is compared."""
-        return self._ensembles
-
     @cached_property
     def _stacked(self) -> tuple[Array, Array]:
         """Numbers of all statistics of the simulated sets, shape (set, number), and their least
@@ -242,7 +242,7 @@ class ValidationTest:
         """
         values, least_sd = (
             np.concatenate(
-                [getattr(ensemble, field) for _, ensemble in self._ensembles.values()], axis=-1
+                [getattr(ensemble, field) for _, ensemble in self.ensembles.values()], axis=-1
             )
             for field in ("values", "least_sd")
         )
@@ -266,7 +266,7 @@ class ValidationTest:
             (
                 change.title,
                 np.concatenate(
-                    [change.shift(name, labels) for name, (labels, _) in self._ensembles.items()]
+                    [change.shift(name, labels) for name, (labels, _) in self.ensembles.items()]
                 ),
             )
             for change in changes
@@ -287,7 +287,7 @@ class ValidationTest:
         measured = np.array(
             [
                 numbers.get(name, {}).get(label, np.nan)
-                for name, (labels, _) in self._ensembles.items()
+                for name, (labels, _) in self.ensembles.items()
                 for label in labels
             ]
         )
@@ -317,7 +317,7 @@ class ValidationTest:
         its own tolerance.
         """
         scales: dict[str, dict[str, tuple[Size, float]]] = {}
-        for name, (labels, _) in self._ensembles.items():
+        for name, (labels, _) in self.ensembles.items():
             known = {label: size_of(label, sizes.get(name, {})) for label in labels}
             scales[name] = {
                 label: (size, largest)
@@ -342,7 +342,7 @@ class ValidationTest:
         """Return the amount of a change by which the first number departs by its tolerance."""
         # A parameter that moves no number, such as a dark current of short exposures, may err far.
         amounts = [change.amount_of(FARTHEST_ERROR)]
-        for name, (labels, ensemble) in self._ensembles.items():
+        for name, (labels, ensemble) in self.ensembles.items():
             shifts, centre = change.shift(name, labels), ensemble.values.mean(axis=0)
             for label, shift, predicted in zip(labels, shifts, centre, strict=True):
                 if label in scales[name] and np.isfinite(shift):
@@ -360,7 +360,7 @@ class ValidationTest:
         among all, and their shift by an amount of 1.
         """
         start, shifts = 0, []
-        for name, (labels, ensemble) in self._ensembles.items():
+        for name, (labels, ensemble) in self.ensembles.items():
             shift = parameter_change.shift(name, labels)
             if np.isfinite(shift).all() and shift.any():
                 yield name, ensemble, slice(start, start + len(labels)), shift
