@@ -11,6 +11,7 @@ from charact.reporting.emva_sheet import emva_summary, emva_xml
 from charact.reporting.exports import as_json, table_of_files
 from charact.reporting.figure_registry import Figure
 from charact.reporting.frequency_unit import FrequencyUnit
+from charact.reporting.summary import setting_of
 from charact.verdict.purpose import lacks_of, purpose_of
 from labdata import FLAGS, Measurement, Result, Session, has_tube
 from labdata.number_format import (
@@ -136,7 +137,7 @@ def sheet(session: Session, result: Result) -> tuple[SheetRow, ...]:
     named = {entry.quantity for entry, *_ in entries}
     rows = [
         SheetRow(
-            title=_short_title(m),
+            title=_short_title(m, len([n for n in result.find(m.quantity) if n.unit == m.unit])),
             name=m.quantity,
             value=_value(m, unit),
             status=m.status,
@@ -160,14 +161,15 @@ def sheet(session: Session, result: Result) -> tuple[SheetRow, ...]:
     return tuple(rows)
 
 
-def _short_title(m: Measurement) -> str:
-    """Return the title of a quantity without what it explains after a colon, with its stack where
-    one is chosen.
+def _short_title(m: Measurement, count: int) -> str:
+    """Return the title of a quantity without what it explains after a colon, with its stack or
+    setting where one of `count` is chosen.
     """
     title = quantity_title(m).partition(":")[0]
     chosen = {"bloom_diameter": m.stack, "limiting_resolution": m.stack or "bright light"}.get(
         m.quantity
     )
+    chosen = chosen or (setting_of(m) if count > 1 else "")
     return f"{title} ({chosen})" if chosen else title
 
 

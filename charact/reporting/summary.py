@@ -2,6 +2,7 @@
 screen.
 """
 
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
@@ -215,9 +216,24 @@ def verdict_of(m: Measurement) -> str:
     return m.status + (f": {', '.join(m.flags)}" if m.flags else "")
 
 
+def setting_of(m: Measurement) -> str:
+    """Return the setting at which one of several was measured, as a note states it; else "".
+
+    Examples
+    --------
+    >>> from labdata import measurement_from_sd
+    >>> setting_of(measurement_from_sd("prnu", "%", 1, 0.1, method="m", notes=("at 700 V: a, b",)))
+    'at 700 V'
+    """
+    stated = (re.match(r"(?:measured |MCP )?(at [^:]+)", note) for note in m.notes)
+    return next((match[1] for match in stated if match), "")
+
+
 def _where(m: Measurement, among: list[Measurement]) -> str:
     """Return stack, region and direction of a measurement, those that differ among the others."""
     parts = [m.stack] if m.stack and len({other.stack for other in among}) > 1 else []
+    if len(among) > 1 and (setting := setting_of(m)):
+        parts = [setting]
     if m.amplifier:
         parts.append(f"amplifier {m.amplifier}")
     elif m.region is not None and len({other.region for other in among}) > 1:
