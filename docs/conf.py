@@ -38,11 +38,12 @@ autodoc_member_order = "bysource"
 html_theme = "alabaster"
 html_theme_options = {
     "description": "Intensified cameras: measure, simulate, validate",
-    "page_width": "1280px",
+    # Below this width the theme puts the navigation under the content; custom.css widens the page.
+    "page_width": "800px",
     "body_max_width": "1020px",
 }
 html_sidebars = {"**": ["about.html", "searchfield.html", "navigation.html"]}
-html_static_path: list[str] = []
+html_static_path = ["static"]
 
 sphinx_gallery_conf = {
     "examples_dirs": "examples",

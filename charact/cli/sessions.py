@@ -409,7 +409,11 @@ def validate_and_save(
 
 @verb(modelling.report)
 def report(
-    session: SessionFolder, force: Force = False, events: Events = False, **settings: Any
+    session: SessionFolder,
+    open_page: Annotated[bool, Setting("Open the page in the browser.", option="--open")] = False,
+    force: Force = False,
+    events: Events = False,
+    **settings: Any,
 ) -> None:
     """Write a self-contained HTML report: figures, quantities with intervals, validation,
     provenance.
@@ -425,4 +429,7 @@ def report(
                 kept=lambda path=path: why_other_kind(path, b"<!doctype html", b"%PDF"),
             )
         result = load_or_measure(session, seed=settings["seed"], events=events)
-        print(modelling.report(session, result=result, **settings))
+        page = modelling.report(session, result=result, **settings)
+        print(page)
+        if open_page and typer.launch(page.absolute().as_uri()) != 0:
+            print_message(f"no browser could be started: open {page}", events=events)

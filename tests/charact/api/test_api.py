@@ -235,6 +235,7 @@ OUTPUT = {
     "--json",
     "--map",
     "--map-of",
+    "--open",
     "--pitch-um",
     "--plot",
     "--sensor-out",

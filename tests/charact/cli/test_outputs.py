@@ -332,3 +332,34 @@ def test_shipped_charts_are_shown_and_the_study_that_measures_them_is_named(tmp_
     for shown, study in ((done, "chart"), (failures, "stability")):
         assert f"make study NAME={study} QUANTITY=mtf50" in shown.stdout
     assert_one_sentence(charact("chart", "snr"), "QUANTITY must be one with a shipped table, cov")
+
+
+def test_a_report_is_opened_on_request_and_a_missing_browser_is_said(tmp_path, monkeypatch):
+    page, opened = tmp_path / "report.html", []
+    monkeypatch.setattr("charact.cli.sessions.load_or_measure", lambda *_, **__: Result())
+    monkeypatch.setattr("charact.api.modelling.report", lambda *_, **__: page)
+    for code, sentence in ((0, ""), (1, f"no browser could be started: open {page}")):
+        monkeypatch.setattr("typer.launch", lambda at, code=code: opened.append(at) or code)
+        done = done_well("report", tmp_path, "--open")
+        assert done.stdout.strip() == str(page) and done.stderr.strip() == sentence
+    assert opened == [page.as_uri()] * 2
+    done_well("report", tmp_path)
+    assert len(opened) == 2
+
+
+@pytest.mark.parametrize("place", ["", "session"])
+def test_convert_and_view_take_a_demonstration_as_measure_does(place, tmp_path):
+    folder = tmp_path / "demo" / place
+    folder.mkdir(parents=True)
+    np.save(folder / "a.npy", np.arange(64, dtype=np.uint8).reshape(1, 8, 8))
+    stack = '[[stack]]\nlabel = "a"\nkind = "flat"\nframes = "a.npy"\n'
+    (folder / "session.toml").write_text(f'name = "t"\n{stack}')
+    result_io.save(
+        Result(measurements=(measurement_from_sd("prnu", "%", 1, 0.1, method="m"),)), folder
+    )
+    done_well("convert", tmp_path / "demo", tmp_path / "out", "--to", "npy")
+    assert np.load(tmp_path / "out" / "a.npy").shape == (1, 8, 8)
+    done_well("convert", f"{tmp_path / 'demo'}#a", tmp_path / "a", "--to", "npy")
+    done_well("convert", tmp_path / "demo", tmp_path / "a.csv", "--to", "csv")
+    assert "prnu" in (tmp_path / "a.csv").read_text()
+    done_well("view", tmp_path / "demo", "--out", tmp_path / "a.png")
