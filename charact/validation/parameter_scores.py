@@ -3,7 +3,7 @@ change moves most.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,11 @@ class ParameterScores:
     centre: Array
     sd: Array
     degrees: int
+
+    def of(self, chosen: NDArray[np.bool_]) -> "ParameterScores":
+        """Return the estimates of chosen parameters, shape (parameter,)."""
+        titles = tuple(title for title, kept in zip(self.titles, chosen, strict=True) if kept)
+        return replace(self, titles=titles, weights=self.weights[chosen], sd=self.sd[chosen])
 
     def estimates(self, measured: Array) -> Array:
         """Return the relative errors of the parameters, each as if it were the only wrong one,

@@ -264,7 +264,7 @@ class ValidationTest:
         """Return the estimates of parameters, or None where no change moves a number."""
         shifts = [
             (
-                change.title,
+                change,
                 np.concatenate(
                     [change.shift(name, labels) for name, (labels, _) in self.ensembles.items()]
                 ),
@@ -272,15 +272,19 @@ class ValidationTest:
             for change in changes
         ]
         shifts = [
-            (title, shift) for title, shift in shifts if np.isfinite(shift).all() and shift.any()
+            (change, shift) for change, shift in shifts if np.isfinite(shift).all() and shift.any()
         ]
         if not shifts:
             return None
-        return parameter_scores(
-            [title for title, _ in shifts],
+        scores = parameter_scores(
+            [change.title for change, _ in shifts],
             np.array([shift for _, shift in shifts]),
             *self._stacked,
         )
+        # One whose largest error moves no number by more than chance, as the sensitivity in light
+        # of a free level, is not estimated.
+        known = scores.sd < [change.largest for change, _ in shifts]
+        return scores.of(known) if known.any() else None
 
     def _score(self, scores: ParameterScores, numbers: Groups) -> dict:
         """Return the fields of the statistic of the estimated parameters."""

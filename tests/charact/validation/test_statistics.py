@@ -51,6 +51,21 @@ def _sets(rng: np.random.Generator) -> list[Mapping[str, Numbers]]:
     return [_numbers(rng) for _ in range(SETS)]
 
 
+def test_a_parameter_that_moves_no_number_is_not_estimated(seed: int) -> None:
+    rng, gain = np.random.default_rng(seed), _change(0.3)
+    # Light of a free level leaves rounding of the sensitivity.
+    moved = {
+        name: {label: value * (1.0 + 1e-15) for label, value in group.items()}
+        for name, group in gain.plain.items()
+    }
+    hidden = replace(gain, title="sensitivity", changed=moved)
+    assert hidden.changed != hidden.plain
+    for changes, titles in (((gain, hidden), [("gain",)]), ((hidden,), [])):
+        test = ValidationTest(_sets(rng), seed=seed, changes=changes)
+        scores = [one for one in test.statistics(_numbers(rng)) if one.name == SCORES]
+        assert [one.labels for one in scores] == titles
+
+
 def test_a_defect_in_another_part_of_the_frame_fails_and_is_named_with_its_place(seed: int) -> None:
     rng = np.random.default_rng(seed)
     test, fresh = ValidationTest(_sets(rng), seed=seed), _numbers(rng)
