@@ -171,7 +171,9 @@ def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
     row over at least an eighth of it; part of a row is lost only at an end of the frames' values.
 
     `start`: number of the first frame. Where a fraction f of the same pixels in another frame, else
-    of an adjacent row, has its commonest value, n pixels have one value with probability f^n.
+    of an adjacent row, has its commonest value, n pixels have one value with probability f^n. Noise
+    that whole rows share brings some of them nearer to one code: f is that of the evenest other row
+    of the frame, if larger.
     """
     ends = frames[:, :, : LAYOUT.bands], frames[:, :, -LAYOUT.bands :]
     is_even = np.any([np.all(end == end[:, :, :1], axis=2) for end in ends], axis=0)
@@ -196,7 +198,10 @@ def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
             else:
                 normal = frames[frame, first - 1 if first else stop % frames.shape[1], held]
             value, middle = float(frames[frame, first, held][0]), float(np.median(normal))
-            chance = normal.size * np.log(max(np.mean(normal == middle), 1.0 / normal.size))
+            others = frames[frame, ~is_even[frame]][:, held]
+            medians = np.median(others, axis=1, keepdims=True)
+            shares = (np.mean(others == medians, axis=1), np.mean(normal == middle))
+            chance = normal.size * np.log(max(*np.hstack(shares), 1.0 / normal.size))
             departs = len(sound) and abs(value - middle) > LAYOUT.lost_sd * normal.std() > 0.0
             # Correlated noise of a few codes holds one of them over part of a row.
             is_end = normal.size == cols or value in ends_dn

@@ -7,6 +7,7 @@ import pytest
 
 from charact.estimators import mtf
 from charact.fitting import fit_sensor, levels_of
+from charact.frames.layout import lost_rows
 from charact.frames.session_layout import layout_notes, sound_session
 from charact.method import Context
 from charact.session_measurement import measure
@@ -104,3 +105,14 @@ def test_the_transfer_of_flats_is_that_of_the_exposed_area(seed):
         assert of_striped.status == of_plain.status == "ok"
         assert of_striped.value == pytest.approx(of_plain.value, rel=0.02)
         assert any("unexposed strip" in note for note in of_striped.notes)
+
+
+def test_rows_of_one_value_that_row_noise_makes_are_not_lost(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # The dark of a tube in whole codes: rows shifted by a tenth of a code, and as much noise.
+    level = 8.5 + 0.1 * rng.standard_normal((12, 150, 1))
+    frames = np.rint(level + 0.1 * rng.standard_normal((12, 150, 200))).astype(np.uint8)
+    assert np.any(np.ptp(frames, axis=2) == 0)
+    assert not lost_rows(frames)
+    frames[3, 50:52] = 0
+    assert [(part.frame, part.first, part.stop) for part in lost_rows(frames)] == [(3, 50, 52)]
