@@ -144,3 +144,21 @@ def test_the_specimen_passes_with_its_maps_and_fails_as_one_of_its_type(
     assert any("3 pixels beyond 5" in note for note in found.notes)
     of_type = validate(session, replace(camera, maps=None), seed=seed)
     assert not any(s.passed for s in of_type.statistics if s.name in patterns)
+
+
+def test_hot_pixels_that_appear_after_the_maps_are_found(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "VALIDATION", replace(VALIDATION, draws=10))
+    monkeypatch.setattr(command, "PARAMETERS", ())
+    session, rng = numpy_session(seed), np.random.default_rng([seed, 4])
+    entry = session.stack("dark")
+    data = np.array(entry.read().data)
+    rows, cols = (rng.integers(size, size=8) for size in SHAPE)
+    # The frames that are compared, the first of the dark apart, by which the session is known.
+    data[1:8, rows, cols] += np.uint16(12.0 * READ_DN)
+    stacks = (replace(entry, kept=replace(entry.read(), data=data)), *session.stacks[1:])
+    found = validate(replace(session, stacks=stacks), fitted(seed), seed=seed)
+    assert any("not compared: 32 frames" in note for note in found.notes)
+    (defects,) = (s for s in found.statistics if s.name == "defects")
+    assert not defects.passed and "of dark" in defects.worst
