@@ -145,7 +145,7 @@ def _with_course(shot: MatchedFrames, frames: NDArray, dark_dn: float) -> tuple[
     at = np.linspace(-1.0, 1.0, len(signal))
     slope = float(at @ signal / (at @ at))
     scatter = np.sum((signal - signal.mean() - slope * at) ** 2) / (len(signal) - 2.0)
-    if abs(slope) < VALIDATION.drift_sd * np.sqrt(scatter / (at @ at)):
+    if abs(slope) <= VALIDATION.drift_sd * np.sqrt(scatter / (at @ at)):
         return shot, ""
     relative = slope / float(signal.mean())
     note = (
