@@ -4,6 +4,7 @@ Measurements of one quantity and unit are matched by stack, direction and freque
 described by its intervals alone, and the two sides are independent.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,6 +17,9 @@ from labdata import QUANTITIES, BadInput, Session, order_flags
 from labdata.measurement import Interval, Measurement, Result, intervals_of
 from labdata.short_repr import short_repr
 
+# Label of a stack that the other session does not have, and quantities that grow with the exposure
+# of the darks, which have no difference where those differ.
+UNPAIRED, OF_EXPOSURE = "\0", ("dark_signal",)
 # Standard scores of the upper limits of the 68 % and 95 % intervals, and one beyond all draws.
 SCORES, FARTHEST = (0.994458, 1.959964), 10.0
 
@@ -127,29 +131,37 @@ def compare(
     >>> print(f"{found.difference:.3f}, better with probability {found.probability_better:.2f}")
     0.020, better with probability 1.00
     """
-    pairs, stacks = (), 0
+    conditions, stacks, labels = (), (), dict[str, str]()
+    unlike = set[str | None]()
     if sessions is not None:
         if not anyway:
             require_alike(*sessions)
-        pairs, stacks = condition_pairs(*sessions), len(pair_stacks(*sessions))
-    matched = pair_measurements(a, b)
+        conditions, stacks = condition_pairs(*sessions), pair_stacks(*sessions)
+        labels = dict.fromkeys((entry.label for entry in sessions[1].stacks), UNPAIRED)
+        labels |= {stack_b.label: stack_a.label for stack_a, stack_b in stacks}
+        unlike = {pair.stack for pair in conditions if pair.unlike}
+    matched = pair_measurements(a, b, labels)
     if not matched:
         raise BadInput(
             "two results must have a quantity with a value in both to be compared, got none"
         )
-    unlike = {pair.stack for pair in pairs if pair.unlike}
+    darks = all(session.of_kind("dark") for session in sessions or ())
+    if darks and not any(stack_a.kind == "dark" for stack_a, _ in stacks):
+        matched = tuple(pair for pair in matched if pair[0].quantity not in OF_EXPOSURE)
     valued = [sum(m.value is not None for m in result.measurements) for result in (a, b)]
     return Comparison(
         differences=tuple(_difference(*pair, unlike, rng) for pair in matched),
-        conditions=pairs,
-        stacks=stacks,
+        conditions=conditions,
+        stacks=len(stacks),
         unmatched=(valued[0] - len(matched), valued[1] - len(matched)),
     )
 
 
-def pair_measurements(a: Result, b: Result) -> tuple[tuple[Measurement, Measurement], ...]:
+def pair_measurements(
+    a: Result, b: Result, labels: Mapping[str, str] | None = None
+) -> tuple[tuple[Measurement, Measurement], ...]:
     """Return the measurements with values that measure the same thing in two results, in the order
-    of the first.
+    of the first; `labels`: label in A of each stack of B.
 
     Quantity, unit, stack and amplifier are equal, frequency and direction agree within `LIMITS`,
     and regions overlap. Of several possible partners the same method comes first, then the nearest
@@ -158,7 +170,8 @@ def pair_measurements(a: Result, b: Result) -> tuple[tuple[Measurement, Measurem
     groups: dict[tuple[object, ...], list[tuple[int, Measurement]]] = {}
     for index, m in enumerate(b.measurements):
         if m.value is not None:
-            groups.setdefault((m.quantity, m.unit, m.stack, m.amplifier), []).append((index, m))
+            of = m.stack if m.stack is None else (labels or {}).get(m.stack, m.stack)
+            groups.setdefault((m.quantity, m.unit, of, m.amplifier), []).append((index, m))
     possible = [
         (_unlikeness(measurement, partner), i, j)
         for i, measurement in enumerate(a.measurements)

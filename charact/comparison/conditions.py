@@ -1,16 +1,19 @@
 """Conditions of two sessions side by side, and those that make them unlike.
 
-Stacks are matched by their labels. Two sessions are unlike if the camera differs, or if a matched
-stack was acquired with another gain, gate, exposure or illumination, with another kind of target,
-or from another plane of the camera. Values are alike within the tolerances of
+Stacks are matched by their conditions, those of one label first; of two series of levels the flats
+and darks that have no match are left out. Two sessions are unlike if the camera differs, or if a
+matched stack was acquired with another gain, gate, exposure or illumination, with another kind of
+target, or from another plane of the camera. Values are alike within the tolerances of
 `charact.comparison.thresholds`, illuminances also within their uncertainty.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
+from itertools import product
 from typing import Any
 
 from charact.comparison.thresholds import LIMITS
+from charact.verdict.thresholds import LEVELS
 from labdata import BadInput, Conditions, Session, StackEntry, to_mapping
 
 GAIN_AND_TIME = (
@@ -28,6 +31,8 @@ GAIN_AND_TIME = (
 )
 # Measures of the illumination; the first that is known on both sides decides.
 LIGHT = ("illuminance_lux", "photons_per_px", "filter_density", "lamp_a")
+# Conditions in which the levels of one series differ.
+STEPS = ("exposure_s", *LIGHT)
 # Times and readings of meters; the conditions in force are compared instead.
 READINGS = ("metered_time_s", "temperature_time_s", "metered_w", "metered_lux")
 ABSOLUTE = {
@@ -56,7 +61,7 @@ def condition_pairs(a: Session, b: Session) -> tuple[ConditionPair, ...]:
     Parameters
     ----------
     a, b
-        The sessions; stacks are matched by label.
+        The sessions; stacks are matched as by `pair_stacks`.
 
     Returns
     -------
@@ -82,16 +87,72 @@ def condition_pairs(a: Session, b: Session) -> tuple[ConditionPair, ...]:
 
 
 def pair_stacks(a: Session, b: Session) -> tuple[tuple[StackEntry, StackEntry], ...]:
-    """Return the stacks whose label is in both sessions, in the order of the first."""
-    stacks_b = {entry.label: entry for entry in b.stacks}
-    return tuple((entry, stacks_b[entry.label]) for entry in a.stacks if entry.label in stacks_b)
+    """Return the stacks of two sessions that are to be compared, in the order of the first.
+
+    Alike stacks of one label come first, then those of one kind whose known level is that of no
+    other stack, then the others of one label. Flats and darks of two series of levels that differ
+    in the levels alone have no partner.
+    """
+    partners: dict[str, StackEntry] = {}
+
+    def pair(matches: Callable[[StackEntry, StackEntry], bool]) -> None:
+        for entry in a.stacks:
+            paired = {partner.label for partner in partners.values()}
+            for other in b.stacks if entry.label not in partners else ():
+                if other.label not in paired and matches(entry, other):
+                    partners[entry.label] = other
+                    break
+
+    def of_other_steps(entry: StackEntry, other: StackEntry) -> bool:
+        levels = entry.kind in ("flat", "dark") and _are_series(a, b)
+        return levels and _unlike(entry, other) <= set(STEPS)
+
+    pair(lambda entry, other: entry.label == other.label and not _unlike(entry, other))
+    of_level_b = {entry.label: _of_level(entry, b) for entry in a.stacks}
+    of_level_a = {entry.label: _of_level(entry, a) for entry in b.stacks}
+    pair(
+        lambda entry, other: (
+            of_level_b[entry.label] == [other.label] and of_level_a[other.label] == [entry.label]
+        )
+    )
+    pair(lambda entry, other: entry.label == other.label and not of_other_steps(entry, other))
+    return tuple((entry, partners[entry.label]) for entry in a.stacks if entry.label in partners)
+
+
+def _are_series(a: Session, b: Session) -> bool:
+    """Whether both sessions have flats for a series of levels."""
+    return min(len(session.of_kind("flat")) for session in (a, b)) >= LEVELS
+
+
+def _of_level(entry: StackEntry, session: Session) -> list[str]:
+    """Return the labels of the stacks that are alike in a level that is known."""
+
+    def is_of_level(other: StackEntry) -> bool:
+        known = [
+            name
+            for name in STEPS
+            if None not in (getattr(entry.conditions, name), getattr(other.conditions, name))
+        ]
+        return (
+            bool(known)
+            and all(_alike(entry.conditions, other.conditions, name) for name in known)
+            and not _unlike(entry, other)
+        )
+
+    return [other.label for other in session.of_kind(entry.kind) if is_of_level(other)]
+
+
+def _unlike(a: StackEntry, b: StackEntry) -> set[str]:
+    """Return the conditions of two stacks that are unlike."""
+    return {pair.name for pair in _of_stacks(a, b) if pair.unlike}
 
 
 def require_alike(a: Session, b: Session) -> None:
-    """Raise BadInput if two sessions are unlike or have no stack label in common."""
-    unlike = [pair for pair in condition_pairs(a, b) if pair.unlike]
-    if unlike:
-        first, more = unlike[0], len(unlike) - 1
+    """Raise BadInput if two sessions are unlike or have nothing in common: no stack, and no series
+    of flats.
+    """
+    if differing := [pair for pair in condition_pairs(a, b) if pair.unlike]:
+        first, more = differing[0], len(differing) - 1
         where = "" if first.stack is None else f" of stack {first.stack!r}"
         raise BadInput(
             f"compared sessions must be alike, got {first.name} {_format_value(first.a)} and "
@@ -99,10 +160,13 @@ def require_alike(a: Session, b: Session) -> None:
             + (f" and {more} more unlike conditions" if more else "")
             + "; `anyway` compares them nevertheless"
         )
-    if not pair_stacks(a, b):
+    if not pair_stacks(a, b) and not any(
+        _are_series(a, b) and _unlike(*flats) <= set(STEPS)
+        for flats in product(a.of_kind("flat"), b.of_kind("flat"))
+    ):
         raise BadInput(
-            "compared sessions must have the label of a stack in common, got none; `anyway` "
-            "compares the quantities of the whole session"
+            "compared sessions must have conditions or the label of a stack in common, got none; "
+            "`anyway` compares the quantities of the whole session"
         )
 
 

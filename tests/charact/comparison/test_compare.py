@@ -291,3 +291,67 @@ def test_sessions_without_a_common_stack_are_refused() -> None:
     a, b = of(), session([stack(np.zeros((2, 8, 8)), "edge")])
     with pytest.raises(BadInput, match="label of a stack in common, got none"):
         compared(result(mtf50(0.2)), result(mtf50(0.21)), sessions=(a, b))
+
+
+# Two series of one camera with other steps have the camera in common.
+
+
+def series(*exposures_s: float, first: int = 1, **conditions: float) -> Session:
+    """Flats and darks at exposures, numbered from `first`."""
+    frames = np.zeros((2, 8, 8))
+    return session(
+        [
+            stack(frames, kind, label=f"{kind}-{first + n}", exposure_s=exposure_s, **conditions)
+            for n, exposure_s in enumerate(exposures_s)
+            for kind in ("flat", "dark")
+        ]
+    )
+
+
+def of_series(measured: Session) -> Result:
+    """Gain and dark signal of a series, and the SNR of each flat: 1000 times its exposure."""
+    return result(
+        measurement_from_sd("system_gain", "DN/e-", 0.5, 0.01, method="m"),
+        measurement_from_sd("dark_signal", "DN", 50.0, 0.1, method="m"),
+        *(
+            measurement_from_sd(
+                "snr", "1", 1e3 * s.conditions.exposure_s, 0.1, method="m", stack=s.label
+            )
+            for s in measured.of_kind("flat")
+        ),
+    )
+
+
+def test_series_with_other_steps_are_compared_by_what_they_have_in_common() -> None:
+    a, b = series(0.01, 0.02, 0.04), series(0.01, 0.03, 0.04, 0.08, first=2)
+    found = compared(of_series(a), of_series(b), sessions=(a, b))
+    assert {d.a.quantity for d in found.differences} == {"system_gain", "dark_signal", "snr"}
+    assert found.stacks == 4 and all(not d.flags for d in found.differences)
+    # Levels are matched by their exposure, whatever their labels.
+    assert [(d.a.stack, d.b.stack) for d in found.find("snr")] == [
+        ("flat-1", "flat-2"),
+        ("flat-3", "flat-4"),
+    ]
+    assert all(d.difference == pytest.approx(0.0, abs=1e-9) for d in found.find("snr"))
+
+
+def test_series_without_a_common_step_have_their_gain_compared_and_no_dark_signal() -> None:
+    a, b = series(0.01, 0.02, 0.04), series(0.015, 0.03, 0.06)
+    found = compared(of_series(a), of_series(b), sessions=(a, b))
+    assert [d.a.quantity for d in found.differences] == ["system_gain"] and found.stacks == 0
+
+
+def test_series_at_another_gain_are_refused_whatever_their_steps() -> None:
+    a, b = series(0.01, 0.02, 0.04, mcp_v=780.0), series(0.01, 0.03, 0.05, mcp_v=800.0)
+    with pytest.raises(BadInput, match="got mcp_v 780 and 800"):
+        compared(of_series(a), of_series(b), sessions=(a, b))
+    with pytest.raises(BadInput, match=r"got exposure_s 0\.01 and 0\.015"):
+        short = [series(0.01, 0.02), series(0.015, 0.03)]
+        compared(of_series(short[0]), of_series(short[1]), sessions=tuple(short))
+
+
+def test_stacks_of_one_level_have_no_partner_by_their_level() -> None:
+    """Repeats of one exposure under light that is not known are no matter of order."""
+    a, b = series(0.01, 0.01, 0.01), series(0.01, 0.01, 0.01, first=4)
+    found = compared(of_series(a), of_series(b), sessions=(a, b))
+    assert found.find("snr") == () and found.stacks == 0
