@@ -59,6 +59,10 @@ STUDIES = {
         module="effect_selection",
         about="renderings with neglected effects against exact ones: table, figure; 15 minutes",
     ),
+    "fit-ranks": Study(
+        module="fit_ranks",
+        about="ranks of true parameters in fits of drawn numbers: printed; 3 to 10 minutes",
+    ),
     "gain-map": Study(
         module="gain_map", about="failure map of the gain methods: table, figure; 30 minutes"
     ),
