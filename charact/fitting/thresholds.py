@@ -102,7 +102,7 @@ class Sampling:
     # Steps of rounds whose draws are forgotten, and of rounds after each of which chains are
     # judged.
     burn_in_steps: tuple[int, ...] = (5, 5, 10)
-    steps: tuple[int, ...] = (20, 20, 40, 80)
+    steps: tuple[int, ...] = (20, 20, 40, 80, 160)
     least_variance: float = 1e-8  # of a direction of the parameters, each over its own
     least_angle: float = 1e-6  # bracket of a step, rad, below which a chain stays
     # emcee's walkers and their steps likewise.
@@ -118,7 +118,7 @@ class ConvergenceLimits:
 
     most_shift_sd: float = 0.1  # means of their halves apart, standard deviations of the posterior
     least_effective: float = 400.0  # effective draws of every parameter
-    least_of_chain: float = 10.0  # effective draws of a chain: autocorrelation times
+    least_of_chain: float = 5.0  # effective draws of a chain: autocorrelation times
     # ln p(mode) - ln p(draw): relative departure of its mean from d/2, and absolute.
     depth_tolerance: float = 0.5
     depth_slack: float = 0.5
