@@ -153,9 +153,9 @@ class FixedPattern(Observable[Stacks[FrameView]]):
                     ratio
                 )
             for name, line in (("rows", rows), ("columns", cols)):
-                numbers[f"odd less even {name} of {stack.label}"] = (
-                    float(line[1::2].mean() - line[::2].mean()) / stack.mean_dn
-                )
+                numbers[f"odd less even {name} of {stack.label}"] = float(
+                    line[1::2].mean() - line[::2].mean()
+                ) / max(stack.mean_dn, 1e-12)
             numbers |= bands_of(
                 FrameView.spectrum(stack.pattern[None]),
                 stack.power,
