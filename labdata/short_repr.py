@@ -9,7 +9,7 @@ WIDTH = 160  # Characters of a representation
 SCALARS = (str, int, float, bool)
 
 
-def short_repr(record: Any) -> str:
+def short_repr(self: Any) -> str:
     """Return class and fields of a record that differ from their defaults, on one line.
 
     Arrays are shown by type and shape, containers of other than a few numbers or texts by their
@@ -23,12 +23,12 @@ def short_repr(record: Any) -> str:
     FrameStack(data=uint16 (4, 60, 80), full_scale_dn=255)
     """
     shown = []
-    for item in fields(record):
-        value = getattr(record, item.name)
+    for item in fields(self):
+        value = getattr(self, item.name)
         if value is None or not item.repr or _is_default(value, item):
             continue
         shown.append(f"{item.name}={_short(value)}")
-    return f"{type(record).__name__}({shorten(', '.join(shown), WIDTH, placeholder=' …')})"
+    return f"{type(self).__name__}({shorten(', '.join(shown), WIDTH, placeholder=' …')})"
 
 
 def _is_default(value: Any, item: Any) -> bool:

@@ -3,7 +3,7 @@
 import os
 import signal
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -21,6 +21,9 @@ from charact.cli import (
     simulate,
 )
 from charact.cli.output import SPELT_OUT
+
+if TYPE_CHECKING:
+    from io import TextIOWrapper
 
 app = typer.Typer(
     name="charact",
@@ -95,7 +98,7 @@ def run() -> None:
         print("charact: stdout must be open, got it closed", file=sys.stderr or None)
         sys.exit(1)
     for stream in filter(None, (sys.stdout, sys.stderr)):
-        stream.reconfigure(errors=SPELT_OUT)
+        cast("TextIOWrapper", stream).reconfigure(errors=SPELT_OUT)
     try:
         app()
     except KeyboardInterrupt:

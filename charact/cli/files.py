@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -129,9 +129,10 @@ def frames(
                 kind=None if kind is None else kind_of(kind),
                 name_pattern=name_pattern,
                 label=label,
-                axis=axis,
-                plane=plane,
-                extension=extension,
+                # Options are texts.
+                axis=cast("str | None", axis),
+                plane=cast("str | None", plane),
+                extension=cast("str | None", extension),
                 partial=partial,
                 add=add,
             )

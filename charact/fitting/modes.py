@@ -36,7 +36,7 @@ class Mode:
         distances = (
             departure @ np.linalg.pinv(mode.covariance) @ departure for mode in (self, other)
         )
-        return min(distances) < MODES.distinct_sd**2
+        return bool(min(distances) < MODES.distinct_sd**2)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -50,7 +50,10 @@ def draw_posterior(
         "slice": slice_rounds(log_probability, point, covariance, np.random.default_rng(seed)),
         "emcee": ensemble_rounds(log_probability, point, covariance, seed),
     }
-    attempts = ((name, chains) for name, rounds in samplers.items() for chains in rounds)
+    attempts: Iterator[tuple[Sampler, Array]] = (
+        (name, chains) for name, rounds in samplers.items() for chains in rounds
+    )
+    sampler: Sampler = "slice"
     for sampler, chains in attempts:  # noqa: B007  # the last one is that of the draws
         draws = _draws_of(chains)
         state = Convergence.of(chains, peak - log_probability(draws))

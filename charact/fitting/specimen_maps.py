@@ -140,7 +140,7 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
     at_zero, slope = dark_parts.line()
     if (rate := None if fitted.has_tube else slope.map_of(0.0)) is not None:
         dark_parts = at_zero
-    variance = dark_parts.squares / max(dark_parts.freedom, 1)
+    variance = np.asarray(dark_parts.squares) / max(dark_parts.freedom, 1)
     noise_dn = float(np.sqrt(np.median(variance)))
     offset = dark_parts.map_of(0.0) if noise_dn > LIMITS.least_noise_dn else None
     if offset is not None and fitted.has_tube and not offset.shown.any():
@@ -173,14 +173,17 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
         dark_rate_dn_per_s=rate,
         variance_dn2=None
         if noisy is None
-        else PixelMap(value=variance, sd=variance * np.sqrt(2.0 / dark_parts.freedom)),
+        else PixelMap(
+            value=variance.astype(np.float32), sd=variance * np.sqrt(2.0 / dark_parts.freedom)
+        ),
         defect=defect,
         frames={chosen.entry.label: tuple(chosen.numbers.tolist()) for chosen in used},
         checksums={chosen.entry.label: checksum(chosen.entry) for chosen in used},
         origin=(region[0], region[1]),
         pitch_px=session.sampling[1],
         notes=tuple(_notes(offset, rate, light, defect, (dark_parts.frames, lit.frames), noise_dn)),
-        **{"pattern" if fitted.has_tube else "response": light},
+        pattern=light if fitted.has_tube else None,
+        response=None if fitted.has_tube else light,
     )
 
 

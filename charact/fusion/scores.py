@@ -227,8 +227,15 @@ def ssim_sum(visible: Array, thermal: Array, fused: Array) -> float:
     """
     from skimage.metrics import structural_similarity
 
-    settings = {"data_range": 255.0, "gaussian_weights": True, "use_sample_covariance": False}
-    return float(sum(structural_similarity(band, fused, **settings) for band in (visible, thermal)))
+    settings: dict[str, Any] = {
+        "data_range": 255.0,
+        "gaussian_weights": True,
+        "use_sample_covariance": False,
+    }
+    similarities: list[Any] = [
+        structural_similarity(band, fused, **settings) for band in (visible, thermal)
+    ]
+    return float(sum(similarities))
 
 
 def average_gradient(fused: Array) -> float:

@@ -183,7 +183,8 @@ def _without_shading(mean: Frames) -> tuple[Array, Frames]:
     """
     terms, products = _terms_of_shading(*mean.shape)
     coefficients = np.linalg.solve(products, (terms @ mean.ravel()).astype(float))
-    return coefficients[1:], mean - (coefficients.astype(np.float32) @ terms).reshape(mean.shape)
+    shading = (coefficients.astype(np.float32) @ terms).reshape(mean.shape)
+    return np.asarray(coefficients[1:], np.float64), mean - shading
 
 
 @lru_cache(maxsize=2)

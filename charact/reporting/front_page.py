@@ -220,7 +220,7 @@ def verdict(session: Session, result: Result, validation: "Validation | None") -
         )
     if lacks:
         why_not = (f"{lack.quantity}: {lack.reason}" for lack in lacks)
-        return Verdict(status="suspect", heading=to_add[0], reasons=(*why_not, *reasons))
+        return Verdict(status="suspect", heading="".join(to_add[:1]), reasons=(*why_not, *reasons))
     checked = "" if validation is None else ", and simulated frames agree with the measured ones"
     if validation is not None and validation.verdict == "undecided":
         from charact.reporting.validation_text import doubts_of, unseen_sentences

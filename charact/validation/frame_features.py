@@ -99,9 +99,10 @@ def features_of_parts(
     there beyond the crop is taken off, so that numbers of parts compare with those of the crop.
     """
 
-    def numbers_of(frames: Mapping[str, NDArray]) -> dict[str, Numbers]:
+    def numbers_of(frames: Mapping[str, NDArray]) -> dict[str, dict[str, float]]:
         stacks = _stacks(frames, chosen.dark, chosen.flats[-1:], context)
-        return {name: group.numbers(stacks) for name, group in GROUPS.items() if group.over_frame}
+        over_frame = {name: group for name, group in GROUPS.items() if group.over_frame}
+        return {name: dict(group.numbers(stacks)) for name, group in over_frame.items()}
 
     features = {part: numbers_of(frames) for part, frames in chosen.parts.items()}
     known = [(camera, frames) for camera, frames in sets if camera.maps is not None]
@@ -113,4 +114,4 @@ def features_of_parts(
                 for label in numbers.keys() & shown[name].keys():
                     beyond = shown[name][label] - crop[name].get(label, np.nan)
                     numbers[label] -= beyond / len(known)
-    return features
+    return dict(features)

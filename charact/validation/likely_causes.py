@@ -237,7 +237,7 @@ def _left_out(ensemble: Ensemble, index: int) -> float:
     return float(np.sum(_whitened(np.linalg.cholesky(covariance), gap) ** 2))
 
 
-def _whitened(root: Array, *gaps: Array) -> Array:
+def _whitened(root: NDArray[np.floating], *gaps: Array) -> Array:
     """Return gaps as columns in standard deviations of independent numbers, by the root of a
     covariance.
     """

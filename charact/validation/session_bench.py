@@ -227,8 +227,10 @@ def _registration(frames: NDArray, bench: "LabBench", shot: MatchedFrames) -> Ma
     measured, simulated = frames.mean(axis=0, dtype=float), mean_of(bench, shot)
     full_dn = 2.0**bench.camera.description.video.bit_depth - 1.0
     if shot.kind == "point" and max(measured.max(), simulated.max()) < full_dn:
-        centres = [spot_centre(frame - np.median(frame)) for frame in (measured, simulated)]
-        step = np.full(2, np.nan) if None in centres else np.subtract(*centres)
+        shown, expected = (spot_centre(frame - np.median(frame)) for frame in (measured, simulated))
+        step = np.full(2, np.nan)
+        if shown is not None and expected is not None:
+            step = np.subtract(shown, expected)
         return dict(zip(("row", "col"), step.tolist(), strict=True))
     noise_dn = np.median(frames.std(axis=0, dtype=float)) + ROUNDING_DN
 
@@ -252,7 +254,7 @@ def _registration(frames: NDArray, bench: "LabBench", shot: MatchedFrames) -> Ma
         contrast, weight, (down, right) = lit, np.ones_like(lit), np.gradient(lit)
         cells = bench.camera.scene_cells
         ratio, centre = cells.pitch_y_mm / cells.pitch_x_mm, np.array(shot.shape) / 2.0 - 0.5
-        y, x = np.indices(lit.shape, sparse=True)
+        y, x = np.ogrid[: lit.shape[0], : lit.shape[1]]
         y, x = y - centre[0] - shot.offset_px[0], x - centre[1] - shot.offset_px[1]
         turn = (ratio * y * right - x * down / ratio) * 2.0 / max(shot.shape)
         terms = {"row": -down, "col": -right, "turn": turn}

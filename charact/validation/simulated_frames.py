@@ -60,9 +60,10 @@ def in_parts(
         if offset_dn is not None and rate is not None:
             offset_dn = offset_dn + rate * np.float32(shot.conditions.exposure_s or 0.0)
         lit = known.response if shot.kind == "flat" else None
+        shading = 1.0 if known.shading is None else known.shading
         return (
             np.zeros(shot.shape, np.float32) if offset_dn is None else offset_dn,
-            np.ones(shot.shape, np.float32) if lit is None else lit * known.shading,
+            np.ones(shot.shape, np.float32) if lit is None else lit * shading,
         )
 
     out = {}
@@ -84,14 +85,13 @@ def light_of(bench: "LabBench", shot: MatchedFrames, lit: Mapping[str, Condition
     conditions = shot.conditions
     if shot.like is not None:
         reference = lit[shot.like]
-        photons, lux = (
-            [getattr(of, name) or 0.0 for of in (conditions, reference)]
-            for name in ("photons_per_px", "illuminance_lux")
-        )
-        open_s = [bench.camera.open_s(of) for of in (conditions, reference)]
-        lux = lux[1] * photons[0] / photons[1] * open_s[1] / open_s[0]
+        photons, of_reference = (of.photons_per_px or 0.0 for of in (conditions, reference))
+        open_s, open_of_reference = (bench.camera.open_s(of) for of in (conditions, reference))
+        # Photons count over an exposure, an illuminance does not.
+        rate = photons / of_reference * open_of_reference / open_s
+        lux = (reference.illuminance_lux or 0.0) * rate
         return replace(conditions, illuminance_lux=lux)
-    if shot.level_dn is None:
+    if (asked_dn := shot.level_dn) is None:
         return conditions
     if shot.kind == "flat" and bench.camera.description.maps is None:
         # Without a map the mean of a flat is that of a small one.
@@ -103,7 +103,7 @@ def light_of(bench: "LabBench", shot: MatchedFrames, lit: Mapping[str, Condition
         conditions = replace(conditions, illuminance_lux=lux)
         level_dn = signal_dn(shot, mean_of(bench, replace(shot, conditions=conditions)), dark_dn)
         # Far from the level a frame is clipped, or rounding is all that it has.
-        ratio = float(np.clip(shot.level_dn / max(level_dn, 1e-6), 0.01, 100.0))
+        ratio = float(np.clip(asked_dn / max(level_dn, 1e-6), 0.01, 100.0))
         lux *= ratio
         if abs(ratio - 1.0) < 1e-4:
             break

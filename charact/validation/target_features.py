@@ -262,7 +262,7 @@ def spot_centre(mean: NDArray) -> tuple[float, float] | None:
         first = np.maximum(np.ceil(centre - window).astype(int), 0)
         last = np.floor(centre + window).astype(int) + 1
         light = image[first[0] : last[0], first[1] : last[1]]
-        y, x = np.indices(light.shape, sparse=True)
+        y, x = np.ogrid[: light.shape[0], : light.shape[1]]
         y, x = y + first[0] - centre[0], x + first[1] - centre[1]
         weight = light * np.exp(-(y**2 + x**2) / (2.0 * SPOT_PX**2))
         total = weight.sum()

@@ -83,7 +83,8 @@ def power_of(image: NDArray) -> Array:
     from scipy.fft import dctn
 
     bands = bands_of((image.shape[0], image.shape[1])).ravel()
-    squares = dctn(image, norm="ortho").ravel() ** 2
+    amplitudes: Any = dctn(image, norm="ortho")
+    squares = amplitudes.ravel() ** 2
     counts = np.bincount(bands, minlength=3 * CLASS)
     return np.bincount(bands, squares, minlength=3 * CLASS) / np.maximum(counts, 1)
 
@@ -154,7 +155,8 @@ class PixelMap:
         from scipy.fft import dctn
 
         bands = bands_of((self.value.shape[0], self.value.shape[1]))
-        return dctn(self.remainder, norm="ortho"), bands
+        amplitudes: Any = dctn(self.remainder, norm="ortho")
+        return amplitudes, bands
 
     @cached_property
     def mean(self) -> NDArray[np.float32]:
@@ -179,7 +181,8 @@ class PixelMap:
         if rng is not None:
             sd = np.sqrt(weight * noise).astype(np.float32)
             gaussian += sd[bands] * rng.standard_normal(bands.shape, dtype=np.float32)
-        drawn = self.smooth + self._spots[0] + idctn(gaussian, norm="ortho")
+        pattern: Any = idctn(gaussian, norm="ortho")
+        drawn = self.smooth + self._spots[0] + pattern
         return read_only(drawn.astype(np.float32))
 
 
@@ -303,7 +306,7 @@ def load_maps(draws: Draws, sensor: Path) -> SpecimenMaps | None:
         known = group.attrs.asdict()
         if known["draws"] != _digest_of(draws):
             return None
-        measured = {
+        measured: dict[str, Any] = {
             name: PixelMap(
                 value=group[name][:],
                 sd=group[f"{name}_sd"][:],

@@ -44,9 +44,11 @@ def test_frames_are_those_that_the_bench_would_draw(small):
         frames, _ = taken(camera, 4, discard=2)
     tube = VirtualTube(folder, lambda: read_outputs(wires))
     scene = tube.scene(exposure_s=0.016683, gain_db=0.0)
+    # It stands where the bench put it, off its stated angle by a degree at most.
+    assert 0.0 < abs(scene.placement.target.angle_deg - 5.0) <= 1.0
     drawn = LabBench(tube.sensor).expose(
         "edge",
-        Target(angle_deg=5.0),
+        scene.placement.target,
         scene.conditions,
         frames=4,
         seed=frame_seed(3, read_placement(folder).number),
