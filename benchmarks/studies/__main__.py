@@ -119,17 +119,17 @@ STUDIES = {
         about="power of a validation by simulated sets: table, figure; 10 minutes",
     ),
     "fault-campaign": Study(
-        module="tests.faults.campaign",
+        module="benchmarks.studies.faults.campaign",
         arguments=("--strikes", "5", "--seed", "20260", "--keep", "docs/validation/faults.md"),
         about="random faults on the virtual bench: docs/validation/faults.md; 40 minutes",
     ),
     "invented-faults": Study(
-        module="tests.faults.inventing",
+        module="benchmarks.studies.faults.inventing",
         arguments=("--seconds", "600"),
         about="random programs of faults, those that fail shrunk: printed; 10 minutes",
     ),
     "rehearsal": Study(
-        module="tests.faults.rehearsal",
+        module="benchmarks.studies.faults.rehearsal",
         arguments=("--keep", "docs/validation/rehearsal.md"),
         about="unattended run with injected faults: docs/validation/rehearsal.md; 30 minutes",
     ),

@@ -5,11 +5,11 @@ times each.
 import numpy as np
 import pytest
 
+from benchmarks.studies.faults.campaign.kinds import KINDS, draw_fault
+from benchmarks.studies.faults.campaign.page import Row, page
+from benchmarks.studies.faults.campaign.rig import CampaignRig
+from benchmarks.studies.faults.campaign.trial import Outcome, end_of, resume, try_fault, warm_up
 from simulate.virtual_bench import aravis_library
-from tests.faults.campaign.kinds import KINDS, draw_fault
-from tests.faults.campaign.page import Row, page
-from tests.faults.campaign.rig import CampaignRig
-from tests.faults.campaign.trial import Outcome, end_of, resume, try_fault, warm_up
 
 SEED = 4
 AFTER_S = 0.4

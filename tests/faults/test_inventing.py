@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from tests.faults.inventing import trial
-from tests.faults.inventing.__main__ import attempt, program_of
-from tests.faults.inventing.faults import Fault, smaller
+from benchmarks.studies.faults.inventing import trial
+from benchmarks.studies.faults.inventing.__main__ import attempt, program_of
+from benchmarks.studies.faults.inventing.faults import Fault, smaller
 
 KILLED = Fault(kind="killed", who="client", at_s=0.9, for_s=0.1)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.faults.campaign.trial import Outcome
+from benchmarks.studies.faults.campaign.trial import Outcome
 
 INTRODUCTION = """# Injected faults
 

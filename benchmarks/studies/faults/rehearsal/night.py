@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies.faults.campaign.client import Client
+from benchmarks.studies.faults.campaign.kinds import draw_fault
+from benchmarks.studies.faults.campaign.rig import CampaignRig
 from drivers.acquisition.acquire import LOG
 from labdata import Conditions, EventLog, Override, Plan, Step, read_events
-from tests.faults.campaign.client import Client
-from tests.faults.campaign.kinds import draw_fault
-from tests.faults.campaign.rig import CampaignRig
 
 FASTER = 10.0
 LOWEST_V, HIGHEST_V = 740.0, 860.0

@@ -16,6 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from benchmarks.studies.faults.campaign.rig import CampaignRig, StoppablePipe
 from charact.cli.benches import PromptingOperator
 from charact.live import SaturationJudge
 from drivers import acquire
@@ -26,7 +27,6 @@ from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
 from drivers.interface import Operator
 from labdata import BadInput, Conditions, DoseLedger, Frame, Plan, limits_in_force
-from tests.faults.campaign.rig import CampaignRig, StoppablePipe
 
 CLOCK_JUMP_S = 7200.0
 SATURATED = 0.05

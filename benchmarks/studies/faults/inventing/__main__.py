@@ -1,7 +1,7 @@
 """Invent programs of one to three faults, and shrink one that leaves the tube hot.
 
-`python -m tests.faults.inventing --seconds 120 --seed 1`; needs a C compiler for errors and delays
-of system calls.
+`python -m benchmarks.studies.faults.inventing --seconds 120 --seed 1`; needs a C compiler for
+errors and delays of system calls.
 """
 
 import argparse
@@ -18,8 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.faults.inventing.faults import TABLE, Fault, draw_of_table, draw_program, smaller
-from tests.faults.inventing.trial import Verdict, try_program
+from benchmarks.studies.faults.inventing.faults import (
+    TABLE,
+    Fault,
+    draw_of_table,
+    draw_program,
+    smaller,
+)
+from benchmarks.studies.faults.inventing.trial import Verdict, try_program
 
 SHIM = "CHARACT_INVENTING_SHIM"
 # A folder of devices: the guard waits for ports there for as long as they stay away
@@ -31,7 +37,9 @@ TRIES = 2  # Tries in which a smaller program must fail once to be taken
 
 def main() -> int:
     """Try programs until the time is over; exit code 1 if one failed."""
-    parser = argparse.ArgumentParser(prog="python -m tests.faults.inventing", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.faults.inventing", description=__doc__
+    )
     parser.add_argument("--seconds", type=float, default=120.0, help="begin no program after this")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=3, help="programs at a time")
@@ -84,7 +92,7 @@ def _begin_with_shim() -> int:
         compile_it = ["cc", "-shared", "-fPIC", "-O1", "-o", str(shim), str(source), "-ldl"]
         subprocess.run(compile_it, check=True)
         environment = os.environ | {SHIM: str(shim), "LD_PRELOAD": str(shim)}
-        command = [sys.executable, "-m", "tests.faults.inventing", *sys.argv[1:]]
+        command = [sys.executable, "-m", "benchmarks.studies.faults.inventing", *sys.argv[1:]]
         return subprocess.run(command, env=environment).returncode
 
 

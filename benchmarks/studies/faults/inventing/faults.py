@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.inventing.emulator import GATE, SUPPLY
+from benchmarks.studies.faults.inventing.emulator import GATE, SUPPLY
 
 INSTRUMENTS, PROCESSES = (GATE, SUPPLY), ("client", "server")
 READ, WRITE, SEND, RECVMSG, FSYNC, OPEN = range(6)

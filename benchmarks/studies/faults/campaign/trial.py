@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies.faults.campaign.client import LAST_WORDS, Client
+from benchmarks.studies.faults.campaign.kinds import PATIENT_S, Fault
+from benchmarks.studies.faults.campaign.rig import DANGEROUS_V, FRAMES, GATE, SUPPLY, CampaignRig
 from drivers.acquisition.acquire import LOG
 from labdata import BadInput, Plan, open_session, read_events
-from tests.faults.campaign.client import LAST_WORDS, Client
-from tests.faults.campaign.kinds import PATIENT_S, Fault
-from tests.faults.campaign.rig import DANGEROUS_V, FRAMES, GATE, SUPPLY, CampaignRig
 
 LOOK_S = 0.004
 OPEN_S = 20.0

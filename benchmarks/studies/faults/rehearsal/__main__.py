@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies.faults.campaign.rig import CampaignRig
+from benchmarks.studies.faults.rehearsal.judged import allowed, beside, by_quantity, missing
+from benchmarks.studies.faults.rehearsal.night import FASTER, FRAMES, Diary, night_plan, rehearse
 from charact.reporting import TruthComparison
 from charact.session_measurement import measure
 from drivers.acquisition.acquire import LOG
 from labdata import Plan, Result, Session, open_session, read_events
-from tests.faults.campaign.rig import CampaignRig
-from tests.faults.rehearsal.judged import allowed, beside, by_quantity, missing
-from tests.faults.rehearsal.night import FASTER, FRAMES, Diary, night_plan, rehearse
 
 ROWS, COLUMNS = 123, 192
 RESULT = "## Result"
@@ -33,7 +33,9 @@ def main() -> int:
     """Rehearse, measure and print; exit code 1 if the plan was not completed or intervals miss too
     often.
     """
-    parser = argparse.ArgumentParser(prog="python -m tests.faults.rehearsal", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.faults.rehearsal", description=__doc__
+    )
     parser.add_argument("--voltages", type=int, default=20)
     parser.add_argument("--lights", type=int, default=24)
     parser.add_argument("--seed", type=int, default=1)

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies.faults.campaign.kinds import KINDS, draw_fault
+from benchmarks.studies.faults.campaign.page import Row, page
+from benchmarks.studies.faults.campaign.rig import CampaignRig
+from benchmarks.studies.faults.campaign.trial import Outcome, resume, try_fault, warm_up
 from labdata import BadInput
-from tests.faults.campaign.kinds import KINDS, draw_fault
-from tests.faults.campaign.page import Row, page
-from tests.faults.campaign.rig import CampaignRig
-from tests.faults.campaign.trial import Outcome, resume, try_fault, warm_up
 
 EARLIEST_S = -0.5
 STRIKES_A_SESSION = 5
@@ -30,7 +30,9 @@ Tell = Callable[[Outcome], object]
 
 def main() -> int:
     """Run a campaign and print its page; exit code 1 if a promise was broken."""
-    parser = argparse.ArgumentParser(prog="python -m tests.faults.campaign", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.faults.campaign", description=__doc__
+    )
     parser.add_argument("--strikes", type=int, default=5, help="of each kind")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(

@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.studies.faults.rehearsal.night import GATE_NS
 from charact.reporting import TruthComparison, compare_with_truth
 from labdata import Camera, Conditions, Result, Session
 from simulate.camera import true_quantities
-from tests.faults.rehearsal.night import GATE_NS
 
 AT_EACH_GAIN = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor")
 CHANCE = 1e-3

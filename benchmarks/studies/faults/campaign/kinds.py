@@ -14,12 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labdata import Conditions, Gating, Plan, Step
-from labdata.store.journal import JOURNAL
-from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.outputs import Outputs
-from tests.faults.campaign.client import Client
-from tests.faults.campaign.rig import (
+from benchmarks.studies.faults.campaign.client import Client
+from benchmarks.studies.faults.campaign.rig import (
     DANGEROUS_V,
     GATE,
     GATE_NS,
@@ -28,6 +24,10 @@ from tests.faults.campaign.rig import (
     SUPPLY,
     CampaignRig,
 )
+from labdata import Conditions, Gating, Plan, Step
+from labdata.store.journal import JOURNAL
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.outputs import Outputs
 
 PATIENT_S = 15.0
 SILENCE_S = 0.5

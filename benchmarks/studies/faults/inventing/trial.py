@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.studies.faults.inventing.emulator import GATE, OUTPUTS, SUPPLY, serve
+from benchmarks.studies.faults.inventing.faults import CAMERA_KINDS, INSTRUMENTS, RULE, RULES, Fault
 from drivers import acquire
 from drivers.acquisition.run_control import RunControl
 from drivers.bench.local_bench import open_bench
@@ -37,8 +39,6 @@ from labdata import (
     Step,
     open_session,
 )
-from tests.faults.inventing.emulator import GATE, OUTPUTS, SUPPLY, serve
-from tests.faults.inventing.faults import CAMERA_KINDS, INSTRUMENTS, RULE, RULES, Fault
 
 LIMIT_S, SLACK_S = 2.0, 2.5  # Longest time hot, and what delays of system calls add at most
 SILENCE_S, PERIOD_S = 0.5, 1.0 / 60.0
