@@ -16,7 +16,7 @@ from simulate.camera import tube_photometry as photometry
 from simulate.camera.camera import CameraModel
 from simulate.camera.chain import Slot
 from simulate.camera.stage_image import StageImage
-from simulate.radiance.lab_target import PlacedTarget, TargetView, render_bench
+from simulate.radiance.lab_target import PlacedTarget, TargetView, sum_bench_bands
 from simulate.radiance.scene import LabScene, load_bench
 from simulate.radiance.spectrum import planck
 
@@ -282,7 +282,7 @@ def _relative_picture(
     """
     picture = np.empty(view.shape, np.float32)
     for slices, tile in view.tiles(128):
-        picture[slices] = render_bench(scene, kind, target, tile, WAVELENGTH_NM).sum_bands(
-            np.array(weight)
+        picture[slices] = sum_bench_bands(
+            scene, kind, target, tile, WAVELENGTH_NM, np.array(weight)
         )
     return read_only(picture)

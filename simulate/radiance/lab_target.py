@@ -86,6 +86,10 @@ BLOCK = 4
 # the cell.
 POINTS = 256
 MATERIALS = 3
+# Points that are looked at together: as many as a processor's cache holds.
+BATCH_POINTS = 100_000
+# A cell's centre alone.
+ONE = np.zeros((1, 2))
 
 
 def render_bench(
@@ -103,9 +107,29 @@ def render_bench(
     L = tau L_port, the port being behind all of the target, plus rho E_room/pi where the room light
     is not occluded.
     """
-    fractions = _cell_fractions(scene, kind, as_stood(kind, target), view).reshape(
-        2 * MATERIALS, -1
-    )
+    fractions = _cell_fractions(scene, kind, as_stood(kind, target), view)
+    radiance = np.tensordot(_spectra(scene, wavelength_nm), fractions, axes=1)
+    return RadianceCube(wavelength_nm=wavelength_nm, radiance=radiance)
+
+
+def sum_bench_bands(
+    scene: LabScene,
+    kind: Kind,
+    target: Target,
+    view: TargetView,
+    wavelength_nm: Array,
+    weight: Array,
+) -> Array32:
+    """Return the radiance of `render_bench` summed over weighted bands, shape (row, col)."""
+    fractions = _cell_fractions(scene, kind, as_stood(kind, target), view)
+    summed = (weight @ _spectra(scene, wavelength_nm)).astype(np.float32)
+    return np.tensordot(summed, fractions, axes=1)
+
+
+def _spectra(scene: LabScene, wavelength_nm: Array) -> Array32:
+    """Return the radiance by band that cells transmit, then that they reflect, by material, shape
+    (band, 2 * MATERIALS).
+    """
     port = planck(wavelength_nm, scene.sphere.temperature_k)
     # The room light's illuminance is relative to the port's exitance; both are Planck radiators.
     fine = np.arange(380.0, 771.0, 5.0)
@@ -123,10 +147,7 @@ def render_bench(
     surfaces = (scene.open, scene.mask, scene.ring)
     transmitted = [surface.transmittance_at(wavelength_nm) * port for surface in surfaces]
     reflected = [surface.reflectance_at(wavelength_nm) * room for surface in surfaces]
-    spectra = np.stack([*transmitted, *reflected], axis=1).astype(np.float32)
-    return RadianceCube(
-        wavelength_nm=wavelength_nm, radiance=(spectra @ fractions).reshape(-1, *view.shape)
-    )
+    return np.stack([*transmitted, *reflected], axis=1).astype(np.float32)
 
 
 def _cell_fractions(scene: LabScene, kind: Kind, target: Target, view: TargetView) -> Array32:
@@ -145,16 +166,12 @@ def _cell_fractions(scene: LabScene, kind: Kind, target: Target, view: TargetVie
     fractions[:, uniform_cells[:, 0], uniform_cells[:, 1]] = _fractions_at(
         scene, kind, target, view, uniform_cells + 0.5
     )
-    subcells = (0.5 + np.arange(1, POINTS + 1)[:, None] * R2) % 1.0
-    for cell_batch in np.array_split(
-        np.argwhere(mixed), max(1, np.count_nonzero(mixed) * POINTS // 2_000_000)
-    ):
-        point_fractions = _fractions_at(
-            scene, kind, target, view, (cell_batch[:, None, :] + subcells).reshape(-1, 2)
+    subcells = (0.5 + np.arange(1, POINTS + 1)[:, None] * R2) % 1.0 - 0.5
+    mixed_cells = np.argwhere(mixed)
+    for cells in np.array_split(mixed_cells, 1 + len(mixed_cells) * POINTS // BATCH_POINTS):
+        fractions[:, cells[:, 0], cells[:, 1]] = _fractions_at(
+            scene, kind, target, view, cells + 0.5, subcells
         )
-        fractions[:, cell_batch[:, 0], cell_batch[:, 1]] = point_fractions.reshape(
-            2 * MATERIALS, len(cell_batch), POINTS
-        ).mean(axis=2)
     return fractions
 
 
@@ -213,39 +230,65 @@ def outline_cells(outlines: list[Array], view: TargetView) -> Mask:
 
 
 def _fractions_at(
-    scene: LabScene, kind: Kind, target: Target, view: TargetView, cell: Array
+    scene: LabScene, kind: Kind, target: Target, view: TargetView, cell: Array, points: Array = ONE
 ) -> Array32:
-    """Return for cell coordinates (row, col) the weight of port and room light, by material."""
-    positions_px = view.places_px(cell)
-    material = np.where(_is_open(kind, target, positions_px), OPEN, MASK)
-    surface_m = np.column_stack([positions_px * view.metre_per_px, np.zeros(len(positions_px))])
-    lamp_m = np.array(scene.room_light.position_m)
-    shaded = np.zeros(len(positions_px), bool)
+    """Return for cell coordinates (row, col) the weight of port and room light, by material, shape
+    (2 * MATERIALS, cell).
+
+    `points`: distances (row, col) from the coordinates, cells, over which is averaged; over these
+    the irradiance by the room light does not change.
+    """
+    centre_px, turn = view.places_px(cell), _tilt(target).T
+    away_px = points[:, ::-1] * np.array(view.cell_px)
+    x, y = (
+        centre[:, None] + away
+        for centre, away in zip((centre_px @ turn).T, (away_px @ turn).T, strict=True)
+    )
+    is_open = _is_open(kind, target, x, y)
+    seen = {OPEN: is_open, MASK: ~is_open}
+    lamp_m, height_m = np.array(scene.room_light.position_m), scene.holder.height_m
+    centre_m = np.column_stack([centre_px * view.metre_per_px, np.zeros(len(cell))])
+    light = dict.fromkeys(range(MATERIALS), _room_light(centre_m, lamp_m))
+    lit = seen
     if kind == "point":
-        height = scene.holder.height_m
-        eye_m = np.array([*np.multiply(view.eye_px, view.metre_per_px), -view.distance_m])
-        projected_m = eye_m + (1.0 - height / view.distance_m) * (surface_m - eye_m)
-        ring = _meets_ring(scene.holder, projected_m, view)
-        material[ring], surface_m[ring] = RING, projected_m[ring]
-        if 0.0 < height < -lamp_m[2]:
-            shaded = ~ring & _meets_ring(
-                scene.holder, surface_m - height / lamp_m[2] * (lamp_m - surface_m), view
-            )
-    vector = lamp_m - surface_m
+
+        def meets_ring(source_px: Array, part: float) -> Mask:
+            """Whether lines from the plate to a source meet the ring, that part of the way on."""
+            to_x, to_y = part * (source_px @ turn)
+            radius_px = np.hypot((1.0 - part) * x + to_x, (1.0 - part) * y + to_y)
+            holder = scene.holder
+            return (holder.inner_radius_px < radius_px) & (radius_px < holder.outer_radius_px)
+
+        eye_px, part = np.array(view.eye_px), height_m / view.distance_m
+        ring = meets_ring(eye_px, part)
+        seen = {material: mask & ~ring for material, mask in seen.items()} | {RING: ring}
+        eye_m = np.array([*eye_px * view.metre_per_px, -view.distance_m])
+        light[RING] = _room_light(centre_m + part * (eye_m - centre_m), lamp_m)
+        lit = seen
+        if 0.0 < height_m < -lamp_m[2]:
+            shaded = meets_ring(lamp_m[:2] / view.metre_per_px, -height_m / lamp_m[2])
+            lit = {material: seen[material] & ~shaded for material in (OPEN, MASK)} | {RING: ring}
+    weights = np.zeros((2 * MATERIALS, len(cell)), np.float32)
+    for material, mask in seen.items():
+        weights[material] = np.count_nonzero(mask, axis=1)
+        lit_points = np.count_nonzero(lit[material], axis=1)
+        weights[MATERIALS + material] = lit_points * light[material]
+    return weights / np.float32(len(points))
+
+
+def _room_light(position_m: Array, lamp_m: Array) -> Array:
+    """Return the irradiance by the room light relative to that at the target's centre."""
+    vector = lamp_m - position_m
     distance, centre_distance = np.linalg.norm(vector, axis=1), np.linalg.norm(lamp_m)
-    # Irradiance by the room light relative to that at the target's centre.
-    lit = (
+    return (
         (centre_distance / distance) ** 2
         * (vector[:, 2] / distance)
         / (lamp_m[2] / centre_distance)
     )
-    one_hot = material == np.arange(MATERIALS)[:, None]
-    return np.concatenate([one_hot, one_hot * np.where(shaded, 0.0, lit)]).astype(np.float32)
 
 
-def _is_open(kind: Kind, target: Target, place_px: Array) -> Mask:
-    """Return whether positions (x, y) on the plate are clear, shape (point,)."""
-    x, y = (place_px @ _tilt(target).T).T
+def _is_open(kind: Kind, target: Target, x: Array, y: Array) -> Mask:
+    """Return whether positions on the plate, along the target's own axes, are clear."""
     if kind == "edge":
         return x > 0.0
     if kind == "bars":
@@ -256,9 +299,4 @@ def _is_open(kind: Kind, target: Target, place_px: Array) -> Mask:
         )
     if kind == "point":
         return np.hypot(x, y) < 0.5 * (target.pinhole_px or 0.0)
-    return np.full(len(place_px), kind == "flat")
-
-
-def _meets_ring(holder: Holder, position_m: Array, view: TargetView) -> Mask:
-    radius_px = np.hypot(position_m[:, 0], position_m[:, 1]) / view.metre_per_px
-    return (holder.inner_radius_px < radius_px) & (radius_px < holder.outer_radius_px)
+    return np.full(x.shape, kind == "flat")

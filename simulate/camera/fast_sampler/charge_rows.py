@@ -103,12 +103,14 @@ def charge_rows(
             normal_row(high, normal, normals, probability, end_distance)
             for c in range(cols):
                 electrons[c] += np.sqrt(max(electrons[c] + variance, ZERO)) * normals[c]
+        # Loops: an assignment of arrays compiles the sentence of an error as well.
         if reads_later:
-            charge[r] = electrons
             for c in range(cols):
+                charge[r, c] = electrons[c]
                 largest = max(largest, electrons[c])
         else:
-            line[taps.size - 2 : taps.size - 2 + cols] = electrons
+            for c in range(cols):
+                line[taps.size - 2 + c] = electrons[c]
             fill_random_words(row_key(read_key, r), high[:2], low[:2])
             normal_row(high[:2], normal, normals[:2], probability[:2], end_distance[:2])
             read_line(line, impulse, normals[:2], read_noise, levels, taps, level, codes[r])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from labdata.errors import BadInput
+from labdata.frames import read_only
 from simulate.arrays import Array32
 from simulate.camera.automatic_controls import UNTOUCHED, AutomaticState
 from simulate.camera.chain import Chain, Slot
@@ -73,7 +74,8 @@ class FrameGenerator:
         dark = dark + self._video.charge_of_offsets()
         self._dark_pattern = np.ascontiguousarray(dark) if np.ndim(dark) == 2 else EMPTY
         responses = ccd.responses(shape)
-        self._response = EMPTY if responses is None else responses
+        # Read only, as maps are: what is written to would be compiled for once more.
+        self._response = read_only(EMPTY if responses is None else responses)
         self._charge = np.empty(shape, np.float32)
 
     def static(

@@ -313,8 +313,9 @@ def _separable_parts(plane: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
 def _stack_ranks(parts: list[NDArray[np.float64]]) -> NDArray[np.float32]:
     """Planes may need different ranks; the shorter are filled with nothing."""
     rank = max(len(part) for part in parts)
+    # In C order whatever the parts have: each order would be a compilation of its own.
     return np.stack([np.pad(part, ((0, rank - len(part)), (0, 0))) for part in parts]).astype(
-        np.float32
+        np.float32, order="C"
     )
 
 

@@ -128,7 +128,8 @@ def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, sh
                     c = ions[2][event]
                     charge[c] += ions[3][event] * brightness[n] * gain[r, c]
             emitted, sums = shown[n, plane, r], block_rows[n]
-            emitted[:] = charge
+            for c in range(cols):
+                emitted[c] = charge[c]
             for i in range(decay.shape[1]):
                 _decay_component(
                     charge, split, decay[0, i], decay[1, i], decay[2, i], stored[i, r], emitted
