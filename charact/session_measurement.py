@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from labdata import (
 )
 from labdata.camera.parameters import Parameter
 
+R = TypeVar("R", bound=Result)
 Quantities = tuple[tuple[str, str], ...]
 METHOD = "session"
 # Height and width that an image must have for a spot with its surroundings, px: twice the 8 px of
@@ -261,7 +263,7 @@ def _of_light(session: Session) -> Session:
     )
 
 
-def with_inputs(result: Result, session: Session) -> Result:
+def with_inputs(result: R, session: Session) -> R:
     """Return the result with SHA-256 digests of the frames in the provenance of every measurement.
 
     A measurement of one stack has the digests of that stack; a measurement of the session has those

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+    from charact.verdict.purpose import Decision
+
 SHOWN = 3  # Quantities of the short text
 
 
@@ -33,12 +35,20 @@ class Analysis(Result):
     source: str = "array"  #: File or session measured
     #: The session measured, whose conditions `charact.compare` requires to be alike
     session: Session | None = None
+    #: Whether the session is enough for a purpose; None where one analysis alone was made
+    verdict: "Decision | None" = None
 
     @classmethod
-    def of(cls, result: Result, source: str, session: Session | None = None) -> "Analysis":
+    def of(
+        cls,
+        result: Result,
+        source: str,
+        session: Session | None = None,
+        verdict: "Decision | None" = None,
+    ) -> "Analysis":
         """Return a result with what was measured."""
         values = {item.name: getattr(result, item.name) for item in fields(Result)}
-        return cls(**values, source=source, session=session)
+        return cls(**values, source=source, session=session, verdict=verdict)
 
     def __getattr__(self, quantity: str) -> Measurement:
         """Return the only measurement of a quantity, or the only one with a value; of several, ask

@@ -24,11 +24,13 @@ from charact.api.settings import (
     MaxTargets,
     MethodName,
     PinholePx,
+    PurposeName,
     Quick,
     Scheduler,
     SourceSession,
     WithinPercent,
     amplifier_of,
+    purpose_for,
 )
 from labdata.conditions import FlatConditions
 from labdata.errors import BadInput
@@ -264,6 +266,7 @@ def bloom(
 def measure(
     source: SourceSession,
     *,
+    purpose: PurposeName = None,
     within_percent: WithinPercent = 2.0,
     quick: Quick = False,
     seed: Seed = 0,
@@ -271,18 +274,25 @@ def measure(
     scheduler: Scheduler = None,
     progress: ProgressSink = ignore_progress,
 ) -> "Analysis":
-    """Measure everything that the stacks of a session support.
+    """Measure everything that the stacks of a session support, and say whether it is enough.
+
+    Returns
+    -------
+    Analysis
+        All quantities; `verdict` with `answer` ("fit", "not fit", "not enough" or "undecided"),
+        `because` and `missing`, the frames to add.
 
     Raises
     ------
     BadInput
-        If there is no session, or every stack is of kind scene.
+        If there is no session, every stack is of kind scene, or there is no such purpose.
     """
     from charact.api.analysis import Analysis
     from charact.method.registry import parallel_map
     from charact.session_measurement import measure as measure_session
+    from charact.verdict.purpose import purpose_of
 
-    measured = session_of(source)
+    measured, chosen = session_of(source), purpose_for(purpose)
     with parallel_map(scheduler) as spread:
         result = measure_session(
             measured,
@@ -293,7 +303,8 @@ def measure(
             progress=progress,
             spread=spread,
         )
-    return Analysis.of(result, _name(source), measured)
+    decision = (chosen or purpose_of(measured, result)).decide(measured, result)
+    return Analysis.of(result, _name(source), measured, verdict=decision)
 
 
 def _analyse(

@@ -8,8 +8,10 @@ from charact.api.inputs import camera_of, session_of
 from charact.api.measuring import measure
 from charact.api.settings import (
     FittedSensor,
+    PurposeName,
     SavedResult,
     SourceSession,
+    purpose_for,
 )
 from labdata.conditions import CameraSettings
 from labdata.errors import BadInput
@@ -118,6 +120,7 @@ def report(
         "Validation | None",
         Argument("Comparison with simulated frames (default: that saved in the session, if any)."),
     ] = None,
+    purpose: PurposeName = None,
     pdf: Annotated[bool, Setting("Also write a PDF.")] = False,
     seed: Seed = 0,
 ) -> Path:
@@ -131,13 +134,14 @@ def report(
     Raises
     ------
     BadInput
-        If there is no `out` for a session in memory, or no program that writes a PDF.
+        If there is no `out` for a session in memory, no such purpose, or no program that writes a
+        PDF.
     """
     from charact.reporting.session_page import write
     from charact.validation import load
     from labdata import result_io
 
-    session = session_of(source)
+    session, chosen = session_of(source), purpose_for(purpose)
     on_disk = isinstance(source, str | Path) or session.folder != Path()
     if out is None and not on_disk:
         raise BadInput("`out` must name the report of a session in memory, got none")
@@ -149,6 +153,7 @@ def report(
         result or measure(session, seed=seed),
         out or session.folder / "report.html",
         validation=validation,
+        purpose=chosen,
         pdf=pdf,
     )
 

@@ -8,6 +8,8 @@ from labdata import BadInput
 from labdata.settings import Argument, Setting
 
 if TYPE_CHECKING:
+    from charact.comparison import Specification
+    from charact.verdict.purpose import Purpose
     from labdata import Camera, Result, Session
 
 Frames = Any
@@ -70,6 +72,15 @@ Amplifier = Annotated[
         metavar="N|all",
     ),
 ]
+PurposeName = Annotated[
+    "str | Path | None",
+    Setting(
+        "Purpose that the session must be enough for: emva1288, tube, focus, detector, halo or "
+        "infrared, or a TOML file of limits (default: that which its frames show).",
+        option="--for",
+        metavar="PURPOSE|LIMITS.toml",
+    ),
+]
 Scheduler = Annotated[
     str | None,
     Setting("Address of a Dask scheduler; its workers must see the same file paths."),
@@ -96,6 +107,23 @@ def amplifier_of(amplifier: str | int) -> int | None:
     if text != "all" and not (text.isascii() and text.isdigit()):
         raise BadInput(f"`amplifier` must be all or a number from 1, got {text!r}")
     return None if text == "all" else int(text)
+
+
+def purpose_for(purpose: str | Path | None) -> "Purpose | Specification | None":
+    """Return a purpose by its name, or that of a TOML file of limits; None of none.
+
+    Raises
+    ------
+    BadInput
+        If there is no such purpose, or the limits break a rule.
+    """
+    from charact.comparison import load_specification
+    from charact.verdict.purpose import purpose_named
+
+    if purpose is None:
+        return None
+    is_file = isinstance(purpose, Path) or purpose.endswith(".toml")
+    return load_specification(purpose) if is_file else purpose_named(str(purpose))
 
 
 def spans_of(spans: Mapping[str, Span] | Sequence[str]) -> dict[str, Span]:

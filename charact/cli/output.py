@@ -20,6 +20,7 @@ from labdata.settings import Progress
 
 if TYPE_CHECKING:
     from charact.reporting.summary import Frequency
+    from charact.verdict.purpose import Decision
     from labdata.measurement import Result
 
 
@@ -121,6 +122,7 @@ def print_result(
     everything: Everything = False,
     frequency: "Frequency | None" = None,
     next_verb: str | None = None,
+    decision: "Decision | None" = None,
     then: Callable[[], object] | None = None,
 ) -> None:
     """Print a result; exit with code 1 and a sentence if no measurement has a value.
@@ -128,12 +130,14 @@ def print_result(
     `verb` and `given` are the title; `everything`: print all values and notes, not a summary.
     `frequency` converts cy/px to the display unit (JSON is always in cy/px), `next_verb` is
     suggested on a terminal. `then` writes further output files after the result; its failure is
-    reported on stderr, with exit code 1.
+    reported on stderr, with exit code 1. `decision` is the last line, and in the JSON.
     """
     if as_json:
         from labdata.result_io import to_json
 
         document = to_json(result, given=given, version=__version__)
+        if decision is not None:
+            document["verdict"] = decision.as_json()
         print_text(json.dumps(document, allow_nan=False))
     else:
         from charact.reporting.lines import text_of
@@ -144,6 +148,8 @@ def print_result(
         # The JSON object is already printed.
         with exit_on_bad_input("", events=events):
             then()
+    if decision is not None and not as_json:
+        print_text(decision.line)
     if all(m.value is None for m in result.measurements):
         reasons = list(dict.fromkeys(m.reason for m in result.measurements if m.reason))
         print_message(

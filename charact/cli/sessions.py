@@ -24,6 +24,7 @@ from labdata import BadInput, Setting
 from labdata.file_io import require_folder_of
 
 if TYPE_CHECKING:
+    from charact.api.analysis import Analysis
     from charact.validation import Validation
     from labdata import Camera, Result, Session
 
@@ -193,7 +194,11 @@ def _analyse(
 def measure(session: SessionFolder, **settings: Any) -> None:
     """Measure everything the stacks of a session support and store the result in the session.
 
+    The last line says whether that is enough for a purpose, and which frames to add.
+
     Example: charact measure day1 --quick
+
+    Example: charact measure day1 --for emva1288
     """
     events = settings["events"]
     with exit_on_bad_input(str(session), as_json=settings["as_json"], events=events):
@@ -209,12 +214,13 @@ def measure(session: SessionFolder, **settings: Any) -> None:
         )
         result = measure_folder(session, events=events, **of(measuring.measure, settings))
 
-        def keep() -> None:
-            from charact.reporting.front_page import verdict
+        decision = result.verdict
+        assert decision is not None
 
-            result_io.save(result, open_session_only(session).folder)
-            if not settings["as_json"]:
-                print_text(verdict(opened, result, None).line)
+        def keep() -> None:
+            result_io.save(result, opened.folder)
+            if settings["purpose"] is None and not settings["as_json"]:
+                print_text(f"Purpose by the frames: {decision.purpose} (`purpose` states another)")
 
         print_result(
             result,
@@ -222,6 +228,7 @@ def measure(session: SessionFolder, **settings: Any) -> None:
             verb="measure",
             frequency=frequency,
             next_verb=f"charact report {session}",
+            decision=decision,
             then=keep,
             **of(print_result, settings),
         )
@@ -239,7 +246,7 @@ def _print_doubts(session: "Session", *, events: bool) -> None:
 
 def measure_folder(
     folder: Path, *, events: bool = False, save: bool = False, **settings: Any
-) -> "Result":
+) -> "Analysis":
     """Measure a session; `save`: store the result in it."""
     from charact.session_measurement import with_inputs
     from labdata import result_io

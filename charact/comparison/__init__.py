@@ -7,10 +7,12 @@ from charact.comparison.limits import (
     LimitCheck,
     Limits,
     Outcome,
+    Specification,
     check,
     check_json,
     load_check,
     load_limits,
+    load_specification,
     save_check,
 )
 
@@ -22,6 +24,7 @@ __all__ = [
     "LimitCheck",
     "Limits",
     "Outcome",
+    "Specification",
     "check",
     "check_json",
     "compare",
@@ -30,6 +33,7 @@ __all__ = [
     "draws_of",
     "load_check",
     "load_limits",
+    "load_specification",
     "require_alike",
     "save_check",
 ]

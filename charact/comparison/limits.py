@@ -15,16 +15,28 @@ from charact import __version__
 from charact.comparison.compare import same_frequency, turn_deg
 from charact.comparison.thresholds import LIMITS
 from charact.observables.size import Tolerance
+from charact.verdict.purpose import FRAMES_OF, Answer, Decision, Shortfall, decision
 from labdata import QUANTITIES, BadInput, sha256_of, write_atomically
 from labdata.errors import check as check_numbers
 from labdata.measurement import Interval, Measurement, Result, Status
+from labdata.number_format import plus_minus_of, round_to_spread
 from labdata.result_io import RESULTS
+from labdata.session import Session
 from labdata.short_repr import short_repr
 
 CHECKED = "checked.json"
 FORMAT = 1
 Verdict = Literal["pass", "fail", "undecided"]
 Cause = Literal["", "outside", "straddles", "suspect", "refused", "absent", "no-interval"]
+#: Answer to whether a session is enough, of what keeps a limit from passing: frames settle the last
+ANSWERS: dict[Cause, Answer] = {
+    "outside": "not fit",
+    "straddles": "undecided",
+    "suspect": "undecided",
+    "no-interval": "undecided",
+    "refused": "not enough",
+    "absent": "not enough",
+}
 SENTENCES: dict[str, str] = {
     "": "",
     "outside": "the whole 95 % interval lies outside",
@@ -132,6 +144,15 @@ class Outcome:
     def reason(self) -> str:
         """Return why the limit does not pass, in words; empty for a pass."""
         return SENTENCES[self.cause].format(detail=self.detail)
+
+    @property
+    def excess(self) -> float:
+        """Return by how much the value lies outside the limits, in its unit; 0 inside."""
+        above, below = (
+            0.0 if bound is None or self.value is None else sign * (self.value - bound)
+            for sign, bound in ((1.0, self.max), (-1.0, self.min))
+        )
+        return max(above, below, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,6 +290,57 @@ def load_limits(source: str | Path | Limits | Sequence[Mapping[str, Any]]) -> Li
     if isinstance(source, str | Path):
         return from_toml(source, Limits)
     return from_mapping({"limit": [dict(limit) for limit in source]}, Limits, where="limits")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Specification:
+    """A limits file as the purpose of a session: its quantities decide, by its limits."""
+
+    limits: Limits
+    name: str  #: Name of the file
+
+    def decide(self, session: Session, result: Result) -> Decision:
+        """Return whether the measurements of a session lie within the limits, as `check` does."""
+        outcomes = check(result, self.limits, name=self.name).outcomes
+        failing = [outcome for outcome in outcomes if outcome.cause]
+        return decision(
+            self.name,
+            f"the limits of {self.name}",
+            [_shortfall(outcome) for outcome in failing],
+            decided=f"all {len(outcomes)} pass" if len(outcomes) > 1 else "it passes",
+            is_usable=len(failing) < len(outcomes),
+        )
+
+
+def _shortfall(outcome: Outcome) -> Shortfall:
+    """Return why a limit does not pass, and the frames that its quantity needs if it has none."""
+    assert outcome.cause
+    where = f" of {outcome.stack}" if outcome.stack else ""
+    unit = "" if outcome.unit == "1" else f" {outcome.unit}"
+    number = ""
+    if outcome.value is not None:
+        value = round_to_spread(outcome.value)
+        if outcome.interval95 is not None:
+            value = plus_minus_of(outcome.value, *outcome.interval95)
+        number = f" = {value}{unit}"
+    size = f" by {outcome.excess:.2g}{unit}" if outcome.cause == "outside" else ""
+    bounds = (("min", outcome.min), ("max", outcome.max))
+    demanded = ", ".join(f"{name} {bound:g}" for name, bound in bounds if bound is not None)
+    answer = ANSWERS[outcome.cause]
+    unknown = (f"frames that show {outcome.quantity}",)
+    return Shortfall(
+        answer=answer,
+        why=f"{outcome.quantity}{number}{where} ({demanded}): {outcome.reason}{size}",
+        frames=FRAMES_OF.get(outcome.quantity, unknown) if answer == "not enough" else (),
+    )
+
+
+def load_specification(path: str | Path) -> Specification:
+    """Return a limits file as the purpose of a session; BadInput as of `load_limits`."""
+    limits = load_limits(path)
+    if not limits.limit:
+        raise BadInput(f"a purpose must have at least one [[limit]], got none in {path}")
+    return Specification(limits=limits, name=Path(path).name)
 
 
 def check_json(checked: LimitCheck) -> dict[str, Any]:

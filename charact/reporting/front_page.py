@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from charact.comparison import Specification
 from charact.reporting.emva_sheet import emva_summary, emva_xml
 from charact.reporting.exports import as_json, table_of_files
 from charact.reporting.figure_registry import Figure
 from charact.reporting.frequency_unit import FrequencyUnit
 from charact.reporting.summary import setting_of
-from charact.verdict.purpose import lacks_of, purpose_of
-from labdata import FLAGS, Measurement, Result, Session, has_tube
+from charact.verdict.purpose import MARKS, Purpose, is_tube, leading_of, purpose_of
+from labdata import Measurement, Result, Session, has_tube
 from labdata.number_format import (
     plus_minus,
     plus_minus_of,
@@ -62,13 +63,7 @@ FIGURES = (
     ("noise-against-gain", "photon-transfer", "noise-by-gain", "snr-light"),
     ("bloom-series", "lit-edge", "point-profile", "edge-spread", "bars"),
 )
-# Flags under which a number says little about the camera.
-GRAVE = frozenset(
-    {"saturated", "clipped", "no-target", "not-converged", "aliased", "agc", "dark-mismatch"}
-)
-
-
-MARKS = {"ok": "✓", "suspect": "▲", "refused": "✕"}
+PurposeOf = Purpose | Specification
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,35 +92,18 @@ class SheetRow:
     departure: str = ""  #: Why the value is not to standard
 
 
-def is_tube(session: Session, result: Result) -> bool:
-    """Return whether the data sheet is that of an image intensifier: it is described, or its noise
-    is correlated.
-    """
-    if has_tube(session.camera):
-        return True
-    gains = [
-        m
-        for m in result.find("system_gain")
-        if m.value is not None and "correlated-noise" not in m.flags
-    ]
-    return not gains and any(m.value is not None for m in result.find("covariance_gain"))
-
-
 def leading(session: Session, result: Result) -> tuple[Measurement, ...]:
-    """Return the measurement of each quantity and unit of the data sheet: the first ok one, or the
-    first suspect one where most are suspect, else the first value.
-    """
-    leading_measurements: list[Measurement] = []
+    """Return the measurement of each quantity and unit of the data sheet that stands for all."""
+    leading_measurements: list[Measurement | None] = []
     for quantity in TUBE_SHEET if is_tube(session, result) else CAMERA_SHEET:
         of_quantity = [m for m in result.find(quantity) if m.value is not None]
         if quantity == "bloom_diameter":  # one for each exposure of the source: that of the longest
             of_quantity.sort(key=lambda m: m.value or 0.0, reverse=True)
-        units = dict.fromkeys(m.unit for m in of_quantity)
-        for unit in units:
-            of_unit = [m for m in of_quantity if m.unit == unit]
-            doubtful = 2 * sum(m.status != "ok" for m in of_unit) > len(of_unit)
-            leading_measurements.append(min(of_unit, key=lambda m: (m.status == "ok") == doubtful))
-    return tuple(leading_measurements)
+        leading_measurements += [
+            leading_of(m for m in of_quantity if m.unit == unit)
+            for unit in dict.fromkeys(m.unit for m in of_quantity)
+        ]
+    return tuple(m for m in leading_measurements if m is not None)
 
 
 def sheet(session: Session, result: Result) -> tuple[SheetRow, ...]:
@@ -193,50 +171,27 @@ def _value(m: Measurement, unit: FrequencyUnit) -> str:
     return f"{plus_minus_of(value, low, high)} {name}"
 
 
-def verdict(session: Session, result: Result, validation: "Validation | None") -> Verdict:
-    """Return the verdict on the leading quantities and, where there is one, on the validation."""
-    sheet = leading(session, result)
-    purpose = purpose_of(session, is_tube=is_tube(session, result))
-    lacks = lacks_of(session, result, purpose)
-    frames = "; ".join(dict.fromkeys(words for lack in lacks for words in lack.frames))
-    to_add = (f"Not enough for {purpose.title}: add {frames}",) if lacks else ()
-    if not sheet:
-        reason = next(
-            (m.reason for m in result.measurements if m.reason), "the session has no measurement"
-        )
-        return Verdict(
-            status="refused", heading="Nothing could be measured", reasons=(reason, *to_add)
-        )
-    suspect = [m for m in sheet if m.status != "ok"]
-    reasons = tuple(_reasons(suspect))
+def verdict(
+    session: Session,
+    result: Result,
+    validation: "Validation | None",
+    purpose: PurposeOf | None = None,
+) -> Verdict:
+    """Return the verdict on the purpose and, where there is one, on the validation."""
+    decision = (purpose or purpose_of(session, result)).decide(session, result)
+    heading, status = decision.heading, decision.status
+    reasons = tuple(why for why in decision.because if why not in heading)
     if validation is not None and validation.verdict == "differs":
-        return _difference(validation, reasons)
-    grave = [m for m in suspect if GRAVE & set(m.flags)]
-    if len(suspect) > len(sheet) / 2 or len(grave) > 1:
-        return Verdict(
-            status="refused",
-            heading=f"Do not trust: {len(suspect)} of {len(sheet)} leading numbers are suspect",
-            reasons=(*to_add, *reasons),
-        )
-    if lacks:
-        why_not = (f"{lack.quantity}: {lack.reason}" for lack in lacks)
-        return Verdict(status="suspect", heading="".join(to_add[:1]), reasons=(*why_not, *reasons))
-    checked = "" if validation is None else ", and simulated frames agree with the measured ones"
+        return _difference(validation, (heading, *reasons))
     if validation is not None and validation.verdict == "undecided":
         from charact.reporting.validation_text import doubts_of, unseen_sentences
 
         reasons = (*doubts_of(validation), *unseen_sentences(validation), *reasons)
-        if not suspect:
-            heading = f"All {len(sheet)} leading numbers are ok; the fitted sensor is undecided"
-            return Verdict(status="suspect", heading=heading, reasons=reasons)
-    if suspect:
-        heading = f"Look at {len(suspect)} of {len(sheet)} leading numbers before use"
-        return Verdict(status="suspect", heading=heading, reasons=reasons)
-    counted = f"all {len(sheet)} leading numbers are" if len(sheet) > 1 else "its number is"
-    return Verdict(
-        status="ok",
-        heading=f"Fit for {purpose.title}: {counted} ok{checked}",
-    )
+        if status == "ok":
+            heading, status = f"{heading}; the fitted sensor is undecided", "suspect"
+    elif validation is not None and status == "ok":
+        heading += "; simulated frames agree with the measured ones"
+    return Verdict(status=status, heading=heading, reasons=reasons)
 
 
 def _difference(validation: "Validation", reasons: tuple[str, ...]) -> Verdict:
@@ -258,24 +213,6 @@ def _difference(validation: "Validation", reasons: tuple[str, ...]) -> Verdict:
         heading=f"{whose} differs {size} {first.worst or first.title}",
         reasons=(*doubts_of(validation), *sentences, *reasons),
     )
-
-
-def _reasons(suspect: Sequence[Measurement]) -> list[str]:
-    """Return one sentence for each flag of the leading quantities, with the finding and its
-    remedy.
-    """
-    sentences = []
-    for flag in dict.fromkeys(flag for m in suspect for flag in m.flags):
-        flagged = [m for m in suspect if flag in m.flags]
-        findings = [
-            note.partition(": ")[2]
-            for m in flagged
-            for note in m.notes
-            if note.startswith(f"{flag}: ")
-        ]
-        quantities = ", ".join(dict.fromkeys(m.quantity for m in flagged))
-        sentences.append(f"{quantities}: {findings[0] if findings else FLAGS[flag]} ({flag})")
-    return sentences
 
 
 def leading_figures(figures: Sequence[Figure]) -> tuple[Figure, ...]:
@@ -308,12 +245,16 @@ def _data_uri(kind: str, text: str) -> str:
 
 
 def context(
-    session: Session, result: Result, figures: Sequence[Figure], validation: "Validation | None"
+    session: Session,
+    result: Result,
+    figures: Sequence[Figure],
+    validation: "Validation | None",
+    purpose: PurposeOf | None = None,
 ) -> dict[str, Any]:
     """Return what the template of the first page shows."""
     rows = sheet(session, result)
     return {
-        "verdict": verdict(session, result, validation),
+        "verdict": verdict(session, result, validation, purpose),
         "sheet": rows,
         "sheet_title": "Image intensifier data sheet"
         if is_tube(session, result)

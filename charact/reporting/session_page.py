@@ -27,6 +27,7 @@ def write(
     *,
     validation: "Validation | None" = None,
     truth: Truth | None = None,
+    purpose: front_page.PurposeOf | None = None,
     pdf: bool = False,
 ) -> Path:
     """Write the report of a session as one self-contained HTML file.
@@ -42,6 +43,8 @@ def write(
     truth
         True values by quantity (of a virtual bench), or None; see
         `charact.reporting.compare_with_truth`.
+    purpose
+        What the session must be enough for; None: that which its frames show.
     pdf
         Also write a PDF next to it.
 
@@ -56,7 +59,7 @@ def write(
         If a PDF is requested and WeasyPrint is missing.
     """
     out = Path(out)
-    html = page(session, result, validation=validation, truth=truth)
+    html = page(session, result, validation=validation, truth=truth, purpose=purpose)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(out, html.encode())
     if pdf:
@@ -70,6 +73,7 @@ def page(
     *,
     validation: "Validation | None" = None,
     truth: Truth | None = None,
+    purpose: front_page.PurposeOf | None = None,
 ) -> str:
     """Return the report as HTML."""
     section = None
@@ -88,7 +92,7 @@ def page(
         session=session,
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         verdicts=tables.verdicts(result),
-        **front_page.context(session, result, figures, validation),
+        **front_page.context(session, result, figures, validation, purpose),
         limits=limits_section(session),
         groups=tables.quantity_groups(result),
         comparison=compare_with_truth(result, truth or {}),
