@@ -468,8 +468,8 @@ def _figure_of_merit(
     findings = [*curve.findings, *inherited(best)]
     if _sampling_note(highest, curve):
         effect = (
-            f"the pixels resolve {np.median(highest):.3g} lp/mm and the tube more, so that "
-            f"its figure is higher"
+            f"the pixels limit the resolution to {np.median(highest):.3g} lp/mm; the figure of "
+            "merit of the tube alone is higher"
         )
         remedy = "a camera or relay with more pixels a millimetre of the cathode"
         findings.append(finding("aliased", effect, remedy))

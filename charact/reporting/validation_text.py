@@ -184,13 +184,13 @@ def lines_of(validation: Validation) -> Iterator[str]:
     negative = [control for control in validation.controls if control.name == "negative"]
     unseen = [control.title for control in negative if not control.passed]
     yield f"negative controls: {len(negative) - len(unseen)} of {len(negative)} noticed" + (
-        f"; not seen: {', '.join(unseen)}" if unseen else ""
+        f"; not noticed: {', '.join(unseen)}" if unseen else ""
     )
     detectable = [f"{error.title} {error.percent}" for error in validation.power if error.statistic]
     if detectable:
         probability = f"{100.0 * validation.power[0].probability:g} %"
         errors = ", ".join(detectable)
-        yield f"errors that would have been found in {probability} of cases: {errors}"
+        yield f"smallest errors that are detected in {probability} of cases: {errors}"
     yield from (f"likely cause: {cause.note}" for cause in validation.likely_causes)
     yield from (f"note: {note}" for note in (validation.origin, *validation.notes))
     yield headline_of(validation)

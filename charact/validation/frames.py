@@ -129,8 +129,8 @@ def choose(session: Session, maps: SpecimenMaps | None = None) -> MatchedStacks:
         notes.append("no edge: the MTF is not compared")
     elif edges[0][0].target.contrast is None:
         notes.append(
-            f"{edges[0][0].label} states no contrast (target = {{ contrast = ... }}): its dark "
-            f"side is opaque"
+            f"the contrast of {edges[0][0].label} is not stated (target = {{ contrast = ... }}): "
+            "its dark side is simulated as opaque"
         )
     if not points:
         notes.append("no point source: halo and bloom are not compared")

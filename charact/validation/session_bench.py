@@ -111,8 +111,8 @@ def measured_bench(chosen: MatchedStacks, camera: Camera) -> MatchedStacks:
             difference_deg = (measured - stated + 90.0) % 180.0 - 90.0
             if abs(difference_deg) > VALIDATION.angle_deg:
                 notes.append(
-                    f"{shot.label} states an angle of {stated:g} deg and shows "
-                    f"{stated + difference_deg:.2f} deg: simulated as it shows"
+                    f"{shot.label} is stated at {stated:g} deg and measured at "
+                    f"{stated + difference_deg:.2f} deg: simulated at the measured angle"
                 )
         return at_place
 

@@ -90,8 +90,8 @@ def test_the_dark_under_an_edge_s_settings_is_its_black(
     edge_and_dark(tmp_path, volts, seed)
     (mtf50,) = [m for m in measure(tmp_path, quick=True).find("mtf50") if m.stack == "edge"]
     dark = np.load(tmp_path / "dark.npy").mean()
-    assert (f"No light is at {dark:.4g} DN." in mtf50.notes) == known
-    assert any(note.startswith("No light") for note in mtf50.notes) == known
+    assert (f"Black level {dark:.4g} DN." in mtf50.notes) == known
+    assert any(note.startswith("Black level") for note in mtf50.notes) == known
 
 
 def test_of_sound_points_the_one_with_most_light_is_told_though_another_seems_surer(

@@ -207,7 +207,7 @@ def _sample_measurement(
     notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
     notes.append("The width of the bars is fitted: half a period within 1 % before the data.")
     if not has_tube(context.camera):
-        notes.append("Pixels taken as square.")
+        notes.append("Square pixels assumed.")
     lit = np.zeros(problem.window.shape, bool)
     lit[problem.window] = _count_lit_pixels(fit)
     return BarMeasurement(

@@ -227,7 +227,7 @@ def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Me
     frequencies = sorted({group.frequency for group in groups})
     notes = [
         (
-            f"Through {len(groups)} groups of bars at "
+            f"Curve through {len(groups)} bar groups: "
             f"{', '.join(f'{frequency:.3g}' for frequency in frequencies)} cy/px."
         )
     ]

@@ -274,8 +274,8 @@ def quantisation_finding(profile: EdgeProfile) -> EdgeFinding:
 def window_finding(profile: EdgeProfile) -> EdgeFinding:
     """Return the finding of a region that may hold less than the blur."""
     effect = (
-        f"light beyond {profile.gathered.half_width_px:.0f} px from the edge is not included: "
-        f"MTF50 is high by its fraction"
+        f"light farther than {profile.gathered.half_width_px:.0f} px from the edge is not "
+        "included: MTF50 is too high by its fraction"
     )
     return EdgeFinding(flag="window-too-small", effect=effect)
 

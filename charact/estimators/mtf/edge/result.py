@@ -287,11 +287,11 @@ def _notes(edge: PreparedEdge, context: Context) -> Iterator[str]:
     correlation_sum = profile.correlated_noise.correlation_factor
     if not 0.8 <= correlation_sum <= 1.3:
         yield (
-            f"Noise is correlated between pixels (sum of correlations {correlation_sum:.1f}) and "
-            "treated as such."
+            f"Noise is correlated between pixels (sum of correlations {correlation_sum:.1f}); "
+            "accounted for."
         )
     if not has_tube(context.camera) and context.pitch_ratio == 1.0:
-        yield "Pixels taken as square."
+        yield "Square pixels assumed."
     if profile.shading_sd > 0:
         yield f"The plateaus undulate by {profile.shading_sd:.2g} DN, which widens the intervals."
 

@@ -130,8 +130,8 @@ def _notes_of(spectrum: PooledSpectrum, chosen: SelectedFlats) -> list[str]:
         notes.append(f"left out, at another gain, saturated or of a single frame: {names}")
     if len(spectrum.lag) and not spectrum.lag_open:
         notes.append(
-            f"successive exposures share light (correlation {spectrum.lag[0]:.2g}), which was "
-            "allowed for"
+            f"image lag between successive exposures (correlation {spectrum.lag[0]:.2g}); "
+            "accounted for"
         )
     return notes
 

@@ -210,10 +210,10 @@ def note(peak: SpectrumOptimum) -> str:
     """Return the sentence that says what would go unseen."""
     narrow, broad = scatter_limits(peak)
     return (
-        f"normalised to light that is not scattered far: {100 * narrow.fraction:.2g} % of it "
-        f"scattered after the gain over {narrow.length_px:.2g} px, or {100 * broad.fraction:.2g} % "
-        f"over {broad.length_px:.2g} px, would not show for sure; counted, MTF50 would be "
-        f"{narrow.lower_percent:.2g} % or {broad.lower_percent:.2g} % lower"
+        "normalised without light that is scattered far after the gain: up to "
+        f"{100 * narrow.fraction:.2g} % over {narrow.length_px:.2g} px, or "
+        f"{100 * broad.fraction:.2g} % over {broad.length_px:.2g} px, are not detectable; with it "
+        f"MTF50 is {narrow.lower_percent:.2g} % or {broad.lower_percent:.2g} % lower"
     )
 
 

@@ -55,7 +55,7 @@ ASSUMED = (
 )
 EFFECTS = {
     "several-targets": "light of another source in the region is included",
-    "window-too-small": "light beyond the region is not included; MTF50 is high by its fraction",
+    "window-too-small": "light outside is not included; MTF50 is too high by its fraction",
     "clipped": "noise is clipped at black, which raises the background",
 }
 

@@ -232,7 +232,7 @@ def _sentences(
     out = [f"identified by the curves: {', '.join(identified) or 'none'}"]
     out += [f"only the product of {' and '.join(group)} is identified" for group in products]
     if undetermined:
-        out.append(f"no better known than from the description: {', '.join(undetermined)}")
+        out.append(f"known from the description alone: {', '.join(undetermined)}")
     if known:
         out.append(f"taken as known: {', '.join(known)}")
     if chance < THRESHOLDS.budget_p_value:

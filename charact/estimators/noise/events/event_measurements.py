@@ -184,9 +184,9 @@ def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context
         raise Unmeasurable(f"exposures of {rows} x {cols} px are too small for the pulse filters")
     if look.still > EVENTS.max_unchanged:
         raise Unmeasurable(
-            "the noise beneath the pulses is smaller than the quantisation step: "
-            f"{100 * look.still:.0f} % of the values do not change between frames, at most "
-            f"{100 * EVENTS.max_unchanged:.0f} % may; use a higher camera gain or at least 10 bits"
+            "the read noise is smaller than the quantisation step: "
+            f"{100 * look.still:.0f} % of the values are equal in successive frames, and at most "
+            f"{100 * EVENTS.max_unchanged:.0f} % must be; use a higher camera gain or 10 bits"
         )
     if not has_pulses(look):
         raise Unmeasurable(

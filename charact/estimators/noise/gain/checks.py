@@ -121,13 +121,9 @@ def dark_findings(series: FlatSeries) -> list[Finding]:
         return []
     lowest = min(negative, key=lambda i: series.signal_dn[i])
     flat, dark = series.flats[lowest], series.darks[lowest]
-    high = noise[lowest] - max(flat.variance_dn2, 0.0) ** 0.5
-    effect = (
-        f"{flat.label} lies {-series.signal_dn[lowest]:.4g} DN below {dark.label}, whose "
-        f"noise may be {high:.3g} DN"
-    )
-    remedy = "kind in session.toml: dark and flat may be exchanged"
-    return [finding("dark-mismatch", f"{effect} too high", remedy)]
+    effect = f"{flat.label} is {-series.signal_dn[lowest]:.4g} DN darker than {dark.label}"
+    remedy = "darks of the same camera and settings; dark and flat exchanged in session.toml"
+    return [finding("dark-mismatch", effect, remedy)]
 
 
 def _condition_findings(series: FlatSeries) -> list[Finding]:

@@ -138,8 +138,8 @@ HIDDEN = (
     "gain to measure K"
 )
 FILTERED = (
-    "electronics smooth the noise, so that no floor is white; K needs a readout without a "
-    "low-pass filter"
+    "a low-pass filter of the readout correlates all noise, so that the white part, whose slope "
+    "is K, cannot be separated; K needs a readout without such a filter"
 )
 
 

@@ -234,11 +234,11 @@ def prepare_edge(
             "own place."
         )
     if profile.black is not None:
-        notes.append(f"No light is at {profile.black:.4g} DN.")
+        notes.append(f"Black level {profile.black:.4g} DN.")
     elif black is not None:
         notes.append(
-            f"No light would be at {black:.4g} DN, above the edge's dark side at "
-            f"{profile.dark:.4g} DN: taken as not known."
+            f"The black level of {black:.4g} DN is above the edge's dark side at "
+            f"{profile.dark:.4g} DN: it is not used."
         )
     return PreparedEdge(
         where=where,
