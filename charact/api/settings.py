@@ -1,6 +1,7 @@
 """Settings of the analyses, each declared once."""
 
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -118,12 +119,18 @@ def purpose_for(purpose: str | Path | None) -> "Purpose | Specification | None":
         If there is no such purpose, or the limits break a rule.
     """
     from charact.comparison import load_specification
-    from charact.verdict.purpose import purpose_named
+    from charact.verdict.purpose import PURPOSES
 
-    if purpose is None:
-        return None
-    is_file = isinstance(purpose, Path) or purpose.endswith(".toml")
-    return load_specification(purpose) if is_file else purpose_named(str(purpose))
+    if purpose is None or purpose in PURPOSES:
+        return None if purpose is None else PURPOSES[str(purpose)]
+    if isinstance(purpose, Path) or purpose.endswith(".toml"):
+        return load_specification(purpose)
+    similar = get_close_matches(purpose, PURPOSES, n=1)
+    hint = f" (did you mean {similar[0]!r}?)" if similar else ""
+    raise BadInput(
+        f"`purpose` must be one of {', '.join(PURPOSES)} or a TOML file of limits, got {purpose!r}"
+        f"{hint}"
+    )
 
 
 def spans_of(spans: Mapping[str, Span] | Sequence[str]) -> dict[str, Span]:

@@ -145,15 +145,6 @@ class Outcome:
         """Return why the limit does not pass, in words; empty for a pass."""
         return SENTENCES[self.cause].format(detail=self.detail)
 
-    @property
-    def excess(self) -> float:
-        """Return by how much the value lies outside the limits, in its unit; 0 inside."""
-        above, below = (
-            0.0 if bound is None or self.value is None else sign * (self.value - bound)
-            for sign, bound in ((1.0, self.max), (-1.0, self.min))
-        )
-        return max(above, below, 0.0)
-
 
 @dataclass(frozen=True, kw_only=True)
 class LimitCheck:
@@ -317,15 +308,16 @@ def _shortfall(outcome: Outcome) -> Shortfall:
     assert outcome.cause
     where = f" of {outcome.stack}" if outcome.stack else ""
     unit = "" if outcome.unit == "1" else f" {outcome.unit}"
-    number = ""
+    number = size = ""
     if outcome.value is not None:
         value = round_to_spread(outcome.value)
         if outcome.interval95 is not None:
             value = plus_minus_of(outcome.value, *outcome.interval95)
         number = f" = {value}{unit}"
-    size = f" by {outcome.excess:.2g}{unit}" if outcome.cause == "outside" else ""
-    bounds = (("min", outcome.min), ("max", outcome.max))
-    demanded = ", ".join(f"{name} {bound:g}" for name, bound in bounds if bound is not None)
+    bounds = [(n, b) for n, b in (("min", outcome.min), ("max", outcome.max)) if b is not None]
+    if outcome.cause == "outside" and outcome.value is not None:
+        size = f" by {min(abs(outcome.value - bound) for _, bound in bounds):.2g}{unit}"
+    demanded = ", ".join(f"{name} {bound:g}" for name, bound in bounds)
     answer = ANSWERS[outcome.cause]
     unknown = (f"frames that show {outcome.quantity}",)
     return Shortfall(

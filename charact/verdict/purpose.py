@@ -9,7 +9,6 @@ of a target out of focus is that of the focus.
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import ceil, inf
 from typing import Any, Literal
 
@@ -24,7 +23,6 @@ from charact.verdict.thresholds import (
 )
 from labdata.camera.description import has_tube
 from labdata.conditions import GAINS
-from labdata.errors import BadInput
 from labdata.flags import FLAGS
 from labdata.measurement import Measurement, Result, Status
 from labdata.session import Session
@@ -46,11 +44,9 @@ SHEET_FLATS = (
 )
 DARKS = "darks of the flats' settings"
 MANY_DARKS = f"darks of {PATTERN_FRAMES} frames or more"
-MANY_FLATS = f"flats of {PATTERN_FRAMES} frames or more at half of saturation"
 EDGE = "a slanted edge in focus"
 TURNED_EDGE = "a slanted edge in focus, turned by 90 degrees"
 DARK_FLAGS = {"no-darks", "dark-mismatch"}  # other darks settle them, and what follows from them
-AGREEMENT = "agreement of targets"  # evidence of the targets of a session
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,11 +68,12 @@ class Need:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Missing:
-    """Frames that a session lacks for a purpose."""
+class Shortfall:
+    """Why a quantity does not let a session be fit, and the frames to add."""
 
-    frames: str  #: Frames to add
-    why: str  #: Quantity, and why the session's frames are not enough
+    answer: Answer
+    why: str  #: Quantity, and why the frames of the session are not enough
+    frames: tuple[str, ...] = ()  #: Frames to add
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,16 +84,17 @@ class Decision:
     title: str  #: What it is, as in "Fit for a detector"
     answer: Answer
     because: tuple[str, ...] = ()  #: Reasons, that of the answer first
-    missing: tuple[Missing, ...] = ()  #: Frames to add
+    missing: tuple[Shortfall, ...] = ()  #: What lacks, each with `frames` to add and `why`
     is_usable: bool = True  #: Whether any quantity of the purpose can be used
 
     @property
     def heading(self) -> str:
         """The answer in one sentence: what decided it, or the frames to add."""
         decisive = [
-            lack.frames
-            for lack in self.missing
-            if self.answer == "not enough" or lack.why == self.because[0]
+            frames
+            for shortfall in self.missing
+            if self.answer == "not enough" or shortfall.why == self.because[0]
+            for frames in shortfall.frames
         ]
         add = f"add {'; '.join(dict.fromkeys(decisive))}" if decisive else ""
         parts = (add,) if self.answer == "not enough" and add else (*self.because[:1], add)
@@ -120,17 +118,12 @@ class Decision:
             "purpose": self.purpose,
             "answer": self.answer,
             "because": list(self.because),
-            "missing": [{"frames": lack.frames, "why": lack.why} for lack in self.missing],
+            "missing": [
+                {"frames": frames, "why": lack.why}
+                for lack in self.missing
+                for frames in lack.frames
+            ],
         }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shortfall:
-    """Why a quantity does not let a session be fit."""
-
-    answer: Answer
-    why: str
-    frames: tuple[str, ...] = ()  #: Frames to add
 
 
 def decision(
@@ -138,17 +131,12 @@ def decision(
 ) -> Decision:
     """Return the answer to which shortfalls lead: that of the gravest; without one what decided."""
     ordered = sorted(shortfalls, key=lambda shortfall: list(WORDS).index(shortfall.answer))
-    missing = (
-        Missing(frames=frames, why=shortfall.why)
-        for shortfall in ordered
-        for frames in shortfall.frames
-    )
     return Decision(
         purpose=name,
         title=title,
         answer=ordered[0].answer if ordered else "fit",
         because=tuple(dict.fromkeys(shortfall.why for shortfall in ordered)) or (decided,),
-        missing=tuple(dict.fromkeys(missing)),
+        missing=tuple(shortfall for shortfall in ordered if shortfall.frames),
         is_usable=is_usable,
     )
 
@@ -199,7 +187,7 @@ PURPOSES = {
                     ("quantum_efficiency", (SHEET_FLATS, DARKS)),
                     ("saturation_capacity", (SHEET_FLATS, DARKS)),
                     ("dsnu", (MANY_DARKS,)),
-                    ("prnu", (MANY_FLATS, MANY_DARKS)),
+                    ("prnu", (f"{MANY_DARKS} and of a flat at half of saturation",)),
                 )
             ),
             also=("read_noise", "linearity_error", "dark_current", "snr_max", "dynamic_range"),
@@ -280,24 +268,6 @@ PURPOSES = {
 FRAMES_OF = {need.quantity: need.frames for purpose in PURPOSES.values() for need in purpose.needs}
 
 
-def purpose_named(name: str) -> Purpose:
-    """Return a purpose by its name.
-
-    Raises
-    ------
-    BadInput
-        If there is none of that name.
-    """
-    if name in PURPOSES:
-        return PURPOSES[name]
-    similar = get_close_matches(name, PURPOSES, n=1)
-    hint = f" (did you mean {similar[0]!r}?)" if similar else ""
-    raise BadInput(
-        f"`purpose` must be one of {', '.join(PURPOSES)} or a TOML file of limits, got {name!r}"
-        f"{hint}"
-    )
-
-
 def is_tube(session: Session, result: Result) -> bool:
     """Return whether the camera is an image intensifier: it is described as one, or its noise is
     correlated.
@@ -346,7 +316,13 @@ def _shortfall(session: Session, result: Result, need: Need) -> Shortfall | None
     """Return why a quantity does not decide; None if it does."""
     measured = result.find(need.quantity)
     valued = [m for m in measured if m.value is not None]
-    lacking = _lacking(session, need.frames)
+    has_darks = bool(session.of_kind("dark"))
+    frames = tuple(words for words in need.frames if not (has_darks and words == DARKS))
+    lacking = frames or need.frames
+    flats = Counter(
+        tuple(getattr(entry.conditions, name) for name in GAINS)
+        for entry in session.of_kind("flat")
+    )
     if not valued:
         of_flats = result.find("covariance_gain") if need.levels else ()
         reasons = (m.reason for m in (*measured, *of_flats) if m.reason)
@@ -354,7 +330,7 @@ def _shortfall(session: Session, result: Result, need: Need) -> Shortfall | None
         if need.is_limit and any(m.refusal == "not-applicable" for m in measured):
             return Shortfall(answer="not fit", why=why)
         return Shortfall(answer="not enough", why=why, frames=lacking)
-    if (levels := _most_levels(session)) < need.levels:
+    if (levels := max(flats.values(), default=0)) < need.levels:
         why = f"{need.quantity}: flats of one gain setting at {levels} level{'s' * (levels != 1)}"
         return Shortfall(answer="not enough", why=why, frames=lacking)
     leading = leading_of(m for m in valued if m.unit == valued[0].unit)
@@ -376,24 +352,9 @@ def _shortfall(session: Session, result: Result, need: Need) -> Shortfall | None
     return next((shortfall for shortfall in checks if shortfall is not None), None)
 
 
-def _lacking(session: Session, frames: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the frames of a quantity but for darks that are there, at least the first."""
-    has_darks = bool(session.of_kind("dark"))
-    return tuple(words for words in frames if not (has_darks and words == DARKS)) or frames[:1]
-
-
-def _most_levels(session: Session) -> int:
-    """Return the largest number of flats of one gain setting."""
-    levels = Counter(
-        tuple(getattr(entry.conditions, name) for name in GAINS)
-        for entry in session.of_kind("flat")
-    )
-    return max(levels.values(), default=0)
-
-
 def _contradicted(result: Result, need: Need) -> Shortfall | None:
     """Return that the targets of a session have unlike MTFs."""
-    agreement = result.evidence.get(AGREEMENT, {})
+    agreement = result.evidence.get("agreement of targets", {})
     if need.quantity != "mtf50" or agreement.get("inside_joint_95_percent_region", True):
         return None
     why = "mtf50: the MTFs of the targets contradict each other (figure Agreement of targets)"
