@@ -97,6 +97,7 @@ def measure(
     quick: bool = False,
     seed: int = 0,
     within_percent: float = 2.0,
+    also: str | None = None,
     amplifier: int | None = None,
     progress: Progress = ignore_progress,
     spread: Spread = map,
@@ -114,6 +115,8 @@ def measure(
         Seed of every random step.
     within_percent
         Error tolerance of the automatic choice of methods, percent.
+    also
+        "sfr": the conventional SFR of each edge as well.
     amplifier
         Number of the amplifier whose noise is measured, from 1 by rows; None: all.
     progress
@@ -138,7 +141,7 @@ def measure(
     of its quantities with the reason; the others go on.
     """
     session = session if isinstance(session, Session) else open_session(session)
-    tasks = _tasks(session, within_percent)
+    tasks = _tasks(session, within_percent, also)
     if not tasks:
         raise BadInput(
             "a session must have a stack of kind dark, flat, edge, bars or point to be measured, "
@@ -386,7 +389,7 @@ def method_context(
     )
 
 
-def _tasks(session: Session, within_percent: float) -> list[Analysis]:
+def _tasks(session: Session, within_percent: float, also: str | None) -> list[Analysis]:
     """Every analysis that the session has stacks for; the halo precedes the MTF, which uses it."""
     from charact.estimators import mtf
 
@@ -414,7 +417,9 @@ def _tasks(session: Session, within_percent: float) -> list[Analysis]:
             Analysis(sentence="halo and blooming", run=of(measure_bloom), quantities=BLOOM)
         )
     for entry in session.of_kind("edge", "bars"):
-        run = partial(_target, session, entry, within_percent)
+        run = partial(
+            _target, session, entry, within_percent, also=also if entry.kind == "edge" else None
+        )
         sentence = f"MTF of {entry.label}"
         tasks.append(Analysis(sentence=sentence, run=run, quantities=mtf50, stack=entry.label))
     if points:
@@ -423,7 +428,14 @@ def _tasks(session: Session, within_percent: float) -> list[Analysis]:
     return tasks
 
 
-def _target(session: Session, entry: StackEntry, within_percent: float, context: Context) -> Result:
+def _target(
+    session: Session,
+    entry: StackEntry,
+    within_percent: float,
+    context: Context,
+    *,
+    also: str | None = None,
+) -> Result:
     from charact.estimators import mtf
     from charact.estimators.infrared import scan_directions
 
@@ -444,6 +456,7 @@ def _target(session: Session, entry: StackEntry, within_percent: float, context:
             part,
             region=region,
             within_percent=within_percent,
+            also=also,
             context=direction_context,
             **arguments,
         )

@@ -91,6 +91,10 @@ QUANTITIES |= {
         better="higher",
     ),
     "mtf": _entry("MTF at the stated frequency", "1", section="Resolution", better="higher"),
+    "sfr50": _entry("MTF50 of the conventional SFR of ISO 12233", "cy/px", section="Resolution"),
+    "sfr50_difference": _entry(
+        "MTF50 of the conventional SFR minus MTF50", "%", section="Resolution"
+    ),
     "limiting_resolution": _entry(
         "Limiting resolution at the photocathode", "lp/mm", section="Resolution", better="higher"
     ),

@@ -15,6 +15,7 @@ from charact.api.inputs import (
     stack,
 )
 from charact.api.settings import (
+    Also,
     Amplifier,
     BarFrequency,
     Bars,
@@ -81,6 +82,7 @@ def mtf(
     roi: Roi = None,
     method: MethodName = "auto",
     within_percent: WithinPercent = 2.0,
+    also: Also = None,
     quick: Quick = False,
     seed: Seed = 0,
     sensor: CameraDescription = None,
@@ -101,7 +103,8 @@ def mtf(
     -------
     Analysis
         `mtf50`, `mtf10`, `mtf` at single frequencies, and the curve `mtf`; of flats
-        `post_gain_mtf50` and its curve.
+        `post_gain_mtf50` and its curve; with `also` "sfr" `sfr50`, `sfr50_difference` and the curve
+        `sfr`.
 
     Raises
     ------
@@ -131,6 +134,8 @@ def mtf(
     if foreign := [name for name in target if name not in OF_TARGET.get(kind, ())]:
         raise BadInput(f"`{foreign[0]}` describes another target than kind {kind!r}")
     reading = {"plane": plane, "axis": axis, "extension": extension, "partial": partial}
+    if also is not None and kind != "edge":
+        raise BadInput(f"`also` is of kind 'edge', got kind {kind!r}")
     if kind == "flats":
         flats = flats_of(frames, sensor=sensor, **reading)
         return _analyse(measure_flats, flats, frames, method, within_percent, quick, seed, progress)
@@ -141,7 +146,8 @@ def mtf(
     context = Context(
         seed=seed, quick=quick, camera=camera, interlaced=interlaced, progress=progress
     )
-    settings = {"method": method, "within_percent": within_percent, "context": context, **target}
+    settings = {"method": method, "within_percent": within_percent, "also": also, **target}
+    settings["context"] = context
     if region is None:
         result = measure_all(kind, image, max_targets=max_targets, **settings)
     else:
@@ -268,6 +274,7 @@ def measure(
     *,
     purpose: PurposeName = None,
     within_percent: WithinPercent = 2.0,
+    also: Also = None,
     quick: Quick = False,
     seed: Seed = 0,
     amplifier: Amplifier = "all",
@@ -299,6 +306,7 @@ def measure(
             quick=quick,
             seed=seed,
             within_percent=within_percent,
+            also=also,
             amplifier=amplifier_of(amplifier),
             progress=progress,
             spread=spread,

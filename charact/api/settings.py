@@ -40,6 +40,14 @@ MethodName = Annotated[
 WithinPercent = Annotated[
     float, Setting("Error tolerance for auto, percent.", option="--within", minimum=0.0)
 ]
+Also = Annotated[
+    str | None,
+    Setting(
+        "Second estimate of each edge, with its difference: sfr (the conventional SFR of ISO "
+        "12233).",
+        metavar="sfr",
+    ),
+]
 Quick = Annotated[
     bool, Setting("Skip posterior sampling; intervals are from the Laplace approximation.")
 ]

@@ -208,7 +208,7 @@ def edge(files: Files, **settings: Any) -> None:
 
 
 @app.command()
-@verb(*CALLED, without=("pinhole_px",))
+@verb(*CALLED, without=("pinhole_px", "also"))
 def bars(files: Files, **settings: Any) -> None:
     """Measure the MTF at the frequency of a bar target.
 
@@ -218,7 +218,7 @@ def bars(files: Files, **settings: Any) -> None:
 
 
 @app.command()
-@verb(*CALLED, without=("bars", "frequency_cy_per_px", "black_dn"))
+@verb(*CALLED, without=("bars", "frequency_cy_per_px", "black_dn", "also"))
 def point(files: Files, **settings: Any) -> None:
     """Measure the MTF of a point source.
 
@@ -232,7 +232,7 @@ def point(files: Files, **settings: Any) -> None:
     measuring.mtf,
     frequency_unit,
     print_result,
-    without=(*OF_TARGET, "roi", "black_dn", "max_targets"),
+    without=(*OF_TARGET, "roi", "black_dn", "max_targets", "also"),
 )
 def flats(
     file: Annotated[

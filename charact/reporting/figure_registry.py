@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.reporting import bloom_images, blooms, curves, gain_sweep, noise
+from charact.reporting import bloom_images, blooms, curves, gain_sweep, noise, session_curves
 from charact.reporting.figure_svg import as_svg
 from charact.reporting.style import COLOURS, arms, first_array, panels, plot_line, report_style
 
@@ -78,6 +78,11 @@ FIGURES: dict[str, tuple[str, Callable[[Data], Any], str]] = {
         "mtf",
         curves.plot_edge_spread,
         "The edge spread function with the fitted model, and the residual below.",
+    ),
+    "sfr": (
+        "mtf",
+        session_curves.plot_sfr,
+        "The conventional SFR of ISO 12233 and the MTF of the same edge.",
     ),
     "bars": (
         "mtf",

@@ -24,6 +24,7 @@ from labdata import Curve, Measurement, Result, Session
 # Words for curves that have no stack or file; those of columns have the ending "_vertical".
 CURVES = {
     "mtf": "MTF",
+    "sfr": "conventional SFR, ISO 12233",
     "mtf_bars": "through the bars",
     "mtf_joint": "all targets together",
     "mtf_post_gain": "after the gain, fitted model",
@@ -115,7 +116,9 @@ def plot_files(
                 main = [("mtf", result.curves["mtf"])] if "mtf" in result.curves else []
                 curves += [(f":{name}", c, _measured_on(result, key, c)) for key, c in main]
                 continue
-            of_mtf = [key for key in result.curves if key.split(":")[0].startswith("mtf")]
+            of_mtf = [
+                key for key in result.curves if key == "sfr" or key.split(":")[0].startswith("mtf")
+            ]
             curves += [
                 (key, result.curves[key], _measured_on(result, key, result.curves[key]))
                 for key in of_mtf or result.curves

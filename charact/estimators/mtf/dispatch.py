@@ -73,6 +73,7 @@ def measure(
     region: Region | None = None,
     method: str = "auto",
     within_percent: float = 2.0,
+    also: str | None = None,
     context: Context,
     **target: Any,
 ) -> Result:
@@ -90,6 +91,8 @@ def measure(
         Name of a registered method, or "auto".
     within_percent
         Tolerance that "auto" must meet, percent; a note states where an interval exceeds it.
+    also
+        "sfr": the conventional SFR of an edge as well, with its difference.
     context
         Seed, speed and camera.
     target
@@ -109,6 +112,8 @@ def measure(
         stack.region(*region)  # type: ignore[misc]
     if kind == "bars":
         _require_valid_bars(**target)
+    if also is not None and (kind, also) != ("edge", "sfr"):
+        raise BadInput(f"`also` must be sfr, of an edge, got {also!r} of kind {kind!r}")
     described = (
         FOR_DESCRIBED_CAMERAS.get(kind) if method == "auto" and has_tube(context.camera) else None
     )
@@ -130,6 +135,10 @@ def measure(
         without = chosen.function(counted, region=region, context=context, **target)
         if any(m.status == "ok" for m in without.find(chosen.quantities[0])):
             result, notes = without, (NO_MODEL.format(kind=kind), *notes)
+    if also is not None:
+        from charact.estimators.mtf.edge.sfr_comparison import add_sfr
+
+        result = add_sfr(result, counted, region=region, context=context)
     findings, seen = Stack.of(counted, context).layout_findings(region)
     notes = (*notes, *seen)
     finished = []
@@ -204,6 +213,7 @@ def measure_all(
     *,
     method: str = "auto",
     within_percent: float = 2.0,
+    also: str | None = None,
     max_targets: int = 24,
     context: Context,
     **target: Any,
@@ -212,7 +222,7 @@ def measure_all(
 
     Parameters
     ----------
-    kind, stack, method, within_percent, context, target
+    kind, stack, method, within_percent, also, context, target
         As for `measure`; for bars `frequency_cy_per_px` may be None: it is measured.
     max_targets
         Maximum number of targets measured; a note states how many are not. Edges and points are
@@ -234,7 +244,12 @@ def measure_all(
     """
     if max_targets < 1:
         raise BadInput(f"at least 1 target must be measured, got at most {max_targets}")
-    arguments = {"method": method, "within_percent": within_percent, "context": context}
+    arguments = {
+        "method": method,
+        "within_percent": within_percent,
+        "also": also,
+        "context": context,
+    }
     if kind == "bars" and target.get("frequency_cy_per_px") is not None:
         return measure(kind, stack, **arguments, **target)
     located = targets(kind, stack, context, **target)

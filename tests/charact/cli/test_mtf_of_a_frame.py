@@ -45,6 +45,15 @@ def test_each_edge_of_a_frame_has_its_region_and_its_curve(two_edges: Path) -> N
     assert right[1] >= 55
 
 
+def test_each_edge_has_its_conventional_sfr_beside_its_mtf(two_edges: Path) -> None:
+    document = json_of("mtf", "edge", two_edges, "--quick", "--also", "sfr")
+    alone = json_of("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted")
+    found = [m["value"] for m in document["measurements"] if m["quantity"] == "sfr50"]
+    assert found == [m["value"] for m in alone["measurements"] if m["quantity"] == "mtf50"]
+    assert {"sfr", "mtf"} < set(document["curves"])
+    assert_one_sentence(charact("mtf", "edge", two_edges, "--also", "fsr"), "--also", "'fsr'")
+
+
 def test_a_black_level_above_the_dark_side_is_not_believed_and_said(two_edges: Path) -> None:
     """The dark side lies at 40 DN, the bright one at 190."""
     asked = (

@@ -55,11 +55,14 @@ class MtfEstimate:
         MTF of all rows, and with each block of rows left out, shape (1 + block, f).
     notes
         Notes on the estimate.
+    half_window_px
+        Half width of its window along the edge's normal, px.
     """
 
     frequency: Array
     values: Array
     notes: tuple[str, ...] = ()
+    half_window_px: float
 
 
 def measure_conventionally(
@@ -113,6 +116,7 @@ def measure_conventionally(
     estimated = estimate(edge.picture, edge.rows.line)
     half = float(crossing_frequency(estimated.frequency, estimated.values[:1], 0.5)[0])
     notes = (*estimated.notes, "Normalised to the light inside the region.")
+    settings = {**settings, "half_window_px": round(estimated.half_window_px, 2)}
     provenance = Provenance(version=charact.__version__, settings=settings)
     shared = shared_fields(method, edge, notes, provenance)
     numbers = [
@@ -313,8 +317,11 @@ def _estimate_slanted(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
     modulus = np.abs(np.fft.rfft(centred * window, axis=1))[:, : size // QUARTERS + 2]
     # The difference over two bins is itself a filter, sinc(f / 2) at four bins a pixel.
     values = modulus / modulus[:, :1] / np.sinc(2.0 * np.arange(modulus.shape[1]) / size)
-    frequency = np.arange(modulus.shape[1]) / cols / np.cos(np.arctan(along / picture.pitch_ratio))
-    return MtfEstimate(frequency=frequency, values=values, notes=notes)
+    width_px = cols * float(np.cos(np.arctan(along / picture.pitch_ratio)))
+    frequency = np.arange(modulus.shape[1]) / width_px
+    return MtfEstimate(
+        frequency=frequency, values=values, notes=notes, half_window_px=0.5 * width_px
+    )
 
 
 def _hamming(distance: NDArray, half_width: NDArray | float) -> Array:
@@ -394,4 +401,4 @@ def _gradient_estimate(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
     )
     values = transform(narrow) / light
     values[:, 0] = 1.0
-    return MtfEstimate(frequency=frequency, values=values)
+    return MtfEstimate(frequency=frequency, values=values, half_window_px=narrow)
