@@ -29,6 +29,7 @@ QUANTITIES.declare_more = _declare_quantities
 if TYPE_CHECKING:
     from charact.api.analysis import Analysis
     from charact.api.deciding import check, compare
+    from charact.api.exposing import expose
     from charact.api.fusing import fuse, fusion_colours, fusion_scores
     from charact.api.inputs import frames_of, session, stack
     from charact.api.measuring import bloom, measure, mtf, noise
@@ -41,6 +42,7 @@ __all__ = [
     "bloom",
     "check",
     "compare",
+    "expose",
     "fit",
     "frames_of",
     "fuse",
@@ -61,6 +63,7 @@ __getattr__ = import_on_first_use(
     {
         "charact.api.analysis": "Analysis",
         "charact.api.deciding": "check compare",
+        "charact.api.exposing": "expose",
         "charact.api.fusing": "fuse fusion_colours fusion_scores",
         "charact.api.inputs": "frames_of session stack",
         "charact.api.measuring": "bloom measure mtf noise",

@@ -79,6 +79,7 @@ for verb in (
     files.convert,
     compare.compare,
     compare.check,
+    compare.expose,
     reference.chart,
     reference.stability,
     reference.methods,

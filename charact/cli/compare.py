@@ -1,4 +1,4 @@
-"""The verbs of decisions: compare two sessions, and check a session against limits."""
+"""The verbs of decisions: compare two sessions, check one against limits, choose an exposure."""
 
 import json
 import shutil
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from charact import __version__
-from charact.api import deciding
+from charact.api import deciding, exposing
 from charact.cli.options import Events, Json, verb
 from charact.cli.output import exit_on_bad_input, print_text
 from charact.cli.sessions import SessionFolder, load_or_measure, open_session_only, session_in
@@ -96,6 +96,24 @@ def check(
     if not as_json:
         _suggest(f"charact report {session}")
     raise typer.Exit(EXIT_CODES[checked.verdict])
+
+
+@verb(exposing.expose)
+def expose(
+    sensor: Annotated[
+        str, typer.Argument(help="Name of a shipped camera, or its TOML file, as of charact fit.")
+    ],
+    as_json: Json = False,
+    **settings: Any,
+) -> None:
+    """Compute gate or exposure, gain and frames that reach a signal-to-noise ratio.
+
+    Example: charact expose day1/fitted.toml --snr 10 --lux 1e-4
+    """
+    with exit_on_bad_input(sensor, as_json=as_json):
+        exposure = exposing.expose(sensor, **settings)
+        document = {"charact": __version__, "input": sensor, "exposure": vars(exposure)}
+        print_text(json.dumps(document, allow_nan=False) if as_json else str(exposure))
 
 
 def _suggest(command: str) -> None:

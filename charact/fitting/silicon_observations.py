@@ -50,6 +50,38 @@ from labdata.camera.chip import Silicon
 EFFICIENCY, PITCH = "ccd.quantum_efficiency", "ccd.pitch_x_um"
 
 
+def electrons_per_lumen(silicon: Silicon) -> float:
+    """Return the photoelectrons per lumen and second of 2856 K light for a highest quantum
+    efficiency of 1.
+    """
+    relative = np.asarray(silicon.quantum_efficiency) / max(silicon.quantum_efficiency)
+    sensitivity = table_sensitivity_ua_per_lm(silicon.wavelength_nm, relative.tolist())
+    return sensitivity * 1e-6 / ELEMENTARY_CHARGE_C
+
+
+def signal_of_light(
+    values: Values,
+    light: Array,
+    in_lux: NDArray[np.bool_],
+    gain: Array,
+    exposure_s: Array,
+    full_dn: float,
+) -> Array:
+    """Return the signal above black of evenly lit pixels, shape (n, level), DN.
+
+    `light`: `electrons_per_efficiency` of each level, shape (level,); `in_lux`: whether that is per
+    m2; `gain`: DN per photoelectron, shape (n, level); `exposure_s`: exposures, shape (level,).
+    """
+    of_chip = in_columns(values)
+    area_m2 = of_chip[PITCH] * of_chip["ccd.pitch_y_um"] * 1e-12
+    electrons = of_chip[EFFICIENCY] * np.where(in_lux, area_m2, 1.0) * light
+    electrons = electrons * (1.0 + of_chip[OFFSET] / (1e6 * exposure_s))
+    # A spot of a tenth of the height smears that fraction: a flat ten times as much.
+    electrons = electrons * (1.0 + 10.0 * of_chip["ccd.smear_fraction"])
+    signal = gain * electrons
+    return signal * (1.0 - of_chip[COMPRESSION] * signal / full_dn)
+
+
 def electrons_per_efficiency(silicon: Silicon, level: StackLevel) -> float:
     """Return the photoelectrons of a pixel, or per m2 where light is in lux, for a highest quantum
     efficiency of 1.
@@ -57,12 +89,7 @@ def electrons_per_efficiency(silicon: Silicon, level: StackLevel) -> float:
     conditions = level.conditions
     relative = np.asarray(silicon.quantum_efficiency) / max(silicon.quantum_efficiency)
     if np.isfinite(level.illuminance_lux):
-        per_lumen = (
-            table_sensitivity_ua_per_lm(silicon.wavelength_nm, relative.tolist())
-            * 1e-6
-            / ELEMENTARY_CHARGE_C
-        )
-        return per_lumen * level.illuminance_lux * level.gate_s
+        return electrons_per_lumen(silicon) * level.illuminance_lux * level.gate_s
     relative_efficiency = float(
         np.interp(
             conditions.wavelength_nm or 0.0, silicon.wavelength_nm, relative, left=0.0, right=0.0
@@ -240,21 +267,15 @@ class ChipLevels(Observable[Lit]):
 
     def predict(self, values: Values, shown: Lit) -> Array:
         """Return the level of every stack, shape (n, level), DN."""
-        of_chip = in_columns(values)
         gain = columns(
             *(
                 dn_per_electron(values, level.conditions) * em_gain(values, level.conditions)
                 for level in shown.levels
             )
         )
-        area_m2 = of_chip[PITCH] * of_chip["ccd.pitch_y_um"] * 1e-12
-        electrons = of_chip[EFFICIENCY] * np.where(shown.in_lux, area_m2, 1.0) * shown.light
-        exposure_us = 1e6 * np.array([level.gate_s for level in shown.levels])
-        electrons = electrons * (1.0 + of_chip[OFFSET] / exposure_us)
-        # A spot of a tenth of the height smears that fraction: a flat ten times as much.
-        electrons = electrons * (1.0 + 10.0 * of_chip["ccd.smear_fraction"])
-        signal = gain * electrons
-        return of_chip[BLACK_LEVEL] + signal * (1.0 - of_chip[COMPRESSION] * signal / shown.full)
+        exposure_s = np.array([level.gate_s for level in shown.levels])
+        light = (shown.light, shown.in_lux, gain, exposure_s, shown.full)
+        return values[BLACK_LEVEL][:, None] + signal_of_light(values, *light)
 
     def parameters(self, shown: Lit) -> tuple[str, ...]:
         if not shown.lit:

@@ -263,6 +263,31 @@ class MapLimits:
     least_freedom: int = 12
 
 
+@dataclass(frozen=True)
+class ExposureSearch:
+    """Search for an exposure."""
+
+    # Frames over which image lag is summed: a P20 screen has emitted 99.9 % by then.
+    lag_frames: int = 9
+    # Gains that are tried, and the lowest MCP voltage over the highest: below it the law V^m of the
+    # gain is not known.
+    gains: int = 25
+    lowest_voltage: float = 0.6
+    # Noise above which rounding adds 1/12 DN^2 within 1 % (Widrow and Kollar, Quantization Noise,
+    # 2008, 4: the error falls as exp(-2 pi^2 s^2)), DN.
+    least_noise_dn: float = 0.5
+    # Rounds in which the number of frames settles.
+    rounds: int = 12
+    # Shortest gate or exposure over the longest.
+    shortest: float = 1e-6
+    halvings: int = 40
+    # Frames over the fewest up to which a lower gain is preferred: it spares the tube.
+    more_frames: float = 1.1
+    # Standard deviations of noise above the level that full scale and full well hold: one pixel in
+    # a thousand is beyond, as the 0.1 % of EMVA 1288 Release 4.0, 6.6.
+    headroom_sd: float = 3.09
+
+
 ERRORS = ModelErrors()
 LIMITS = FitLimits()
 MODES = Modes()
@@ -275,3 +300,4 @@ ION_ERRORS = IonErrors()
 PATTERN = TubePattern()
 LEVELS = Levels()
 MAP_LIMITS = MapLimits()
+EXPOSURE = ExposureSearch()

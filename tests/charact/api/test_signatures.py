@@ -26,7 +26,7 @@ FUNCTIONS = {
     if inspect.isfunction(getattr(charact, name))
 } | {"temperatures": simulate.temperatures, "plan_report": drivers.plan_report}
 # What the required parameters take besides any value.
-VALID = {"kind": "flat", "stacks": ()}
+VALID = {"kind": "flat", "stacks": (), "lux": 1.0}
 PARAMETERS = [
     (function, parameter)
     for function, call in FUNCTIONS.items()
