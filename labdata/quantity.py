@@ -2,30 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import log10
 from typing import Any, Literal
 
 Section = Literal["Resolution", "Gain and noise", "Infrared", "Halo and blooming"]
-
-VARIANCE_PEAK = (
-    "saturation is the peak of the temporal variance, as in Release 3.1; Release 4.0 takes the "
-    "exposure at which 0.1 to 0.2 % of the pixels show the largest value"
-)
-NO_HIGH_PASS = (
-    "the standard removes shading by a high-pass filter (8.1) and states row, column "
-    "and pixel parts"
-)
-
-
-def _decibel(ratio: float) -> float:
-    return 20.0 * log10(ratio)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StandardRow:
     """A quantity as EMVA 1288 Release 4.0 Linear (16 June 2021) calls and states it."""
 
-    order: int  #: Place in the sheet
     quantity: str = ""  #: Name of its quantity, in a sheet
     unit: str  #: Unit of the measurement
     name: str
@@ -34,7 +19,8 @@ class StandardRow:
     element: tuple[str, str]  #: Part and name in the results of the EMVA 1288 group's program
     shown_unit: str = ""  #: Unit of the standard; "": that of the measurement
     convert: Callable[[float], float] = lambda value: value  #: Monotone, from the unit
-    departure: str = ""  #: Why the value is not to standard; "": it is
+    remark: str = ""  #: Which of two definitions it has
+    detail: bool = False  #: Whether it stands on the sheet alone, not on the first page of a report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +31,8 @@ class Quantity:
     title: str  #: Title in reports
     section: Section | None = None  #: Section of a summary that it leads; None: in none
     better: Literal["higher", "lower"] | None = None  #: Direction of a better camera
-    standard: tuple[StandardRow, ...] = ()  #: Rows of the EMVA 1288 sheet
+    #: Rows of the EMVA 1288 sheet of a statistic that `labdata.data_sheet` does not list
+    standard: tuple[StandardRow, ...] = ()
 
 
 def _entry(title: str, *units: str, **more: Any) -> Quantity:
@@ -120,26 +107,6 @@ QUANTITIES |= {
         "System gain K (variance method)",
         "DN/e-",
         section="Gain and noise",
-        standard=(
-            StandardRow(
-                order=2,
-                unit="DN/e-",
-                name="System gain",
-                symbol="K",
-                clause="eq. 50",
-                element=("sensitivity", "K"),
-            ),
-            StandardRow(
-                order=3,
-                unit="DN/e-",
-                name="Inverse of the system gain",
-                symbol="1/K",
-                clause="eq. 50",
-                element=("sensitivity", "inverse_K"),
-                shown_unit="e-/DN",
-                convert=lambda gain: 1.0 / gain,
-            ),
-        ),
     ),
     "gain_curvature": _entry("Change of variance over signal up to the brightest flat", "%"),
     "covariance_gain": _entry("Covariance gain K + kF²", "DN", section="Gain and noise"),
@@ -166,24 +133,6 @@ QUANTITIES |= {
         "e-",
         section="Gain and noise",
         better="lower",
-        standard=(
-            StandardRow(
-                order=4,
-                unit="e-",
-                name="Temporal dark noise",
-                symbol="σ_d",
-                clause="eq. 53",
-                element=("sensitivity", "sigma_d"),
-            ),
-            StandardRow(
-                order=5,
-                unit="DN",
-                name="Temporal dark noise",
-                symbol="σ_y.dark",
-                clause="eq. 53",
-                element=("sensitivity", "sigma_y_dark"),
-            ),
-        ),
     ),
     "ebi": _entry(
         "Equivalent background illumination",
@@ -203,108 +152,38 @@ QUANTITIES |= {
         "%",
         section="Gain and noise",
         better="higher",
-        standard=(
-            StandardRow(
-                order=0,
-                unit="%",
-                name="Quantum efficiency",
-                symbol="η",
-                clause="eq. 52",
-                element=("sensitivity", "QE"),
-            ),
-        ),
     ),
     "dark_signal": _entry("Dark signal", "DN", "e-", "e-/s"),
     "defect_pixels": _entry(
         "Defective pixels",
         "px",
-        standard=(
-            StandardRow(
-                order=17,
-                unit="px",
-                name="Defect pixels",
-                symbol="",
-                clause="8.8",
-                element=("defect_pixel", "defects"),
-                departure=(
-                    "counted by the rule in the notes; the standard leaves the threshold to the "
-                    "application"
-                ),
-            ),
-        ),
     ),
+    "dark_current_from_variance": _entry("Dark current from the variance", "DN/s", "e-/s"),
+    "sensitivity_threshold": _entry(
+        "Absolute sensitivity threshold (temporal noise)", "photons/px", "e-"
+    ),
+    "saturation_exposure": _entry("Saturation exposure", "photons/px"),
     "saturation_capacity": _entry(
         "Saturation capacity",
         "e-",
         section="Gain and noise",
-        standard=(
-            StandardRow(
-                order=9,
-                unit="e-",
-                name="Saturation capacity",
-                symbol="μ_e.sat",
-                clause="2.7, 6.6",
-                element=("sensitivity", "u_e_sat"),
-                departure=VARIANCE_PEAK,
-            ),
-        ),
     ),
     "snr_max": _entry(
         "Largest signal-to-noise ratio",
         "1",
         section="Gain and noise",
         better="higher",
-        standard=(
-            StandardRow(
-                order=6,
-                unit="1",
-                name="Largest signal-to-noise ratio",
-                symbol="SNR_max",
-                clause="2.6",
-                element=("sensitivity", "SNR_max"),
-                departure=VARIANCE_PEAK,
-            ),
-            StandardRow(
-                order=7,
-                unit="1",
-                name="Largest signal-to-noise ratio",
-                symbol="SNR_max.dB",
-                clause="2.6",
-                element=("sensitivity", "SNR_max_dB"),
-                shown_unit="dB",
-                convert=_decibel,
-                departure=VARIANCE_PEAK,
-            ),
-        ),
     ),
     "dynamic_range": _entry(
         "Dynamic range",
         "1",
         section="Gain and noise",
         better="higher",
-        standard=(
-            StandardRow(
-                order=10,
-                unit="1",
-                name="Dynamic range",
-                symbol="DR",
-                clause="eq. 28",
-                element=("sensitivity", "DR"),
-                departure=VARIANCE_PEAK,
-            ),
-            StandardRow(
-                order=11,
-                unit="1",
-                name="Dynamic range",
-                symbol="DR_dB",
-                clause="eq. 28",
-                element=("sensitivity", "DR_dB"),
-                shown_unit="dB",
-                convert=_decibel,
-                departure=VARIANCE_PEAK,
-            ),
-        ),
     ),
+    "saturation_exposure_full_scale": _entry("Exposure of 0.1 % full pixels", "photons/px"),
+    "saturation_capacity_full_scale": _entry("Saturation capacity of 0.1 % full pixels", "e-"),
+    "snr_max_full_scale": _entry("Largest SNR, saturation of 0.1 % full pixels", "1"),
+    "dynamic_range_full_scale": _entry("Dynamic range, saturation of 0.1 % full pixels", "1"),
     "noise_t": _entry("3-D noise σ_t: frame bounce", "DN", "K"),
     "noise_v": _entry("3-D noise σ_v: fixed row noise", "DN", "K"),
     "noise_h": _entry("3-D noise σ_h: fixed column noise", "DN", "K"),
@@ -317,18 +196,6 @@ QUANTITIES |= {
         "lux",
         "photons/px",
         section="Gain and noise",
-        standard=(
-            StandardRow(
-                order=8,
-                unit="photons/px",
-                name="Absolute sensitivity threshold",
-                symbol="μ_p.min",
-                clause="eq. 26",
-                element=("sensitivity", "u_p_min"),
-                shown_unit="photons",
-                departure="pixel non-uniformity counts as noise here",
-            ),
-        ),
     ),
     "minimum_illumination_area": _entry("Minimum illumination (area SNR = 1)", "lux", "photons/px"),
     "linearity_error": _entry(
@@ -336,55 +203,35 @@ QUANTITIES |= {
         "%",
         section="Gain and noise",
         better="lower",
-        standard=(
-            StandardRow(
-                order=12,
-                unit="%",
-                name="Linearity error",
-                symbol="LE",
-                clause="6.9, eq. 63",
-                element=("linearity", "LE"),
-                departure=(
-                    "levels from 5 to 70 % of saturation and a line through the origin; the "
-                    "standard takes 5 to 95 % and a line with an offset"
-                ),
-            ),
-        ),
     ),
+    "linearity_error_min": _entry("Smallest deviation from linearity", "%"),
+    "linearity_error_max": _entry("Largest deviation from linearity", "%"),
+    **{
+        f"{name}_1288{part}{suffix}": _entry(f"{title}{of_lines}{of_filter}", *units)
+        for suffix, of_filter in (("", ""), ("_filtered", ", shading removed"))
+        for name, title, units in (
+            ("dsnu", "DSNU of EMVA 1288", ("e-", "DN")),
+            ("prnu", "PRNU of EMVA 1288", ("%",)),
+        )
+        for part, of_lines in (
+            ("", ""),
+            ("_row", " of rows"),
+            ("_column", " of columns"),
+            ("_pixel", " of pixels"),
+        )
+    },
     "dsnu": _entry(
         "Dark signal non-uniformity",
         "e-",
         "DN",
         section="Gain and noise",
         better="lower",
-        standard=(
-            StandardRow(
-                order=15,
-                unit="e-",
-                name="Dark signal non-uniformity",
-                symbol="DSNU_1288",
-                clause="eq. 66",
-                element=("spatial", "DSNU1288"),
-                departure=NO_HIGH_PASS,
-            ),
-        ),
     ),
     "prnu": _entry(
         "Photoresponse non-uniformity",
         "%",
         section="Gain and noise",
         better="lower",
-        standard=(
-            StandardRow(
-                order=16,
-                unit="%",
-                name="Photoresponse non-uniformity",
-                symbol="PRNU_1288",
-                clause="eq. 67",
-                element=("spatial", "PRNU1288"),
-                departure=NO_HIGH_PASS,
-            ),
-        ),
     ),
     "dark_current": _entry(
         "Dark current",
@@ -392,30 +239,10 @@ QUANTITIES |= {
         "e-/s",
         section="Gain and noise",
         better="lower",
-        standard=(
-            StandardRow(
-                order=13,
-                unit="e-/s",
-                name="Dark current",
-                symbol="μ_I.mean",
-                clause="7.1, eq. 29",
-                element=("dark_current", "u_I_mean"),
-            ),
-        ),
     ),
     "dark_doubling_temperature": _entry(
         "Dark-current doubling temperature",
         "K",
-        standard=(
-            StandardRow(
-                order=14,
-                unit="K",
-                name="Doubling temperature of the dark current",
-                symbol="T_d",
-                clause="3.2",
-                element=("dark_current", "T_d"),
-            ),
-        ),
     ),
     "saturation": _entry("Saturation level (variance peak)", "DN"),
     "gain_exponent": _entry("Exponent of gain against the control variable", "1"),
@@ -433,16 +260,6 @@ QUANTITIES |= {
         "DN/photon",
         "DN/lx s",
         "DN/lx",
-        standard=(
-            StandardRow(
-                order=1,
-                unit="DN/photon",
-                name="Responsivity",
-                symbol="R",
-                clause="eq. 49",
-                element=("sensitivity", "R"),
-            ),
-        ),
     ),
     "snr": _entry("SNR per pixel", "1", section="Gain and noise", better="higher"),
     "snr_area": _entry("SNR of an area mean", "1", better="higher"),

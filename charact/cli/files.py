@@ -170,6 +170,7 @@ def _print_notes(notes: Sequence[str]) -> None:
 
 # Beginnings of the files of results.
 BEGINNINGS = {"csv": b"file,", "json": b'{"charact":', "emva": b"<EMVA1288 "}
+PAGES = {".html": b"<!DOCTYPE html>", ".pdf": b"%PDF-"}
 FORMATS = ("tif", "npy", "fits", "h5", "png", *BEGINNINGS)
 Source = Annotated[
     str,
@@ -267,19 +268,20 @@ def convert(
     force: Force = False,
 ) -> None:
     """Write the frames of a session as files (tif, npy, fits, h5, png), its results as CSV, JSON or
-    EMVA 1288 XML, or the maps of its camera.
+    an EMVA 1288 data sheet (.xml, .html or .pdf), or the maps of its camera.
 
     Example: charact convert day1 day1-fits --to fits
 
     Example: charact convert day1 day1-maps --maps --to fits
 
-    Example: charact convert ccd12 sheet.xml --to emva
+    Example: charact convert ccd12 sheet.pdf --to emva
     """
     with exit_on_bad_input(source):
         if to not in FORMATS:
             raise BadInput(f"--to must be one of {', '.join(FORMATS)}, got {to!r}")
         if to in BEGINNINGS:
-            require_free(out, force=force, kept=lambda: why_other_kind(out, BEGINNINGS[to]))
+            beginning = PAGES.get(out.suffix, BEGINNINGS[to]) if to == "emva" else BEGINNINGS[to]
+            require_free(out, force=force, kept=lambda: why_other_kind(out, beginning))
             _write_results(session_in(Path(source)), out, to)
             return
         from labdata.frame_export import write_frames
@@ -319,7 +321,7 @@ def _maps_of(source: Path) -> "list[Readable]":
 
 
 def _write_results(folder: Path, out: Path, to: str) -> None:
-    from charact.reporting import emva_sheet, exports
+    from charact.reporting import exports
     from labdata import open_session, result_io, write_atomically
 
     session = open_session(folder)
@@ -329,13 +331,17 @@ def _write_results(folder: Path, out: Path, to: str) -> None:
             f"{to} needs the results of a session, got none in {folder}: run charact measure "
             f"{folder}"
         )
-    if to == "csv":
-        text = exports.table_of_files({session.name: result})
-    elif to == "json":
-        text = exports.as_json(result, str(folder))
+    if to == "emva":
+        from charact.reporting.emva_page import write_sheet
+
+        write_sheet(session, result, out)
     else:
-        text = emva_sheet.emva_xml(result, session.name)
-    write_atomically(out, text.encode())
+        text = (
+            exports.table_of_files({session.name: result})
+            if to == "csv"
+            else exports.as_json(result, str(folder))
+        )
+        write_atomically(out, text.encode())
     print(out)
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     )
     from charact.reporting.bloom_images import add_extent_data, plot_bloom_frames, plot_bloom_map
     from charact.reporting.corner import corner_svg, varying
+    from charact.reporting.emva_page import write_sheet
     from charact.reporting.emva_sheet import emva_summary, emva_xml, in_standard_unit, sheet_rows
     from charact.reporting.figure_registry import FIGURES, figure_of
     from charact.reporting.figure_svg import as_svg
@@ -82,6 +83,7 @@ __all__ = [
     "worst_numbers",
     "write",
     "write_annotated_image",
+    "write_sheet",
 ]
 
 __getattr__ = import_on_first_use(
@@ -92,6 +94,7 @@ __getattr__ = import_on_first_use(
         ),
         "charact.reporting.bloom_images": "add_extent_data plot_bloom_frames plot_bloom_map",
         "charact.reporting.corner": "corner_svg varying",
+        "charact.reporting.emva_page": "write_sheet",
         "charact.reporting.emva_sheet": "emva_summary emva_xml in_standard_unit sheet_rows",
         "charact.reporting.figure_registry": "FIGURES figure_of",
         "charact.reporting.figure_svg": "as_svg",

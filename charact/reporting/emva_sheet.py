@@ -2,16 +2,39 @@
 and as XML.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
 from charact import __version__
 from charact.reporting.tables import best
+from labdata.data_sheet import sheet_rows
 from labdata.errors import BadInput
 from labdata.measurement import Interval, Measurement, Result
 from labdata.number_format import plus_minus, plus_minus_of, round_to_spread
-from labdata.quantity import QUANTITIES, StandardRow
+from labdata.quantity import StandardRow
+
+# Figure data that says which frames a part of the sheet lacks.
+LACKS = {
+    "sensitivity": "photon-transfer",
+    "linearity": "photon-transfer",
+    "spatial": "spectrograms",
+    "dark_current": "dark-current",
+}
+# Figures of the sheet, in the order of the standard.
+FIGURES = (
+    "photon-transfer",
+    "linearity",
+    "signal-to-noise-ratio",
+    "dark-current",
+    "spectrograms",
+    "profiles",
+    "defect-histograms",
+)
+# Those that stand on no other page.
+SHEET_ALONE = FIGURES[-3:]
+OF_LIGHT = "photons_per_px of the flats is not known; add it to their conditions"
+OF_GAIN = "no gain of this session; add flats up to saturation and darks of their exposures"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,17 +52,25 @@ class StandardValue:
         return self.number if self.unit == "1" else f"{self.number} {self.unit}"
 
 
-def sheet_rows() -> list[StandardRow]:
-    """Return the rows of the sheet in their order."""
-    rows = (
-        replace(row, quantity=name) for name, known in QUANTITIES.items() for row in known.standard
-    )
-    return sorted(rows, key=lambda row: row.order)
+@dataclass(frozen=True, kw_only=True)
+class SheetRow:
+    """A row of the sheet."""
+
+    entry: StandardRow
+    text: str  # value ± its 95 % interval and the unit; "" if it was not measured
+    status: str
+    flags: tuple[str, ...]
+    departure: str  # why it is not to the standard, or not measured, with the frames to add; ""
+    m: Measurement | None
+
+    @property
+    def part(self) -> str:
+        """The part of the sheet that the row belongs to."""
+        return self.entry.element[0]
 
 
 def emva_summary(result: Result) -> dict[str, Any] | None:
-    """Return the EMVA 1288 summary: entries with value, status and flags, and names left out; or
-    why it does not apply.
+    """Return the EMVA 1288 summary: its rows, or why it does not apply.
 
     None for a result without gain. The standard assumes white noise. With correlated noise, as of
     an intensifier, the variance does not count electrons, and no quantity is given.
@@ -57,16 +88,21 @@ def emva_summary(result: Result) -> dict[str, Any] | None:
             "too low by the blur factor, and wrong values in electrons. Use the covariance gain "
             "above."
         }
-    entries = [
-        (entry, best(result.find(entry.quantity, unit=entry.unit))) for entry in sheet_rows()
-    ]
-    return {
-        "reason": "",
-        "rows": [
-            (entry, in_standard_unit(entry, m).text, m.status, m.flags) for entry, m in entries if m
-        ],
-        "left_out": list(dict.fromkeys(entry.name for entry, m in entries if m is None)),
-    }
+    return {"reason": "", "rows": [_sheet_row(entry, result) for entry in sheet_rows()]}
+
+
+def _sheet_row(entry: StandardRow, result: Result) -> SheetRow:
+    """Return a row with its value, or the reason why there is none."""
+    m = best(result.find(entry.quantity, unit=entry.unit))
+    if m is not None:
+        figure = result.evidence.get(LACKS.get(entry.element[0], ""), {})
+        text, departure = in_standard_unit(entry, m).text, str(figure.get("missing", ""))
+        return SheetRow(
+            entry=entry, text=text, status=m.status, flags=m.flags, departure=departure, m=m
+        )
+    refused = [m.reason for m in result.find(entry.quantity) if m.reason]
+    reason = refused[0] if refused else OF_LIGHT if result.find("read_noise") else OF_GAIN
+    return SheetRow(entry=entry, text="", status="refused", flags=(), departure=reason, m=None)
 
 
 def in_standard_unit(entry: StandardRow, m: Measurement) -> StandardValue:
@@ -87,18 +123,8 @@ def in_standard_unit(entry: StandardRow, m: Measurement) -> StandardValue:
     return StandardValue(value=value, interval95=interval, unit=unit, number=number)
 
 
-def emva_xml(result: Result, title: str) -> str:
-    """Return the EMVA 1288 quantities of a result as XML.
-
-    Every element has the quantity's name in the results of the EMVA 1288 group's program, the value
-    as its text, and symbol, unit, clause of Release 4.0 Linear, limits of the 95 % interval,
-    status, and what is not to standard as attributes.
-
-    Raises
-    ------
-    BadInput
-        If the standard does not apply: no gain, or noise that is correlated between pixels.
-    """
+def require_summary(result: Result) -> dict[str, Any]:
+    """Return the summary; BadInput if the standard does not apply."""
     summary = emva_summary(result)
     if summary is None or summary["reason"]:
         raise BadInput(
@@ -109,27 +135,62 @@ def emva_xml(result: Result, title: str) -> str:
                 else "correlated noise (of an intensifier)"
             )
         )
+    return summary
+
+
+def emva_xml(result: Result, title: str) -> str:
+    """Return the EMVA 1288 quantities of a result as XML.
+
+    Elements are those that the program of the EMVA 1288 group writes and reads: parts, quantities
+    by their names there, and of each its short name, symbol, unit and value; besides them clause,
+    limits of the 95 % interval, status, remark, and why it is not to the standard. A number that
+    was not measured is "nan". Histograms have bins, values and model.
+
+    Raises
+    ------
+    BadInput
+        If the standard does not apply: no gain, or noise that is correlated between pixels.
+    """
     root = ElementTree.Element(
         "EMVA1288", {"title": title, "program": f"charact {__version__}", "release": "4.0 Linear"}
     )
-    for entry in sheet_rows():
-        m = best(result.find(entry.quantity, unit=entry.unit))
-        if m is None or m.value is None:
-            continue
-        shown = in_standard_unit(entry, m)
-        part, name = entry.element
-        parent = root.find(part)
-        parent = ElementTree.SubElement(root, part) if parent is None else parent
-        attributes = {
-            "symbol": entry.symbol,
-            "unit": shown.unit,
-            "clause": entry.clause,
-            "status": m.status,
-        }
-        if shown.interval95 is not None:
-            attributes |= {"low95": repr(shown.interval95[0]), "high95": repr(shown.interval95[1])}
-        if entry.departure:
-            attributes["not_to_standard"] = entry.departure
-        ElementTree.SubElement(parent, name, attributes).text = repr(shown.value)
+    for row in require_summary(result)["rows"]:
+        entry = row.entry
+        shown = None if row.m is None else in_standard_unit(entry, row.m)
+        low, high = (shown and shown.interval95) or (None, None)
+        _add(
+            root,
+            *entry.element,
+            short=entry.name,
+            symbol=entry.symbol,
+            unit=entry.shown_unit or entry.unit,
+            value=repr(float("nan") if shown is None else shown.value),
+            low95=low and repr(low),
+            high95=high and repr(high),
+            clause=entry.clause,
+            status=row.status,
+            remark=entry.remark,
+            not_to_standard=row.departure,
+        )
+    histograms = result.evidence.get("defect-histograms", {})
+    for name, unit in (("DSNU", "dn"), ("PRNU", "percent")) if histograms else ():
+        parent = _add(root, "defect_pixel", f"histogram_{name}", short=f"{name} histogram")
+        data = ElementTree.SubElement(parent, "data")
+        for tag, key in (("bins", "deviation"), ("values", "pixels_of"), ("model", "normal_of")):
+            values = histograms[f"{key}_{unit}"]
+            ElementTree.SubElement(data, tag).text = " ".join(map(repr, values))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _add(
+    root: ElementTree.Element, part: str, name: str, **children: str | None
+) -> ElementTree.Element:
+    """Add a quantity with its children to its part; empty ones are left out."""
+    parent = root.find(part)
+    parent = ElementTree.SubElement(root, part) if parent is None else parent
+    element = ElementTree.SubElement(parent, name)
+    for tag, text in {"section": part, **children}.items():
+        if text:
+            ElementTree.SubElement(element, tag).text = text
+    return element

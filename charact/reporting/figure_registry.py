@@ -6,7 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.reporting import bloom_images, blooms, curves, gain_sweep, noise, session_curves
+from charact.reporting import (
+    bloom_images,
+    blooms,
+    curves,
+    emva_figures,
+    gain_sweep,
+    noise,
+    session_curves,
+)
 from charact.reporting.figure_svg import as_svg
 from charact.reporting.style import COLOURS, arms, first_array, panels, plot_line, report_style
 
@@ -234,6 +242,39 @@ FIGURES: dict[str, tuple[str, Callable[[Data], Any], str]] = {
         "noise",
         noise.plot_three_dimensional_noise,
         "Means of exposures, rows and columns, and the power of the frame mean against frequency.",
+    ),
+    "linearity": (
+        "noise",
+        emva_figures.plot_linearity,
+        "Signal against the light with the line of EMVA 1288, and the deviation from it.",
+    ),
+    "signal-to-noise-ratio": (
+        "noise",
+        emva_figures.plot_signal_to_noise_ratio,
+        "Signal-to-noise ratio of the levels, of the linear camera model and of an ideal camera.",
+    ),
+    "dark-current": (
+        "noise",
+        emva_figures.plot_dark_current,
+        "Mean and temporal variance of the darks against their exposure; bars are ± 1 sd.",
+    ),
+    "spectrograms": (
+        "noise",
+        emva_figures.plot_spectrograms,
+        "Standard deviation by frequency along rows and columns, of the dark and of the response, "
+        "shading removed.",
+    ),
+    "profiles": (
+        "noise",
+        emva_figures.plot_profiles,
+        "Middle line, mean, least and largest value over the picture, of the mean dark and of the "
+        "mean flat above it.",
+    ),
+    "defect-histograms": (
+        "noise",
+        emva_figures.plot_defect_histograms,
+        "Number of pixels by their deviation, and share of the pixels that deviate by more, of the "
+        "dark and of the response, shading removed.",
     ),
     "pulse-heights": (
         "noise",

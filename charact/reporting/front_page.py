@@ -112,7 +112,8 @@ def sheet(session: Session, result: Result) -> tuple[SheetRow, ...]:
     """
     unit, standard = unit_of(session), None if is_tube(session, result) else emva_summary(result)
     entries = standard["rows"] if standard and not standard["reason"] else ()
-    named = {entry.quantity for entry, *_ in entries}
+    # That of the standard stands for both.
+    named = {row.entry.quantity.partition("_1288")[0] for row in entries if row.text}
     rows = [
         SheetRow(
             title=_short_title(m, len([n for n in result.find(m.quantity) if n.unit == m.unit])),
@@ -126,15 +127,15 @@ def sheet(session: Session, result: Result) -> tuple[SheetRow, ...]:
     ]
     rows += [
         SheetRow(
-            title=f"{entry.name} {entry.symbol}".strip(),
-            name=entry.quantity,
-            value=value,
-            status=status,
-            flags=flags,
-            departure=entry.departure,
+            title=f"{row.entry.name} {row.entry.symbol}".strip(),
+            name=row.entry.quantity,
+            value=row.text,
+            status=row.status,
+            flags=row.flags,
+            departure=row.departure,
         )
-        for entry, value, status, flags in entries
-        if not entry.shown_unit or entry.quantity == "minimum_illumination"
+        for row in entries
+        if row.text and not row.entry.detail
     ]
     return tuple(rows)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from charact.fusion.fused import MARKS, Fused, codes_of
 from charact.fusion.scores import Score
 from charact.reporting.report_images import ReportImage
-from charact.reporting.session_page import _template
+from charact.reporting.session_page import template_of
 from labdata.flags import FLAGS
 
 # Colours of marks, red, green, blue; later ones lie over earlier ones.
@@ -64,7 +64,7 @@ def fusion_page(
     flags = list(dict.fromkeys(flag for row in rows for flag in row.flags))
     findings = [note for note in notes if note.split(":")[0] in flags]
     spans = [f"Black {low:.4g}, white {high:.4g}." for low, high in first.spans.values()]
-    return _template("fusion.html.j2").render(
+    return template_of("fusion.html.j2").render(
         title=" and ".join(first.names),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         status="suspect" if flags else "ok",

@@ -8,7 +8,7 @@ from charact.reporting import figure_registry, front_page, tables
 from charact.reporting.bloom_images import add_extent_data
 from charact.reporting.comparison import limits_section
 from charact.reporting.corner import corner_svg, varying
-from charact.reporting.emva_sheet import emva_summary
+from charact.reporting.emva_sheet import SHEET_ALONE, emva_summary
 from charact.reporting.mtf_curves import mtf_svgs
 from charact.reporting.report_images import aspect_of, representative
 from charact.reporting.style import PAPER_INK, report_style
@@ -85,10 +85,10 @@ def page(
         figures = [
             figure_registry.figure_of(name, data)
             for name, data in add_extent_data(session, result).items()
-            if name != "layout"  # drawn on the pictures
+            if name not in ("layout", *SHEET_ALONE)  # drawn on the pictures, and on the sheet
         ]
         mtf_figures = mtf_svgs(session, result, truth, front_page.unit_of(session))
-    return _template("report.html.j2").render(
+    return template_of("report.html.j2").render(
         session=session,
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         verdicts=tables.verdicts(result),
@@ -119,14 +119,14 @@ def page(
 
 def fragment(result: Result) -> str:
     """Return the table of quantities and the MTF figure as an HTML fragment, for a notebook."""
-    return _template("fragment.html.j2").render(
+    return template_of("fragment.html.j2").render(
         groups=tables.quantity_groups(result),
         verdicts=tables.verdicts(result),
         mtf_figures=mtf_svgs(None, result),
     )
 
 
-def _template(name: str) -> Any:
+def template_of(name: str) -> Any:
     """Return a template of this package, with escaping."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import charact
-from charact.reporting.front_page import sheet
+from charact.reporting import emva_summary
 
 rng = np.random.default_rng(5)
 response = rng.normal(1.0, 0.01, (128, 128))
@@ -26,13 +26,21 @@ def frames(photons: float) -> np.ndarray:
 
 
 # %%
-# One stack is one level of light. `charact convert SESSION sheet.xml --to emva` writes the same
-# quantities as XML.
+# One stack is one level of light. Of a session in a folder, `charact convert SESSION sheet.pdf --to
+# emva` writes the sheet with the figures of the standard, and sheet.xml what the program of the
+# EMVA 1288 group reads. A row without a value, or from fewer frames than the standard asks for,
+# names the frames to add.
 photons = np.linspace(1500.0, 27000.0, 18)
 flats = [frames(level) for level in photons]
 settings = {"photons_per_px": photons, "exposure_s": 0.01, "bit_depth": 12, "quick": True}
 result = charact.noise(flats=flats, darks=[frames(0.0)], **settings)
-rows = [(row.title, row.value, row.status) for row in sheet(result.session, result)]
+sheet = emva_summary(result)["rows"]
+rows = [
+    (f"{row.entry.name} {row.entry.symbol}", row.text, row.status)
+    for row in sheet
+    if row.text and not row.entry.detail
+]
+print(next(row.departure for row in sheet if row.departure))
 
 # %%
 # The photon transfer curve beside the sheet: the variance rises by the gain per DN until the full

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.estimators.noise.dark_current import dark_current
+from charact.estimators.noise.data_sheet import data_sheet
 from charact.estimators.noise.events.event_measurements import pulses_of_darks
 from charact.estimators.noise.findings import (
     Remarks,
@@ -292,16 +293,20 @@ def _measure_series(
     out.append(saturation_level(series, plain, **fields))
     stacks = printed_stacks(series)
     out += printed_quantities(stacks, findings_of_darks(series), with_flats=False, **fields)
+    of_gain = findings_in(bounded(slope)) if pooled.white else noisy
     out += printed_quantities(
         stacks,
         plain,
         with_flats=True,
         gain=gain,
-        of_gain=findings_in(bounded(slope)) if pooled.white else noisy,
+        of_gain=of_gain,
         of_pairs=findings_in(bounded(lagging)),
         **fields,
     )
-    return Result(measurements=tuple(out), evidence=_figure_data(pooled, gain, residuals))
+    result = Result(measurements=tuple(out), evidence=_figure_data(pooled, gain, residuals))
+    if gain is None:
+        return result
+    return result + data_sheet(series, stacks, gain, of_gain, context.seed, **fields)
 
 
 def _figure_data(

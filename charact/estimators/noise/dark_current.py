@@ -17,7 +17,7 @@ from charact.estimators.noise.findings import (
 from charact.estimators.noise.gain.checks import drift_and_flicker
 from charact.estimators.noise.gain.series import group_by_gain
 from charact.estimators.noise.linear_fit import linear_fit
-from charact.estimators.noise.thresholds import CHECKS, DARK_CURRENT
+from charact.estimators.noise.thresholds import CHECKS, DARK_CURRENT, DATA_SHEET
 from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2, rounding_sd
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
@@ -34,7 +34,8 @@ class DarkSlope:
 
     temperature_c: float | None  # mean temperature, degrees Celsius; None if unknown
     draws: Array  # draws of the dark current, shape (draw,), DN/s
-    exposures: int  # number of distinct exposures
+    variance_draws: Array  # draws of the slope of the temporal variance, shape (draw,), DN^2/s
+    darks: tuple[StackStatistics, ...]  # in the order of their exposures
     remarks: Remarks  # with bounds in DN/s
 
 
@@ -75,13 +76,13 @@ def dark_current(darks: list[StackStatistics], result: Result, *, context: Conte
                 make_refusal("dark_current", "DN/s", reason, refusal="missing", **fields),
             )
         )
-    best = max(slopes, key=lambda slope: slope.exposures)
+    best = max(slopes, key=lambda slope: len({d.conditions.exposure_s for d in slope.darks}))
     out = [
         _current(best, "DN/s", best.draws, best.remarks, **fields),
         *_electrons(best, result, rng, **fields),
     ]
     out.append(_doubling(slopes, rng, **fields))
-    return Result(measurements=tuple(out))
+    return Result(measurements=tuple(out), evidence={"dark-current": _figure_data(best)})
 
 
 def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
@@ -110,8 +111,7 @@ def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
 def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope | None:
     """Fit level against exposure; None for a single exposure."""
     time = np.array([d.conditions.exposure_s for d in darks], float)
-    exposures = len(np.unique(time))
-    if exposures < 2:
+    if len(np.unique(time)) < 2:
         return None
     mean = np.array([d.mean_dn for d in darks])
     sd = np.array([d.mean_sd_above(QUANTISATION_DN2) for d in darks])
@@ -125,14 +125,18 @@ def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope 
     weight = fit.covariance[1] @ line / np.maximum(sd, 1e-12) ** 2 / time.max()
     freedom = len(time) - 2
     if freedom:
-        student = rng.standard_t(freedom, DARK_CURRENT.draws) * fit.stretch(len(time))
+        student = rng.standard_t(freedom, DARK_CURRENT.draws)
     else:
         student = rng.standard_normal(DARK_CURRENT.draws)
+    noise = np.array([(d.variance_dn2, d.variance_sd_dn2) for d in darks])
+    of_noise = linear_fit(list(line), *noise.T)
+    noise_error = np.sqrt(of_noise.covariance[1, 1]) * of_noise.stretch(len(time))
     warm = [d.conditions.temperature_c for d in darks if d.conditions.temperature_c is not None]
     return DarkSlope(
         temperature_c=float(np.mean(warm)) if warm else None,
-        draws=value + error * student,
-        exposures=exposures,
+        draws=value + error * fit.stretch(len(time)) * student,
+        variance_draws=(of_noise.best[1] + noise_error * student) / time.max(),
+        darks=tuple(sorted(darks, key=lambda level: level.conditions.exposure_s or 0.0)),
         remarks=_remarks(darks, time, mean, sd, value, np.abs(weight)),
     )
 
@@ -182,15 +186,37 @@ def _remarks(
     return remarks
 
 
+def _figure_data(slope: DarkSlope) -> dict[str, Any]:
+    """Return level and variance of the darks against their exposure, and which exposures of the
+    standard are missing.
+    """
+    exposures = len({dark.conditions.exposure_s for dark in slope.darks})
+    return {
+        "figure": "dark-current",
+        "exposure_s": [dark.conditions.exposure_s for dark in slope.darks],
+        "mean_dn": [dark.mean_dn for dark in slope.darks],
+        "mean_sd_dn": [dark.mean_sd_dn for dark in slope.darks],
+        "variance_dn2": [dark.variance_dn2 for dark in slope.darks],
+        "variance_sd_dn2": [dark.variance_sd_dn2 for dark in slope.darks],
+        "missing": ""
+        if exposures >= DATA_SHEET.exposures
+        else f"{exposures} exposures of darks instead of {DATA_SHEET.exposures} (7.1); add darks "
+        "of two frames at more exposures",
+    }
+
+
 def _current(
-    slope: DarkSlope, unit: str, draws: Array, remarks: Remarks, **fields: Any
+    slope: DarkSlope,
+    unit: str,
+    draws: Array,
+    remarks: Remarks,
+    quantity: str = "dark_current",
+    **fields: Any,
 ) -> Measurement:
     notes = (
         () if slope.temperature_c is None else (f"at {slope.temperature_c:.1f} degrees Celsius",)
     )
-    return judged(
-        measurement_from_draws("dark_current", unit, draws, notes=notes, **fields), remarks
-    )
+    return judged(measurement_from_draws(quantity, unit, draws, notes=notes, **fields), remarks)
 
 
 def _electrons(
@@ -212,7 +238,15 @@ def _electrons(
     gain = float(np.median(draws))
     per_electron = scaled(slope.remarks, 1.0 / gain) if gain else bounded(slope.remarks)
     remarks = [*per_electron, *inherited(known[0])]
-    return [_current(slope, "e-/s", slope.draws / draws, remarks, **fields)]
+    # A drift of the level is none of the variance.
+    unbounded, name = [e for e in remarks if isinstance(e, str)], "dark_current_from_variance"
+    return [
+        _current(slope, "e-/s", slope.draws / draws, remarks, **fields),
+        *(
+            _current(slope, unit, slope.variance_draws / draws**power, unbounded, name, **fields)
+            for unit, power in (("DN/s", 1), ("e-/s", 2))
+        ),
+    ]
 
 
 def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) -> Measurement:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from charact.estimators.noise.data_sheet import missing_levels, ranges
 from charact.estimators.noise.findings import (
     Remarks,
     bounded,
@@ -284,8 +285,9 @@ def electron_quantities(
         quantum = measurement_from_draws(
             "quantum_efficiency", "%", 100 * true, notes=words, **fields
         )
-        linearity = _linearity(series, response, photons, **fields)
-        out += [judge(m, [*why, *light]) for m in (quantum, linearity)]
+        per_photon = response.slope / stated.scale(context.seed, len(response.slope))
+        responsivity = measurement_from_draws("responsivity", "DN/photon", per_photon, **fields)
+        out += [judge(m, [*why, *light]) for m in (quantum, responsivity)]
     if not series.all_darks:
         return out
     dark, dark_sd = emva1288.dark_noise_dn(series)
@@ -303,52 +305,9 @@ def electron_quantities(
         for entry in rounding_findings(dark**2, included_dn2=0.0)
     ]
     out.append(judge(with_drift_of_darks(read, series), [*why, *rounded]))
-    # Capacity, largest signal-to-noise ratio and dynamic range, at the level of peak variance.
-    names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
-    if series.peak is None:
-        reason = (
-            "no flat reaches saturation: the variance still rises at "
-            f"{series.flats[-1].mean_dn:.4g} DN"
-        )
-        return out + [make_refusal(*name, reason, refusal="missing", **fields) for name in names]
-    capacity = series.signal_dn[series.peak] / slope
-    if efficiency is not None and photons is not None and not light:
-        capacity = efficiency * photons[series.peak]
-    factor = excess.factor
-    threshold_photons = emva1288.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
-    # The peak is resolved to the spacing of the levels.
-    draws = (capacity, np.sqrt(capacity / factor), capacity / threshold_photons)
     return out + [
-        judge(measurement_from_draws(*name, d, **fields), why)
-        for name, d in zip(names, draws, strict=True)
+        judge(m, why) for m in ranges(series, efficiency, slope, dark_e2, excess.factor, **fields)
     ]
-
-
-def _linearity(
-    series: FlatSeries, response: emva1288.GainLine, photons: Array, **fields: Any
-) -> Measurement:
-    """Return the mean deviation from the line between 5 and 70 % of saturation, percent of the
-    line.
-    """
-    chosen = np.flatnonzero(series.fitted)
-    value = np.median(response.slope) * photons[chosen]
-    is_tested = value > 0.05 * (
-        series.signal_dn[series.peak] if series.peak is not None else value.max()
-    )
-    if not is_tested.any():
-        reason = "no fitted flat lies between 5 and 70 % of saturation; add levels there"
-        return make_refusal("linearity_error", "%", reason, **fields)
-    error = np.array(
-        [np.sqrt(series.flats[i].variance_dn2 / series.flats[i].pixels) for i in chosen]
-    )
-    departure = np.abs(response.residual[is_tested] / value[is_tested])
-    sd = np.hypot(
-        float(np.sqrt(np.sum((error / value)[is_tested] ** 2))) / is_tested.sum(),
-        float(np.std(response.slope) / np.median(response.slope)),
-    )
-    return measurement_from_sd(
-        "linearity_error", "%", 100 * float(departure.mean()), 100 * float(sd), **fields
-    )
 
 
 def without_flats(
@@ -391,5 +350,6 @@ def transfer_figure_data(
         "variance_above_dark_dn2": series.variance_dn2.tolist(),
         "dark_mean_dn": [dark.mean_dn for dark in series.darks],
         "dark_variance_dn2": [dark.variance_dn2 for dark in series.darks],
+        "missing": missing_levels(series),
         **more,
     }

@@ -360,6 +360,23 @@ class SweepLimits:
     max_quantisation: float = 0.02  # unreported quantisation noise, fraction of the variance
 
 
+@dataclass(frozen=True, kw_only=True)
+class DataSheetLimits:
+    """Data sheet of EMVA 1288 Release 4.0 Linear (`data_sheet`, `nonuniformity`)."""
+
+    levels: int = 50  # 6.5: fewest levels of light
+    frames: int = 16  # 8.2: fewest frames of the stacks of the nonuniformity
+    half: tuple[float, float] = 0.4, 0.6  # 8.2: signal of the flat at half of saturation over it
+    exposures: int = 6  # 7.1: fewest exposures of the dark current
+    full_fraction: float = 0.001  # 6.6: pixels at the largest value at the saturation exposure
+    linear: tuple[float, float] = 0.05, 0.95  # 6.9: range of the linearity over saturation
+    draws: int = 1000  # draws of the levels
+    limit_sd: float = 3.0  # standard errors of the limit of a hidden pattern
+    quantiles: tuple[float, ...] = 0.025, 0.16, 0.84, 0.975  # limits of both intervals
+    points: int = 256  # figure: groups of lines of a profile
+    bins: int = 128  # figure: bins of a histogram; the standard has at most 256
+
+
 SCENE = SceneLimits()
 CHECKS = CheckLimits()
 CORRELATION = CorrelationLimits()
@@ -373,3 +390,4 @@ GAIN = GainLimits()
 GAIN_PRIORS = GainPriors()
 SNR = SnrLimits()
 SWEEP = SweepLimits()
+DATA_SHEET = DataSheetLimits()

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from charact.estimators.noise.dark_current import dark_current
+from charact.estimators.noise.data_sheet import data_sheet
 from charact.estimators.noise.findings import (
     bounded,
     fields_of,
@@ -101,17 +102,21 @@ def white_noise(
     stacks = printed_stacks(series)
     of_darks = printed_quantities(stacks, findings_of_darks(series), with_flats=False, **fields)
     out = [first, *of_darks, saturation_level(series, findings, **fields), *out]
+    of_gain = findings_in(bounded([*remarks, *posterior_findings(gain.posterior)]))
     out += printed_quantities(
         stacks,
         findings,
         with_flats=True,
         gain=gain.slope,
-        of_gain=findings_in(bounded([*remarks, *posterior_findings(gain.posterior)])),
+        of_gain=of_gain,
         of_pairs=findings_in(bounded(exposure_findings(exposures))),
         **fields,
     )
     if series.flats[-1].label not in [flat.label for flat in flats]:
         out = [m for m in out if m.quantity != "prnu"]
+        stacks = stacks.only(flats=[])
     evidence = {"photon-transfer": transfer_figure_data(series, gain=float(np.median(gain.slope)))}
-    result = Result(measurements=tuple(out), evidence=evidence) + cubes
+    result = Result(measurements=tuple(out), evidence=evidence)
+    result += data_sheet(series, stacks, gain.slope, of_gain, context.seed, **fields)
+    result += cubes
     return result + dark_current(darks, result, context=context)

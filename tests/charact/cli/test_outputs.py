@@ -274,7 +274,12 @@ def test_results_go_out_as_csv_json_and_xml(day, tmp_path):
     assert rows[1]["reason"] == "one frame" and rows[1]["value"] == ""
     assert len(json.loads((tmp_path / "r.json").read_text())["measurements"]) == 2
     gain = ElementTree.parse(tmp_path / "r.emva").find("sensitivity/K")
-    assert gain is not None and float(gain.text) == 0.28 and gain.get("unit") == "DN/e-"
+    assert gain is not None
+    assert (gain.findtext("value"), gain.findtext("unit")) == ("0.28", "DN/e-")
+    page = tmp_path / "sheet.html"
+    assert charact("convert", day, page, "--to", "emva").exit_code == 0
+    assert charact("convert", day, page, "--to", "emva", "--force").exit_code == 0
+    assert "0.28" in page.read_text(encoding="utf-8")
 
 
 def test_a_picture_shows_dark_as_black_and_light_as_white(day, tmp_path):

@@ -367,14 +367,17 @@ def white(**more):
 def test_figures_stand_under_the_standards_names_and_what_is_missing_is_named():
     found = emva_summary(Result(measurements=white()))
     assert found is not None and not found["reason"]
-    assert [(entry.symbol, entry.clause) for entry, *_ in found["rows"]] == [
+    measured = [row for row in found["rows"] if row.text]
+    assert [(row.entry.symbol, row.entry.clause) for row in measured] == [
         ("η", "eq. 52"),
         ("K", "eq. 50"),
         ("1/K", "eq. 50"),
         ("σ_y.dark", "eq. 53"),
     ]
-    assert found["rows"][1][1].startswith("0.28")
-    assert "Largest signal-to-noise ratio" in found["left_out"]
+    assert measured[1].text.startswith("0.28")
+    reasons = {row.entry.element[1]: row.departure for row in found["rows"] if not row.text}
+    assert reasons["SNR_max"] == "no flat reaches saturation"
+    assert "photons_per_px" in reasons["u_p_min"]
 
 
 def test_a_ratio_in_decibels_and_the_inverse_gain_carry_their_intervals():
@@ -390,12 +393,25 @@ def test_a_ratio_in_decibels_and_the_inverse_gain_carry_their_intervals():
 
 
 def test_the_xml_states_symbol_clause_and_what_is_not_to_standard():
-    measurements = (*white(), measurement_from_sd("prnu", "%", 1.0, 0.01, **PLAIN))
-    sheet = ElementTree.fromstring(emva_xml(Result(measurements=measurements), "day"))
+    lacking = {"spectrograms": {"figure": "spectrograms", "missing": "4 frames; add 12"}}
+    measurements = (*white(), measurement_from_sd("prnu_1288", "%", 1.0, 0.01, **PLAIN))
+    result = Result(measurements=measurements, evidence=lacking)
+    sheet = ElementTree.fromstring(emva_xml(result, "day"))
     assert sheet.attrib["release"] == "4.0 Linear"
-    assert sheet.find("sensitivity/K").attrib["symbol"] == "K"
-    assert "high-pass" in sheet.find("spatial/PRNU1288").attrib["not_to_standard"]
-    assert "not_to_standard" not in sheet.find("sensitivity/QE").attrib
+    assert [part.tag for part in sheet.find("sensitivity/K")] == [
+        "section",
+        "short",
+        "symbol",
+        "unit",
+        "value",
+        "low95",
+        "high95",
+        "clause",
+        "status",
+    ]
+    assert sheet.find("spatial/PRNU1288/not_to_standard").text == "4 frames; add 12"
+    assert sheet.find("sensitivity/QE/not_to_standard") is None
+    assert sheet.find("sensitivity/SNR_max/value").text == "nan"
 
 
 def test_an_intensified_camera_gets_a_reason_and_no_figure():

@@ -66,7 +66,7 @@ class Kurtosis(Observable[Any]):
             title="Excess kurtosis of the dark",
             standard=(
                 StandardRow(
-                    order=99, unit="1", name="Kurtosis", symbol="k", clause="", element=("", "k")
+                    unit="1", name="Kurtosis", symbol="k", clause="", element=("other", "k")
                 ),
             ),
         ),
@@ -88,7 +88,7 @@ def test_a_statistic_is_printed_and_on_the_sheet_by_its_class_alone(seed, monkey
         result = noise.measure(session, method="variance", context=QUICK)
         (kurtosis,) = result.find("dark_kurtosis")
         assert kurtosis.status == "ok" and abs(errors(kurtosis, 0.0)) < 4.5
-        assert "Kurtosis" in [row.name for row, *_ in emva_summary(result)["rows"]]
+        assert "Kurtosis" in [row.entry.name for row in emva_summary(result)["rows"]]
     finally:
         del QUANTITIES["dark_kurtosis"]
 
