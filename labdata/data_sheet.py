@@ -9,6 +9,8 @@ from typing import Any
 
 from labdata.quantity import QUANTITIES, StandardRow
 
+# How the note of a number begins that says what the standard makes of correlated noise.
+BY_VARIANCE = "with the slope of the variance as gain, as EMVA 1288 has it: "
 # Remarks on quantities that have two definitions, by the endings of their names. The first is that
 # of the reference program of the EMVA 1288 group (1.0.2), whose elements have no ending; the second
 # is new in Release 4.0 (6.6, 8.1).

@@ -2,13 +2,13 @@
 and as XML.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree import ElementTree
 
 from charact import __version__
 from charact.reporting.tables import best
-from labdata.data_sheet import sheet_rows
+from labdata.data_sheet import BY_VARIANCE, sheet_rows
 from labdata.errors import BadInput
 from labdata.measurement import Interval, Measurement, Result
 from labdata.number_format import plus_minus, plus_minus_of, round_to_spread
@@ -73,15 +73,16 @@ def emva_summary(result: Result) -> dict[str, Any] | None:
     """Return the EMVA 1288 summary: its rows, or why it does not apply.
 
     None for a result without gain. The standard assumes white noise. With correlated noise, as of
-    an intensifier, the variance does not count electrons, and no quantity is given.
+    an intensifier, the variance does not count electrons, and no quantity is given; where the
+    covariance sum corrects for it, the number of the standard stands in a remark.
     """
-    gains = (*result.find("system_gain"), *result.find("covariance_gain"))
-    if not any(m.value is not None for m in gains):
+    slope, corrected = (
+        [m for m in result.find(name) if m.value is not None]
+        for name in ("system_gain", "covariance_gain")
+    )
+    if not slope and not corrected:
         return None
-    if not any(
-        m.value is not None and "correlated-noise" not in m.flags
-        for m in result.find("system_gain")
-    ):
+    if not slope or (not corrected and all("correlated-noise" in m.flags for m in slope)):
         return {
             "reason": "EMVA 1288 assumes white noise; the noise of this camera is correlated "
             "between pixels (as of an intensifier). The photon transfer curve would give a gain "
@@ -97,6 +98,8 @@ def _sheet_row(entry: StandardRow, result: Result) -> SheetRow:
     if m is not None:
         figure = result.evidence.get(LACKS.get(entry.element[0], ""), {})
         text, departure = in_standard_unit(entry, m).text, str(figure.get("missing", ""))
+        of_standard = (note for note in m.notes if note.startswith(BY_VARIANCE))
+        entry = replace(entry, remark=next(of_standard, entry.remark))
         return SheetRow(
             entry=entry, text=text, status=m.status, flags=m.flags, departure=departure, m=m
         )

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from charact.estimators.noise.gain import emva1288
 from charact.estimators.noise.gain.checks import light_findings
-from charact.estimators.noise.gain.series import FlatSeries
+from charact.estimators.noise.gain.series import FlatSeries, gain_of
 from charact.estimators.noise.nonuniformity import nonuniformity
 from charact.estimators.noise.thresholds import DATA_SHEET
 from charact.frames.stack_statistics import StackStatistics
@@ -161,8 +161,10 @@ def data_sheet(
         light = light_findings(series)
         judged = tuple(judge(m, light) for m in result.measurements)
         result = replace(result, measurements=judged)
-    if stacks.flats and stacks.darks:
-        dark = max(stacks.darks, key=lambda level: level.frames)
+    gain_setting = gain_of(series.flats[0].conditions)
+    darks = [dark for dark in stacks.darks if gain_of(dark.conditions) == gain_setting]
+    if stacks.flats and darks and min(darks[0].size) > 2:
+        dark = max(darks, key=lambda level: level.frames)
         unbounded = [replace(entry, bound=None) for entry in findings]
         missing = _missing_frames(series, stacks, min(dark.frames, stacks.flat.frames))
         result += nonuniformity(dark, stacks.flat, gain, unbounded, missing=missing, **fields)

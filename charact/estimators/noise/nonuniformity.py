@@ -17,6 +17,7 @@ boxes of 7 x 7 and 11 x 11 pixels and a binomial filter of 3 x 3.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,10 @@ from charact.verdict import Finding, judge
 from labdata import Array, Measurement, Result, StackEntry, make_measurement, make_refusal
 from labdata import open_lazy_stack as open_stack
 
-BOXES_PX, BINOMIAL = (7, 11), (0.25, 0.5, 0.25)
+# The smooth part h along an axis, and the fraction of white noise 1 - 2 h(0)^2 + (sum h^2)^2 that a
+# frame less its smooth part keeps.
+SMOOTH = np.convolve(np.convolve(np.full(7, 1 / 7), np.full(11, 1 / 11)), (0.25, 0.5, 0.25))
+KEPT = float(1.0 - 2.0 * SMOOTH.max() ** 2 + (SMOOTH @ SMOOTH) ** 2)
 # Frames that are read at once.
 BLOCK = 16
 PARTS = ("", "_column", "_row", "_pixel")
@@ -47,6 +51,11 @@ class MeanFrame:
     column_dn2: float
     row_dn2: float
 
+    @cached_property
+    def filtered(self) -> Array:
+        """The mean behind the high-pass filter."""
+        return highpass(self.dn)
+
     def variances(self, *, filtered: bool) -> tuple[Array, Array, Array]:
         """Return s^2 and its parts of columns, rows and pixels, their standard errors, and by how
         much noise in time of complete columns and rows raises them, shape (4,) each, DN^2.
@@ -54,12 +63,11 @@ class MeanFrame:
         The errors are those of the mean frame of this chip; of a pattern s and residual noise n
         they are (2 n^4 + 4 s^2 n^2)/pixels squared.
         """
-        frame = highpass(self.dn) if filtered else self.dn
+        frame = self.filtered if filtered else self.dn
         rows, cols = frame.shape
-        passed = _white_gain() if filtered else 1.0
         noise = np.array([self.pixel_dn2, self.column_dn2, self.row_dn2, self.pixel_dn2])
         noise = noise / self.frames
-        white = passed * noise[0]
+        white = noise[0] * (KEPT if filtered else 1.0)
         across, down = frame.mean(axis=0).var(), frame.mean(axis=1).var()
         measured = np.array([across - white / rows, down - white / cols, frame.var() - white])
         mixing = np.array([[1.0, 0.0, 1.0 / rows], [0.0, 1.0, 1.0 / cols], [1.0, 1.0, 1.0]])
@@ -108,21 +116,9 @@ def _with_defects(entry: StackEntry) -> StackEntry:
 
 def highpass(frame: Array) -> Array:
     """Return a frame less its smooth part (8.1); beyond its edges it is mirrored."""
-    from scipy.ndimage import convolve1d, uniform_filter
+    from scipy.ndimage import convolve1d
 
-    smooth = frame
-    for size in BOXES_PX:
-        smooth = uniform_filter(smooth, size)
-    for axis in (0, 1):
-        smooth = convolve1d(smooth, BINOMIAL, axis=axis)
-    return frame - smooth
-
-
-def _white_gain() -> float:
-    """Return the fraction of white noise power that passes the filter."""
-    pulse = np.zeros((41, 41))
-    pulse[20, 20] = 1.0
-    return float((highpass(pulse) ** 2).sum())
+    return frame - convolve1d(convolve1d(frame, SMOOTH, axis=0), SMOOTH, axis=1)
 
 
 def nonuniformity(
@@ -205,12 +201,13 @@ def _pictures(
     histograms of dark and response.
     """
     response = flat.dn - dark.dn
-    smooth = {"dn": highpass(dark.dn), "percent": 100.0 / signal_dn * highpass(response)}
+    percent = 100.0 / signal_dn
+    smooth = {"dn": dark.filtered, "percent": percent * (flat.filtered - dark.filtered)}
     # Root of the temporal variance, and the root of the spatial one before and after its removal.
     marks = {}
-    for unit, stack, scale in (("dn", dark, 1.0), ("percent", flat, 100.0 / signal_dn)):
+    for unit, stack, scale in (("dn", dark, 1.0), ("percent", flat, percent)):
         noise, frame = scale**2 * stack.pixel_dn2, smooth[unit]
-        left = max(float(frame.var()) - _white_gain() * noise / stack.frames, 0.0)
+        left = max(float(frame.var()) - KEPT * noise / stack.frames, 0.0)
         marks[unit] = {"temporal": noise**0.5, "measured": float(frame.std()), "1288": left**0.5}
     yield (
         "spectrograms",
@@ -280,9 +277,9 @@ def _histogram(frame: Array) -> dict[str, list[float]]:
     """
     deviation = (frame - frame.mean()).ravel()
     pixels, edges = np.histogram(deviation, DATA_SHEET.bins)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    chance = np.exp(-0.5 * (middle / deviation.std()) ** 2) * (edges[1] - edges[0])
-    normal = chance * deviation.size / (np.sqrt(2.0 * np.pi) * deviation.std())
+    middle, sd = 0.5 * (edges[1:] + edges[:-1]), max(float(deviation.std()), 1e-12)
+    chance = np.exp(-0.5 * (middle / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd)
+    normal = chance * (edges[1] - edges[0]) * deviation.size
     steps = np.linspace(0.0, np.abs(deviation).max(), len(middle))
     rarer = np.searchsorted(np.sort(np.abs(deviation)), steps)
     return {

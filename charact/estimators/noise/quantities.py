@@ -41,12 +41,14 @@ from charact.observables import Printed, Stacks, observables
 from charact.observables.fixed_pattern import Dsnu, Prnu
 from charact.verdict import Finding, judge
 from labdata import QUANTITIES, Array
+from labdata.data_sheet import BY_VARIANCE
 from labdata.measurement import (
     Measurement,
     make_refusal,
     measurement_from_draws,
     measurement_from_sd,
 )
+from labdata.number_format import plus_minus
 
 PAIR = "from two frames: includes any temporal correlation between them"
 
@@ -274,14 +276,6 @@ def electron_quantities(
         stated = light_of_photons(series.flats, photons)
         true = efficiency / stated.scale(context.seed, len(efficiency))
         words = (*notes, stated.note)
-        if plain is not gain:
-            low, middle, high = np.quantile(
-                100.0 * response.slope / rng.permutation(plain.slope), [0.025, 0.5, 0.975]
-            )
-            words += (
-                f"with the slope of the variance as gain, as EMVA 1288 has it: {middle:.4g} % "
-                f"[{low:.4g}, {high:.4g}]",
-            )
         quantum = measurement_from_draws(
             "quantum_efficiency", "%", 100 * true, notes=words, **fields
         )
@@ -305,9 +299,23 @@ def electron_quantities(
         for entry in rounding_findings(dark**2, included_dn2=0.0)
     ]
     out.append(judge(with_drift_of_darks(read, series), [*why, *rounded]))
-    return out + [
+    out += [
         judge(m, why) for m in ranges(series, efficiency, slope, dark_e2, excess.factor, **fields)
     ]
+    if plain is gain:
+        return out
+    quick = replace(context, quick=True)
+    standard = electron_quantities(series, (plain, plain), remarks, quick, fields)
+    by_name = {(m.quantity, m.unit): m for m in standard if m.value is not None}
+    # The gain itself is that of the standard.
+    return [out[0], *(_beside(m, by_name.get((m.quantity, m.unit))) for m in out[1:])]
+
+
+def _beside(m: Measurement, standard: Measurement | None) -> Measurement:
+    """Return a number with a note on that of the standard, where they differ."""
+    if m.value is None or standard is None or standard.value == m.value:
+        return m
+    return replace(m, notes=(*m.notes, f"{BY_VARIANCE}{plus_minus(standard)} {m.unit}"))
 
 
 def without_flats(

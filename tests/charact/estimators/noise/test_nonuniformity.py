@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import convolve
 from scipy.stats import norm
 
 import charact
 from charact.estimators.noise.nonuniformity import MeanFrame, highpass
+from charact.reporting import emva_summary
+from labdata.data_sheet import BY_VARIANCE
 
 
 @pytest.mark.parametrize("shape", [(60, 90), (240, 40)])
@@ -54,3 +57,28 @@ def test_saturation_is_where_one_pixel_of_a_thousand_is_full(seed):
     assert exposure.value == pytest.approx(truth, abs=0.25 * float(np.diff(photons)[0]))
     (capacity,) = result.find("saturation_capacity_full_scale")
     assert capacity.value == pytest.approx(truth, rel=0.03)
+
+
+def test_the_gain_of_the_standard_stands_beside_that_of_diffusing_charge(seed):
+    """Of charge that leaves its pixel the slope of the variance is K times the kernel's energy."""
+    rng, photons = np.random.default_rng(seed), np.linspace(500.0, 6000.0, 6)
+    kernel = np.array([[0.0, 0.04, 0.0], [0.04, 0.84, 0.04], [0.0, 0.04, 0.0]])
+
+    def frames(light):
+        electrons = rng.poisson(0.6 * light, (8, 128, 160)).astype(float)
+        blurred = convolve(electrons, kernel[None], mode="wrap")
+        return np.rint(100.0 + 0.5 * blurred + rng.normal(0.0, 2.0, blurred.shape)).astype("u2")
+
+    settings = {"photons_per_px": photons, "exposure_s": 0.01, "bit_depth": 12, "quick": True}
+    result = charact.noise(
+        flats=[frames(light) for light in photons], darks=[frames(0.0)], seed=seed, **settings
+    )
+    energy = float((kernel**2).sum())
+    rows = {row.entry.element[1]: row for row in emva_summary(result)["rows"]}
+    gain, efficiency = rows["K"], rows["QE"]
+    assert gain.flags == ("correlated-noise",)
+    assert gain.m.value == pytest.approx(0.5 * energy, rel=0.01)
+    low, high = efficiency.m.interval95
+    assert low < 60.0 < high
+    beside = float(efficiency.entry.remark.removeprefix(BY_VARIANCE).split()[0])
+    assert beside == pytest.approx(60.0 / energy, rel=0.02)
