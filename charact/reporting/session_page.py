@@ -1,5 +1,6 @@
 """The report page: one HTML file without network requests, also as PDF."""
 
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -189,8 +190,9 @@ def write_pdf(html: str, out: Path) -> Path:
             "`pdf` needs WeasyPrint and Pango (pip install 'charact[pdf]'; apt install "
             f"libpango-1.0-0 libpangoft2-1.0-0), got: {str(error).splitlines()[0]}"
         ) from error
-    # Expand all folds.
-    HTML(
-        string=html.replace("<details", "<details open").replace("currentColor", PAPER_INK)
-    ).write_pdf(str(out))
+    # All folds are open. WeasyPrint draws no picture that another SVG element defines.
+    pictures = dict(re.findall(r'<image id="(frame-\d+)"([^>]*/>)', html))
+    html = re.sub(r'<use href="#(frame-\d+)"/>', lambda use: f"<image{pictures[use[1]]}", html)
+    html = html.replace("<details", "<details open").replace("currentColor", PAPER_INK)
+    HTML(string=html).write_pdf(str(out))
     return out
