@@ -31,19 +31,16 @@ exclude_patterns = [
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 numpydoc_show_class_members = False
-autodoc_preserve_defaults = True
+# Signatures are made by a decorator, so that their defaults are not in the source of the function.
+autodoc_preserve_defaults = False
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 
-html_theme = "alabaster"
-html_theme_options = {
-    "description": "Intensified cameras: measure, simulate, validate",
-    # Below this width the theme puts the navigation under the content; custom.css widens the page.
-    "page_width": "800px",
-    "body_max_width": "1020px",
-}
-html_sidebars = {"**": ["about.html", "searchfield.html", "navigation.html"]}
+html_theme = "furo"
+html_title = f"charact {version}"
+html_theme_options = {"top_of_page_buttons": []}
 html_static_path = ["static"]
+html_css_files = ["custom.css"]
 
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
