@@ -44,6 +44,7 @@ class _Parts:
     moment: Array | float = 0.0
     seconds: Array = field(default_factory=lambda: np.zeros((2, 2)))
     gap_frames: int = 0  # frames left out between the parts of a stack, whose noise lag would share
+    with_pulses: bool = False  # of single events, which the median of a part's frames leaves out
     squares: Array | float = 0.0  # of frames less the mean of their stack, shape (row, col)
     freedom: int = 0
     frames: int = 0
@@ -53,8 +54,13 @@ class _Parts:
         gap = min(self.gap_frames, len(frames) // 4)
         middle = (len(frames) - gap + self.frames % 2) // 2
         parts = slice(middle), slice(middle + gap, None)
-        sums = np.stack([frames[part].sum(axis=0) for part in parts])
         weight = np.array([weights[part].sum() for part in parts])
+        if self.with_pulses:
+            medians = np.stack([np.median(frames[part], axis=0) for part in parts])
+            medians -= medians.mean(axis=(1, 2), keepdims=True)
+            sums = weight[:, None, None] * medians
+        else:
+            sums = np.stack([frames[part].sum(axis=0) for part in parts])
         self.total, self.weight = self.total + sums, self.weight + weight
         self.moment = self.moment + exposure_s * sums
         self.seconds = self.seconds + np.array([[exposure_s], [exposure_s**2]]) * weight
@@ -75,8 +81,8 @@ class _Parts:
             replace(self, total=self.moment - self.total * of_total[:, None, None], weight=slope),
         )
 
-    def map_of(self, neutral: float) -> PixelMap | None:
-        """Return the map, or None where its own noise is unknown.
+    def map_of(self, neutral: float, least_ratio: float = LEAST_RATIO) -> PixelMap | None:
+        """Return the map, or None where its own noise is unknown, or hides all bands of a ratio.
 
         A pixel on which the parts do not agree, as after a cosmic ray, has the value of the one
         nearer to `neutral`.
@@ -94,7 +100,12 @@ class _Parts:
         measured = PixelMap(value=value, sd=np.full(value.shape, noise.std()))
         powers = power_of(noise - smooth_part(noise))
         pattern = np.maximum(power_of(measured.remainder) - powers, 0.0)
-        measured = replace(measured, power=tuple(pattern.tolist()), noise=tuple(powers.tolist()))
+        measured = replace(
+            measured,
+            power=tuple(pattern.tolist()),
+            noise=tuple(powers.tolist()),
+            least_ratio=least_ratio,
+        )
         shading = smooth_part(noise).var(), measured.smooth.var()
         supported = (
             measured.shown.any()
@@ -129,7 +140,8 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
     full_dn = float(2**fitted.video.bit_depth - 1)
     darks, flats = (frames_for_maps(session.of_kind(kind), full_dn) for kind in ("dark", "flat"))
     gap_frames = PATTERN.gap_frames if fitted.has_tube else 0
-    dark_levels, dark_parts, lit = [], _Parts(), _Parts(gap_frames=gap_frames)
+    dark_levels, dark_parts = [], _Parts(with_pulses=fitted.has_tube)
+    lit = _Parts(gap_frames=gap_frames)
     for chosen, frames in _read(darks):
         mean_dn = frames.mean(axis=(1, 2), keepdims=True)
         dark_levels.append(float(mean_dn.mean()))
@@ -143,8 +155,6 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
     variance = np.asarray(dark_parts.squares) / max(dark_parts.freedom, 1)
     noise_dn = float(np.sqrt(np.median(variance)))
     offset = dark_parts.map_of(0.0) if noise_dn > LIMITS.least_noise_dn else None
-    if offset is not None and fitted.has_tube and not offset.shown.any():
-        offset = None  # Pulses are no hot pixels.
     noisy = None if fitted.has_tube or offset is None else _noisy(dark_parts, variance)
     dark_dn = float(np.mean(dark_levels)) + (0.0 if offset is None else offset.mean)
     for chosen, frames in _read(flats):
@@ -152,10 +162,9 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
         if rate is not None:
             signal -= rate.mean * (chosen.entry.conditions.exposure_s or 0.0)
         lit.add(signal, signal.mean(axis=(1, 2)))
-    light = lit.map_of(1.0)
-    if light is not None and fitted.has_tube:
-        # Granularity and fibres are patterns of low frequency, unlike what noise hides.
-        light = replace(light, least_ratio=0.0)
+    # Granularity and fibres of a tube are patterns of low frequency, unlike what noise hides: even
+    # where none shows, a map bounds them by its noise.
+    light = lit.map_of(1.0, 0.0 if fitted.has_tube else LEAST_RATIO)
     if offset is None and light is None:
         return None
     used = [*(darks if offset is not None else ()), *(flats if light is not None else ())]

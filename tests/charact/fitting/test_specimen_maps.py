@@ -12,9 +12,19 @@ from charact.session_measurement import measure
 from charact.validation import VALIDATION, validate
 from charact.validation import side_by_side as command
 from charact.validation.frames import choose
-from labdata import BadInput, Camera, Conditions, FrameStack, Session, load_camera, save_sensor
+from labdata import (
+    BadInput,
+    Camera,
+    Conditions,
+    FrameStack,
+    Session,
+    Target,
+    load_camera,
+    save_sensor,
+)
 from labdata.camera.maps import IN_DARK, bands_of
 from labdata.camera.parameters import Draws
+from simulate.lab import LabBench
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 SHAPE = (120, 160)
@@ -162,3 +172,58 @@ def test_hot_pixels_that_appear_after_the_maps_are_found(
     assert any("not compared: 32 frames" in note for note in found.notes)
     (defects,) = (s for s in found.statistics if s.name == "defects")
     assert not defects.passed and "of dark" in defects.worst
+
+
+@cache
+def tube_session(seed: int, depth: float, shape: tuple[int, int] = SHAPE) -> Session:
+    """Return a dark of sparse pulses with hot pixels, and flats with stripes of a depth, behind a
+    tube: pulses of exponential height on four pixels each.
+    """
+    rng, rows = np.random.default_rng([seed, 5]), np.arange(shape[0])[:, None]
+    stripes = 1.0 + depth * np.cos(2.0 * np.pi * rows / 12.0) * np.ones(shape)
+    stacks = []
+    for rate in (0.01, 10.0, 40.0):
+        counts = rng.poisson(rate * (stripes if rate > 1.0 else 1.0), (32, *shape))
+        light = 40.0 * counts * rng.gamma(np.maximum(counts, 1e-9)) / np.maximum(counts, 1)
+        light = sum(np.roll(light, step, (1, 2)) for step in ((0, 0), (0, 1), (1, 0), (1, 1))) / 4.0
+        data = 200.0 + light + 3.0 * rng.standard_normal(light.shape)
+        for place in HOT:
+            data[:, *place] += 60.0
+        known = Conditions(exposure_s=0.033, mcp_v=800.0, illuminance_lux=rate * 1e-6)
+        kind = "flat" if rate > 1.0 else "dark"
+        stack = FrameStack(data=np.rint(data).astype(np.uint16), full_scale_dn=4095.0)
+        stacks.append(stack_in_memory(kind, stack, known, label=f"{rate:g}", bit_depth=12))
+    return replace(session_in_memory(tuple(stacks)), bit_depth=12)
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.03, 0.08])
+def test_a_tube_is_simulated_with_the_pattern_that_its_flats_show_or_with_none(
+    seed: int, depth: float
+) -> None:
+    sheet = load_camera("gen3-digital-iccd")
+    maps = measure_maps(tube_session(seed, depth), sheet)
+    small = replace(sheet, ccd=replace(sheet.ccd, rows=SHAPE[0], columns=SHAPE[1]))
+    bright = Conditions(mcp_v=800.0, gate_ns=1e7, illuminance_lux=1e-5)
+    of_type, of_specimen = (
+        LabBench(replace(small, maps=known))
+        .mean("flat", Target(), bright)[8:-8, 8:-8]
+        .astype(float)
+        for known in (None, maps)
+    )
+    dark_dn = float(sheet.video.black_level_dn)
+    shown, usual = (
+        (image / image.mean(axis=0)).std() * image.mean() / (image.mean() - dark_dn)
+        for image in (of_specimen, of_type)
+    )
+    # The noise of the map: 16 frames of 50 pulses that four pixels share, and of 200.
+    noise = np.sqrt(2.0 / 4.0 / 16.0 / 50.0)
+    blurred = depth * np.cos(np.pi / 12.0)  # of stripes of 12 rows by pulses of two
+    assert shown**2 == pytest.approx(blurred**2 / 2.0, abs=0.25 * noise**2)
+    assert usual**2 > 0.25 * noise**2
+
+
+def test_pulses_of_a_dark_are_no_hot_pixels_of_its_map(seed: int) -> None:
+    maps = measure_maps(tube_session(seed, 0.0), load_camera("gen3-digital-iccd"))
+    assert {tuple(place) for place in np.argwhere(maps.defect & IN_DARK)} == set(HOT)
+    heights = np.array([maps.offset_dn.value[place] for place in HOT])
+    assert heights == pytest.approx(60.0, abs=6.0 * float(maps.offset_dn.sd[0, 0]))
