@@ -21,8 +21,9 @@ def write_frames(stack: FrameStack, path: str | Path) -> Path:
     ----------
     stack
         Frames, written with their values and type: .tif, .npy, .fits (axes col, row, frame) or .h5
-        (data set "frames"). A .png holds the mean frame as a picture of 8 bits between two
-        percentiles, for looking at only.
+        (data set "frames"). Their unit is in the description of a .tif, the card BUNIT of a .fits
+        and the attribute "unit" of the data set. A .png holds the mean frame as a picture of 8 bits
+        between two percentiles, for looking at only.
     path
         The file.
 
@@ -65,7 +66,8 @@ def picture_of(frame: NDArray) -> NDArray[np.uint8]:
 def _tiff(stack: FrameStack, path: Path) -> None:
     import tifffile
 
-    tifffile.imwrite(path, stack.data, photometric="minisblack", metadata={"axes": "TYX"})
+    metadata = {"axes": "TYX", "unit": stack.unit}
+    tifffile.imwrite(path, stack.data, photometric="minisblack", metadata=metadata)
 
 
 def _png(stack: FrameStack, path: Path) -> None:
@@ -76,13 +78,16 @@ def _png(stack: FrameStack, path: Path) -> None:
 
 def _fits(stack: FrameStack, path: Path) -> None:
     fits = optional_module("astropy.io.fits", "fits", path)
-    fits.PrimaryHDU(stack.data).writeto(path, overwrite=True)
+    file = fits.PrimaryHDU(stack.data)
+    file.header["BUNIT"] = stack.unit
+    file.writeto(path, overwrite=True)
 
 
 def _hdf5(stack: FrameStack, path: Path) -> None:
     h5py = optional_module("h5py", "hdf5", path)
     with h5py.File(path, "w") as file:
-        file.create_dataset("frames", data=stack.data, compression="gzip")
+        frames = file.create_dataset("frames", data=stack.data, compression="gzip")
+        frames.attrs["unit"] = stack.unit
 
 
 WRITERS: dict[str, Callable[[FrameStack, Path], None]] = {

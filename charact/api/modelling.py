@@ -203,6 +203,7 @@ def simulate(
         "Target | None",
         Argument("Target on the bench, as for `simulate.SimulationRequest`."),
     ] = None,
+    of_type: OfType = False,
     progress: ProgressSink = ignore_progress,
     **conditions: Unpack[CameraSettings],
 ) -> "FrameStack":
@@ -226,6 +227,8 @@ def simulate(
     from simulate import api, conditions_of, load_described_camera, session_files
 
     described = load_described_camera(str(sensor)) if isinstance(sensor, str | Path) else sensor
+    if of_type:
+        described = replace(described, maps=None)
     if frames < 1:
         raise BadInput(f"at least 1 frame must be simulated, got {frames}")
     settings = conditions_of(described, **conditions)

@@ -306,6 +306,7 @@ def _maps_of(source: Path) -> "list[Readable]":
     """Return name and reader of each map of a fitted sensor and its standard deviation."""
     from charact.api.modelling import FITTED
     from labdata import FrameStack, load_camera
+    from labdata.camera.maps import UNITS
 
     file = source / FITTED if source.is_dir() else source
     measured = load_camera(file).maps
@@ -314,9 +315,11 @@ def _maps_of(source: Path) -> "list[Readable]":
             f"--maps needs a fitted sensor with maps of its specimen, got none next to {file}: "
             f"charact fit SESSION --sensor-out {file} measures those that the frames support"
         )
+    planes = measured.planes()
+    units = {name: UNITS.get(name.removesuffix("_sd"), "1") for name in planes}
     return [
-        (name, lambda plane=plane: FrameStack(data=plane[None]), ())
-        for name, plane in measured.planes().items()
+        (name, lambda plane=plane, unit=units[name]: FrameStack(data=plane[None], unit=unit), ())
+        for name, plane in planes.items()
     ]
 
 

@@ -44,6 +44,8 @@ COARSEST, FINEST, CLASS = (8, 32), 21, 32
 LEAST_RATIO = 4.0
 # Bits of the map of defects.
 IN_DARK, IN_LIGHT, NOISY = 1, 2, 4
+# Units of the maps that have one, and of their standard deviations.
+UNITS = {"offset_dn": "DN", "dark_rate_dn_per_s": "DN/s", "variance_dn2": "DN^2"}
 
 
 def smooth_part(image: NDArray) -> Array:

@@ -3,9 +3,13 @@
 from dataclasses import replace
 from functools import cache
 
+import h5py
 import numpy as np
 import pytest
+import tifffile
+from astropy.io import fits
 
+import charact
 from charact.fitting import fit_sensor
 from charact.fitting.specimen_maps import frames_for_maps, measure_maps, with_maps
 from charact.session_measurement import measure
@@ -25,6 +29,7 @@ from labdata import (
 from labdata.camera.maps import IN_DARK, bands_of
 from labdata.camera.parameters import Draws
 from simulate.lab import LabBench
+from tests.charact.cli.runner import done_well
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 SHAPE = (120, 160)
@@ -227,3 +232,32 @@ def test_pulses_of_a_dark_are_no_hot_pixels_of_its_map(seed: int) -> None:
     assert {tuple(place) for place in np.argwhere(maps.defect & IN_DARK)} == set(HOT)
     heights = np.array([maps.offset_dn.value[place] for place in HOT])
     assert heights == pytest.approx(60.0, abs=6.0 * float(maps.offset_dn.sd[0, 0]))
+
+
+def test_exported_maps_carry_their_unit(seed: int, tmp_path) -> None:
+    save_sensor(fitted(seed), tmp_path / "fitted.toml")
+    units = {"offset_dn": "DN", "offset_dn_sd": "DN", "response": "1", "defect": "1"}
+    for ending in ("fits", "tif", "h5"):
+        done_well("convert", tmp_path, tmp_path / ending, "--maps", "--to", ending)
+    for name, unit in units.items():
+        with fits.open(tmp_path / "fits" / f"{name}.fits") as file:
+            assert file[0].header["BUNIT"] == unit
+        with tifffile.TiffFile(tmp_path / "tif" / f"{name}.tif") as file:
+            assert file.shaped_metadata[0]["unit"] == unit
+        with h5py.File(tmp_path / "h5" / f"{name}.h5") as file:
+            assert file["frames"].attrs["unit"] == unit
+
+
+def test_a_simulation_of_the_type_leaves_the_maps_out(seed: int) -> None:
+    camera, light = fitted(seed), np.full(SHAPE, 2000.0)
+    frames = [
+        charact.simulate(
+            light, sensor=described, photoelectrons_per_dn=1.0, frames=2, of_type=of_type
+        ).data
+        for described, of_type in (
+            (camera, False),
+            (camera, True),
+            (replace(camera, maps=None), False),
+        )
+    ]
+    assert np.array_equal(frames[1], frames[2]) and not np.array_equal(frames[0], frames[1])
