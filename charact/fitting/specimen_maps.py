@@ -18,6 +18,7 @@ from scipy.stats import chi2
 from charact.fitting.fitted_session import with_fixed_gain
 from charact.fitting.thresholds import LEVELS, LIMITS, MAP_LIMITS, PATTERN
 from charact.frames.session_layout import sound_session
+from charact.verdict import Finding
 from labdata import Camera, Session, StackEntry, open_lazy_stack
 from labdata.camera.maps import (
     IN_DARK,
@@ -120,11 +121,61 @@ def with_maps(session: Session, fitted: Camera) -> Camera:
     notes on them.
     """
     maps = None
+    fixed, _ = with_fixed_gain(session)
+    sound = sound_session(fixed)[1]
     if float(fitted.video.gamma) == 1.0:
-        fixed, _ = with_fixed_gain(session)
-        maps = measure_maps(sound_session(fixed)[1], fitted)
+        maps = measure_maps(sound, fitted)
+    widths = code_width_finding(sound, float(2**fitted.video.bit_depth - 1))
     notes = () if maps is None else maps.notes
+    if widths is not None:
+        notes = (widths.note, *notes)
     return replace(fitted, maps=maps, notes=(*fitted.notes, *notes))
+
+
+def code_width_finding(session: Session, full_dn: float) -> Finding | None:
+    """Return the finding that codes of the converter are of unlike widths (differential
+    nonlinearity), None where flats do not show it.
+
+    Notes
+    -----
+    Noise of s DN gives neighbouring codes the same number of values, but for a curve of the third
+    degree over s DN, m_k. The width of a code over the mean is c_k / m_k of its number c_k, whose
+    counting noise is sqrt(m_k): without widths sum (c_k - m_k)^2 / m_k is chi-squared.
+    """
+    from scipy.signal import savgol_filter
+
+    size = int(full_dn) + 1
+    counts, expected = np.zeros(size), np.zeros(size)
+    for chosen in frames_for_maps(session.of_kind("flat"), full_dn):
+        codes = chosen.entry.read().data[chosen.numbers]
+        sd_dn = float(np.sqrt(np.median(codes.var(axis=0, dtype=float)))) if len(codes) > 1 else 0.0
+        half = int(min(sd_dn / 2.0, MAP_LIMITS.most_codes))
+        if half < MAP_LIMITS.least_codes or codes.dtype.kind == "f":
+            continue
+        values = np.clip(codes, 0, size - 1).ravel()
+        number = np.bincount(values, minlength=size).astype(float)
+        smooth = savgol_filter(number, 2 * half + 1, 3, mode="constant")
+        frequent = smooth > MAP_LIMITS.frequent * smooth.max()
+        counts, expected = counts + number * frequent, expected + smooth * frequent
+    known = expected > MAP_LIMITS.least_values
+    counts, expected = counts[known], expected[known]
+    chi_squared = float(np.sum((counts - expected) ** 2 / expected))
+    if not known.any() or chi2.sf(chi_squared, counts.size) > MAP_LIMITS.code_chance:
+        return None
+    width_sd = np.sqrt((chi_squared - counts.size) / expected.sum())
+    missing = np.count_nonzero(counts < MAP_LIMITS.missing * expected)
+    spectrum = np.abs(np.fft.rfft(counts / expected - 1.0))[1:]
+    # A comb has harmonics as high as itself.
+    period = counts.size / (1 + int(np.argmax(spectrum > spectrum.max() / 2.0)))
+    return Finding(
+        flag="nonlinear",
+        effect=(
+            f"codes of the converter are of unlike widths: standard deviation {width_sd:.2g} LSB "
+            f"over {counts.size} codes, mostly of a period of {period:.2g}; {missing} codes are "
+            "missing"
+        ),
+        remedy="a camera gain of 1 in its digitiser, or noise of several DN that evens them out",
+    )
 
 
 def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:

@@ -261,6 +261,16 @@ class MapLimits:
     # variances, with which a variance 5 times the mean is beyond chance (chi-squared).
     chance: float = 0.01
     least_freedom: int = 12
+    # Widths of codes: half of the codes over which a histogram is smooth, half the noise, where a
+    # normal density departs by .2 % from a curve of the third degree; number of values over the
+    # highest, where it departs by as much; values of a code by which its noise is nearly normal;
+    # chance of a finding without widths; number over the expected one of a missing code.
+    least_codes: int = 4
+    most_codes: int = 24
+    frequent: float = 0.1
+    least_values: float = 100.0
+    code_chance: float = 1e-4
+    missing: float = 0.1
 
 
 @dataclass(frozen=True)

@@ -161,6 +161,12 @@ def _bend(frames: Frames, size: float, levels: StackLevels, rng) -> Frames:
     return _scaled(frames, 1.0 - size / 100.0 * share, levels)
 
 
+def _uneven_codes(frames: Frames, size: float, levels: StackLevels, rng) -> Frames:
+    """Give values of even codes, or of odd ones where `size` is negative, to the next code."""
+    narrow = frames % 2 == (size < 0.0)
+    return frames + (narrow & (rng.random(frames.shape) < abs(size) / 100.0))
+
+
 def _stuck_bit(frames: Frames, size: float, levels: StackLevels, rng) -> Frames:
     bit = max(0, int(np.log2(max(size * levels.noise_dn, 1.0))))
     return (frames.astype(np.int64) | (1 << bit)).astype(float)
@@ -353,6 +359,17 @@ KNOWN = (
             control="lowest bit left out" if bits == 1 else "",
         )
         for bits in (1, 2, 4)
+    ),
+    Fault(
+        name="odd codes wider than even ones",
+        cause=Cause(
+            stage="converter (differential nonlinearity)", remedy="noise of several DN, or dither"
+        ),
+        flag="nonlinear",
+        put=_uneven_codes,
+        size=5.0,
+        unit="%",
+        two_sided=True,
     ),
     Fault(
         name="a stuck bit",

@@ -1,5 +1,6 @@
 """Maps of a camera drawn in plain NumPy: its patterns from half of the frames, and their use."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -11,7 +12,12 @@ from astropy.io import fits
 
 import charact
 from charact.fitting import fit_sensor
-from charact.fitting.specimen_maps import frames_for_maps, measure_maps, with_maps
+from charact.fitting.specimen_maps import (
+    code_width_finding,
+    frames_for_maps,
+    measure_maps,
+    with_maps,
+)
 from charact.session_measurement import measure
 from charact.validation import VALIDATION, validate
 from charact.validation import side_by_side as command
@@ -261,3 +267,30 @@ def test_a_simulation_of_the_type_leaves_the_maps_out(seed: int) -> None:
         )
     ]
     assert np.array_equal(frames[1], frames[2]) and not np.array_equal(frames[0], frames[1])
+
+
+def converted(seed: int, gain: float, wide: float) -> Session:
+    """Return flats of a converter whose codes are scaled by a gain, odd ones wider by a part."""
+    rng, stacks = np.random.default_rng([seed, 8]), []
+    for photons in PHOTONS[1:]:
+        electrons = rng.poisson(0.6 * photons * truth(seed)[1], (16, *SHAPE))
+        level = BLACK + GAIN * electrons + READ_DN * rng.standard_normal(electrons.shape)
+        codes = np.rint(gain * np.rint(level / gain)).astype(np.uint16)
+        codes += ((codes % 2 == 0) & (rng.random(codes.shape) < wide)).astype(np.uint16)
+        stacks.append(stack_in_memory("flat", FrameStack(data=codes), label=f"{photons:g}"))
+    return session_in_memory(tuple(stacks))
+
+
+def test_unlike_widths_of_codes_are_named_by_their_size(seed: int) -> None:
+    assert code_width_finding(converted(seed, 1.0, 0.0), 4095.0) is None
+    odd = code_width_finding(converted(seed, 1.0, 0.06), 4095.0)
+    width = float(re.search(r"deviation ([.\d]+) LSB", odd.effect)[1])
+    assert width == pytest.approx(0.06, rel=0.2)
+    assert "of a period of 2; 0 codes" in odd.effect
+    # Ten codes spread over eleven: one of them is missing.
+    scaled = code_width_finding(converted(seed, 1.1, 0.0), 4095.0)
+    codes, missing = (
+        int(re.search(rf"(\d+) codes{end}", scaled.effect)[1]) for end in (",", " are")
+    )
+    assert "of a period of 11;" in scaled.effect
+    assert missing == pytest.approx(codes / 11.0, abs=1.5)
