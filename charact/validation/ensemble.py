@@ -80,7 +80,7 @@ class Ensemble:
 
         `noise`: their deviations from the centre, shape (set, number), to which a shift is added.
         """
-        null = np.sort(self._ranked(self.null[:, 0]))
+        null = self._ranked_null
         # As many repetitions may deviate further where (1 + number) / (1 + all) is below the level.
         further = max(int(np.ceil(level * (1 + len(null)))) - 2, 0)
         sets = self.values.mean(axis=0) + noise + shift
@@ -102,7 +102,19 @@ class Ensemble:
         """Return the larger of both deviations, each over its 99 % quantile where the simulation is
         right.
         """
-        return (deviations / np.quantile(self.null[:, 0], 0.99, axis=0)).max(axis=-1)
+        return (deviations / self._usual).max(axis=-1)
+
+    @cached_property
+    def _usual(self) -> Array:
+        """99 % quantiles of both deviations where the simulation is right, shape (2,)."""
+        return np.quantile(self.null[:, 0], 0.99, axis=0)
+
+    @cached_property
+    def _ranked_null(self) -> Array:
+        """Deviations of one part where the simulation is right, in ascending order, shape
+        (replicate,).
+        """
+        return np.sort(self._ranked(self.null[:, 0]))
 
     @cached_property
     def null(self) -> Array:
