@@ -82,7 +82,7 @@ class DarkEvents(Observable[Stacks[FrameView]]):
         return numbers
 
     def sizes(self, stacks: Stacks[FrameView]) -> Mapping[str, Size]:
-        few = FRAMES.few_events * stacks.dark.change.size
+        few = max(FRAMES.few_events * stacks.dark.change.size, FRAMES.least_events)
         events = Size(
             unit="% of events",
             of=lambda root: np.maximum(root, 0.0) ** 2,
