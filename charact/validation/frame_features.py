@@ -3,7 +3,7 @@ and of targets.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,8 @@ from labdata import Camera
 GROUPS: dict[str, Observable[Any]] = {
     statistic.name: statistic for statistic in observables() if statistic.title
 }
+# Stacks besides the dark that some of them are of; the others are of the flats.
+TARGETS = {"dark-events": "", "mtf": "edge", "edge": "edge", "point": "point"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +40,30 @@ class FrameFeatures:
     covariance_dn2: tuple[float, ...]  # its summed covariance above the dark's, DN^2
 
 
+def stacks_for(names: Sequence[str], chosen: MatchedStacks) -> MatchedStacks:
+    """Return those of the compared stacks that groups of numbers are of."""
+    kinds = {TARGETS.get(name, "flat") for name in names}
+    edge, point = (
+        shot if kind in kinds else None
+        for kind, shot in (("edge", chosen.edge), ("point", chosen.point))
+    )
+    # A flat may set the light of a target.
+    lit_by_flat = any(shot is not None and shot.like for shot in (edge, point))
+    flats = chosen.flats if "flat" in kinds or lit_by_flat else ()
+    return replace(chosen, flats=flats, edge=edge, point=point)
+
+
 def features_of(
-    frames: Mapping[str, NDArray], chosen: MatchedStacks, *, context: Context
+    frames: Mapping[str, NDArray],
+    chosen: MatchedStacks,
+    *,
+    context: Context,
+    names: Sequence[str] = tuple(GROUPS),
 ) -> FrameFeatures:
-    """Return the numbers of frames given by label; a group that frames cannot give is empty."""
+    """Return the numbers of frames given by label; a group that frames cannot give is empty.
+
+    `names`: groups whose numbers are wanted.
+    """
     targets = {
         name: frames[shot.label]
         for name, shot in (("edge", chosen.edge), ("point", chosen.point))
@@ -57,8 +79,9 @@ def features_of(
                 if label not in chosen.fitted
             }
             for name, group in GROUPS.items()
+            if name in names
         },
-        sizes={name: group.sizes(stacks) for name, group in GROUPS.items()},
+        sizes={name: GROUPS[name].sizes(stacks) for name in names},
         mean_dn=tuple(flat.mean_dn - dark.mean_dn for flat in stacks.flats),
         variance_dn2=tuple(flat.variance_dn2 - dark.variance_dn2 for flat in stacks.flats),
         covariance_dn2=tuple(

@@ -2,7 +2,7 @@
 controls.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -28,6 +28,7 @@ from charact.validation.frame_features import (
     FrameFeatures,
     features_of,
     features_of_parts,
+    stacks_for,
 )
 from charact.validation.frames import (
     MatchedFrames,
@@ -122,12 +123,8 @@ def validate(
         for title, groups in altered_groups.items()
     )
     controls = (*nulls, *negatives)
-    statistics = test.statistics(
-        measured.groups,
-        features_of_parts(chosen, [(sets.base, sets.first)], context=bench.context),
-        sizes=measured.sizes,
-        tolerances=known,
-    )
+    parts = features_of_parts(chosen, [(sets.base, sets.first)], context=bench.context)
+    statistics = _settled_statistics(bench, test, (measured, parts), known)
     changes_by = [
         (control, change, partial(_change_of, bench, sets, control))
         for control, change in zip(changes, parameters, strict=True)
@@ -234,6 +231,14 @@ class _Bench:
         """Return the numbers of a set of frames by group."""
         return self.features(frames).groups
 
+    def numbers_of_next_draw(self, names: Sequence[str]) -> Groups:
+        """Return the numbers of some groups of frames of a further posterior draw."""
+        chosen = stacks_for(names, self.chosen)
+        frames = simulate_frames(
+            self.draw_camera(), chosen.compared, seed=self.draw_seed(), like=self.sensor
+        )
+        return features_of(frames, chosen, context=self.context, names=names).groups
+
     def difference_of_halves(self, frames: Frames) -> dict[str, dict[str, float]]:
         """Return the numbers of every second frame less those of the others; empty where stacks are
         too short.
@@ -298,6 +303,31 @@ def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _Simulat
         halves=tuple(halves),
         curves=tuple(curves),
     )
+
+
+def _settled_statistics(
+    bench: _Bench,
+    test: ValidationTest,
+    measured: tuple[FrameFeatures, Mapping[str, Groups]],
+    tolerances: tuple[Tolerance, ...],
+) -> tuple[Statistic, ...]:
+    """Return the statistics of the measured numbers, of crop and parts, with as many simulated sets
+    as settle their verdicts.
+    """
+    features, parts = measured
+    further: dict[str, list[Numbers]] = {}
+    while True:
+        statistics = test.statistics(
+            features.groups, parts, sizes=features.sizes, tolerances=tolerances
+        )
+        most = VALIDATION.most_draws - VALIDATION.draws
+        names = [name for name in test.unsure(statistics) if len(further.get(name, ())) < most]
+        if not names:
+            return statistics
+        for _ in range(VALIDATION.draws):
+            for name, numbers in bench.numbers_of_next_draw(names).items():
+                further.setdefault(name, []).append(numbers)
+        test = test.with_further(further)
 
 
 def _null_controls(

@@ -42,8 +42,9 @@ class Statistic:
     departure, departure95, departure_unit, tolerance
         Measured less predicted size of that number, its 95 % interval, their unit, and the largest
         departure that does not matter; None where no size is known.
-    unseen
-        Numbers whose predictions spread further than the tolerance.
+    unseen, least_spread
+        Numbers whose predictions spread further than the tolerance, and the least spread of a
+        number, half of a 95 % interval, over its tolerance.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Statistic:
     departure_unit: str = ""
     tolerance: float | None = None
     unseen: tuple[str, ...] = ()
+    least_spread: float | None = None
 
     @property
     def passed(self) -> bool:
@@ -78,7 +80,9 @@ class Statistic:
             return "agrees" if self.passed else "differs"
         low, high = self.departure95
         if self.passed:
-            return "agrees" if (high - low) / 2.0 <= self.tolerance else "unseen"
+            spread = self.least_spread
+            spread = (high - low) / 2.0 / self.tolerance if spread is None else spread
+            return "agrees" if spread <= 1.0 else "unseen"
         if abs(self.departure) > self.tolerance:
             return "differs"
         return "within" if max(-low, high) <= self.tolerance else "unseen"
@@ -89,6 +93,27 @@ class Statistic:
         if self.departure is None or self.tolerance is None:
             return float("inf")
         return abs(self.departure) / self.tolerance
+
+    def is_sure(self, draws: int) -> bool:
+        """Return whether as many other simulated sets would hardly change the verdict.
+
+        Notes
+        -----
+        The spread of n sets has a relative error of 1 / sqrt(2 (n - 1)), and p, which follows from
+        it and from their mean, is known to a factor. Twice that error and the factor, to both
+        sides, must leave the verdict; "agrees" and "within" are one.
+        """
+        if self.departure is None or self.departure95 is None:
+            return True
+        verdicts, shown = set[Agreement](), self.p_value > 1.0001 * self.least_p
+        for sign in (-1.0, 1.0):
+            width = 1.0 + sign * np.sqrt(2.0 / (draws - 1.0))
+            low, high = (self.departure + width * (at - self.departure) for at in self.departure95)
+            spread = self.least_spread and width * self.least_spread
+            wider = replace(self, departure95=(low, high), least_spread=spread)
+            factors = (1.0 / VALIDATION.unsure_p, VALIDATION.unsure_p) if shown else (1.0,)
+            verdicts |= {replace(wider, p_value=self.p_value * by).verdict for by in factors}
+        return len({"agrees" if verdict == "within" else verdict for verdict in verdicts}) == 1
 
     @property
     def p_text(self) -> str:
@@ -154,4 +179,5 @@ def with_departure(
         departure_unit=sizes[at].unit,
         tolerance=float(tolerance[at]),
         unseen=tuple(statistic.labels[rows[i]] for i in np.flatnonzero(spread > 1.0)),
+        least_spread=float(spread.min()),
     )

@@ -3,8 +3,10 @@ family-wise level.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +120,8 @@ class ValidationTest:
                 )
                 if labels:
                     self.ensembles[name] = labels, ensemble
-        self._draws, self._changes, self._seed = len(sets), changes, seed
+        self._compared, self._sets = dict(self.ensembles), sets
+        self._changes, self._seed = changes, seed
         self._scores = self._scores_of(changes)
         self._count = len(self.ensembles) + (self._scores is not None)
 
@@ -150,9 +153,40 @@ class ValidationTest:
         )
         scales = self._scales(sizes or {}, tolerances)
         return tuple(
-            with_departure(statistic, scales.get(statistic.name, {}), self._draws)
+            with_departure(
+                statistic, scales.get(statistic.name, {}), self._draws_of(statistic.name)
+            )
             for statistic in statistics
         )
+
+    def with_further(self, further: Mapping[str, Sequence[Numbers]]) -> Self:
+        """Return the same test with further simulated sets of the numbers of some groups.
+
+        Estimates of parameters and their power stay those of the sets of all groups.
+        """
+        enlarged = copy(self)
+        enlarged._compared = dict(self.ensembles)
+        for index, (name, group) in enumerate(GROUPS.items()):
+            if name in further and name in self.ensembles:
+                # A method may refuse the frames of a draw.
+                numbers = [*(groups[name] for groups in self._sets), *filter(None, further[name])]
+                labels, ensemble = ensemble_of(numbers, group.least_sd, self._seed + index)
+                if labels:
+                    enlarged._compared[name] = labels, ensemble
+        return enlarged
+
+    def unsure(self, statistics: Sequence[Statistic]) -> tuple[str, ...]:
+        """Return the names of the groups whose verdict further sets may change."""
+        return tuple(
+            statistic.name
+            for statistic in statistics
+            if statistic.name in self._compared
+            and not statistic.is_sure(self._draws_of(statistic.name))
+        )
+
+    def _draws_of(self, name: str) -> int:
+        """Return the number of simulated sets of a statistic."""
+        return len(self._compared[name][1].values) if name in self._compared else len(self._sets)
 
     def detectable(self, change: ParameterChange) -> DetectableError:
         """Return the error of a parameter that is found with `VALIDATION.power`.
@@ -201,7 +235,7 @@ class ValidationTest:
         self, numbers: Groups, elsewhere: Mapping[str, Groups], least: float
     ) -> Iterator[dict]:
         """Yield the fields of the statistic of each group."""
-        for name, (labels, ensemble) in self.ensembles.items():
+        for name, (labels, ensemble) in self._compared.items():
             groups_by_place = {"": numbers.get(name, {})} | {
                 at: groups[name] for at, groups in elsewhere.items() if groups.get(name)
             }
