@@ -211,7 +211,7 @@ def reading_variance(
     return values[CONVERSION] ** 2 * charge * filter_covariance(values, 1)[:, 0]
 
 
-def detector_variance(values: Values, signal_dn: float) -> Array:
+def detector_variance(values: Values, signal_dn: float | Array) -> Array:
     """Return the variance of a pixel that the detector adds to the pulses of a signal, shape (n,),
     DN^2: noise of counted electrons and of reading, line noise and rounding.
     """

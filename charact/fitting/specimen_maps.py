@@ -154,7 +154,7 @@ def code_width_finding(session: Session, full_dn: float) -> Finding | None:
             continue
         values = np.clip(codes, 0, size - 1).ravel()
         number = np.bincount(values, minlength=size).astype(float)
-        smooth = savgol_filter(number, 2 * half + 1, 3, mode="constant")
+        smooth = np.asarray(savgol_filter(number, 2 * half + 1, 3, mode="constant"))
         frequent = smooth > MAP_LIMITS.frequent * smooth.max()
         counts, expected = counts + number * frequent, expected + smooth * frequent
     known = expected > MAP_LIMITS.least_values

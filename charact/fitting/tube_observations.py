@@ -185,7 +185,7 @@ def voltage_of(shown: Measured) -> float:
     return float(volts_of.get(shown.m.stack or "") or usual_v(shown.stacks))
 
 
-def _beside_flats(shown: Measured) -> bool:
+def _with_flats(shown: Measured) -> bool:
     """Whether variances of flats do not contain a measured gain or blur factor."""
     is_elsewhere = voltage_of(shown) != usual_v(shown.stacks)
     return is_elsewhere or not list(VarianceOfFlats().cases(shown.stacks))
@@ -227,7 +227,7 @@ declare(
         tube=True,
         quantity="covariance_gain",
         unit="DN",
-        where=_beside_flats,
+        where=_with_flats,
         number=lambda values, shown: predicted.covariance_gain(values, _gain_of(values, shown)),
         relative_model_sd=ERRORS.noise,
         depends=NOISE,
@@ -238,7 +238,7 @@ declare(
         order=63,
         tube=True,
         quantity="blur_factor",
-        where=_beside_flats,
+        where=_with_flats,
         number=lambda values, shown: predicted.blur_factor(values, _gain_of(values, shown)),
         relative_model_sd=ERRORS.noise,
         depends=SHAPE,

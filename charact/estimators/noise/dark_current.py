@@ -239,7 +239,8 @@ def _electrons(
     per_electron = scaled(slope.remarks, 1.0 / gain) if gain else bounded(slope.remarks)
     remarks = [*per_electron, *inherited(known[0])]
     # A drift of the level is none of the variance.
-    unbounded, name = [e for e in remarks if isinstance(e, str)], "dark_current_from_variance"
+    unbounded: Remarks = [e for e in remarks if isinstance(e, str)]
+    name = "dark_current_from_variance"
     return [
         _current(slope, "e-/s", slope.draws / draws, remarks, **fields),
         *(

@@ -46,7 +46,6 @@ def ranges(
     threshold = emva1288.sensitivity_photons(np.ones_like(gain), dark_e2, gain, excess)
     yield measurement_from_draws("sensitivity_threshold", "e-", threshold, **fields)
     light, per_light = series.signal_dn, 1.0 / gain
-    is_lit = photons is not None and efficiency is not None
     if photons is not None and efficiency is not None:
         minimum = threshold / efficiency
         yield measurement_from_draws("sensitivity_threshold", "photons/px", minimum, **fields)
@@ -59,7 +58,7 @@ def ranges(
             continue
         level = float(np.interp(place, np.arange(len(light)), light))
         capacity = level * per_light
-        if is_lit:
+        if photons is not None and efficiency is not None:
             # The level lies between its neighbours: triangular distribution.
             sd = np.interp(place, np.arange(len(light)), np.gradient(photons)) / np.sqrt(6.0)
             exposure = float(np.interp(place, np.arange(len(light)), photons))

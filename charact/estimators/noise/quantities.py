@@ -308,10 +308,10 @@ def electron_quantities(
     standard = electron_quantities(series, (plain, plain), remarks, quick, fields)
     by_name = {(m.quantity, m.unit): m for m in standard if m.value is not None}
     # The gain itself is that of the standard.
-    return [out[0], *(_beside(m, by_name.get((m.quantity, m.unit))) for m in out[1:])]
+    return [out[0], *(_with_standard(m, by_name.get((m.quantity, m.unit))) for m in out[1:])]
 
 
-def _beside(m: Measurement, standard: Measurement | None) -> Measurement:
+def _with_standard(m: Measurement, standard: Measurement | None) -> Measurement:
     """Return a number with a note on that of the standard, where they differ."""
     if m.value is None or standard is None or standard.value == m.value:
         return m
