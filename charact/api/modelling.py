@@ -69,6 +69,9 @@ def validate(
         "str | Path | Limits | None",
         Setting("TOML file of limits: [[tolerance]] with unit, max, and statistic, if not all."),
     ] = None,
+    quick: Annotated[
+        bool, Setting("Change three parameters only for negative controls, each once.")
+    ] = False,
     seed: Seed = 0,
     progress: ProgressSink = ignore_progress,
 ) -> "Validation":
@@ -87,7 +90,9 @@ def validate(
     tolerances = () if limits is None else load_limits(limits).tolerance
     fitted = fitted_sensor_of(session, sensor)
     compared = replace(fitted, maps=None) if of_type else fitted
-    return compare(session, compared, tolerances=tolerances, seed=seed, progress=progress)
+    return compare(
+        session, compared, tolerances=tolerances, quick=quick, seed=seed, progress=progress
+    )
 
 
 def fitted_sensor_of(session: "Session", sensor: FittedSensor) -> "Camera":

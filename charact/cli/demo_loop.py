@@ -53,7 +53,7 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events
     with _step("fit", events):
         fit_and_save(session, result, session / FITTED, seed=seed, events=events)
     with _step("simulate and validate", events):
-        validation = validate_and_save(session, seed=seed, events=events)
+        validation = validate_and_save(session, quick=quick, seed=seed, events=events)
     with _step("report", events):
         from charact.reporting.session_page import write
         from charact.reporting.truth import compare_with_truth

@@ -27,12 +27,13 @@ class ParameterControl:
 
     `title` says what, `parameters` are its paths, of which the first counts that exists;
     `power`: that which the numbers follow: 0, the logarithm, of a gain; 2 of the standard deviation
-    of a noise.
+    of a noise; `quick`: whether a quick validation changes it too.
     """
 
     title: str
     parameters: tuple[str, ...]
     power: int = 1
+    quick: bool = False
 
     @property
     def change(self) -> float:
@@ -73,6 +74,7 @@ PARAMETERS = (
         title="gain",
         parameters=("tube.luminous_gain", "video.conversion_gain_dn_per_e"),
         power=0,
+        quick=True,
     ),
     ParameterControl(
         title="detection probability, as 1/F²",
@@ -83,10 +85,11 @@ PARAMETERS = (
     ParameterControl(
         title="frequency of the tube's MTF, or blur of the lens",
         parameters=("tube.mtf_frequency_lp_per_mm", "optics.aberration_blur_um"),
+        quick=True,
     ),
     ParameterControl(title="video bandwidth", parameters=("video.bandwidth_mhz",)),
     ParameterControl(title="slow decay of the phosphor", parameters=SLOWEST_DECAY),
-    ParameterControl(title="read noise", parameters=("ccd.read_noise_e",), power=2),
+    ParameterControl(title="read noise", parameters=("ccd.read_noise_e",), power=2, quick=True),
     ParameterControl(title="noise of rows", parameters=("video.line_noise_dn",), power=2),
     ParameterControl(
         title="dark events: EBI or dark current",

@@ -10,9 +10,11 @@ are seen, their shape tells on: these fall on positions of their own (`PulseKern
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 from scipy.linalg import lu_factor, lu_solve
 
 from simulate.camera.grid import ACCURACY, Grid
@@ -94,7 +96,7 @@ def pulse_kernel(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> Pulse
     """
     divisions = FINEST, FINEST
     transfer = _fine_transfer(blurs, grid, height)
-    image = np.fft.ifft2(_matching_transfer(transfer, height, divisions)).real * FINEST**2 * height
+    image = _image_of(_matching_transfer(transfer, height, divisions)) * FINEST**2 * height
     planes, margin = np.array(_compact_planes(image, height, divisions)), REACH - NEAR
     inner_wing = planes.copy()
     inner_wing[:, margin:-margin, margin:-margin] = 0.0
@@ -157,10 +159,10 @@ def _on_lattice(
 ) -> Kernel:
     lattice_transfer = _matching_transfer(transfer, height, divisions)
     n_cells = divisions[0] * divisions[1]
-    image = np.fft.ifft2(lattice_transfer).real * n_cells * height
+    image = _image_of(lattice_transfer) * n_cells * height
     parts = [_separable_parts(plane) for plane in _compact_planes(image, height, divisions)]
     filtered = (
-        np.fft.ifft2(_filtered_transfer(lattice_transfer, impulse, divisions[1])).real * n_cells
+        _image_of(_filtered_transfer(lattice_transfer, impulse, divisions[1])) * n_cells
     )
     return Kernel(
         divisions=divisions,
@@ -181,11 +183,24 @@ def _fine_transfer(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> NDA
     FINEST).
     """
     aperture = PixelAperture.of(grid, height)
-    frequency = np.fft.fftfreq(SIDE * FINEST, 1.0 / FINEST)
+    # Transfers are even in both frequencies: a quarter of them is worked out.
+    distance = np.abs(np.fft.fftfreq(SIDE * FINEST, 1.0 / (SIDE * FINEST))).astype(int)
+    frequency = np.arange(distance.max() + 1) / SIDE
     cell_size = {"cell_x_mm": grid.pitch_x_mm / FINEST, "cell_y_mm": grid.pitch_y_mm / FINEST}
-    return fold_transfer(
+    quarter = fold_transfer(
         blurs, aperture, frequency / grid.pitch_x_mm, frequency / grid.pitch_y_mm, **cell_size
     )
+    return quarter[np.ix_(distance, distance)]
+
+
+def _image_of(transfer: NDArray[Any]) -> NDArray[np.float64]:
+    """Real part of the image of a transfer of even length, from half of its frequencies."""
+    rows, columns = transfer.shape
+    half = np.array(transfer[:, : columns // 2 + 1], np.complex128)
+    # Each frequency stands for its opposite: in all rows but the Nyquist one both are there.
+    opposite = np.conj(transfer[rows // 2, -np.arange(columns // 2 + 1)])
+    half[rows // 2] = 0.5 * (half[rows // 2] + opposite)
+    return np.asarray(fft.irfft2(half, transfer.shape))
 
 
 def _filtered_transfer(
@@ -198,7 +213,7 @@ def _filtered_transfer(
 
 
 def _third_moment(transfer: NDArray[np.complex128]) -> float:
-    density = np.fft.ifft2(transfer).real * FINEST**2
+    density = _image_of(transfer) * FINEST**2
     return float(np.sum(density**3) / FINEST**2)
 
 
@@ -229,11 +244,11 @@ def _sharpening(
     between them.
     """
     per_row, per_column = divisions
-    fine_blur = np.fft.fft2(np.fft.ifft2(transfer).real ** 2).real * FINEST**2
+    fine_blur = np.fft.fft2(_image_of(transfer) ** 2).real * FINEST**2
     fy, fx = _frequencies(divisions)
     squared_blur = fine_blur[_fine_indices(fy, fx)]
     phase = np.exp(-2j * np.pi * _shift(height, divisions, fy, fx))
-    squared_kernel = np.fft.fft2(np.fft.ifft2(lattice_transfer).real ** 2) * phase
+    squared_kernel = np.fft.fft2(_image_of(lattice_transfer) ** 2) * phase
     squared_kernel = squared_kernel.real * (per_row * per_column)
     cell = np.sinc(fy / per_row)[:, None] * np.sinc(fx / per_column)[None, :]
     cell_kernel = squared_kernel * cell
@@ -244,7 +259,7 @@ def _sharpening(
         np.maximum(1.0 - np.abs(np.fft.fftfreq(n, 1.0 / n)) / (REACH * d), 0.0)
         for n, d in zip(ratio.shape, divisions, strict=True)
     ]
-    kernel = np.fft.ifft2(ratio).real * np.sqrt(tapers[0])[:, None] * np.sqrt(tapers[1])[None, :]
+    kernel = _image_of(ratio) * np.sqrt(tapers[0])[:, None] * np.sqrt(tapers[1])[None, :]
     return kernel / kernel.sum()
 
 
