@@ -98,6 +98,7 @@ def measure(
     seed: int = 0,
     within_percent: float = 2.0,
     also: str | None = None,
+    disc: tuple[float, float] = Context.disc,
     amplifier: int | None = None,
     progress: Progress = ignore_progress,
     spread: Spread = map,
@@ -117,6 +118,8 @@ def measure(
         Error tolerance of the automatic choice of methods, percent.
     also
         "sfr": the conventional SFR of each edge as well.
+    disc
+        Diameter, px, and contrast of the disc whose detectability is computed.
     amplifier
         Number of the amplifier whose noise is measured, from 1 by rows; None: all.
     progress
@@ -150,6 +153,7 @@ def measure(
     from charact.estimators.infrared import is_linear
 
     context = method_context(session, quick=quick, seed=seed, amplifier=amplifier, spread=spread)
+    context = replace(context, disc=disc)
     result = Result()
     complaints: list[BadInput] = []
     for done, task in enumerate(tasks):
@@ -303,14 +307,23 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
     from charact.estimators.infrared import add_mrtd, blackbody_flats
     from charact.estimators.mtf.bars.group_curve import session_curves
     from charact.estimators.mtf.session.consistency import mtf_consistency, mtf_uniformity
+    from charact.estimators.mtf.session.detectability import add_detectability
     from charact.estimators.mtf.session.joint import fit_joint_mtf
+    from charact.estimators.mtf.session.through_focus import through_focus
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}
     conditions = {entry.label: entry.conditions for entry in targets}
     joint: Quantities = (("mtf50", "cy/px"),)
-    combined = result
-    if len(targets) > 1:
+    combined = attempt(
+        partial(add_detectability, session, result, kinds, context),
+        (("detectability", "1"),),
+        before=result,
+    )
+    if _is_through_focus(targets):  # one MTF of targets in and out of focus means nothing
+        focus = partial(through_focus, result, kinds, conditions, context)
+        combined += attempt(focus, (("best_focus", "mm"),))
+    elif len(targets) > 1:
         combined += (
             attempt(partial(session_curves, result, kinds, context=context), joint)
             + attempt(partial(fit_joint_mtf, result, kinds, context=context), joint)
@@ -416,16 +429,22 @@ def _tasks(session: Session, within_percent: float, also: str | None) -> list[An
         tasks.append(
             Analysis(sentence="halo and blooming", run=of(measure_bloom), quantities=BLOOM)
         )
-    for entry in session.of_kind("edge", "bars"):
+    series = points if _is_through_focus(points) else ()
+    for entry in (*session.of_kind("edge", "bars"), *series):
         run = partial(
             _target, session, entry, within_percent, also=also if entry.kind == "edge" else None
         )
         sentence = f"MTF of {entry.label}"
         tasks.append(Analysis(sentence=sentence, run=run, quantities=mtf50, stack=entry.label))
-    if points:
+    if points and not series:
         run = partial(_best_point, session, within_percent)
         tasks.append(Analysis(sentence="MTF of a point source", run=run, quantities=mtf50))
     return tasks
+
+
+def _is_through_focus(targets: tuple[StackEntry, ...]) -> bool:
+    """Whether targets were taken at several positions of the focus."""
+    return len({entry.conditions.focus_mm for entry in targets} - {None}) > 1
 
 
 def _target(

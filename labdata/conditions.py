@@ -54,6 +54,8 @@ class Conditions:
     #: Temperature of the background of a black body or target: the room, or the plate around it,
     #: degrees Celsius
     background_c: float | None = None
+    #: Position of the lens or of the target along the axis in a series through focus, mm
+    focus_mm: float | None = None
 
     def __post_init__(self) -> None:
         names = [item.name for item in fields(Conditions)]
@@ -64,6 +66,7 @@ class Conditions:
             "metered_lux",
             "blackbody_c",
             "background_c",
+            "focus_mm",
         }
         check(
             self,
@@ -102,6 +105,7 @@ class ConditionSettings(TypedDict, Generic[T], total=False):
     filter_density: T
     blackbody_c: T
     background_c: T
+    focus_mm: T
 
 
 class StackConditions(ConditionSettings[float], total=False):

@@ -82,6 +82,16 @@ QUANTITIES |= {
     "sfr50_difference": _entry(
         "MTF50 of the conventional SFR minus MTF50", "%", section="Resolution"
     ),
+    "neq": _entry(
+        "Noise-equivalent quanta at the stated frequency",
+        "1/px",
+        section="Resolution",
+        better="higher",
+    ),
+    "detectability": _entry(
+        "Detectability d' of the stated disc", "1", section="Resolution", better="higher"
+    ),
+    "best_focus": _entry("Focus at which MTF50 is highest", "mm", section="Resolution"),
     "limiting_resolution": _entry(
         "Limiting resolution at the photocathode", "lp/mm", section="Resolution", better="higher"
     ),

@@ -21,6 +21,7 @@ from charact.api.settings import (
     Bars,
     BitDepth,
     BlackDn,
+    Disc,
     Frames,
     MaxTargets,
     MethodName,
@@ -31,6 +32,7 @@ from charact.api.settings import (
     SourceSession,
     WithinPercent,
     amplifier_of,
+    disc_of,
     purpose_for,
 )
 from labdata.conditions import FlatConditions
@@ -275,6 +277,7 @@ def measure(
     purpose: PurposeName = None,
     within_percent: WithinPercent = 2.0,
     also: Also = None,
+    disc: Disc = "10,0.1",
     quick: Quick = False,
     seed: Seed = 0,
     amplifier: Amplifier = "all",
@@ -307,6 +310,7 @@ def measure(
             seed=seed,
             within_percent=within_percent,
             also=also,
+            disc=disc_of(disc),
             amplifier=amplifier_of(amplifier),
             progress=progress,
             spread=spread,

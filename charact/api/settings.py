@@ -48,6 +48,14 @@ Also = Annotated[
         metavar="sfr",
     ),
 ]
+Disc = Annotated[
+    str | tuple[float, float],
+    Setting(
+        "Diameter, px, and contrast of the disc whose detectability d' is computed from edges and "
+        "flats.",
+        metavar="PX,CONTRAST",
+    ),
+]
 Quick = Annotated[
     bool, Setting("Skip posterior sampling; intervals are from the Laplace approximation.")
 ]
@@ -102,6 +110,25 @@ FittedSensor = Annotated[
     "str | Path | Camera | None",
     Setting("The fitted camera or its TOML file (default: fitted.toml in the session's folder)."),
 ]
+
+
+def disc_of(disc: str | tuple[float, float]) -> tuple[float, float]:
+    """Return diameter and contrast of a disc, also of a text PX,CONTRAST.
+
+    Examples
+    --------
+    >>> disc_of("10,0.1")
+    (10.0, 0.1)
+    """
+    try:
+        diameter_px, contrast = map(float, disc.split(",") if isinstance(disc, str) else disc)
+    except (TypeError, ValueError):
+        diameter_px, contrast = 0.0, 0.0
+    if not (1.0 <= diameter_px <= 100.0 and 0.0 < contrast <= 1.0):
+        raise BadInput(
+            f"`disc` must be PX,CONTRAST, of 1 to 100 px and a contrast of at most 1, got {disc!r}"
+        )
+    return diameter_px, contrast
 
 
 def amplifier_of(amplifier: str | int) -> int | None:

@@ -194,6 +194,8 @@ class Context:
     amplifier
         Number (from 1, by rows) of the amplifier whose area alone is measured; None: the chip, and
         also each amplifier that its frames show.
+    disc
+        Diameter, px, and contrast of the disc whose detectability is computed.
     progress
         Called with a message and the completed fraction (0..1) during long work.
     spread
@@ -208,6 +210,7 @@ class Context:
     linear: bool = False
     full_scale_dn: float | None = None
     amplifier: int | None = None
+    disc: tuple[float, float] = (10.0, 0.1)
     progress: Progress = ignore_progress
     spread: Spread = map
 

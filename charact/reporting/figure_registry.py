@@ -92,6 +92,16 @@ FIGURES: dict[str, tuple[str, Callable[[Data], Any], str]] = {
         session_curves.plot_sfr,
         "The conventional SFR of ISO 12233 and the MTF of the same edge.",
     ),
+    "neq": (
+        "mtf",
+        session_curves.plot_neq,
+        "Noise-equivalent quanta of edge and flats, with 95 % bands.",
+    ),
+    "through-focus": (
+        "mtf",
+        session_curves.plot_through_focus,
+        "MTF50 against the position of the focus, with the fitted curve.",
+    ),
     "bars": (
         "mtf",
         curves.plot_bars,

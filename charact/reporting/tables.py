@@ -144,6 +144,7 @@ CONDITION_UNITS = {
     "metered_lux": ("Illuminance by the light meter", "lux"),
     "temperature_c": ("Temperature", "°C"),
     "blackbody_c": ("Black body", "°C"),
+    "focus_mm": ("Focus", "mm"),
     "background_c": ("Background", "°C"),
     "wavelength_nm": ("Wavelength", "nm"),
 }

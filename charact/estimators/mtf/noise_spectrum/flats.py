@@ -35,6 +35,7 @@ from charact.estimators.mtf.noise_spectrum.result import (
     curves,
     figure_data,
     finding,
+    noise_power,
     quantities,
 )
 from charact.estimators.mtf.noise_spectrum.result import note as unseen_note
@@ -293,6 +294,7 @@ def _measure(
             "the flats are no noisier than their darks: no light scintillates in them", fields
         )
     context.progress("noise spectrum of the flats", 0.9)
+    shown: dict[str, dict[str, Any]] = {"noise-power": noise_power(spectrum)}
     known = readout_of(context)
     peaks = sorted(
         (optimum_under_model(spectrum, known, shape) for shape in shapes),
@@ -304,7 +306,7 @@ def _measure(
             f"the noise is white (evidence of blur exp({gained:.2g})): nothing blurs after the "
             "gain, or the flats are too few to show it",
             fields,
-        )
+        ) + Result(evidence=shown)
     drawn = _draw_models(peaks, context)
     findings = findings_of(spectrum, chosen, drawn.peaks[0], context)
     rng = np.random.default_rng([context.seed, 21])
@@ -337,9 +339,8 @@ def _measure(
             **drawn_curves,
             **{f"{name}_free": curve for name, curve in curves(spectrum, free).items()},
         }
-    return replace(
-        result, curves=drawn_curves, evidence={"post-gain-noise": figure_data(spectrum, drawn)}
-    )
+    shown["post-gain-noise"] = figure_data(spectrum, drawn)
+    return replace(result, curves=drawn_curves, evidence=shown)
 
 
 def _refusal(reason: str, fields: dict[str, Any]) -> Result:

@@ -141,6 +141,7 @@ class PooledSpectrum:
     # quantisation, and by noise that quantisation hides in the dark; pooled.
     quantisation_noise_dn2: tuple[float, float]
     frames: int  # fewest frames of a flat
+    signal_dn: float | None  # mean signal of the flats, weighted as their power; None without darks
 
     @property
     def column_cy_per_px(self) -> Array:
@@ -191,6 +192,7 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
     )
     weight = np.array([flat.runs * len(flat.time) for flat in flats]) * gain / np.array(mean) ** 2
     weight /= weight @ gain
+    has_signal = all(signal is not None for *_, signal in chosen.pairs)
     darks = dark_shares((dark for _, dark, _ in chosen.pairs), weight)
     parts = [(float(flat_weight), flat) for flat_weight, flat in zip(weight, flats, strict=True)]
     power = np.sum([flat_weight * _power(flat, lag) for flat_weight, flat in parts], axis=0)
@@ -227,6 +229,7 @@ def spectrum_of(chosen: SelectedFlats, context: Context) -> PooledSpectrum:
         ),
         quantisation_noise_dn2=(float(low), float(high)) if chosen.digitised else (0.0, 0.0),
         frames=min(flat.frames for flat in flats),
+        signal_dn=1.0 / float(weight.sum()) if has_signal else None,
     )
 
 

@@ -152,6 +152,18 @@ def curves(spectrum: PooledSpectrum, drawn: SpectrumDraws) -> dict[str, Curve]:
     }
 
 
+def noise_power(spectrum: PooledSpectrum) -> dict[str, Any]:
+    """Return the noise power of the flats per DN of signal, darks included, for NEQ."""
+    return {
+        "column_cy_per_px": spectrum.column_cy_per_px.tolist(),
+        "row_cy_per_px": spectrum.row_cy_per_px.tolist(),
+        "power_dn2": spectrum.power_dn2.tolist(),
+        "looks": spectrum.looks_lagged.tolist(),
+        "signal_dn": spectrum.signal_dn,
+        "flats": [level.label for level in spectrum.levels],
+    }
+
+
 def figure_data(spectrum: PooledSpectrum, drawn: SpectrumDraws) -> dict[str, Any]:
     """Return measured power and model over the band, for a report."""
     peak = drawn.peaks[0]

@@ -39,4 +39,27 @@ class SessionThresholds:
     wavelength_mm: float = 0.7e-3  # Wavelength in the middle of the photocathode's band, mm
 
 
+@dataclass(frozen=True)
+class Detectability:
+    """Numbers of noise-equivalent quanta and detectability."""
+
+    draws: int = 400  # Draws of MTF and noise power
+    cells: int = 6  # Cells of the noise power next to a frequency whose mean is taken there
+    step_cy_per_px: float = 0.0025  # Step of the integral over frequencies, of discs up to 100 px
+
+
+@dataclass(frozen=True)
+class ThroughFocus:
+    """Numbers of a curve through focus."""
+
+    positions: int = 4  # Fewest positions: three make any parabola, a fourth tests it
+    draws: int = 1000  # Draws of the fitted curve
+    points: int = 101  # Points at which it is drawn
+    # Powers of MTF50 that are parabolas of the focus: of a parabola, of a Lorentzian, and of
+    # Gaussian blurs, which add in squares
+    powers: tuple[float, ...] = (1.0, -1.0, -2.0)
+
+
 THRESHOLDS = SessionThresholds()
+DETECTABILITY = Detectability()
+FOCUS = ThroughFocus()
