@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from charact.api.inputs import camera_of
 from labdata.errors import BadInput
 from labdata.settings import Argument, Setting, documented
 
 if TYPE_CHECKING:
-    from labdata import Camera
+    from labdata import Camera, Conditions
 
 LAMP_K = 2856.0  # colour temperature at which tubes are specified
 # Bands of the light, nm: all that photocathodes, silicon and the eye detect.
@@ -21,34 +20,30 @@ class Exposure:
     """Settings that reach a signal-to-noise ratio, and what they give."""
 
     camera: str  #: Name of the camera
+    #: Gate and MCP voltage, or exposure and EM gain, under 2856 K light on the detector that gives
+    #: the same signal as the scene
+    conditions: "Conditions"
     frames: int  #: Number of frames whose mean has the ratio
-    frames95: tuple[int, int] | None  #: 95 % interval of the number that is needed
-    gate_s: float  #: Gate of a tube, or exposure of a camera without one, s
-    mcp_v: float | None  #: Voltage across the microchannel plate, V
-    em_gain: float | None  #: Multiplication of a register
+    frames95: tuple[float, float] | None  #: 95 % interval of the number that is needed
     snr: float  #: Ratio of the mean of all frames, per pixel
     snr_interval95: tuple[float, float] | None  #: Its 95 % interval by the posterior, if any
-    snr_of_a_frame: float  #: Ratio of one frame
     signal_dn: float  #: Signal of the light, DN
     noise_dn: float  #: Temporal noise of a pixel of one frame, DN
-    detector_lux: float  #: 2856 K light on photocathode or chip that gives this signal, lux
     #: What the settings load, by name with its unit, and the most that it takes
     loads: dict[str, tuple[float, float]]
-    screen_c_per_cm2: float | None  #: Charge through the screen by all frames, C/cm2
     notes: tuple[str, ...]  #: What was assumed, and warnings
 
     def __str__(self) -> str:
-        gains = ((", MCP {:.0f} V", self.mcp_v), (", EM gain {:.3g}", self.em_gain))
-        gain = "".join(text.format(value) for text, value in gains if value is not None)
-        interval = "" if self.snr_interval95 is None else " ({:.3g} to {:.3g}, 95 %)"
-        several = "" if self.frames95 is None else " ({} to {}, 95 %)"
+        at, interval = self.conditions, " ({:.3g} to {:.3g}, 95 %)"
+        gate = f"gate {1e-6 * (at.gate_ns or 0.0):.4g} ms, MCP {at.mcp_v or 0.0:.0f} V"
+        gain = "" if at.em_gain is None else f", EM gain {at.em_gain:.3g}"
+        exposure = f"exposure {1e3 * (at.exposure_s or 0.0):.4g} ms{gain}"
         lines = [
-            f"{self.camera}: {'exposure' if self.mcp_v is None else 'gate'} "
-            f"{1e3 * self.gate_s:.4g} ms{gain}, frames {self.frames}"
-            + several.format(*self.frames95 or ()),
-            f"SNR of a pixel {self.snr:.3g}{interval.format(*self.snr_interval95 or ())}; of one "
-            f"frame {self.snr_of_a_frame:.3g}: {self.signal_dn:.4g} DN of signal over "
-            f"{self.noise_dn:.3g} DN of noise",
+            f"{self.camera}: {gate if at.gate_ns else exposure}",
+            f"frames {self.frames}" + (interval.format(*self.frames95) if self.frames95 else ""),
+            f"SNR of a pixel {self.snr:.3g}"
+            + (interval.format(*self.snr_interval95) if self.snr_interval95 else "")
+            + f"; of a frame {self.signal_dn:.4g} DN of light over {self.noise_dn:.3g} DN of noise",
             *(f"{name}: {load:.3g} of {most:.3g}" for name, (load, most) in self.loads.items()),
             *(f"note: {note}" for note in self.notes),
         ]
@@ -117,79 +112,72 @@ def expose(
     import numpy as np
 
     from charact.fitting.exposure import ExposureRequest, choose_exposure, exposed_flat
+    from labdata.sensors import load_camera
     from labdata.tube_dose import Dose, dose_of, ledger_of, total_dose, warnings
 
-    camera = camera_of(sensor)
-    assert camera is not None
+    camera = load_camera(sensor) if isinstance(sensor, str | Path) else sensor
     if camera.is_thermal:
         raise BadInput(f"an exposure needs a camera of visible light, got {camera.name!r}")
-    if not lux > 0.0:
-        raise BadInput(f"`lux` must be positive, got {lux:g}")
-    for name, value in (("contrast", contrast), ("reflectance", reflectance)):
-        if not 0.0 < value <= 1.0:
-            raise BadInput(f"`{name}` must lie in (0, 1], got {value:g}")
+    most = {"lux": (lux, 1e6), "contrast": (contrast, 1.0), "reflectance": (reflectance, 1.0)}
+    for name, (value, limit) in most.items():
+        if not 0.0 < value <= limit:
+            raise BadInput(f"`{name}` must lie in (0, {limit:g}], got {value:g}")
     lens = {"optics.f_number": f_number, "optics.transmission": transmission}
     camera = camera.with_values({path: value for path, value in lens.items() if value is not None})
     field_s = 1.0 / float(camera.video.field_rate_hz)
-    longest_s = field_s if longest_ms is None else min(1e-3 * longest_ms, field_s)
+    times_s = [field_s, *([] if longest_ms is None else [1e-3 * longest_ms])]
     if camera.has_tube:
-        limit_s = min(1e-9 * float(camera.limits.gate_ns), float(camera.limits.gate_duty) * field_s)
-        longest_s = min(longest_s, limit_s)
-    detector_lux = lux * reflectance * _lux_per_scene_lux(camera, colour_temperature_k)
+        duty, gate_ns = float(camera.limits.gate_duty), float(camera.limits.gate_ns)
+        times_s += [duty * field_s, 1e-9 * gate_ns]
     request = ExposureRequest(
         camera=camera,
-        lux=detector_lux,
+        lux=lux * reflectance * _lux_per_scene_lux(camera, colour_temperature_k),
         snr=snr,
         contrast=contrast,
-        longest_s=longest_s,
+        longest_s=min(times_s),
         max_frames=max_frames,
     )
     at, frames = choose_exposure(request)
-    flat, gate_s = request.flat(at), at.exposure_s or 1e-9 * (at.gate_ns or 0.0)
+    flat, drawn, loads = (
+        request.flat(at),
+        exposed_flat(camera, request.draws, at),
+        request.loads(at),
+    )
+    snrs, numbers = drawn.snr(frames, contrast), drawn.frames(snr, contrast)
+    intervals = [np.quantile(drawn_of, (0.025, 0.975)) for drawn_of in (snrs, numbers)]
+    (snr_low, snr_high), (frames_low, frames_high) = np.array(intervals).tolist()
     notes = [
         f"Reflectance {reflectance:g}, f/{float(camera.optics.f_number):g}, transmission "
         f"{float(camera.optics.transmission):g}, light of {colour_temperature_k:g} K, on the axis "
         "of a distant scene; noise in time alone, fixed patterns corrected."
     ]
-    charge, intervals = None, (None, None)
-    if request.draws is None:
+    if not camera.draws.values:
         notes.append("No interval: the description has no posterior draws, which `fit` makes.")
-    else:
-        drawn = exposed_flat(camera, request.draws, detector_lux, at)
-        snrs, numbers = drawn.snr(frames, contrast), drawn.frames(snr, contrast).astype(int)
-        intervals = tuple(
-            tuple(np.quantile(x, (0.025, 0.975), method="nearest").tolist())
-            for x in (snrs, numbers)
-        )
     if request.limits is not None:
-        load, lit_s = request.limits.load, frames * camera.fields * field_s
+        load, lit_s, mcp_v = request.limits.load, frames * camera.fields * field_s, at.mcp_v or 0.0
+        duty = 1e-9 * (at.gate_ns or 0.0) / field_s
         dose = dose_of(
-            delivered_na_per_cm2=load.screen_na_per_cm2(
-                detector_lux, at.mcp_v or 0.0, gate_s / field_s
-            ),
+            delivered_na_per_cm2=load.screen_na_per_cm2(request.lux, mcp_v, duty),
             lit_s=lit_s,
             at_gain_s=lit_s,
             point=False,
-            log_sd=load.log_sd(at.mcp_v or 0.0),
+            log_sd=load.log_sd(mcp_v),
         )
-        charge = dose.screen_c_per_cm2
+        life = float(camera.limits.screen_charge_c_per_cm2)
+        loads["screen, C/cm2"] = dose.screen_c_per_cm2, life
         before = Dose() if tube is None else ledger_of(tube).total()
         notes += warnings(total_dose((before, dose)), camera)
+    fitted = bool(camera.draws.values)
     return Exposure(
         camera=camera.name,
+        conditions=at,
         frames=frames,
-        frames95=intervals[1],
-        gate_s=gate_s,
-        mcp_v=at.mcp_v,
-        em_gain=at.em_gain,
+        frames95=(frames_low, frames_high) if fitted else None,
         snr=float(flat.snr(frames, contrast)[0]),
-        snr_interval95=intervals[0],
-        snr_of_a_frame=float(flat.snr(1, contrast)[0]),
+        snr_interval95=(snr_low, snr_high) if fitted else None,
         signal_dn=float(flat.light_dn[0]),
         noise_dn=float(np.sqrt(flat.variance_dn2[0])),
-        detector_lux=detector_lux,
-        loads=request.loads(at),
-        screen_c_per_cm2=charge,
+        loads=loads,
         notes=tuple(notes),
     )
 

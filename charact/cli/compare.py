@@ -112,7 +112,9 @@ def expose(
     """
     with exit_on_bad_input(sensor, as_json=as_json):
         exposure = exposing.expose(sensor, **settings)
-        document = {"charact": __version__, "input": sensor, "exposure": vars(exposure)}
+        stated = {name: x for name, x in vars(exposure.conditions).items() if x is not None}
+        found = vars(exposure) | {"conditions": stated}
+        document = {"charact": __version__, "input": sensor, "exposure": found}
         print_text(json.dumps(document, allow_nan=False) if as_json else str(exposure))
 
 

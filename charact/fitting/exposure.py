@@ -10,7 +10,7 @@ Release 4.0, 2.3.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -67,7 +67,7 @@ class ExposedFlat:
         return np.maximum(frames, 1.0)
 
 
-def exposed_flat(camera: Camera, values: Values, lux: float, at: Conditions) -> ExposedFlat:
+def exposed_flat(camera: Camera, values: Values, at: Conditions) -> ExposedFlat:
     """Return signal and noise of a flat.
 
     Parameters
@@ -76,45 +76,43 @@ def exposed_flat(camera: Camera, values: Values, lux: float, at: Conditions) -> 
         The description, which says what kind of camera it is.
     values
         Its parameters, one value or n draws each.
-    lux
-        Illuminance of 2856 K light on photocathode or chip, lux.
     at
-        Gate and MCP voltage; without a tube the exposure and the gain of a register.
+        Illuminance on photocathode or chip, gate and MCP voltage; without a tube the exposure and
+        the gain of a register.
     """
     if not camera.has_tube:
-        return _flat_of_chip(camera, values, lux, at)
-    gate_s, mcp_v = 1e-9 * (at.gate_ns or 0.0), at.mcp_v or 0.0
+        return _flat_of_chip(camera, values, at)
+    lux, gate_s, mcp_v = at.illuminance_lux or 0.0, 1e-9 * (at.gate_ns or 0.0), at.mcp_v or 0.0
     load = predicted.mcp_load(values, lux, gate_s, mcp_v)
     gain = predicted.photoelectron_gain(values, mcp_v) / (1.0 + load)
     light = gain * predicted.photoelectrons(values, lux, gate_s)
     background = predicted.background_rate(values) + predicted.ion_light(values)
     signal = light + gain * background * gate_s
     blur = predicted.pulse_covariance(values, ((0, 0),), predicted.FINE)[:, 0]
-    products = field_products(values, gate_s, EXPOSURE.lag_frames * camera.fields)
-    lags = products[:, :: camera.fields]
+    lags = field_products(values, gate_s, EXPOSURE.lag_frames * camera.fields)[:, :: camera.fields]
     pulses = gain * predicted.excess_noise_factor(values) * blur * signal
     ions = predicted.ion_variance(values, gain, blur, gate_s)
-    detector = predicted.detector_variance(values, signal)
     return ExposedFlat(
         light_dn=light,
         level_dn=signal,
         well_e=signal / values[CONVERSION_GAIN],
-        variance_dn2=detector + ions + pulses * lags[:, 0],
+        variance_dn2=predicted.detector_variance(values, signal) + ions + pulses * lags[:, 0],
         lag_dn2=pulses[:, None] * lags[:, 1:],
     )
 
 
-def _flat_of_chip(camera: Camera, values: Values, lux: float, at: Conditions) -> ExposedFlat:
+def _flat_of_chip(camera: Camera, values: Values, at: Conditions) -> ExposedFlat:
     exposure_s, full_dn = at.exposure_s or 0.0, float(2**camera.video.bit_depth - 1)
     gain = dn_per_electron(values, at) * em_gain(values, at)
-    light = np.array([electrons_per_lumen(camera.silicon) * lux * exposure_s])
+    lux_s = (at.illuminance_lux or 0.0) * exposure_s
+    light = np.array([electrons_per_lumen(camera.silicon) * lux_s])
     per_level = (light, np.array([True]), gain[:, None], np.array([exposure_s]), full_dn)
     signal = signal_of_light(values, *per_level)[:, 0]
     # Of y = s (1 - c s / full) the squared slope is 1 - 4 c y / full.
     bend = np.maximum(1.0 - 4.0 * values[COMPRESSION] * signal / full_dn, 0.0)
     shot = gain * register_excess(values, at) * 2.0 * signal / (1.0 + np.sqrt(bend)) * bend
-    rows = neighbour_variance(values, camera.shape[0])
-    variance = shot + dark_variance(values, at, exposure_s) + rows
+    variance = shot + dark_variance(values, at, exposure_s)
+    variance = variance + neighbour_variance(values, camera.shape[0])
     return ExposedFlat(
         light_dn=signal,
         level_dn=signal,
@@ -140,16 +138,14 @@ class ExposureRequest:
         """Best values of the camera's parameters, shape (1,)."""
         return values_of_description(self.camera)
 
-    @cached_property
-    def draws(self) -> Values | None:
-        """Posterior draws of the camera's parameters, shape (n,) each; None without."""
+    @property
+    def draws(self) -> Values:
+        """Posterior draws of the camera's parameters, shape (n,) each; the best without any."""
         draws = self.camera.draws
-        if not draws.values:
-            return None
         drawn = dict(zip(draws.names, np.array(draws.values).T, strict=True))
-        tied = {path: by for path, by in TIED.items() if by in drawn}
-        scaled = {path: drawn[by] * (self.best[path] / self.best[by]) for path, by in tied.items()}
-        return {**self.best, **drawn, **scaled}
+        ratios = {path: self.best[path] / self.best[by] for path, by in TIED.items() if by in drawn}
+        tied = {path: drawn[TIED[path]] * ratio for path, ratio in ratios.items()}
+        return {**self.best, **drawn, **tied}
 
     @cached_property
     def limits(self) -> LimitsInForce | None:
@@ -159,43 +155,39 @@ class ExposureRequest:
     @property
     def gains(self) -> tuple[float | None, ...]:
         """MCP voltages, V, or gains of a register, that are tried; rising."""
-        if self.limits is not None:
-            lowest_v = EXPOSURE.lowest_voltage * self.limits.mcp_v
-            return tuple(np.linspace(lowest_v, self.limits.mcp_v, EXPOSURE.gains).tolist())
-        if not self.camera.multiplies:
+        if self.limits is None and not self.camera.multiplies:
             return (None,)
-        highest = float(self.camera.register.em_gain)
-        return tuple(np.geomspace(1.0, highest, EXPOSURE.gains).tolist())
+        ends = (
+            (1.0, float(self.camera.register.em_gain))
+            if self.limits is None
+            else (EXPOSURE.lowest_voltage * self.limits.mcp_v, self.limits.mcp_v)
+        )
+        return tuple(np.geomspace(*ends, EXPOSURE.gains).tolist())
 
     def conditions(self, gain: float | None, seconds: float) -> Conditions:
         """Return the settings of a gain and a gate or an exposure."""
         if self.camera.has_tube:
-            return Conditions(mcp_v=gain, gate_ns=1e9 * seconds)
-        return Conditions(em_gain=gain, exposure_s=seconds)
+            return Conditions(mcp_v=gain, gate_ns=1e9 * seconds, illuminance_lux=self.lux)
+        return Conditions(em_gain=gain, exposure_s=seconds, illuminance_lux=self.lux)
 
     def flat(self, at: Conditions) -> ExposedFlat:
         """Return signal and noise at settings, best values."""
-        return exposed_flat(self.camera, self.best, self.lux, at)
+        return exposed_flat(self.camera, self.best, at)
 
-    def frames(self, gain: float | None, seconds: float) -> float:
+    def frames(self, at: Conditions) -> float:
         """Return the number of frames at settings."""
-        flat = self.flat(self.conditions(gain, seconds))
-        return float(flat.frames(self.snr, self.contrast)[0])
-
-    def is_noisy(self, gain: float | None, seconds: float) -> bool:
-        """Whether noise is so large that rounding is noise as well."""
-        variance_dn2 = self.flat(self.conditions(gain, seconds)).variance_dn2[0]
-        return bool(variance_dn2 > EXPOSURE.least_noise_dn**2)
+        return float(self.flat(at).frames(self.snr, self.contrast)[0])
 
     def loads(self, at: Conditions) -> dict[str, tuple[float, float]]:
         """Return what the settings load, by name with its unit, and the most it takes."""
         flat, video = self.flat(at), self.camera.video
-        noise_dn = EXPOSURE.headroom_sd * np.sqrt(flat.variance_dn2[0])
-        level_dn, full_dn = float(video.black_level_dn) + flat.level_dn[0], 2**video.bit_depth - 1
-        well_e = flat.well_e[0] * (1.0 + noise_dn / flat.level_dn[0])
+        noise = EXPOSURE.headroom_sd * float(np.sqrt(flat.variance_dn2[0]))
+        level = float(flat.level_dn[0])
+        well_e = float(flat.well_e[0]) * (1.0 + noise / level)
+        black_dn, full_dn = float(video.black_level_dn), 2.0**video.bit_depth - 1.0
         loads = {
-            "level and noise, DN": (float(level_dn + noise_dn), float(full_dn)),
-            "charge of a pixel, e-": (float(well_e), float(self.camera.ccd.full_well_e)),
+            "level and noise, DN": (black_dn + level + noise, full_dn),
+            "charge of a pixel, e-": (well_e, float(self.camera.ccd.full_well_e)),
         }
         if self.limits is not None:
             duty = 1e-9 * (at.gate_ns or 0.0) * float(video.field_rate_hz)
@@ -204,11 +196,9 @@ class ExposureRequest:
             loads["microchannel plate, nA/cm2"] = anode, self.limits.anode_na_per_cm2
         return loads
 
-    def is_allowed(self, gain: float | None, seconds: float) -> bool:
+    def is_allowed(self, at: Conditions) -> bool:
         """Whether nothing is loaded beyond what it takes."""
-        return all(
-            load <= most for load, most in self.loads(self.conditions(gain, seconds)).values()
-        )
+        return all(load <= most for load, most in self.loads(at).values())
 
 
 def choose_exposure(request: ExposureRequest) -> tuple[Conditions, int]:
@@ -221,36 +211,37 @@ def choose_exposure(request: ExposureRequest) -> tuple[Conditions, int]:
         If no settings are allowed, or the best needs too many frames.
     """
     shortest_s = request.longest_s * EXPOSURE.shortest
+    timed = [partial(request.conditions, gain) for gain in request.gains]
     longest = {
-        gain: _bisect(
-            lambda s, gain=gain: request.is_allowed(gain, s), request.longest_s, shortest_s
-        )
-        for gain in request.gains
-        if request.is_allowed(gain, shortest_s)
+        at: _bisect(lambda s, at=at: request.is_allowed(at(s)), request.longest_s, shortest_s)
+        for at in timed
+        if request.is_allowed(at(shortest_s))
     }
     if not longest:
-        loads = request.loads(request.conditions(request.gains[0], shortest_s))
-        name, (load, most) = max(loads.items(), key=lambda item: item[1][0] / item[1][1])
+        loads = request.loads(timed[0](shortest_s)).items()
+        name, (load, most) = max(loads, key=lambda item: item[1][0] / item[1][1])
         raise BadInput(
             f"{name} must be at most {most:.3g}, got {load:.3g} with the least exposure: dim the "
             "light, or close the lens by `f_number`"
         )
-    frames = {gain: request.frames(gain, seconds) for gain, seconds in longest.items()}
-    best = min(frames, key=lambda gain: frames[gain])
-    if not frames[best] <= request.max_frames:
+    frames = {at: request.frames(at(seconds)) for at, seconds in longest.items()}
+    fewest = min(frames.values())
+    if not fewest <= request.max_frames:
         raise BadInput(
             f"`snr` {request.snr:g} must be reached within `max_frames` {request.max_frames}, got "
-            f"{frames[best]:.0f} as the fewest, each of {1e3 * longest[best]:.3g} ms; more light, "
-            "a faster lens or a sum over pixels helps"
+            f"{fewest:.0f} as the fewest; more light, a faster lens or a sum over pixels helps"
         )
-    most = np.ceil(EXPOSURE.more_frames * frames[best])
-    gain = next(
-        gain
-        for gain in longest
-        if gain == best or (frames[gain] <= most and request.is_noisy(gain, longest[gain]))
+    # Rounding is noise only where other noise is larger.
+    least_dn2, most = EXPOSURE.least_noise_dn**2, np.ceil(EXPOSURE.more_frames * fewest)
+    chosen = next(
+        at
+        for at, seconds in longest.items()
+        if frames[at] == fewest
+        or (frames[at] <= most and request.flat(at(seconds)).variance_dn2[0] > least_dn2)
     )
-    seconds = _bisect(lambda s: request.frames(gain, s) <= frames[gain], shortest_s, longest[gain])
-    return request.conditions(gain, seconds), round(frames[gain])
+    needed = frames[chosen]
+    seconds = _bisect(lambda s: request.frames(chosen(s)) <= needed, shortest_s, longest[chosen])
+    return chosen(seconds), round(needed)
 
 
 def _bisect(holds: Callable[[float], bool], sought: float, known: float) -> float:
