@@ -131,7 +131,7 @@ def plot_defect_histograms(data: Data) -> Any:
     """Plot logarithmic and accumulated histograms of the deviation of pixels from their mean."""
     figure, grid = panels(2, 2, size=(6.4, 5.0))
     for column, (unit, name, shown) in zip(grid.T, KINDS, strict=True):
-        deviation, pixels, normal, share = (
+        deviation, pixels, normal, rarer = (
             first_array(data, key)
             for key in (
                 f"deviation_{unit}",
@@ -141,10 +141,10 @@ def plot_defect_histograms(data: Data) -> Any:
         column[0].step(deviation, np.maximum(pixels, 0.1), where="mid", color=DATA, label="pixels")
         plot_line(column[0], deviation, normal, color=MODEL, linestyle="--", label="normal")
         column[0].set(ylim=(0.5, 2.0 * pixels.max()), ylabel=f"{name}: pixels in a bin")
-        steps = np.linspace(0.0, np.abs(deviation).max(), len(share))
-        plot_line(column[1], steps, np.maximum(share, 1e-12), color=DATA)
-        least = share[share > 0.0].min()
-        column[1].set(ylim=(0.5 * least, 200.0), ylabel=f"{name}: pixels beyond (%)")
+        steps = np.linspace(0.0, np.abs(deviation).max(), len(rarer))
+        plot_line(column[1], steps, np.maximum(rarer, 1e-12), color=DATA)
+        rarest = rarer[rarer > 0.0].min()
+        column[1].set(ylim=(0.5 * rarest, 200.0), ylabel=f"{name}: pixels beyond (%)")
         for axes, words in zip(column, ("deviation", "least deviation"), strict=True):
             axes.set(yscale="log", xlabel=f"{words} ({shown})")
     grid[0, 0].legend(fontsize=7)

@@ -92,10 +92,10 @@ def _full_scale(series: FlatSeries) -> tuple[str, float | None, str]:
         )
         return "_full_scale", None, reason
     last = int(reached[0])
-    least = 0.5 / series.flats[last].pixels
-    below, beyond = ndtri(np.clip(full[last - 1 : last + 1], least, 1.0 - least))
-    share = (ndtri(DATA_SHEET.full_fraction) - below) / (beyond - below)
-    return "_full_scale", last - 1.0 + float(np.clip(share, 0.0, 1.0)), ""
+    rarest = 0.5 / series.flats[last].pixels
+    dimmer, brighter = ndtri(np.clip(full[last - 1 : last + 1], rarest, 1.0 - rarest))
+    step = (ndtri(DATA_SHEET.full_fraction) - dimmer) / (brighter - dimmer)
+    return "_full_scale", last - 1.0 + float(np.clip(step, 0.0, 1.0)), ""
 
 
 def linearity(series: FlatSeries, photons: Array, seed: int, **fields: Any) -> Result:
@@ -166,7 +166,9 @@ def data_sheet(
         dark = max(darks, key=lambda level: level.frames)
         unbounded = [replace(entry, bound=None) for entry in findings]
         missing = _missing_frames(series, stacks, min(dark.frames, stacks.flat.frames))
-        result += nonuniformity(dark, stacks.flat, gain, unbounded, missing=missing, **fields)
+        result += nonuniformity(
+            dark, stacks.flat, gain, unbounded, missing=missing, seed=seed, **fields
+        )
     return result
 
 

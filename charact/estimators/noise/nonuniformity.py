@@ -128,6 +128,7 @@ def nonuniformity(
     findings: list[Finding],
     *,
     missing: str,
+    seed: int,
     **fields: Any,
 ) -> Result:
     """Return DSNU and PRNU with their parts, and the standard's pictures of both.
@@ -137,7 +138,7 @@ def nonuniformity(
     """
     of_dark, of_flat = mean_frame_of(dark), mean_frame_of(flat)
     signal_dn = float(of_flat.dn.mean() - of_dark.dn.mean())
-    rng = np.random.default_rng([18, len(gain)])
+    rng = np.random.default_rng([seed, 20])
     out: list[Measurement] = []
     for suffix in ("", "_filtered"):
         square, sd, raised = of_dark.variances(filtered=bool(suffix))
@@ -174,8 +175,8 @@ def _root(
     square, sd, raised = of_part
     factor = float(np.median(scale))
     if square <= 0.0:
-        most = factor * float(np.sqrt(max(square, 0.0) + DATA_SHEET.limit_sd * sd))
-        return make_refusal(quantity, unit, HIDDEN.format(most, unit), **fields)
+        limit = factor * float(np.sqrt(DATA_SHEET.limit_sd * sd))
+        return make_refusal(quantity, unit, HIDDEN.format(limit, unit), **fields)
     draws = scale * np.sqrt(np.maximum(square + sd * rng.standard_normal(len(scale)), 0.0))
     value = factor * float(np.sqrt(square))
     low95, low68, high68, high95 = np.quantile(draws, DATA_SHEET.quantiles).tolist()
@@ -207,8 +208,8 @@ def _pictures(
     marks = {}
     for unit, stack, scale in (("dn", dark, 1.0), ("percent", flat, percent)):
         noise, frame = scale**2 * stack.pixel_dn2, smooth[unit]
-        left = max(float(frame.var()) - KEPT * noise / stack.frames, 0.0)
-        marks[unit] = {"temporal": noise**0.5, "measured": float(frame.std()), "1288": left**0.5}
+        spatial = max(float(frame.var()) - KEPT * noise / stack.frames, 0.0)
+        marks[unit] = {"temporal": noise**0.5, "measured": float(frame.std()), "1288": spatial**0.5}
     yield (
         "spectrograms",
         {
