@@ -80,7 +80,7 @@ def _full_scale(series: FlatSeries) -> tuple[str, float | None, str]:
     """Return the ending of the names, and at which place in the series 0.1 % of the pixels show the
     largest value (6.6), None and why where there is none.
 
-    The fraction of full pixels of normal noise has a quantile that is linear in the level.
+    The fraction of full pixels of normal noise s has a quantile that rises by 1 over s in level.
     """
     full = np.array([flat.high_fraction for flat in series.flats])
     reached = np.flatnonzero(full >= DATA_SHEET.full_fraction)
@@ -91,11 +91,18 @@ def _full_scale(series: FlatSeries) -> tuple[str, float | None, str]:
             f"largest value; add flats of {'more' if many == 'less' else 'less'} light"
         )
         return "_full_scale", None, reason
+    # From the level on either side whose quantile is nearer; all or no pixels full say nothing.
     last = int(reached[0])
-    rarest = 0.5 / series.flats[last].pixels
-    dimmer, brighter = ndtri(np.clip(full[last - 1 : last + 1], rarest, 1.0 - rarest))
-    step = (ndtri(DATA_SHEET.full_fraction) - dimmer) / (brighter - dimmer)
-    return "_full_scale", last - 1.0 + float(np.clip(step, 0.0, 1.0)), ""
+    dimmer, signal = series.flats[last - 1], series.signal_dn[last - 1 : last + 1]
+    quantiles = ndtri(full[last - 1 : last + 1])
+    target = ndtri(DATA_SHEET.full_fraction)
+    nearer = int(np.argmin(np.abs(quantiles - target)))
+    step = 0.5
+    if np.isfinite(quantiles[nearer]):
+        sd_dn = np.sqrt(dimmer.variance_dn2 + max(dimmer.spatial_variance_dn2, 0.0))
+        full_dn = signal[nearer] + (target - quantiles[nearer]) * sd_dn
+        step = float(np.clip((full_dn - signal[0]) / np.ptp(signal), 0.0, 1.0))
+    return "_full_scale", last - 1.0 + step, ""
 
 
 def linearity(series: FlatSeries, photons: Array, seed: int, **fields: Any) -> Result:
