@@ -443,6 +443,44 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "background_c": 22.0,
             "residual_k": spread,
         },
+        "sfr": {
+            **dict.fromkeys(("frequency_cy_per_px", "mtf", "sfr"), spread),
+            "method": "edge-parametric",
+        },
+        "linearity": dict.fromkeys(
+            ("photons", "signal_dn", "fitted_photons", "line_dn", "deviation_percent"), spread
+        ),
+        "signal-to-noise-ratio": {
+            **dict.fromkeys(("photons", "snr"), spread[1:]),
+            **dict.fromkeys(("electrons_per_photon", "dark_e2", "dsnu_e", "prnu"), 0.5),
+            "threshold_photons": 1.0,
+            "saturation_photons": 9.0,
+        },
+        "dark-current": dict.fromkeys(
+            ("exposure_s", "mean_dn", "mean_sd_dn", "variance_dn2", "variance_sd_dn2"), spread
+        ),
+        "spectrograms": {
+            f"{name}_{unit}": spread[1:] if name in ("horizontal", "vertical") else 0.5
+            for name in ("horizontal", "vertical", "temporal", "measured", "1288")
+            for unit in ("dn", "percent")
+        },
+        "profiles": {
+            **dict.fromkeys(("horizontal_px", "vertical_px"), len(spread)),
+            **{
+                f"{stack}_{way}_{name}_dn": spread
+                for stack in ("dark", "bright")
+                for way in ("horizontal", "vertical")
+                for name in ("largest", "least", "middle", "mean")
+            },
+        },
+        "defect-histograms": dict.fromkeys(
+            (
+                f"{name}_{unit}"
+                for name in ("deviation", "pixels_of", "normal_of", "share_of")
+                for unit in ("dn", "percent")
+            ),
+            spread,
+        ),
     }
     assert examples.keys() == FIGURES.keys()
     for kind, data in examples.items():
